@@ -1,1 +1,8 @@
-"""receive"""
+"""Camera frames -> packets: detect, track, extract, decode."""
+
+from heliograph.receive.packets import Codeword, Observer, Packet
+from heliograph.receive.pose import Pose
+from heliograph.receive.receiver import Receiver, receive
+from heliograph.receive.settings import ReceiveSettings
+
+__all__ = ["Codeword", "Observer", "Packet", "Pose", "ReceiveSettings", "Receiver", "receive"]

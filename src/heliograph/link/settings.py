@@ -1,0 +1,114 @@
+"""The whole link's settings: one tree, named presets, TOML and key=value text laid over them."""
+
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from typing import Any
+
+from pydantic import model_validator
+from pydantic.dataclasses import dataclass
+
+from heliograph.base.config import CONFIG, from_mapping, merge, parse_assignment, to_mapping
+from heliograph.base.errors import SettingsError
+from heliograph.channel.settings import ChannelSettings
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.signal.settings import SignalSettings
+from heliograph.transmit import TransmitSettings
+
+
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
+class LinkSettings:
+    """Everything that can be set; the defaults are the reference link.
+
+    Attributes
+    ----------
+    signal
+        What both ends agree on.
+    transmit
+        Who transmits.
+    channel
+        Scene, vehicle, camera.
+    receive
+        The receiver. It is told nothing of `channel`.
+    """
+
+    signal: SignalSettings = SignalSettings()
+    transmit: TransmitSettings = TransmitSettings()
+    channel: ChannelSettings = ChannelSettings()
+    receive: ReceiveSettings = ReceiveSettings()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "LinkSettings":
+        arrays, identities = len(self.channel.arrays), self.transmit.identities
+        if len(identities) != arrays:
+            raise ValueError(
+                f"transmit.identities must name one identity an array: {arrays} in channel.arrays, "
+                f"{len(identities)} identities {list(identities)}"
+            )
+        if len(set(identities)) != arrays:
+            raise ValueError(f"transmit.identities must differ, not {list(identities)}")
+        return self
+
+
+PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "paper": ("The driving trial of Nagura et al. 2010: 80 m to 25 m at 30 km/h, road of class B", {}),
+    "static": (
+        "The paper's camera at rest, 50 m away, for 1 s",
+        {"channel": {"distance_m": 50.0, "speed_m_s": 0.0, "duration_s": 1.0, "shake": "none"}},
+    ),
+    "motorway": (
+        "The driving trial at 100 km/h, from 120 m on, road of class A",
+        {"channel": {"distance_m": 120.0, "speed_m_s": 27.78, "road_class": "A"}},
+    ),
+    "night": (
+        "The driving trial by night: dark background, LEDs four times dimmer",
+        {"channel": {"background": {"level": 0.0}, "emitter": {"panel_level": 0.0, "all_on": 0.2}}},
+    ),
+    "two-arrays": (
+        "The driving trial with two arrays of different identities side by side",
+        {
+            "transmit": {"identities": [0, 7]},
+            "channel": {"arrays": [{"x_m": 1.5, "y_m": -1.0}, {"x_m": -1.5, "y_m": -0.8, "start_s": 0.0373}]},
+        },
+    ),
+}
+"""Presets by name: a line about each, and what it changes of the reference link."""
+
+
+def preset(name: str) -> dict[str, Any]:
+    """What a preset changes of the defaults.
+
+    Raises
+    ------
+    SettingsError
+        There is no preset of that name; the message names the nearest.
+    """
+    if name not in PRESETS:
+        close = get_close_matches(name, PRESETS, 1)
+        hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(PRESETS)}"
+        raise SettingsError(f"unknown preset '{name}'; {hint}")
+    return dict(PRESETS[name][1])
+
+
+def load_settings(
+    name: str = "paper", over: Mapping[str, Any] | None = None, assignments: Iterable[str] = ()
+) -> LinkSettings:
+    """Settings of a preset, changed by a mapping (of a TOML file) and then by ``key=value`` texts.
+
+    Parameters
+    ----------
+    name
+        Preset.
+    over
+        Nested mapping laid over it.
+    assignments
+        Texts such as ``"channel.distance_m=60"`` or ``"channel.arrays.0.x_m=2"``.
+
+    Raises
+    ------
+    SettingsError
+        A preset or key is unknown, a value wrong or out of range.
+    """
+    tree = merge(to_mapping(LinkSettings()), preset(name))
+    for change in [over or {}, *map(parse_assignment, assignments)]:
+        tree = merge(tree, change)
+    return from_mapping(LinkSettings, tree)

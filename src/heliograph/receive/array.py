@@ -1,0 +1,185 @@
+"""One array's reception: pairs in step with its header, gathered to packets."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.decode import decode_packet
+from heliograph.receive.detect import Detection, project
+from heliograph.receive.extract import pair_luminances
+from heliograph.receive.packets import Codeword, Observer, Packet
+from heliograph.receive.pose import Pose
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.track import TrackedPair, Tracker
+from heliograph.signal.header import header_levels
+from heliograph.signal.packet import PacketFormat
+
+HEADER_SEEN = 0.5
+"""Least alternation of a header, as a share of the array's luminance."""
+
+PATIENCE = 2
+"""Packets without header and without a right codeword after which the array is given up."""
+
+
+@dataclass(slots=True)
+class _Gathered:
+    """What has been read of the current packet."""
+
+    luminances: NDArray[np.float64]
+    seen: NDArray[np.bool_]
+    frames: list[int] = field(default_factory=list)
+    scores: list[float] = field(default_factory=list)
+    poses: list[Pose] = field(default_factory=list)
+    header: list[float] = field(default_factory=list)
+
+
+class ArrayReceiver:
+    """Follows an array from its detection on and reads its packets.
+
+    Parameters
+    ----------
+    detection
+        Where and when its header was found.
+    form
+        The packet's format.
+    settings
+        The receiver's.
+    observe
+        Gets what each stage produces.
+    """
+
+    def __init__(self, detection: Detection, form: PacketFormat, settings: ReceiveSettings, observe: Observer):
+        self.identity = detection.identity
+        self.tracker = Tracker(detection, form.settings.side, settings.track)
+        self._start_s = detection.start_time_s
+        self._form, self._settings, self._observe = form, settings, observe
+        self._header_weights = header_levels(self.identity, form.settings.side) / 2.0 - 1.0
+        self._held: Frame | None = None
+        self._pair = 0
+        self._packet = self._empty()
+        self._failures = 0
+
+    @property
+    def done(self) -> bool:
+        """Whether the array is out of sight, or what was followed is no array."""
+        return self.tracker.lost or self._failures >= PATIENCE
+
+    def push(self, frame: Frame) -> Iterator[Packet]:
+        """Take a frame; yield the packet it completes."""
+        number = self._pattern_number(frame.time_s)
+        if number < 0:
+            return
+        if number % 2 == 0:
+            # the pair of a frame still held lacks its inverse
+            yield from self._advance(number // 2)
+            self._held = frame
+            return
+        yield from self._advance(number // 2)
+        if self._held is not None and self._pattern_number(self._held.time_s) == number - 1:
+            self._read(self._held, frame)
+        self._held = None
+        if self._pair_in_packet(number // 2) == self._pairs - 1:
+            yield self._finish()
+
+    def flush(self) -> Iterator[Packet]:
+        """Yield the packet in progress if at least half of its data was seen."""
+        if self._packet.seen.mean() >= 0.5:
+            yield self._finish()
+
+    @property
+    def _pairs(self) -> int:
+        return self._form.settings.packet_patterns // 2
+
+    def _pattern_number(self, time_s: float) -> int:
+        return round((time_s - self._start_s) / self._form.settings.pattern_period_s)
+
+    def _pair_in_packet(self, pair: int) -> int:
+        return pair % self._pairs
+
+    def _advance(self, pair: int) -> Iterator[Packet]:
+        """Account for pairs that no frames came for; a packet may end among them."""
+        while self._pair < pair:
+            if self._pair_in_packet(self._pair) == self._pairs - 1 and self._packet.frames:
+                yield self._finish()
+            self._pair += 1
+            if pair - self._pair > self._pairs:
+                self._pair = pair
+        self._pair = pair
+
+    def _read(self, pattern: Frame, inverted: Frame) -> None:
+        """Track a pair, then read its data or its header."""
+        tracked = self.tracker.follow(pattern, inverted)
+        packet, place = self._packet, self._pair_in_packet(self._pair) - self._form.settings.header_pairs
+        packet.frames += [pattern.index, inverted.index]
+        packet.scores.append(tracked.fit.score)
+        packet.poses.append(tracked.state.pose)
+        self._observe("track", {"identity": self.identity, "frame": pattern.index, "tracked": tracked})
+        if place < 0:
+            packet.header.append(self._alternation(pattern, inverted, tracked))
+            if tracked.seen:
+                self.tracker.refine(pattern, inverted, self._header_weights)
+        elif tracked.seen:
+            packet.luminances[place] = self._luminances(pattern, inverted, tracked)
+            packet.seen[place] = True
+
+    def _luminances(self, pattern: Frame, inverted: Frame, tracked: TrackedPair) -> NDArray[np.float64]:
+        poses = (tracked.state.pose_at(pattern.time_s), tracked.state.pose_at(inverted.time_s))
+        x = pair_luminances(pattern, inverted, poses, self.tracker.gain, self._form.settings.side)
+        self._observe(
+            "extract", {"identity": self.identity, "frames": (pattern, inverted), "poses": poses, "luminances": x}
+        )
+        return x
+
+    def _alternation(self, pattern: Frame, inverted: Frame, tracked: TrackedPair) -> float:
+        """How much of the header the pair shows, as a share of the array's luminance."""
+        pose = tracked.state.pose
+        change = project(pattern, pose, self._header_weights) - project(inverted, pose, self._header_weights)
+        return change / max(self.tracker.gain, 1e-6)
+
+    def _finish(self) -> Packet:
+        """Decode what was gathered and begin the next packet."""
+        packet, self._packet = self._packet, self._empty()
+        layers = decode_packet(
+            packet.luminances, packet.seen, self._form, self.identity, self._settings.decode
+        )
+        header = float(np.mean(packet.header)) if packet.header else 0.0
+        status = _status(layers, header, float(packet.seen.mean()))
+        self._failures = self._failures + 1 if status in ("no_header", "no_array") else 0
+        result = self._packet_value(packet, status, layers, header)
+        self._observe("decode", {"identity": self.identity, "packet": result, "luminances": packet.luminances})
+        return result
+
+    def _packet_value(self, packet, status, layers, header):  # type: ignore[no-untyped-def]
+        calibration, form = self._settings.calibration, self._form.settings
+        pose = packet.poses[len(packet.poses) // 2] if packet.poses else self.tracker.state.pose
+        start = self._start_s + (self._pair - self._pair_in_packet(self._pair)) * 2 * form.pattern_period_s
+        return Packet(
+            identity=self.identity,
+            status=status,
+            start_time_s=start,
+            first_frame=packet.frames[0] if packet.frames else -1,
+            last_frame=packet.frames[-1] if packet.frames else -1,
+            pose=pose,
+            # pinhole: pitch_px = f p / (Z pixel)
+            distance_m=calibration.focal_m * calibration.pitch_m / (pose.pitch * calibration.pixel_m),
+            header_score=header,
+            track_score=float(np.mean(packet.scores)) if packet.scores else 0.0,
+            pairs_seen=float(packet.seen.mean()),
+            layers=layers,
+        )
+
+    def _empty(self) -> _Gathered:
+        pairs, side = self._form.settings.data_pairs, self._form.settings.side
+        return _Gathered(np.zeros((pairs, side, side)), np.zeros(pairs, dtype=bool))
+
+
+def _status(layers: dict[str, tuple[Codeword, ...]], header: float, seen: float):  # type: ignore[no-untyped-def]
+    good = [word.status == "ok" for words in layers.values() for word in words]
+    if any(good):
+        return "ok" if all(good) else "partial"
+    if seen < 0.5:
+        return "no_array"
+    return "crc_fail" if header >= HEADER_SEEN else "no_header"

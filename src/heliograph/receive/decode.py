@@ -1,0 +1,106 @@
+"""Luminances of a packet's pairs to codewords: FHWT, LLR, turbo decoder, CRC."""
+
+from collections import defaultdict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.packets import Codeword
+from heliograph.receive.settings import DecodeSettings
+from heliograph.signal.block import check, unpack
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.turbo import TurboCode
+
+ERASED = 255
+
+LARGEST_LLR = 50.0
+
+
+def decode_packet(
+    luminances: NDArray[np.float64],
+    seen: NDArray[np.bool_],
+    form: PacketFormat,
+    identity: int,
+    settings: DecodeSettings,
+) -> dict[str, tuple[Codeword, ...]]:
+    """Decode all layers of a packet.
+
+    Parameters
+    ----------
+    luminances
+        (pairs, n, n) difference of pattern and inverse at each LED, any scale.
+    seen
+        (pairs,) pairs in which the array was seen; the others are erased.
+    form
+        The packet's format.
+    identity
+        The array's; a block of another array is a mismatch.
+    settings
+        The turbo decoder.
+
+    Returns
+    -------
+    Codewords by layer.
+    """
+    soft = form.split(form.soft_data(luminances))
+    llrs = {name: soft_to_llr(values, seen) for name, values in soft.items()}
+    received = {name: form.layers[name].deinterleave(values) for name, values in llrs.items()}
+    decoded = _decode_alike(received, form, settings)
+    return {
+        name: tuple(_codeword(*decoded[name, i], llr, identity, name) for i, llr in enumerate(rows))
+        for name, rows in received.items()
+    }
+
+
+def soft_to_llr(soft: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """LLR = ln P(b=0)/P(b=1) of soft data +-a + Gaussian noise, a and noise from the data's own moments.
+
+    Parameters
+    ----------
+    soft
+        (pairs, cells).
+    seen
+        (pairs,); the LLRs of the others are 0.
+    """
+    known = soft[seen]
+    if not known.size:
+        return np.zeros_like(soft)
+    # with m2 = a^2 + s^2 and m4 = a^4 + 6 a^2 s^2 + 3 s^4: a^4 = (3 m2^2 - m4) / 2
+    m2, m4 = float(np.mean(known**2)), float(np.mean(known**4))
+    a2 = min(np.sqrt(max((3 * m2**2 - m4) / 2, 1e-4 * m2**2)), 0.999 * m2)
+    # LLR = 2 a y / s^2
+    llr = 2 * np.sqrt(a2) / max(m2 - a2, 1e-12) * soft
+    return np.clip(np.where(seen[:, None], llr, 0.0), -LARGEST_LLR, LARGEST_LLR)
+
+
+def _decode_alike(received, form, settings):  # type: ignore[no-untyped-def]
+    """Decode codewords of equal codes in one call: {(layer, number): (bits, iterations, margin)}."""
+    groups: dict[TurboCode, list[tuple[str, int]]] = defaultdict(list)
+    for name, rows in received.items():
+        groups[form.layers[name].code] += [(name, i) for i in range(len(rows))]
+    return {
+        key: result
+        for code, keys in groups.items()
+        for key, result in zip(keys, _decode_group(code, keys, received, settings), strict=True)
+    }
+
+
+def _decode_group(code, keys, received, settings):  # type: ignore[no-untyped-def]
+    llrs = np.stack([received[name][i] for name, i in keys])
+    result = code.decode(
+        llrs, algorithm=settings.algorithm, iterations=settings.iterations, stop="crc", check=check
+    )
+    margins = np.abs(result.llr).mean(-1)
+    return [(result.bits[i], int(result.iterations[i]), float(margins[i])) for i in range(len(keys))]
+
+
+def _codeword(
+    bits: NDArray[np.uint8], iterations: int, margin: float, llr: NDArray[np.float64], identity: int, layer: str
+) -> Codeword:
+    block = unpack(bits)
+    raw = np.where(llr == 0, ERASED, llr < 0).astype(np.uint8)
+    if block is None:
+        return Codeword("crc_fail", None, bits, raw, iterations, margin)
+    if (block.identity, block.layer) != (identity, layer):
+        return Codeword("mismatch", None, bits, raw, iterations, margin)
+    return Codeword("ok", block, bits, raw, iterations, margin)

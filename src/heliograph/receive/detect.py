@@ -1,0 +1,274 @@
+"""Detection: find arrays by the header that only they show.
+
+The header and its inverse alternate, so four frames in a row combined as f0 - 3 f1 + 3 f2 - f3 keep the header and
+cancel what stands still, drifts or accelerates evenly. What is left is correlated with the M-sequences of all
+identities over scale and position; the best candidates are fitted to a fraction of a pixel and must alternate in
+step from frame to frame.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.fit import Fit, fit_array, window_around
+from heliograph.receive.pose import Pose
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.signal.header import CELLS, all_header_cells
+from heliograph.signal.settings import SignalSettings
+
+BLOCK = 8
+"""Pixels of a side of the blocks in which the search first asks whether anything alternates."""
+
+SIDE_STEP = 1.12
+"""Ratio of successive sizes looked for: half a step costs 3 % of correlation."""
+
+SLACK = 2
+"""Frames by which the start of the header may differ from the searched window's, either way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """An array found by its header.
+
+    Attributes
+    ----------
+    identity
+        Its number.
+    start_time_s
+        When the header's first pattern began to be exposed.
+    fit
+        Pose and luminance at `time_s`, in the middle of the frames searched.
+    time_s
+        Time of that pose.
+    score
+        Correlation with the header's image.
+    regularity
+        Weakest over mean alternation of the header's frames.
+    """
+
+    identity: int
+    start_time_s: float
+    fit: Fit
+    time_s: float
+    score: float
+    regularity: float
+
+
+class Detector:
+    """Looks for headers in a stream of frames.
+
+    Parameters
+    ----------
+    settings
+        The receiver's.
+    signal
+        The signal's: side of the array and header pairs.
+    """
+
+    def __init__(self, settings: ReceiveSettings, signal: SignalSettings):
+        self._settings = settings
+        self._side = signal.side
+        self._header = 2 * signal.header_pairs
+        self._cells = _templates(settings)
+        self._sides = _sizes(settings.detect.min_side_px, settings.detect.max_side_px)
+        self._span = min(self._header, 4)
+        self._frames: deque[Frame] = deque(maxlen=self._header + 2 * SLACK)
+        self.candidates_fitted = 0
+
+    @property
+    def recent(self) -> Sequence[Frame]:
+        """The last frames, oldest first: enough to hold the header of an array just found."""
+        return self._frames
+
+    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
+        """Take a frame; return the arrays whose header lies in the last frames.
+
+        Parameters
+        ----------
+        frame
+            The next frame.
+        taken
+            Poses of arrays already followed; their surroundings are not searched.
+        """
+        if self._frames and not _follows(self._frames[-1], frame):
+            self._frames.clear()
+        if not self._frames:
+            # a header may begin with the first frame: let that frame stand for those before it
+            self._frames.extend(_before(frame, SLACK))
+        self._frames.append(frame)
+        every = 2 if self._header >= 4 else 1
+        if len(self._frames) < self._frames.maxlen or frame.index % every:  # type: ignore[operator]
+            return []
+        return self._search(list(self._frames), taken)
+
+    def _search(self, frames: list[Frame], taken: Sequence[Pose]) -> list[Detection]:
+        window = frames[SLACK : SLACK + self._span]
+        change = _change([f.pixels for f in window])
+        origin = frames[0].origin
+        busy = self._busy(change, origin, taken, frames[0].full_scale)
+        if not busy.any():
+            return []
+        found = [self._refine(frames, change, row, taken) for row in self._coarse(change, busy, frames[0].full_scale)]
+        return _distinct([d for d in found if d is not None])
+
+    def _busy(
+        self, change: NDArray[np.float32], origin: tuple[int, int], taken: Sequence[Pose], full_scale: int
+    ) -> NDArray[np.bool_]:
+        """Blocks in which an array may have its centre: something alternates there, and no array is known there."""
+        from heliograph.receive import kernels  # Numba is slow to import
+
+        mean = np.empty((-(-change.shape[0] // BLOCK), -(-change.shape[1] // BLOCK)), dtype=np.float32)
+        padded = cv2.copyMakeBorder(
+            change, 0, mean.shape[0] * BLOCK - change.shape[0], 0, mean.shape[1] * BLOCK - change.shape[1], 0
+        )
+        kernels.block_means(padded, BLOCK, mean)
+        for pose in taken:
+            _blank(mean, pose, self._side, origin)
+        floor = 2.0 * float(np.median(mean))
+        least = max(0.25 * self._settings.detect.min_contrast * full_scale, floor)
+        return np.asarray(cv2.dilate((mean > least).astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
+
+    def _coarse(self, change: NDArray[np.float32], busy: NDArray[np.bool_], full_scale: int) -> NDArray[np.float64]:
+        """Best candidates (score, x, y, side, identity) of the window, best first."""
+        from heliograph.receive import kernels
+
+        total, square = cv2.integral2(change, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
+        best = np.zeros((self._settings.detect.candidates, 5))
+        detect = self._settings.detect
+        contrast = 0.5 * detect.min_contrast * full_scale
+        count = kernels.search(
+            total, square, busy, float(BLOCK), self._cells, self._sides, contrast, detect.coarse_score, best
+        )
+        return best[:count]
+
+    def _refine(
+        self, frames: list[Frame], change: NDArray[np.float32], row: NDArray[np.float64], taken: Sequence[Pose]
+    ) -> Detection | None:
+        """Fit a candidate's pose, then ask when its header began and whether it alternates in step."""
+        self.candidates_fitted += 1
+        number, sign, origin = int(row[4]), float(np.sign(row[0])), frames[0].origin
+        weights = self._weights(number)
+        blur = self._settings.calibration.blur_px
+        start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], row[3] / self._side, 0.0, blur)
+        if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
+            return None
+        rough = _fit_window(change, origin, start, sign * weights, self._side)
+        if rough is None or rough.score < self._settings.detect.coarse_score:
+            return None
+        return self._timed(frames, rough.pose, weights, number)
+
+    def _timed(self, frames: list[Frame], pose: Pose, weights: NDArray[np.float64], number: int) -> Detection | None:
+        """Where the header begins, the start at which its frames alternate most; and the pose in just those frames."""
+        seen = np.array([project(f, pose, weights) for f in frames])
+        sign = 1 - 2 * (np.arange(self._header) % 2)
+        sums = np.array([sign @ seen[k : k + self._header] for k in range(len(frames) - self._header + 1)])
+        start = int(np.argmax(sums))
+        change = -np.diff(seen[start : start + self._header]) * sign[:-1]
+        regularity = float(change.min() / max(change.mean(), 1e-9))
+        header = frames[start : start + self._span]
+        fit = _fit_window(_change([f.pixels for f in header]), header[0].origin, pose, weights, self._side)
+        if fit is None or not self._convincing(fit, regularity, header[0].full_scale):
+            return None
+        middle = 0.5 * (header[0].time_s + header[-1].time_s)
+        return Detection(number, header[0].time_s, fit, middle, fit.score, regularity)
+
+    def _convincing(self, fit: Fit, regularity: float, full_scale: int) -> bool:
+        detect = self._settings.detect
+        bright = fit.gain >= detect.min_contrast * full_scale
+        return bright and fit.score >= detect.score and regularity >= detect.regularity
+
+    def _weights(self, number: int) -> NDArray[np.float64]:
+        size = self._side // CELLS
+        return np.kron(self._cells[number].reshape(CELLS, CELLS), np.ones((size, size)))
+
+
+def project(frame: Frame, pose: Pose, weights: NDArray[np.float64]) -> float:
+    """How much of a pattern of weights +-1 of mean 0 a frame shows: its amplitude in gray levels."""
+    from heliograph.receive import kernels
+
+    x0, y0, width, height = window_around(pose, weights.shape[0], 1.0)
+    cut = cut_out(frame, x0, y0, width, height)
+    model = np.empty((6, height, width))
+    kernels.render(pose.vector(), weights, float(x0), float(y0), model)
+    shape = model[0] - model[0].mean()
+    return float((cut * shape).sum() / max((shape * shape).sum(), 1e-9))
+
+
+def cut_out(frame: Frame, x0: int, y0: int, width: int, height: int) -> NDArray[np.float64]:
+    """Pixels of a window on the sensor as float64; what lies beyond the frame repeats its border."""
+    x, y = x0 - frame.origin[0], y0 - frame.origin[1]
+    rows, cols = frame.pixels.shape
+    if x >= 0 and y >= 0 and x + width <= cols and y + height <= rows:
+        return frame.pixels[y : y + height, x : x + width].astype(np.float64)
+    i = np.clip(np.arange(y, y + height), 0, rows - 1)
+    j = np.clip(np.arange(x, x + width), 0, cols - 1)
+    return frame.pixels[np.ix_(i, j)].astype(np.float64)
+
+
+def _templates(settings: ReceiveSettings) -> NDArray[np.float64]:
+    """Cells of the headers looked for, (identities, 16) of +-1; for the all-on detector a single filled square."""
+    if settings.detect.detector == "all_on":
+        return np.ones((1, CELLS * CELLS))
+    return all_header_cells().reshape(-1, CELLS * CELLS).astype(np.float64)
+
+
+def _sizes(smallest: float, largest: float) -> NDArray[np.float64]:
+    count = int(np.ceil(np.log(largest / smallest) / np.log(SIDE_STEP))) + 1
+    return np.geomspace(smallest, largest, count)
+
+
+def _follows(last: Frame, frame: Frame) -> bool:
+    return last.pixels.shape == frame.pixels.shape and last.origin == frame.origin and frame.index == last.index + 1
+
+
+def _before(frame: Frame, count: int) -> list[Frame]:
+    """`count` copies of a frame with earlier, negative times and numbers."""
+    return [replace(frame, index=frame.index - k, time_s=frame.time_s - 1e9 * k) for k in range(count, 0, -1)]
+
+
+def _change(frames: list[NDArray[np.uint8] | NDArray[np.uint16]]) -> NDArray[np.float32]:
+    """What alternates: the difference of two frames, or the third difference of four."""
+    from heliograph.receive import kernels
+
+    if len(frames) < 4:
+        return frames[0].astype(np.float32) - frames[1]
+    out = np.empty(frames[0].shape, dtype=np.float32)
+    kernels.alternation(*frames[:4], out)
+    return out
+
+
+def _blank(mean: NDArray[np.float32], pose: Pose, side: int, origin: tuple[int, int]) -> None:
+    x0, y0, width, height = window_around(pose, side, 2.0)
+    i, j = max(0, (y0 - origin[1]) // BLOCK), max(0, (x0 - origin[0]) // BLOCK)
+    mean[i : max(0, (y0 - origin[1] + height) // BLOCK + 1), j : max(0, (x0 - origin[0] + width) // BLOCK + 1)] = 0
+
+
+def _fit_window(
+    change: NDArray[np.float32], origin: tuple[int, int], start: Pose, weights: NDArray[np.float64], side: int
+) -> Fit | None:
+    x0, y0, width, height = window_around(start, side, 0.12 * side * start.pitch + 1)
+    i, j = y0 - origin[1], x0 - origin[0]
+    if i < 0 or j < 0 or i + height > change.shape[0] or j + width > change.shape[1]:
+        return None
+    image = change[i : i + height, j : j + width].astype(np.float64)
+    reach = 0.08 * side * start.pitch
+    spread = np.diag([reach**2, reach**2, 0.1**2, 0.05**2, 0.2**2])
+    return fit_array(image, (x0, y0), start.vector(), spread, weights, 6)
+
+
+def _distinct(detections: list[Detection]) -> list[Detection]:
+    """One detection a place, the best."""
+    kept: list[Detection] = []
+    for one in sorted(detections, key=lambda d: -d.score):
+        if all(_apart(one.fit.pose, other.fit.pose) for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _apart(a: Pose, b: Pose) -> bool:
+    return bool(np.hypot(a.x - b.x, a.y - b.y) > 4 * (a.pitch + b.pitch))

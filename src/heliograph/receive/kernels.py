@@ -1,0 +1,252 @@
+"""Hot loops of the receiver, compiled by Numba. `reference.py` says the same slowly; a test holds them together."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+SQRT2 = math.sqrt(2.0)
+INV_SQRT_2PI = 1.0 / math.sqrt(2.0 * math.pi)
+REACH = 4.0
+"""Standard deviations after which an LED's light is taken for nothing (6e-5 of it)."""
+
+
+@njit(cache=True, nogil=True)
+def _axis(centre, sigma, first, count, g, dg, ds):  # type: ignore[no-untyped-def]
+    """Share of a Gaussian on `count` pixels from `first` on, and its derivatives by centre and by ln sigma."""
+    # g_j = Phi((j + 1/2 - c) / sigma) - Phi((j - 1/2 - c) / sigma)
+    z = (first - 0.5 - centre) / sigma
+    cdf, pdf = 0.5 * math.erf(z / SQRT2), INV_SQRT_2PI * math.exp(-0.5 * z * z)
+    zpdf = z * pdf
+    for j in range(count):
+        z += 1.0 / sigma
+        cdf_next, pdf_next = 0.5 * math.erf(z / SQRT2), INV_SQRT_2PI * math.exp(-0.5 * z * z)
+        g[j] = cdf_next - cdf
+        dg[j] = (pdf - pdf_next) / sigma
+        ds[j] = zpdf - z * pdf_next
+        cdf, pdf, zpdf = cdf_next, pdf_next, z * pdf_next
+
+
+@njit(cache=True, nogil=True)
+def render(pose, weights, x0, y0, out):  # type: ignore[no-untyped-def]
+    """Image of LEDs of given weights and its derivatives by (x, y, ln pitch, roll, ln blur).
+
+    pose (5,) float64, weights (n, n) float64, window corner (x0, y0); out (6, rows, columns) float64 is overwritten.
+    An array of weights 1 that is not resolved has the image 1.
+    """
+    side = weights.shape[0]
+    rows, cols = out.shape[1], out.shape[2]
+    out[:] = 0.0
+    pitch, sigma = math.exp(pose[2]), math.exp(pose[4])
+    c, s = math.cos(pose[3]), math.sin(pose[3])
+    half = (side - 1) / 2.0
+    span = int(2 * REACH * sigma) + 3
+    gx, dgx, sgx = np.empty(span), np.empty(span), np.empty(span)
+    gy, dgy, sgy = np.empty(span), np.empty(span), np.empty(span)
+    area = pitch * pitch
+    for u in range(side):
+        for v in range(side):
+            w = weights[u, v] * area
+            if w == 0.0:
+                continue
+            a, b = (v - half) * pitch, (u - half) * pitch
+            rx, ry = c * a - s * b, s * a + c * b
+            px, py = pose[0] + rx - x0, pose[1] + ry - y0
+            left, right = max(0, math.ceil(px - REACH * sigma - 0.5)), min(cols - 1, math.floor(px + REACH * sigma + 0.5))
+            top, bottom = max(0, math.ceil(py - REACH * sigma - 0.5)), min(rows - 1, math.floor(py + REACH * sigma + 0.5))
+            nx, ny = right - left + 1, bottom - top + 1
+            if nx <= 0 or ny <= 0:
+                continue
+            _axis(px, sigma, left, nx, gx, dgx, sgx)
+            _axis(py, sigma, top, ny, gy, dgy, sgy)
+            for i in range(ny):
+                wg, wd, wsig = w * gy[i], w * dgy[i], w * sgy[i]
+                for j in range(nx):
+                    value, by_x, by_y = wg * gx[j], wg * dgx[j], wd * gx[j]
+                    out[0, top + i, left + j] += value
+                    out[1, top + i, left + j] += by_x
+                    out[2, top + i, left + j] += by_y
+                    # the LED's flux grows with pitch^2, hence 2 value
+                    out[3, top + i, left + j] += by_x * rx + by_y * ry + 2.0 * value
+                    out[4, top + i, left + j] += by_y * rx - by_x * ry
+                    out[5, top + i, left + j] += wsig * gx[j] + wg * sgx[j]
+
+
+@njit(cache=True, nogil=True)
+def normal_equations(image, model, gain, rough, matrix, vector):  # type: ignore[no-untyped-def]
+    """Gauss-Newton normal equations of image = gain * model(pose) + plane, weights by Tukey's biweight of scale rough.
+
+    The nine unknowns: pose steps (5, scaled by gain), gain, offset, slope in x, slope in y. Returns the sum of weights
+    and the weighted sum of squared residuals of the current model. vector[5:9] must hold the current gain and plane.
+    """
+    rows, cols = image.shape
+    current = vector.copy()
+    matrix[:] = 0.0
+    vector[:] = 0.0
+    row = np.empty(9)
+    mass, loss = 0.0, 0.0
+    for i in range(rows):
+        for j in range(cols):
+            y, x = (i - 0.5 * (rows - 1)) / rows, (j - 0.5 * (cols - 1)) / cols
+            for k in range(5):
+                row[k] = gain * model[k + 1, i, j]
+            row[5], row[6], row[7], row[8] = model[0, i, j], 1.0, x, y
+            r = image[i, j]
+            for k in range(5, 9):
+                r -= current[k] * row[k]
+            w = 1.0
+            if rough > 0.0:
+                q = r / rough
+                w = (1.0 - q * q) ** 2 if abs(q) < 1.0 else 0.0
+            if w == 0.0:
+                continue
+            mass += w
+            loss += w * r * r
+            for k in range(9):
+                wk = w * row[k]
+                vector[k] += wk * r
+                for m in range(k + 1):
+                    matrix[k, m] += wk * row[m]
+    for k in range(9):
+        for m in range(k):
+            matrix[m, k] = matrix[k, m]
+    return mass, loss
+
+
+@njit(cache=True, nogil=True)
+def alternation(f0, f1, f2, f3, out):  # type: ignore[no-untyped-def]
+    """(f0 - 3 f1 + 3 f2 - f3) / 4 of four frames: a header stays, steady motion of the background cancels to 3rd order."""
+    rows, cols = out.shape
+    for i in range(rows):
+        a, b, c, d, o = f0[i], f1[i], f2[i], f3[i], out[i]
+        for j in range(cols):
+            o[j] = np.float32(0.25) * np.float32(np.int32(a[j]) - np.int32(d[j]) + 3 * (np.int32(c[j]) - np.int32(b[j])))
+
+
+@njit(cache=True, nogil=True)
+def block_means(image, size, out):  # type: ignore[no-untyped-def]
+    """Mean magnitude over blocks of size x size pixels."""
+    for bi in range(out.shape[0]):
+        for bj in range(out.shape[1]):
+            total = np.float32(0.0)
+            for i in range(bi * size, bi * size + size):
+                row = image[i]
+                for j in range(bj * size, bj * size + size):
+                    total += abs(row[j])
+            out[bi, bj] = total / np.float32(size * size)
+
+
+@njit(cache=True, nogil=True)
+def _corner(integral, y, x):  # type: ignore[no-untyped-def]
+    """Integral image between its grid points."""
+    i, j = int(y), int(x)
+    fy, fx = y - i, x - j
+    top = integral[i, j] + fx * (integral[i, j + 1] - integral[i, j])
+    low = integral[i + 1, j] + fx * (integral[i + 1, j + 1] - integral[i + 1, j])
+    return top + fy * (low - top)
+
+
+@njit(cache=True, nogil=True)
+def _box(integral, y, x, height, width):  # type: ignore[no-untyped-def]
+    return (
+        _corner(integral, y + height, x + width)
+        - _corner(integral, y, x + width)
+        - _corner(integral, y + height, x)
+        + _corner(integral, y, x)
+    )
+
+
+@njit(cache=True, nogil=True)
+def search(total, square, busy, block, cells, sides, contrast, threshold, best):  # type: ignore[no-untyped-def]
+    """Correlate the alternation with all headers over scale and position.
+
+    total, square: integral images (rows + 1, columns + 1) of the alternation and of its square; busy: coarse map of
+    blocks in which something alternates; cells (identities, 16) of +-1. Writes into best (count, 5) the best rows
+    (score, x, y, side, identity), score signed, sorted from the best; overlapping ones are merged. Returns how many.
+    """
+    rows, cols = total.shape[0] - 1, total.shape[1] - 1
+    sums = np.empty(16)
+    found = 0
+    for k in range(sides.shape[0]):
+        side = sides[k]
+        step = max(1.0, side / 10.0)
+        ring = 0.12 * side
+        cell = side / 4.0
+        y = ring
+        while y + side + ring < rows - 1:
+            x = ring
+            while x + side + ring < cols - 1:
+                if not busy[int((y + 0.5 * side) / block), int((x + 0.5 * side) / block)]:
+                    x += step
+                    continue
+                energy = _box(square, y - ring, x - ring, side + 2 * ring, side + 2 * ring)
+                if energy < contrast * contrast * side * side:
+                    x += step
+                    continue
+                power = 0.0
+                for i in range(4):
+                    for j in range(4):
+                        value = _box(total, y + i * cell, x + j * cell, cell, cell)
+                        sums[4 * i + j] = value
+                        power += value * value
+                # |<D, T>| <= |sums| 4 and |T| |D| = side sqrt(energy)
+                bound = threshold * side * math.sqrt(energy)
+                if 16.0 * power >= bound * bound:
+                    for t in range(cells.shape[0]):
+                        dot = 0.0
+                        for i in range(16):
+                            dot += cells[t, i] * sums[i]
+                        if abs(dot) >= bound:
+                            score = dot / (side * math.sqrt(energy))
+                            found = _keep(best, found, score, x + 0.5 * side, y + 0.5 * side, side, t)
+                x += step
+            y += step
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _keep(best, found, score, x, y, side, identity):  # type: ignore[no-untyped-def]
+    """Insert a candidate unless a better one lies on the same place; drop worse ones there."""
+    i = 0
+    while i < found:
+        reach = 0.5 * max(side, best[i, 3])
+        if abs(best[i, 1] - x) < reach and abs(best[i, 2] - y) < reach:
+            if abs(best[i, 0]) >= abs(score):
+                return found
+            for m in range(i, found - 1):
+                best[m] = best[m + 1]
+            found -= 1
+        else:
+            i += 1
+    place = found
+    while place > 0 and abs(best[place - 1, 0]) < abs(score):
+        place -= 1
+    if place >= best.shape[0]:
+        return found
+    last = min(found, best.shape[0] - 1)
+    for m in range(last, place, -1):
+        best[m] = best[m - 1]
+    best[place, 0], best[place, 1], best[place, 2], best[place, 3], best[place, 4] = score, x, y, side, identity
+    return min(found + 1, best.shape[0])
+
+
+@njit(cache=True, nogil=True)
+def sample_cubic(image, points, out):  # type: ignore[no-untyped-def]
+    """Image at points (n, 2) of (x, y) by cubic convolution (Keys 1981, a = -1/2); the border repeats."""
+    rows, cols = image.shape
+    wx, wy = np.empty(4), np.empty(4)
+    for p in range(points.shape[0]):
+        x, y = points[p, 0], points[p, 1]
+        j, i = math.floor(x), math.floor(y)
+        for axis in range(2):
+            t, w = (x - j, wx) if axis == 0 else (y - i, wy)
+            w[0] = ((-0.5 * t + 1.0) * t - 0.5) * t
+            w[1] = (1.5 * t - 2.5) * t * t + 1.0
+            w[2] = ((-1.5 * t + 2.0) * t + 0.5) * t
+            w[3] = (0.5 * t - 0.5) * t * t
+        value = 0.0
+        for a in range(4):
+            r = min(max(i + a - 1, 0), rows - 1)
+            for b in range(4):
+                value += wy[a] * wx[b] * image[r, min(max(j + b - 1, 0), cols - 1)]
+        out[p] = value

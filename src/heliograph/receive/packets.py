@@ -1,0 +1,92 @@
+"""What the receiver hands out: packets as values, with their outcome and margins."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.pose import Pose
+from heliograph.signal.block import Block
+
+
+@dataclass(frozen=True, slots=True)
+class Codeword:
+    """A decoded codeword.
+
+    Attributes
+    ----------
+    status
+        "ok" (CRC right), "crc_fail", or "mismatch" (CRC right but of another array or layer: not to be used).
+    block
+        Its content where the status is "ok".
+    bits
+        (K,) uint8 information bits as decided, right or not.
+    raw
+        (E,) uint8 coded bits as decided before the turbo decoder, whitening undone; 255 where nothing was received.
+    iterations
+        Iterations of the turbo decoder.
+    margin
+        Mean magnitude of the LLRs after decoding.
+    """
+
+    status: Literal["ok", "crc_fail", "mismatch"]
+    block: Block | None
+    bits: NDArray[np.uint8]
+    raw: NDArray[np.uint8]
+    iterations: int
+    margin: float
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """A received packet.
+
+    Attributes
+    ----------
+    identity
+        Number of the array.
+    status
+        "ok" (all codewords), "partial" (some), "crc_fail" (none), "no_header" (none, and its header was not seen),
+        "no_array" (none, and the array was out of sight for most of it).
+    start_time_s
+        When its header began.
+    first_frame, last_frame
+        Camera frames it was read from.
+    pose
+        The array's pose in its middle.
+    distance_m
+        Distance from the pitch in the image.
+    header_score
+        Alternation of the header as a share of the array's luminance; about 1.
+    track_score
+        Mean correlation of the pairs' sums with the array.
+    pairs_seen
+        Share of its data pairs in which the array was seen.
+    layers
+        Codewords by layer.
+    """
+
+    identity: int
+    status: Literal["ok", "partial", "crc_fail", "no_header", "no_array"]
+    start_time_s: float
+    first_frame: int
+    last_frame: int
+    pose: Pose
+    distance_m: float
+    header_score: float
+    track_score: float
+    pairs_seen: float
+    layers: Mapping[str, tuple[Codeword, ...]]
+
+
+class Observer(Protocol):
+    """Gets what each stage produces: plots, a browser view or timings hang on it."""
+
+    def __call__(self, stage: str, data: Mapping[str, object], /) -> None:
+        """Take the named stage's data: "detect", "track", "extract", "decode", "lost"."""
+
+
+def ignore(stage: str, data: Mapping[str, object], /) -> None:
+    """Observe nothing."""

@@ -1,0 +1,119 @@
+"""The receiver: camera frames to packets. One algorithm with three entrances: class, generator, list."""
+
+from collections.abc import Iterable, Iterator
+
+from heliograph.base.errors import HeliographError
+from heliograph.base.frames import Frame
+from heliograph.receive.array import ArrayReceiver
+from heliograph.receive.detect import Detection, Detector
+from heliograph.receive.packets import Observer, Packet, ignore
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import SignalSettings
+
+STEP_TOLERANCE = 0.02
+"""Largest departure of the camera's rate from the light's that the plain receiver takes, as a share."""
+
+
+class Receiver:
+    """The paper's own receiver, "plain": one frame a pattern, in step with the light.
+
+    Detects arrays by their header, follows each by the sum of pattern and inverse, reads the luminance at each LED's
+    image position, and decodes.
+
+    Parameters
+    ----------
+    signal
+        What the light speaks.
+    settings
+        The receiver's settings.
+    observe
+        Gets (stage, data) of each stage.
+    """
+
+    def __init__(self, signal: SignalSettings, settings: ReceiveSettings | None = None, observe: Observer = ignore):
+        self._settings = settings or ReceiveSettings()
+        self._form = PacketFormat(signal)
+        self._observe = observe
+        self._detector = Detector(self._settings, signal)
+        self._arrays: list[ArrayReceiver] = []
+        self._last: Frame | None = None
+        self.detections = 0
+
+    def push(self, frame: Frame) -> Iterator[Packet]:
+        """Take the next frame; yield the packets it completes."""
+        self._check(frame)
+        for array in self._arrays:
+            yield from array.push(frame)
+        for array in [a for a in self._arrays if a.done]:
+            yield from self._drop(array)
+        taken = [array.tracker.state.pose for array in self._arrays]
+        for detection in self._detector.push(frame, taken):
+            yield from self._take_up(detection)
+        self._last = frame
+
+    def finish(self) -> Iterator[Packet]:
+        """End of the film: yield the packets in progress of which enough was seen."""
+        for array in self._arrays:
+            yield from array.flush()
+        self._arrays = []
+
+    def _take_up(self, detection: Detection) -> Iterator[Packet]:
+        """Begin to follow an array, its header's frames first."""
+        self.detections += 1
+        self._observe("detect", {"detection": detection, "frames": tuple(self._detector.recent)})
+        array = ArrayReceiver(detection, self._form, self._settings, self._observe)
+        self._arrays.append(array)
+        for frame in self._detector.recent:
+            yield from array.push(frame)
+
+    def _drop(self, array: ArrayReceiver) -> Iterator[Packet]:
+        yield from array.flush()
+        self._observe("lost", {"identity": array.identity, "time_s": array.tracker.state.time_s})
+        self._arrays.remove(array)
+
+    def _check(self, frame: Frame) -> None:
+        if self._last is None:
+            return
+        steps, gap = frame.index - self._last.index, frame.time_s - self._last.time_s
+        if steps < 1 or gap <= 0:
+            raise HeliographError(
+                f"frames must follow in time: frame {frame.index} at {frame.time_s:.6f} s came after "
+                f"frame {self._last.index} at {self._last.time_s:.6f} s"
+            )
+        period = self._form.settings.pattern_period_s
+        if abs(gap / steps - period) > STEP_TOLERANCE * period:
+            raise HeliographError(
+                f"the plain receiver needs one frame a pattern: the film has {steps / gap:.1f} frames/s, the light "
+                f"{1 / period:.1f} patterns/s; film at that rate or set signal.pattern_period_s"
+            )
+
+
+def receive(
+    frames: Iterable[Frame],
+    signal: SignalSettings,
+    settings: ReceiveSettings | None = None,
+    observe: Observer = ignore,
+) -> Iterator[Packet]:
+    """Packets of a stream of frames, each as soon as it is complete.
+
+    Parameters
+    ----------
+    frames
+        Camera frames in the order of time.
+    signal
+        What the light speaks.
+    settings
+        The receiver's settings.
+    observe
+        Gets (stage, data) of each stage.
+
+    Raises
+    ------
+    HeliographError
+        The frames do not follow in time, or not in step with the light.
+    """
+    receiver = Receiver(signal, settings, observe)
+    for frame in frames:
+        yield from receiver.push(frame)
+    yield from receiver.finish()

@@ -1,0 +1,132 @@
+"""Settings of the receiver: what it is told of the light and the camera, and its tunables."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from heliograph.base.config import CONFIG
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
+class CalibrationSettings:
+    """What is known of lens and array beforehand; it turns the pitch in the image into a distance.
+
+    Attributes
+    ----------
+    focal_m
+        Focal length of the lens.
+    pixel_m
+        Pitch of the camera's pixels.
+    pitch_m
+        Pitch of the LEDs.
+    blur_px
+        First guess of the blur's standard deviation; it is estimated from then on.
+    """
+
+    focal_m: Positive = 0.035
+    pixel_m: Positive = 12e-6
+    pitch_m: Positive = 0.02
+    blur_px: Annotated[float, Field(ge=0.2, le=5)] = 0.55
+
+
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
+class DetectSettings:
+    """When something is taken for an array.
+
+    Attributes
+    ----------
+    detector
+        "m_sequence", by the header, or "all_on", by the shape of the lit array (the comparison of the paper).
+    min_side_px, max_side_px
+        Smallest and largest array looked for; a narrow range is faster and gives fewer false candidates.
+    min_contrast
+        Least luminance of a lit cell, as a share of full scale. Lower finds dimmer arrays and more clutter.
+    coarse_score
+        Correlation with a header that makes a candidate, before its pose is fitted.
+    score
+        Correlation with the fitted header that makes a detection. Lower lets clutter through.
+    regularity
+        Least ratio of the weakest to the mean alternation of the header's frames; clutter does not alternate.
+    candidates
+        Most candidates fitted a search.
+    """
+
+    detector: Literal["m_sequence", "all_on"] = "m_sequence"
+    min_side_px: Annotated[float, Field(ge=5)] = 8.0
+    max_side_px: Annotated[float, Field(ge=6, le=400)] = 64.0
+    min_contrast: Share = 0.03
+    coarse_score: Share = 0.5
+    score: Share = 0.8
+    regularity: Share = 0.5
+    candidates: Annotated[int, Field(ge=1, le=64)] = 6
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "DetectSettings":
+        if self.min_side_px >= self.max_side_px:
+            raise ValueError(f"min_side_px must be below max_side_px, not {self.min_side_px} and {self.max_side_px}")
+        return self
+
+
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
+class TrackSettings:
+    """How the array is followed.
+
+    Attributes
+    ----------
+    acceleration_px_s2
+        Standard deviation of the image's acceleration by shake; larger follows rougher roads, smaller smooths more.
+    acceleration_s
+        Time over which that acceleration keeps its sign.
+    expansion_s2
+        The same for the second derivative of the logarithm of the pitch.
+    score
+        Correlation of the sum of a pair with the all-on array below which the pair counts as not seen.
+    coast_s
+        Time without the array in sight after which it is lost.
+    iterations
+        Gauss-Newton steps a pair.
+    """
+
+    acceleration_px_s2: Positive = 3e4
+    acceleration_s: Positive = 4e-3
+    expansion_s2: Positive = 0.5
+    score: Share = 0.6
+    coast_s: Positive = 0.05
+    iterations: Annotated[int, Field(ge=1, le=20)] = 3
+
+
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
+class DecodeSettings:
+    """The turbo decoder.
+
+    Attributes
+    ----------
+    algorithm
+        "max-log" with scaled extrinsic values, or "log-map".
+    iterations
+        Most iterations; decoding stops as soon as the CRC is right.
+    """
+
+    algorithm: Literal["max-log", "log-map"] = "max-log"
+    iterations: Annotated[int, Field(ge=1, le=64)] = 8
+
+
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
+class ReceiveSettings:
+    """The receiver.
+
+    Attributes
+    ----------
+    receiver
+        Its name: "plain" is the paper's own.
+    """
+
+    receiver: Literal["plain"] = "plain"
+    calibration: CalibrationSettings = CalibrationSettings()
+    detect: DetectSettings = DetectSettings()
+    track: TrackSettings = TrackSettings()
+    decode: DecodeSettings = DecodeSettings()

@@ -1,0 +1,123 @@
+"""Tracking: the sum of a pattern and its inverse shows every LED, so each pair gives the pose anew."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.detect import Detection, cut_out
+from heliograph.receive.fit import Fit, fit_array, window_around
+from heliograph.receive.kalman import PoseState
+from heliograph.receive.settings import TrackSettings
+
+MARGIN = 2.0
+"""Pixels around the array that are fitted too: they hold its edge and the background."""
+
+
+SUM_BIAS = np.array([0.0, 0.0, 0.05, 0.0, 0.5]) ** 2
+"""Systematic errors of ln pitch and ln blur in a sum: the panel's rim against its background looks like another size."""
+
+HEADER_BIAS = np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2
+"""Of x and y in a header minus its inverse, in px: motion between the two. The background cancels there."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedPair:
+    """A pattern and its inverse with the pose found in their sum.
+
+    Attributes
+    ----------
+    state
+        Pose and rates in the middle of the pair.
+    fit
+        The fit of the sum.
+    seen
+        Whether the sum looked like the array.
+    """
+
+    state: PoseState
+    fit: Fit
+    seen: bool
+
+
+class Tracker:
+    """Follows one array from pair to pair.
+
+    Parameters
+    ----------
+    detection
+        Where it was found.
+    side
+        LEDs in a row.
+    settings
+        Its tunables.
+    """
+
+    def __init__(self, detection: Detection, side: int, settings: TrackSettings):
+        fit = detection.fit
+        self._settings = settings
+        self._ones = np.ones((side, side))
+        self._side = side
+        self.state = PoseState.start(detection.time_s, fit.vector, _widened(fit.covariance))
+        self.last_seen_s = detection.time_s
+        self.gain = fit.gain
+
+    @property
+    def lost(self) -> bool:
+        """Whether the array has been out of sight for too long."""
+        return self.state.time_s - self.last_seen_s > self._settings.coast_s
+
+    def follow(self, pattern: Frame, inverted: Frame) -> TrackedPair:
+        """Find the array in the sum of a pair and move the filter on; coast where it is not seen."""
+        predicted = self._predict(0.5 * (pattern.time_s + inverted.time_s))
+        x0, y0, width, height = window_around(predicted.pose, self._side, MARGIN)
+        # (pattern) + (inverse) = every LED on, Fig. 9
+        total = cut_out(pattern, x0, y0, width, height) + cut_out(inverted, x0, y0, width, height)
+        fit = self._fit(total, (x0, y0), predicted, self._ones, SUM_BIAS)
+        seen = fit.score >= self._settings.score and fit.gain > 0.3 * self.gain and self._inside(fit, pattern)
+        if seen:
+            predicted = predicted.condition(fit.vector, fit.covariance, SUM_BIAS)
+            self.last_seen_s = predicted.time_s
+            self.gain += 0.1 * (fit.gain - self.gain)
+        self.state = predicted
+        return TrackedPair(predicted, fit, seen)
+
+    def refine(self, pattern: Frame, inverted: Frame, weights: NDArray[np.float64]) -> None:
+        """Sharpen pitch, rotation and blur by a header of known `weights`, after its sum was followed."""
+        x0, y0, width, height = window_around(self.state.pose, self._side, MARGIN)
+        change = cut_out(pattern, x0, y0, width, height) - cut_out(inverted, x0, y0, width, height)
+        fit = self._fit(change, (x0, y0), self.state, weights, HEADER_BIAS)
+        if fit.score >= self._settings.score:
+            self.state = self.state.condition(fit.vector, fit.covariance, HEADER_BIAS)
+
+    def coast(self, time_s: float) -> None:
+        """Move on without a look, where a frame of the pair is missing."""
+        self.state = self._predict(time_s)
+
+    def _predict(self, time_s: float) -> PoseState:
+        """The state at a time; pairs seen before the detection's own time take it as it is."""
+        if time_s <= self.state.time_s:
+            return PoseState(time_s, self.state.mean, self.state.covariance)
+        return self.state.predict(time_s, self._settings)
+
+    def _fit(
+        self,
+        image: NDArray[np.float64],
+        corner: tuple[int, int],
+        expected: PoseState,
+        weights: NDArray[np.float64],
+        bias: NDArray[np.float64],
+    ) -> Fit:
+        spread = expected.expected(bias)
+        return fit_array(image, corner, expected.mean[:5], spread, weights, self._settings.iterations)
+
+    def _inside(self, fit: Fit, frame: Frame) -> bool:
+        """Whether the array's centre is in the frame."""
+        x, y = fit.vector[0] - frame.origin[0], fit.vector[1] - frame.origin[1]
+        return bool(0 <= x < frame.pixels.shape[1] and 0 <= y < frame.pixels.shape[0])
+
+
+def _widened(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A detection's covariance with room for the motion since its middle."""
+    return covariance + np.diag([1.0, 1.0, 1e-3, 1e-4, 1e-2])

@@ -1,0 +1,55 @@
+"""Maximum length sequences from a linear feedback shift register."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+HEADER_POLYNOMIALS = (0b11001, 0b10011)
+"""x^4 + x^3 + 1 (Nagura et al. 2010) and its reciprocal x^4 + x + 1: the two primitive ones of degree 4."""
+
+MAX_DEGREE = 24
+
+
+def m_sequence(polynomial: int, state: int = 1) -> NDArray[np.uint8]:
+    """One period of the M-sequence of a primitive polynomial over GF(2).
+
+    The register obeys a[k + m] = sum_i c_i a[k + i] (mod 2) for f(x) = x^m + ... + c_1 x + c_0.
+
+    Parameters
+    ----------
+    polynomial
+        Coefficients as bits, bit i for x^i: 0b11001 is x^4 + x^3 + 1.
+    state
+        The first m chips, chip k in bit k; anything but zero. It selects the cyclic phase.
+
+    Returns
+    -------
+    (2**m - 1,) uint8 chips 0 and 1.
+
+    Raises
+    ------
+    ValueError
+        The polynomial is not primitive, or the state is zero or wider than m bits.
+    """
+    m = polynomial.bit_length() - 1
+    if not 2 <= m <= MAX_DEGREE:
+        raise ValueError(f"a polynomial of degree 2 to {MAX_DEGREE} is needed, not of degree {m}")
+    if not 0 < state < 1 << m:
+        raise ValueError(f"the state must be 1 to {(1 << m) - 1} for degree {m}, not {state}")
+    period = (1 << m) - 1
+    taps, register = polynomial & period, state
+    chips = np.empty(period, dtype=np.uint8)
+    for k in range(period):
+        chips[k] = register & 1
+        # a[k + m] = sum_i c_i a[k + i]
+        register = register >> 1 | (taps & register).bit_count() % 2 << m - 1
+        if register == state and k < period - 1 or register == 0:
+            raise ValueError(f"polynomial {polynomial:#b} is not primitive: its sequence repeats after {k + 1} chips")
+    if register != state:
+        raise ValueError(f"polynomial {polynomial:#b} is not primitive: its sequence does not return to its start")
+    return chips
+
+
+def periodic_correlation(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Periodic correlation of two chip sequences as +-1: sum_k a_k b_{k + s} for every shift s."""
+    x, y = 1 - 2 * a.astype(np.int64), 1 - 2 * b.astype(np.int64)
+    return np.array([int(x @ np.roll(y, -s)) for s in range(len(y))])

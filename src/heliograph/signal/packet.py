@@ -1,0 +1,150 @@
+"""Packets: a header of M-sequence pairs, then data pairs whose layers carry the codewords."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from heliograph.signal import haar, ook, pwm
+from heliograph.signal.block import MIN_BITS, Block, pack, payload_bytes, whitening
+from heliograph.signal.header import header_levels
+from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
+from heliograph.signal.turbo import QPP_SIZES, TurboCode
+
+CELL_STEP = 23
+"""Cells by which consecutive pairs are turned, so that no part of the array holds one part of a codeword."""
+
+
+@dataclass(frozen=True)
+class LayerFormat:
+    """How a layer fills a packet.
+
+    Attributes
+    ----------
+    name
+        "high", "middle" or "low".
+    codewords
+        Codewords in a packet.
+    code
+        Their turbo code: K information bits to E transmitted ones.
+    pairs, cells
+        Data pairs of a packet, and bits of the layer in a pair.
+    """
+
+    name: str
+    codewords: int
+    code: TurboCode
+    pairs: int
+    cells: int
+
+    @property
+    def payload_bytes(self) -> int:
+        """Bytes of payload in a codeword."""
+        return payload_bytes(self.code.k)
+
+    @cached_property
+    def places(self) -> NDArray[np.intp]:
+        """Where bit j of the layer's codewords, one after the other, lies in (pairs, cells) flattened."""
+        j = np.arange(self.pairs * self.cells)
+        # pair p = j mod P, cell c = (j div P + 23 p) mod C
+        pair = j % self.pairs
+        return pair * self.cells + (j // self.pairs + CELL_STEP * pair) % self.cells
+
+    def encode(self, blocks: Sequence[Block]) -> NDArray[np.uint8]:
+        """Bits of the layer by pair and cell, (pairs, cells) uint8, for one block a codeword."""
+        info = np.stack([pack(block, self.code.k) for block in blocks])
+        return self.interleave(self.code.encode(info) ^ self.chips)
+
+    @cached_property
+    def chips(self) -> NDArray[np.uint8]:
+        """Whitening of the layer's codewords, (codewords, E) uint8."""
+        return np.stack([whitening(self.code.length, self.name, i) for i in range(self.codewords)])
+
+    def interleave(self, coded: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """(codewords, E) coded bits to (pairs, cells)."""
+        out = np.empty(self.pairs * self.cells, dtype=coded.dtype)
+        out[self.places] = coded.reshape(-1)
+        return out.reshape(self.pairs, self.cells)
+
+    def deinterleave(self, soft: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(pairs, cells) soft values, positive for 0, to those of the (codewords, E) coded bits, whitening undone."""
+        return soft.reshape(-1)[self.places].reshape(self.codewords, -1) * (1.0 - 2.0 * self.chips)
+
+
+@dataclass(frozen=True)
+class PacketFormat:
+    """Everything that follows from the settings: codewords, places, patterns.
+
+    Attributes
+    ----------
+    settings
+        The signal's settings.
+    """
+
+    settings: SignalSettings
+
+    @cached_property
+    def layers(self) -> dict[str, LayerFormat]:
+        """Formats by layer, in the order of priority."""
+        rates = (self.settings.rate.high, self.settings.rate.middle, self.settings.rate.low)
+        quarter = (self.settings.side // 2) ** 2
+        plans = zip(LAYERS, MULTIPLICITY, rates, strict=True)
+        return {name: _plan(name, count, quarter, self.settings.data_pairs, rate) for name, count, rate in plans}
+
+    def data_patterns(self, blocks: Mapping[str, Sequence[Block]]) -> NDArray[np.uint8]:
+        """Data patterns of a packet, (pairs, n, n) levels, without the inverted ones."""
+        quarters = np.concatenate([self.layers[name].encode(blocks[name]) for name in LAYERS], axis=1)
+        d = self.join(1 - 2 * quarters.astype(np.int8))
+        return haar.encode(d) if self.settings.modulation == "haar" else ook.encode(d)
+
+    def patterns(self, identity: int, blocks: Mapping[str, Sequence[Block]]) -> NDArray[np.uint8]:
+        """All patterns of a packet in the order of time, each followed by its inverse, (patterns, n, n) levels.
+
+        Parameters
+        ----------
+        identity
+            Number of the array.
+        blocks
+            For each layer one block a codeword.
+        """
+        head = header_levels(identity, self.settings.side)[None].repeat(self.settings.header_pairs, 0)
+        return with_inverses(np.concatenate([head, self.data_patterns(blocks)]))
+
+    def soft_data(self, x: ArrayLike) -> NDArray[np.float64]:
+        """Soft D of received luminances about their mean, (..., n, n), by the modulation's decoder."""
+        return haar.decode(x) if self.settings.modulation == "haar" else ook.decode(x)
+
+    def join(self, cells: NDArray[np.int8]) -> NDArray[np.int8]:
+        """(pairs, n * n) data by layer (high, middle, low) to matrices D, (pairs, n, n)."""
+        h = self.settings.side // 2
+        d11, d12, d21, d22 = (q.reshape(-1, h, h) for q in np.split(cells, 4, axis=1))
+        return np.block([[d11, d12], [d21, d22]])
+
+    def split(self, d: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Matrices D (pairs, n, n), soft or hard, to (pairs, cells) by layer, the inverse of `join`."""
+        h = self.settings.side // 2
+        q = [part.reshape(len(d), -1) for part in (d[:, :h, :h], d[:, :h, h:], d[:, h:, :h], d[:, h:, h:])]
+        return {"high": q[0], "middle": np.concatenate(q[1:3], axis=1), "low": q[3]}
+
+
+def with_inverses(patterns: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Follow each of (k, n, n) patterns by its inverse: (2 k, n, n)."""
+    return np.stack([patterns, pwm.invert(patterns)], axis=1).reshape(-1, *patterns.shape[1:])
+
+
+def _plan(name: str, count: int, quarter: int, pairs: int, rate: float) -> LayerFormat:
+    """Fewest codewords, equal in size, that keep K within the interleavers of the code."""
+    bits = quarter * pairs
+    for split in range(1, bits + 1):
+        e = bits // split
+        if bits % split == 0 and rate * e <= QPP_SIZES[-1] + 32:
+            break
+    k = min((k for k in QPP_SIZES if k <= 0.91 * e), key=lambda k: abs(k - rate * e), default=0)
+    if k < MIN_BITS:
+        raise ValueError(
+            f"{name} layer: {pairs} data pairs give {e} bits a codeword at rate {rate:.3g}, "
+            f"too few for a block of {MIN_BITS} bits; raise signal.data_pairs or the rate"
+        )
+    return LayerFormat(name, count * split, TurboCode(k=k, coded_bits=e), pairs, count * quarter)

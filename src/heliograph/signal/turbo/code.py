@@ -1,0 +1,186 @@
+"""The turbo code as the rest of the project uses it: one frozen value per block size and rate."""
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from heliograph.base.errors import SettingsError
+from heliograph.signal.turbo import decoder
+from heliograph.signal.turbo.encoder import TERMINATION, encode_mother
+from heliograph.signal.turbo.options import LLR_LIMIT, Algorithm, Check, DecoderOptions, Stop, TurboResult
+from heliograph.signal.turbo.qpp import coefficients, interleaver
+from heliograph.signal.turbo.rate_match import REDUNDANCY_VERSIONS, STREAMS, selection
+
+_HIGHEST_RATE = (9, 10)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurboCode:
+    """Turbo code of 3GPP TS 36.212 (sections 5.1.3.2 and 5.1.4.1) for one block size and rate.
+
+    Parameters
+    ----------
+    k : int
+        Information bits a block, one of `QPP_SIZES`.
+    coded_bits : int, optional
+        Bits sent a block, E, at least 10 k / 9: rate matching punctures or repeats to fill it exactly. Without it
+        there is no rate matching: the 3 k + 12 bits of the mother code in the order d0_0 d1_0 d2_0 d0_1 ...
+    redundancy_version : int
+        Where in the circular buffer reading starts, 0 to 3; 0 without `coded_bits`.
+
+    Raises
+    ------
+    SettingsError
+        `k` is no interleaver size, the rate is above 9/10, or the redundancy version is unknown.
+
+    Examples
+    --------
+    >>> code = TurboCode(k=40, coded_bits=80)
+    >>> coded = code.encode(np.ones(40, dtype=np.uint8))
+    >>> result = code.decode(10.0 * (1 - 2.0 * coded))
+    >>> int(result.bits.sum())
+    40
+    """
+
+    k: int
+    coded_bits: int | None = None
+    redundancy_version: int = 0
+
+    def __post_init__(self) -> None:
+        coefficients(self.k)
+        if self.redundancy_version not in range(REDUNDANCY_VERSIONS):
+            raise SettingsError(f"redundancy_version must be 0, 1, 2 or 3, not {self.redundancy_version}")
+        if self.coded_bits is None:
+            if self.redundancy_version:
+                raise SettingsError(f"redundancy_version {self.redundancy_version} needs coded_bits, which is None")
+            return
+        top, bottom = _HIGHEST_RATE
+        if top * self.coded_bits < bottom * self.k:
+            least = -(-bottom * self.k // top)
+            raise SettingsError(
+                f"k = {self.k} at rate 9/10 or below needs coded_bits >= {least}, not {self.coded_bits}"
+            )
+
+    @property
+    def length(self) -> int:
+        """Bits sent a block, E."""
+        return STREAMS * self.k + TERMINATION if self.coded_bits is None else self.coded_bits
+
+    @property
+    def rate(self) -> float:
+        """Information bits a sent bit."""
+        return self.k / self.length
+
+    @property
+    def positions(self) -> NDArray[np.int64]:
+        """Position in the mother codeword of each sent bit, shape (E,)."""
+        if self.coded_bits is None:
+            return np.arange(self.length)
+        return selection(self.k + TERMINATION // STREAMS, self.coded_bits, self.redundancy_version)
+
+    def encode(self, bits: ArrayLike) -> NDArray[np.uint8]:
+        """Encode blocks.
+
+        Parameters
+        ----------
+        bits : array_like of int or bool, shape (..., k)
+            Information bits, 0 or 1.
+
+        Returns
+        -------
+        ndarray of uint8, shape (..., E)
+            Coded bits, 0 or 1.
+
+        Raises
+        ------
+        ValueError
+            The last axis is not k long, or a value is neither 0 nor 1.
+        """
+        array = np.asarray(bits)
+        self._check_shape("bits", array, self.k)
+        if array.dtype.kind not in "biu" or (array.dtype.kind != "b" and np.any((array != 0) & (array != 1))):
+            raise ValueError(f"bits must be integers 0 or 1, not {array.dtype} up to {array.max(initial=0)}")
+        mother = encode_mother(array.astype(np.uint8), interleaver(self.k))
+        return mother if self.coded_bits is None else mother[..., self.positions]
+
+    def decode(
+        self,
+        llr: ArrayLike,
+        *,
+        algorithm: Algorithm = "max-log",
+        iterations: int = 8,
+        scale: float | None = None,
+        stop: Stop = "agreement",
+        check: Check | None = None,
+        a_priori: ArrayLike | None = None,
+        coded_output: bool = False,
+    ) -> TurboResult:
+        """Decode blocks.
+
+        Parameters
+        ----------
+        llr : array_like of float, shape (..., E)
+            LLR = ln P(b=0)/P(b=1) of each received bit; magnitudes above 1e4, infinite ones too, count as 1e4.
+        algorithm, iterations, scale, stop
+            See `DecoderOptions`.
+        check : callable, optional
+            For ``stop="crc"``: takes decisions, uint8 (n, k), returns bool (n,), True where they are right.
+        a_priori : array_like of float, shape (..., k), optional
+            LLRs of the information bits known beforehand, clipped alike.
+        coded_output : bool
+            Whether to work out `coded_llr` and `coded_extrinsic`; costs one more iteration.
+
+        Returns
+        -------
+        TurboResult
+            Arrays of leading shape (...). A block's result does not depend on the others in the call.
+
+        Raises
+        ------
+        ValueError
+            A shape is wrong, an LLR is NaN, or `check` returns something else.
+        SettingsError
+            An option is unknown or out of range, or `check` and `stop` do not go together.
+        """
+        options = DecoderOptions(algorithm=algorithm, iterations=iterations, scale=scale, stop=stop)
+        if (check is None) == (stop == "crc"):
+            raise SettingsError(f'check goes with stop="crc" and only with it; stop is "{stop}" and check is {check}')
+        received = self._llrs("llr", llr, self.length)
+        leading = received.shape[:-1]
+        known = None if a_priori is None else self._llrs("a_priori", a_priori, self.k)
+        if known is not None and known.shape[:-1] != leading:
+            raise ValueError(f"a_priori must have the leading shape of llr, {leading}, not {known.shape[:-1]}")
+        flat = decoder.decode_blocks(
+            received.reshape(-1, self.length),
+            self.positions,
+            interleaver(self.k),
+            options,
+            a_priori=None if known is None else known.reshape(-1, self.k),
+            check=check,
+            coded_output=coded_output,
+        )
+        return _reshaped(flat, leading)
+
+    def _llrs(self, name: str, values: ArrayLike, size: int) -> NDArray[np.float32]:
+        array = np.asarray(values)
+        self._check_shape(name, array, size)
+        if array.dtype.kind not in "fiu":
+            raise ValueError(f"{name} must hold real numbers, not {array.dtype}")
+        if array.dtype.kind == "f" and (wrong := int(np.isnan(array).sum())):
+            raise ValueError(f"{name} must not hold NaN; {wrong} of {array.size} values are NaN")
+        if array.dtype != np.float32:
+            array = np.clip(array, -LLR_LIMIT, LLR_LIMIT).astype(np.float32)
+        return np.ascontiguousarray(array)
+
+    def _check_shape(self, name: str, array: NDArray[Any], size: int) -> None:
+        if array.ndim == 0 or array.shape[-1] != size:
+            raise ValueError(f"{name} must have {size} values a block (last axis), not shape {array.shape}")
+
+
+def _reshaped(flat: TurboResult, leading: tuple[int, ...]) -> TurboResult:
+    values = {field.name: getattr(flat, field.name) for field in fields(flat)}
+    return TurboResult(
+        **{name: None if value is None else value.reshape(*leading, *value.shape[1:]) for name, value in values.items()}
+    )

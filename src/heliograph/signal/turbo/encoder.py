@@ -1,0 +1,82 @@
+"""The turbo encoder: two recursive systematic convolutional codes and their termination.
+
+Source: 3GPP TS 36.212, section 5.1.3.2.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.signal.turbo.trellis import MEMORY, STATES, TAIL, TAIL_BITS
+
+_PERIOD = 7
+TERMINATION = 2 * TAIL_BITS
+"""Coded bits that end a block, 12: the tails of both constituent codes."""
+
+
+def encode_mother(bits_nat: NDArray[np.uint8], order: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Encode blocks with the rate 1/3 mother code (TS 36.212, 5.1.3.2.1 and 5.1.3.2.2).
+
+    Parameters
+    ----------
+    bits_nat : ndarray of uint8, shape (..., K)
+        Information bits, 0 or 1.
+    order : ndarray of int, shape (K,)
+        Interleaver, ``bits_itl = bits_nat[order]``; any permutation.
+
+    Returns
+    -------
+    ndarray of uint8, shape (..., 3 K + 12)
+        ``d0_0 d1_0 d2_0 d0_1 ...``: systematic, first and second parity bit of each step, then the tails.
+    """
+    k = bits_nat.shape[-1]
+    parity_1, tail_1 = encode_constituent(bits_nat)
+    parity_2, tail_2 = encode_constituent(bits_nat[..., order])
+    coded = np.empty((*bits_nat.shape[:-1], 3 * k + TERMINATION), dtype=np.uint8)
+    coded[..., 0 : 3 * k : 3] = bits_nat
+    coded[..., 1 : 3 * k : 3] = parity_1
+    coded[..., 2 : 3 * k : 3] = parity_2
+    # 5.1.3.2.2 spreads the tail over d0, d1, d2 so that, read across them, it is x z x z x z x' z' x' z' x' z'
+    coded[..., 3 * k :] = np.concatenate([tail_1, tail_2], axis=-1)
+    return coded
+
+
+def encode_constituent(bits: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Encode blocks with one constituent code, G(D) = [1, g1(D) / g0(D)].
+
+    Parameters
+    ----------
+    bits : ndarray of uint8, shape (..., K)
+        Information bits, 0 or 1, in the order of this trellis.
+
+    Returns
+    -------
+    parity : ndarray of uint8, shape (..., K)
+    tail : ndarray of uint8, shape (..., 6)
+        Termination bits x, z, x, z, x, z.
+    """
+    register = _divide_by_feedback(bits)
+    # z = a + D a + D^3 a, g1(D) = 1 + D + D^3
+    parity = register ^ _delay(register, 1) ^ _delay(register, 3)
+    a1, a2, a3 = (register[..., -delay] for delay in range(1, MEMORY + 1))
+    state = (4 * a1 + 2 * a2 + a3) % STATES
+    return parity, TAIL[state]
+
+
+def _divide_by_feedback(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Register input a = c / g0(D), without a loop over the steps."""
+    # 1 + D^7 = g0 (1 + D)(1 + D + D^3), hence 1 / g0 = (1 + D^2 + D^3 + D^4) / (1 + D^7):
+    # four taps, then a running sum modulo 2 over every seventh bit
+    taps = bits ^ _delay(bits, 2) ^ _delay(bits, 3) ^ _delay(bits, 4)
+    k = bits.shape[-1]
+    padded = np.zeros((*bits.shape[:-1], -(-k // _PERIOD) * _PERIOD), dtype=np.uint8)
+    padded[..., :k] = taps
+    columns = padded.reshape(*bits.shape[:-1], -1, _PERIOD)
+    summed: NDArray[np.uint8] = np.bitwise_xor.accumulate(columns, axis=-2)
+    return summed.reshape(padded.shape)[..., :k]
+
+
+def _delay(bits: NDArray[np.uint8], steps: int) -> NDArray[np.uint8]:
+    """Shift towards later bits, zeros coming in."""
+    delayed = np.zeros_like(bits)
+    delayed[..., steps:] = bits[..., :-steps]
+    return delayed

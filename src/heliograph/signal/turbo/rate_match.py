@@ -1,0 +1,86 @@
+"""Rate matching: sub-block interleavers, circular buffer, bit selection.
+
+Everything is one list of positions, made once per setting: the encoder gathers with it, the decoder adds
+with it. Source: 3GPP TS 36.212, section 5.1.4.1.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.errors import SettingsError
+
+COLUMNS = 32
+REDUNDANCY_VERSIONS = 4
+STREAMS = 3
+_NULL = -1
+
+# Table 5.1.4-1: column c of the output is column P(c) of the input, five bits read backwards
+_COLUMN_ORDER = np.array([int(f"{column:05b}"[::-1], 2) for column in range(COLUMNS)])
+
+
+@lru_cache(maxsize=32)
+def selection(stream_length: int, coded_bits: int, redundancy_version: int = 0) -> NDArray[np.int64]:
+    """Position in the mother codeword of each transmitted bit (TS 36.212, 5.1.4.1.2).
+
+    Parameters
+    ----------
+    stream_length : int
+        D, the length of each of the streams d0, d1, d2: K + 4 for a turbo code block.
+    coded_bits : int
+        E, the number of bits to send; above 3 D the buffer is read round and round.
+    redundancy_version : int
+        rv_idx, 0 to 3: where in the circular buffer reading starts.
+
+    Returns
+    -------
+    ndarray of int64, shape (coded_bits,)
+        Read-only; ``3 t + j`` stands for bit t of stream j, so ``sent = mother[..., positions]`` with the
+        mother codeword in the order d0_0 d1_0 d2_0 d0_1 ...
+
+    Raises
+    ------
+    SettingsError
+        A length is below 1 or the redundancy version is not 0, 1, 2 or 3.
+    """
+    if min(stream_length, coded_bits) < 1:
+        raise SettingsError(f"lengths must be at least 1, not D = {stream_length} and E = {coded_bits}")
+    if redundancy_version not in range(REDUNDANCY_VERSIONS):
+        raise SettingsError(f"redundancy_version must be 0, 1, 2 or 3, not {redundancy_version}")
+    buffer = _circular_buffer(stream_length)
+    rows = -(-stream_length // COLUMNS)
+    # k0 = R (2 ceil(Ncb / (8 R)) rv + 2), with the whole buffer kept: Ncb = Kw = 3 Kpi
+    start = rows * (2 * -(-buffer.size // (8 * rows)) * redundancy_version + 2)
+    turned = np.roll(buffer, -start)
+    positions = np.resize(turned[turned != _NULL], coded_bits)
+    positions.setflags(write=False)
+    return positions
+
+
+def _circular_buffer(stream_length: int) -> NDArray[np.int64]:
+    """Positions in the order of the circular buffer w, NULL where the rectangle was padded (5.1.4.1.2)."""
+    size = -(-stream_length // COLUMNS) * COLUMNS
+    # <NULL> bits fill the front of the first row, then y_k = d_(k - ND)
+    padded = np.arange(size) - (size - stream_length)
+    v0, v1, v2 = (
+        _positions(padded[reading], stream)
+        for stream, reading in enumerate((_read_01(size), _read_01(size), _read_2(size)))
+    )
+    # w_k = v0_k, w_(Kpi + 2k) = v1_k, w_(Kpi + 2k + 1) = v2_k
+    return np.concatenate([v0, np.stack([v1, v2], axis=-1).ravel()])
+
+
+def _positions(times: NDArray[np.int64], stream: int) -> NDArray[np.int64]:
+    return np.where(times < 0, _NULL, STREAMS * times + stream)
+
+
+def _read_01(size: int) -> NDArray[np.int64]:
+    """Streams 0 and 1: written row by row, columns permuted, read column by column (5.1.4.1.1)."""
+    return np.arange(size).reshape(-1, COLUMNS)[:, _COLUMN_ORDER].T.ravel()
+
+
+def _read_2(size: int) -> NDArray[np.int64]:
+    """Stream 2: the same reading, one bit later."""
+    # pi(k) = (P(floor(k / R)) + C (k mod R) + 1) mod Kpi
+    return (_read_01(size) + 1) % size

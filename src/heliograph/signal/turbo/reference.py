@@ -1,0 +1,176 @@
+"""The decoder written for reading: NumPy in double precision, all blocks at once, no tricks.
+
+The kernel is held to it by tests, and it to the enumeration of all codewords. Source of the algorithm:
+Bahl, Cocke, Jelinek, Raviv, IEEE Trans. Inf. Theory 20 (1974) 284; Robertson, Villebrun, Hoeher, ICC 1995.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.signal.turbo.options import Algorithm, Check, DecoderOptions
+from heliograph.signal.turbo.trellis import NEXT_STATE, PARITY, STATES, TAIL, TAIL_BITS
+
+Floats = NDArray[np.float64]
+
+# The two branches (flat index 2 state + bit) that end in each state, shape (8, 2)
+_INTO = np.argsort(NEXT_STATE.ravel(), kind="stable").reshape(STATES, 2)
+
+
+class Posterior(NamedTuple):
+    """A-posteriori LLRs of one constituent code."""
+
+    info: Floats
+    parity: Floats
+    tail: Floats
+
+
+class ReferenceResult(NamedTuple):
+    """A-posteriori LLRs of the information bits and of the mother codeword, iterations used, rule met."""
+
+    llr: Floats
+    mother_llr: Floats
+    iterations: NDArray[np.int32]
+    stopped: NDArray[np.bool_]
+
+
+def siso(info: Floats, parity: Floats, tail: Floats, algorithm: Algorithm) -> Posterior:
+    """Soft-in soft-out decoder of one constituent code.
+
+    Parameters
+    ----------
+    info : ndarray of float64, shape (B, K)
+        Channel and a-priori LLRs of the information bits, in the order of this trellis.
+    parity : ndarray of float64, shape (B, K)
+        LLRs of the parity bits.
+    tail : ndarray of float64, shape (B, 6)
+        LLRs of the termination x, z, x, z, x, z.
+    algorithm : {"max-log", "log-map"}
+        How the paths through a state are added.
+
+    Returns
+    -------
+    Posterior
+        LLRs of every bit given all inputs, of the inputs' shapes.
+    """
+    add = np.max if algorithm == "max-log" else np.logaddexp.reduce
+    blocks, k = info.shape
+    # gamma = ln P(branch) = (1 - u) L_u + (1 - z) L_z, up to a constant; shape (K, B, 8, 2)
+    zero_bit = np.array([1.0, 0.0])
+    gamma = info.T[:, :, None, None] * zero_bit + parity.T[:, :, None, None] * (1 - PARITY)
+
+    alpha = np.full((k + 1, blocks, STATES), -np.inf)
+    alpha[0, :, 0] = 0.0
+    for step in range(k):
+        branches = (alpha[step][:, :, None] + gamma[step]).reshape(blocks, -1)
+        alpha[step + 1] = _centred(add(branches[:, _INTO], axis=-1))
+
+    beta = np.empty_like(alpha)
+    beta[k] = tail @ (1.0 - TAIL.T)
+    for step in reversed(range(k)):
+        beta[step] = _centred(add(beta[step + 1][:, NEXT_STATE] + gamma[step], axis=-1))
+
+    # L(b) = ln sum over branches with b = 0 of alpha gamma beta, less the same with b = 1
+    joint = alpha[:-1, :, :, None] + gamma + beta[1:][:, :, NEXT_STATE]
+    final = alpha[k] + beta[k]
+    return Posterior(
+        info=(add(joint[..., 0], axis=-1) - add(joint[..., 1], axis=-1)).T,
+        parity=(add(joint[:, :, PARITY == 0], axis=-1) - add(joint[:, :, PARITY == 1], axis=-1)).T,
+        tail=np.stack([add(final[:, bit == 0], axis=-1) - add(final[:, bit == 1], axis=-1) for bit in TAIL.T], axis=-1),
+    )
+
+
+def _centred(metrics: Floats) -> Floats:
+    """Less its largest: only differences matter, and the sums stay small."""
+    centred: Floats = metrics - np.max(metrics, axis=-1, keepdims=True)
+    return centred
+
+
+def decode(
+    mother_llr: Floats,
+    order: NDArray[np.int64],
+    options: DecoderOptions,
+    a_priori: Floats | None = None,
+    check: Check | None = None,
+) -> ReferenceResult:
+    """Decode mother codewords by passing extrinsic LLRs between the two constituent decoders.
+
+    Parameters
+    ----------
+    mother_llr : ndarray of float64, shape (B, 3 K + 12)
+        LLRs in the order of `encode_mother`.
+    order : ndarray of int, shape (K,)
+        Interleaver, ``x_itl = x_nat[order]``.
+    options : DecoderOptions
+        Algorithm, iterations, scale, stopping rule.
+    a_priori : ndarray of float64, shape (B, K), optional
+        A-priori LLRs of the information bits.
+    check : callable, optional
+        The check of ``stop="crc"``.
+
+    Returns
+    -------
+    ReferenceResult
+        The parity and tail LLRs come from one more pass of both decoders over the final extrinsic LLRs.
+    """
+    blocks, k = len(mother_llr), len(order)
+    info_nat = mother_llr[:, : 3 * k : 3] + (0.0 if a_priori is None else a_priori)
+    inputs = [
+        (mother_llr[:, 1 : 3 * k : 3], mother_llr[:, 3 * k : 3 * k + TAIL_BITS]),
+        (mother_llr[:, 2 : 3 * k : 3], mother_llr[:, 3 * k + TAIL_BITS :]),
+    ]
+    orders = [np.arange(k), order]
+    extrinsic_nat = np.zeros((blocks, k))
+    llr_nat = np.zeros((blocks, k))
+    iterations = np.zeros(blocks, dtype=np.int32)
+    stopped = np.zeros(blocks, dtype=np.bool_)
+    for _ in range(options.iterations):
+        active = ~stopped
+        halves = []
+        for half_order, (parity, tail) in zip(orders, inputs, strict=True):
+            lu_nat = info_nat + extrinsic_nat
+            posterior = siso(lu_nat[:, half_order], parity, tail, options.algorithm)
+            half_nat = np.empty_like(lu_nat)
+            half_nat[:, half_order] = posterior.info
+            extrinsic_nat[active] = (options.factor * (half_nat - lu_nat))[active]
+            halves.append(half_nat)
+        llr_nat[active] = halves[1][active]
+        iterations += active
+        stopped |= _may_stop(halves, options, check)
+        if stopped.all():
+            break
+    mother = _mother_posterior(llr_nat, extrinsic_nat, info_nat, inputs, orders, options)
+    return ReferenceResult(llr_nat, mother, iterations, stopped)
+
+
+def _may_stop(halves: list[Floats], options: DecoderOptions, check: Check | None) -> NDArray[np.bool_]:
+    decisions = [half < 0 for half in halves]
+    if options.stop == "agreement":
+        agree: NDArray[np.bool_] = (decisions[0] == decisions[1]).all(axis=-1)
+        return agree
+    if options.stop == "crc" and check is not None:
+        return check(decisions[1].astype(np.uint8))
+    return np.zeros(len(halves[0]), dtype=np.bool_)
+
+
+def _mother_posterior(
+    llr_nat: Floats,
+    extrinsic_nat: Floats,
+    info_nat: Floats,
+    inputs: list[tuple[Floats, Floats]],
+    orders: list[NDArray[np.int64]],
+    options: DecoderOptions,
+) -> Floats:
+    """One more pass of both decoders, for the LLRs of the parity and tail bits."""
+    k = llr_nat.shape[-1]
+    mother = np.empty((len(llr_nat), 3 * k + 2 * TAIL_BITS))
+    mother[:, : 3 * k : 3] = llr_nat
+    for code, (order, (parity, tail)) in enumerate(zip(orders, inputs, strict=True)):
+        lu_nat = info_nat + extrinsic_nat
+        posterior = siso(lu_nat[:, order], parity, tail, options.algorithm)
+        mother[:, 1 + code : 3 * k : 3] = posterior.parity
+        mother[:, 3 * k + code * TAIL_BITS :][:, :TAIL_BITS] = posterior.tail
+        extrinsic_nat = np.empty_like(lu_nat)
+        extrinsic_nat[:, order] = options.factor * (posterior.info - lu_nat[:, order])
+    return mother

@@ -1,0 +1,106 @@
+"""Byte streams by priority to an endless sequence of LED patterns."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass as checked
+
+from heliograph.base.config import CONFIG
+from heliograph.signal.block import Block
+from heliograph.signal.header import IDENTITIES
+from heliograph.signal.message import Carousel
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import LAYERS, SignalSettings
+
+
+@checked(frozen=True, kw_only=True, config=CONFIG)
+class TransmitSettings:
+    """Who transmits.
+
+    Attributes
+    ----------
+    identities
+        Identity of each array, in the order of the arrays of the scene; all different.
+    """
+
+    identities: tuple[Annotated[int, Field(ge=0, lt=IDENTITIES)], ...] = (0,)
+
+
+@dataclass(frozen=True, slots=True)
+class TimedPattern:
+    """A pattern and when it is shown.
+
+    Attributes
+    ----------
+    index
+        Number of the pattern from the start of the transmission.
+    time_s
+        When it appears; it stays for T_b.
+    part
+        "header" or "data".
+    inverted
+        Whether it is the inverse of the pattern before.
+    levels
+        (n, n) uint8 levels 0 to 4.
+    """
+
+    index: int
+    time_s: float
+    part: Literal["header", "data"]
+    inverted: bool
+    levels: NDArray[np.uint8]
+
+
+class Transmitter:
+    """One array's light, without end.
+
+    Parameters
+    ----------
+    settings
+        The signal.
+    identity
+        Number of the array, 0 to 29.
+    messages
+        Messages by layer, repeated as a carousel; a layer without any sends idle blocks.
+    """
+
+    def __init__(self, settings: SignalSettings, identity: int, messages: Mapping[str, Sequence[bytes]]):
+        unknown = set(messages) - set(LAYERS)
+        if unknown:
+            raise ValueError(f"layers are {', '.join(LAYERS)}, not {', '.join(sorted(unknown))}")
+        self.format = PacketFormat(settings)
+        self.identity = identity
+        self._carousels = {
+            name: Carousel(identity, name, messages.get(name, ()), layer.payload_bytes)
+            for name, layer in self.format.layers.items()
+        }
+
+    def blocks(self, packet: int) -> dict[str, list[Block]]:
+        """Blocks that packet number `packet` carries, one a codeword, by layer."""
+        return {
+            name: [self._carousels[name].block(packet * layer.codewords + i) for i in range(layer.codewords)]
+            for name, layer in self.format.layers.items()
+        }
+
+    def packets(self) -> Iterator[NDArray[np.uint8]]:
+        """Endless packets, each (patterns, n, n) uint8 levels in the order of time."""
+        for number in count():
+            yield self.format.patterns(self.identity, self.blocks(number))
+
+    def levels(self) -> Iterator[NDArray[np.uint8]]:
+        """Endless patterns, each (n, n) uint8 levels."""
+        for packet in self.packets():
+            yield from packet
+
+    def patterns(self) -> Iterator[TimedPattern]:
+        """Endless patterns with their times and parts."""
+        settings = self.format.settings
+        for index, levels in enumerate(self.levels()):
+            place = index % settings.packet_patterns
+            part: Literal["header", "data"] = "header" if place < 2 * settings.header_pairs else "data"
+            yield TimedPattern(index, index * settings.pattern_period_s, part, bool(index % 2), levels)
