@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.fit import Fit, fit_array, window_around
+from heliograph.receive.fit import Fit, Prior, fit_array, window_around
 from heliograph.receive.pose import Pose
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.header import CELLS, all_header_cells
@@ -258,7 +258,7 @@ def _fit_window(
     image = change[i : i + height, j : j + width].astype(np.float64)
     reach = 0.08 * side * start.pitch
     spread = np.diag([reach**2, reach**2, 0.1**2, 0.05**2, 0.2**2])
-    return fit_array(image, (x0, y0), start.vector(), spread, weights, 6)
+    return fit_array(image, (x0, y0), Prior(start.vector(), spread), weights, 6)
 
 
 def _distinct(detections: list[Detection]) -> list[Detection]:

@@ -7,8 +7,13 @@ from numpy.typing import NDArray
 
 from heliograph.receive.pose import Pose
 
+Floats = NDArray[np.float64]
+
 BIWEIGHT = 4.685
 """Residuals beyond this many standard deviations are taken for something else than the array (Tukey's biweight)."""
+
+PANEL_MARGINS = (0.75, 2.0)
+"""Rims in pitches of two squares around the LEDs: together they stand for a panel of unknown width and gray."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +25,7 @@ class Fit:
     vector
         (x, y, ln pitch, roll, ln blur) of the pose, (5,).
     covariance
-        Of the vector, (5, 5).
+        Of the vector, (5, 5), the prior's knowledge included.
     gain
         Luminance of the array with all weights 1, where it is not resolved, as gray levels.
     score
@@ -29,8 +34,8 @@ class Fit:
         Standard deviation of the residuals in gray levels.
     """
 
-    vector: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    vector: Floats
+    covariance: Floats
     gain: float
     score: float
     noise: float
@@ -41,13 +46,29 @@ class Fit:
         return Pose.of(self.vector)
 
 
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is expected before a fit.
+
+    Attributes
+    ----------
+    vector, covariance
+        Pose vector (5,) and its covariance (5, 5); the fit starts there.
+    gain
+        Expected gain, or 0 where it is unknown.
+    """
+
+    vector: Floats
+    covariance: Floats
+    gain: float = 0.0
+
+
+GAIN_SPREAD = 0.15
+"""Standard deviation of an expected gain, as a share of it."""
+
+
 def fit_array(
-    image: NDArray[np.float64],
-    corner: tuple[int, int],
-    start: NDArray[np.float64],
-    spread: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    iterations: int,
+    image: Floats, corner: tuple[int, int], prior: Prior, weights: Floats, iterations: int, panel: bool = False
 ) -> Fit:
     """Most probable pose of LEDs of known weights, by Gauss-Newton with robust weights.
 
@@ -57,42 +78,84 @@ def fit_array(
         Pixels, (rows, columns): gain * array(pose) + a plane of background + noise.
     corner
         (x, y) on the sensor of ``image[0, 0]``.
-    start, spread
-        Expected pose vector (5,) and its covariance (5, 5): prior and start at once.
+    prior
+        What is expected.
     weights
         (n, n) luminance of each LED: 1 for all on, +-1 for a header minus its inverse.
     iterations
         Gauss-Newton steps.
+    panel
+        Whether a panel darker or brighter than the background may surround the LEDs: it does in a sum of frames, it
+        cancels in a difference.
 
     Returns
     -------
     Fit
-        Its covariance includes the prior's.
     """
-    from heliograph.receive import kernels  # Numba is slow to import
-
-    model = np.empty((6, *image.shape))
-    precision = np.linalg.inv(spread)
-    vector = start.copy()
-    linear = _linear(image, _model(kernels, vector, weights, corner, model))
-    rough = 0.0
+    scene = _Scene(image, corner, weights, panel)
+    vector, precision = prior.vector.copy(), np.linalg.inv(prior.covariance)
+    scene.place(vector)
+    linear = scene.coefficients(prior.gain)
     for _ in range(iterations):
-        residual = image - np.tensordot(linear, _columns(model[0]), 1)
-        rough = BIWEIGHT * _spread_of(residual)
-        matrix, rhs = np.empty((9, 9)), np.concatenate([np.zeros(5), linear])
-        mass, loss = kernels.normal_equations(image, model, linear[0], rough, matrix, rhs)
-        noise = max(loss / max(mass - 9, 1.0), 0.08)
-        matrix /= noise
-        rhs /= noise
+        matrix, rhs = scene.equations(linear)
+        # prior: (theta - theta_0)^T P^-1 (theta - theta_0), and the gain's
         matrix[:5, :5] += precision
-        rhs[:5] += precision @ (start - vector)
-        step = np.linalg.solve(matrix + 1e-9 * np.diag(np.diag(matrix)), rhs)
+        rhs[:5] += precision @ (prior.vector - vector)
+        if prior.gain:
+            weight = (GAIN_SPREAD * prior.gain) ** -2
+            matrix[5, 5] += weight
+            rhs[5] += weight * (prior.gain - linear[0])
+        step = np.linalg.solve(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3), rhs)
         vector = vector + np.clip(step[:5], *_step_limits(vector))
         linear = linear + step[5:]
-        _model(kernels, vector, weights, corner, model)
-    residual = image - np.tensordot(linear, _columns(model[0]), 1)
-    covariance = np.linalg.inv(matrix)[:5, :5]
-    return Fit(vector, covariance, float(linear[0]), _correlation(image, model[0]), _spread_of(residual))
+        scene.place(vector)
+    covariance = np.linalg.inv(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3))[:5, :5]
+    fitted = np.tensordot(linear, scene.columns, 1)
+    return Fit(vector, covariance, float(linear[0]), _correlation(image, fitted), _spread_of(image - fitted))
+
+
+class _Scene:
+    """The images whose combination is the pixels, at a pose."""
+
+    def __init__(self, image: Floats, corner: tuple[int, int], weights: Floats, panel: bool):
+        from heliograph.receive import kernels  # Numba is slow to import
+
+        self._kernels, self._image, self._corner, self._weights = kernels, image, corner, weights
+        self._margins = PANEL_MARGINS if panel else ()
+        shaped = 1 + len(self._margins)
+        self._shapes = np.empty((shaped, 6, *image.shape))
+        self.columns = np.concatenate([np.empty((shaped, *image.shape)), _plane(*image.shape)])
+
+    def place(self, vector: Floats) -> None:
+        """Work the images out at a pose."""
+        x0, y0 = float(self._corner[0]), float(self._corner[1])
+        self._kernels.render(vector, self._weights, x0, y0, self._shapes[0])
+        for shape, margin in zip(self._shapes[1:], self._margins, strict=True):
+            self._kernels.render_box(vector, 0.5 * self._weights.shape[0] + margin, x0, y0, shape)
+        self.columns[: len(self._shapes)] = self._shapes[:, 0]
+
+    def coefficients(self, gain: float) -> Floats:
+        """Least squares coefficients of the images, near an expected gain if there is one."""
+        a = self.columns.reshape(len(self.columns), -1)
+        matrix, rhs = a @ a.T, a @ self._image.ravel()
+        if gain:
+            weight = 1e3 * matrix[0, 0]
+            matrix[0, 0] += weight
+            rhs[0] += weight * gain
+        return np.asarray(np.linalg.solve(matrix + 1e-6 * np.diag(np.diag(matrix) + 1e-3), rhs))
+
+    def equations(self, linear: Floats) -> tuple[Floats, Floats]:
+        """Normal equations of steps in pose and coefficients, in units of the noise found."""
+        shaped = len(self._shapes)
+        slopes = np.tensordot(linear[:shaped], self._shapes[:, 1:], 1)
+        residual = self._image - np.tensordot(linear, self.columns, 1)
+        size = 5 + len(linear)
+        matrix, rhs = np.empty((size, size)), np.empty(size)
+        mass, loss = self._kernels.normal_equations(
+            self._image, slopes, self.columns, linear, BIWEIGHT * _spread_of(residual), matrix, rhs
+        )
+        noise = max(loss / max(mass - size, 1.0), 0.08)
+        return matrix / noise, rhs / noise
 
 
 def window_around(pose: Pose, side: int, margin: float) -> tuple[int, int, int, int]:
@@ -102,37 +165,25 @@ def window_around(pose: Pose, side: int, margin: float) -> tuple[int, int, int, 
     return x0, y0, int(np.ceil(pose.x + half)) - x0 + 1, int(np.ceil(pose.y + half)) - y0 + 1
 
 
-def _model(kernels, vector, weights, corner, model):  # type: ignore[no-untyped-def]
-    kernels.render(vector, weights, float(corner[0]), float(corner[1]), model)
-    return model[0]
-
-
-def _columns(shape: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Images whose combination is the pixels: the array, a constant, slopes in x and y, (4, rows, columns)."""
-    rows, cols = shape.shape
+def _plane(rows: int, cols: int) -> Floats:
+    """A constant and slopes in x and y, (3, rows, columns)."""
     y = ((np.arange(rows) - (rows - 1) / 2) / rows)[:, None] + np.zeros(cols)
     x = ((np.arange(cols) - (cols - 1) / 2) / cols)[None, :] + np.zeros((rows, 1))
-    return np.stack([shape, np.ones_like(shape), x, y])
+    return np.stack([np.ones((rows, cols)), x, y])
 
 
-def _linear(image: NDArray[np.float64], shape: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Least squares gain and background plane, (4,)."""
-    a = _columns(shape).reshape(4, -1)
-    return np.linalg.solve(a @ a.T + 1e-9 * np.eye(4), a @ image.ravel())
-
-
-def _spread_of(residual: NDArray[np.float64]) -> float:
+def _spread_of(residual: Floats) -> float:
     """Standard deviation by the median magnitude, at least half a gray level."""
     return max(1.4826 * float(np.median(np.abs(residual))), 0.5)
 
 
-def _step_limits(vector: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _step_limits(vector: Floats) -> tuple[Floats, Floats]:
     """Longest steps that keep the image's linear expansion true: about half a blur or a pitch."""
     reach = max(0.8, 0.5 * float(np.exp(vector[2])))
     limit = np.array([reach, reach, 0.1, 0.05, 0.2])
     return -limit, limit
 
 
-def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def _correlation(a: Floats, b: Floats) -> float:
     x, y = a - a.mean(), b - b.mean()
     return float((x * y).sum() / np.sqrt(max((x * x).sum() * (y * y).sum(), 1e-12)))

@@ -73,43 +73,80 @@ def render(pose, weights, x0, y0, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def normal_equations(image, model, gain, rough, matrix, vector):  # type: ignore[no-untyped-def]
-    """Gauss-Newton normal equations of image = gain * model(pose) + plane, weights by Tukey's biweight of scale rough.
+def _edge(t, sigma):  # type: ignore[no-untyped-def]
+    """Phi(t / sigma) and its derivative by t."""
+    z = t / sigma
+    if z > REACH:
+        return 1.0, 0.0
+    if z < -REACH:
+        return 0.0, 0.0
+    return 0.5 * (1.0 + math.erf(z / SQRT2)), INV_SQRT_2PI * math.exp(-0.5 * z * z) / sigma
 
-    The nine unknowns: pose steps (5, scaled by gain), gain, offset, slope in x, slope in y. Returns the sum of weights
-    and the weighted sum of squared residuals of the current model. vector[5:9] must hold the current gain and plane.
+
+@njit(cache=True, nogil=True)
+def render_box(pose, half_leds, x0, y0, out):  # type: ignore[no-untyped-def]
+    """Blurred square of half width `half_leds` pitches about the array's centre, and its derivatives by the pose.
+
+    out (6, rows, columns) as in `render`; a pixel's box is taken as its variance, 1/12; the blur's derivative is 0.
+    """
+    rows, cols = out.shape[1], out.shape[2]
+    half = half_leds * math.exp(pose[2])
+    sigma = math.sqrt(math.exp(2.0 * pose[4]) + 1.0 / 12.0)
+    c, s = math.cos(pose[3]), math.sin(pose[3])
+    for i in range(rows):
+        for j in range(cols):
+            dx, dy = x0 + j - pose[0], y0 + i - pose[1]
+            x, y = c * dx + s * dy, c * dy - s * dx
+            right, right_slope = _edge(half - x, sigma)
+            left, left_slope = _edge(half + x, sigma)
+            low, low_slope = _edge(half - y, sigma)
+            top, top_slope = _edge(half + y, sigma)
+            bx, by = right + left - 1.0, low + top - 1.0
+            by_x, by_y = (left_slope - right_slope) * by, (top_slope - low_slope) * bx
+            out[0, i, j] = bx * by
+            out[1, i, j] = -c * by_x + s * by_y
+            out[2, i, j] = -s * by_x - c * by_y
+            out[3, i, j] = half * ((left_slope + right_slope) * by + (top_slope + low_slope) * bx)
+            out[4, i, j] = y * by_x - x * by_y
+            out[5, i, j] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def normal_equations(image, slopes, columns, linear, rough, matrix, vector):  # type: ignore[no-untyped-def]
+    """Gauss-Newton normal equations of image = linear . columns(pose), weights by Tukey's biweight of scale `rough`.
+
+    slopes (5, rows, columns): derivatives by the pose; columns (m, rows, columns) with coefficients linear (m,).
+    matrix (5 + m, 5 + m) and vector (5 + m,) are overwritten. Returns the sum of weights and the weighted sum of squared
+    residuals.
     """
     rows, cols = image.shape
-    current = vector.copy()
+    m = columns.shape[0]
     matrix[:] = 0.0
     vector[:] = 0.0
-    row = np.empty(9)
+    row = np.empty(5 + m)
     mass, loss = 0.0, 0.0
     for i in range(rows):
         for j in range(cols):
-            y, x = (i - 0.5 * (rows - 1)) / rows, (j - 0.5 * (cols - 1)) / cols
-            for k in range(5):
-                row[k] = gain * model[k + 1, i, j]
-            row[5], row[6], row[7], row[8] = model[0, i, j], 1.0, x, y
             r = image[i, j]
-            for k in range(5, 9):
-                r -= current[k] * row[k]
-            w = 1.0
-            if rough > 0.0:
-                q = r / rough
-                w = (1.0 - q * q) ** 2 if abs(q) < 1.0 else 0.0
-            if w == 0.0:
+            for k in range(m):
+                row[5 + k] = columns[k, i, j]
+                r -= linear[k] * row[5 + k]
+            q = r / rough
+            if abs(q) >= 1.0:
                 continue
+            w = (1.0 - q * q) ** 2
+            for k in range(5):
+                row[k] = slopes[k, i, j]
             mass += w
             loss += w * r * r
-            for k in range(9):
+            for k in range(5 + m):
                 wk = w * row[k]
                 vector[k] += wk * r
-                for m in range(k + 1):
-                    matrix[k, m] += wk * row[m]
-    for k in range(9):
-        for m in range(k):
-            matrix[m, k] = matrix[k, m]
+                for n in range(k + 1):
+                    matrix[k, n] += wk * row[n]
+    for k in range(5 + m):
+        for n in range(k):
+            matrix[n, k] = matrix[k, n]
     return mass, loss
 
 

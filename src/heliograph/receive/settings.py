@@ -83,8 +83,10 @@ class TrackSettings:
         Time over which that acceleration keeps its sign.
     expansion_s2
         The same for the second derivative of the logarithm of the pitch.
+    activity
+        Least rms difference of pattern and inverse, as a share of the array's luminance, with which it is seen.
     score
-        Correlation of the sum of a pair with the all-on array below which the pair counts as not seen.
+        Least correlation with which a header sharpens pitch and blur.
     coast_s
         Time without the array in sight after which it is lost.
     iterations
@@ -94,6 +96,7 @@ class TrackSettings:
     acceleration_px_s2: Positive = 3e4
     acceleration_s: Positive = 4e-3
     expansion_s2: Positive = 0.5
+    activity: Share = 0.06
     score: Share = 0.6
     coast_s: Positive = 0.05
     iterations: Annotated[int, Field(ge=1, le=20)] = 3

@@ -7,12 +7,15 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.detect import Detection, cut_out
-from heliograph.receive.fit import Fit, fit_array, window_around
+from heliograph.receive.fit import Fit, Prior, fit_array, window_around
 from heliograph.receive.kalman import PoseState
+from heliograph.receive.pose import Pose
 from heliograph.receive.settings import TrackSettings
 
-MARGIN = 2.0
-"""Pixels around the array that are fitted too: they hold its edge and the background."""
+Floats = NDArray[np.float64]
+
+MARGIN_PITCHES, MARGIN_PX = 1.5, 1.5
+"""Width of the array's surroundings that are fitted too: they hold its edge, the panel's and the background."""
 
 
 SUM_BIAS = np.array([0.0, 0.0, 0.05, 0.0, 0.5]) ** 2
@@ -33,7 +36,7 @@ class TrackedPair:
     fit
         The fit of the sum.
     seen
-        Whether the sum looked like the array.
+        Whether the array was in sight.
     """
 
     state: PoseState
@@ -71,11 +74,11 @@ class Tracker:
     def follow(self, pattern: Frame, inverted: Frame) -> TrackedPair:
         """Find the array in the sum of a pair and move the filter on; coast where it is not seen."""
         predicted = self._predict(0.5 * (pattern.time_s + inverted.time_s))
-        x0, y0, width, height = window_around(predicted.pose, self._side, MARGIN)
+        corner, up, down = self._cut(pattern, inverted, predicted)
         # (pattern) + (inverse) = every LED on, Fig. 9
-        total = cut_out(pattern, x0, y0, width, height) + cut_out(inverted, x0, y0, width, height)
-        fit = self._fit(total, (x0, y0), predicted, self._ones, SUM_BIAS)
-        seen = fit.score >= self._settings.score and fit.gain > 0.3 * self.gain and self._inside(fit, pattern)
+        prior = Prior(predicted.mean[:5], predicted.expected(SUM_BIAS), self.gain)
+        fit = fit_array(up + down, corner, prior, self._ones, self._settings.iterations, panel=True)
+        seen = self._inside(fit, pattern) and self._active(up - down, fit.pose, corner)
         if seen:
             predicted = predicted.condition(fit.vector, fit.covariance, SUM_BIAS)
             self.last_seen_s = predicted.time_s
@@ -85,9 +88,9 @@ class Tracker:
 
     def refine(self, pattern: Frame, inverted: Frame, weights: NDArray[np.float64]) -> None:
         """Sharpen pitch, rotation and blur by a header of known `weights`, after its sum was followed."""
-        x0, y0, width, height = window_around(self.state.pose, self._side, MARGIN)
-        change = cut_out(pattern, x0, y0, width, height) - cut_out(inverted, x0, y0, width, height)
-        fit = self._fit(change, (x0, y0), self.state, weights, HEADER_BIAS)
+        corner, up, down = self._cut(pattern, inverted, self.state)
+        prior = Prior(self.state.mean[:5], self.state.expected(HEADER_BIAS))
+        fit = fit_array(up - down, corner, prior, weights, self._settings.iterations)
         if fit.score >= self._settings.score:
             self.state = self.state.condition(fit.vector, fit.covariance, HEADER_BIAS)
 
@@ -101,16 +104,19 @@ class Tracker:
             return PoseState(time_s, self.state.mean, self.state.covariance)
         return self.state.predict(time_s, self._settings)
 
-    def _fit(
-        self,
-        image: NDArray[np.float64],
-        corner: tuple[int, int],
-        expected: PoseState,
-        weights: NDArray[np.float64],
-        bias: NDArray[np.float64],
-    ) -> Fit:
-        spread = expected.expected(bias)
-        return fit_array(image, corner, expected.mean[:5], spread, weights, self._settings.iterations)
+    def _cut(self, pattern: Frame, inverted: Frame, state: PoseState) -> tuple[tuple[int, int], Floats, Floats]:
+        """The array's surroundings in both frames, and their corner."""
+        margin = MARGIN_PITCHES * state.pose.pitch + MARGIN_PX
+        x0, y0, width, height = window_around(state.pose, self._side, margin)
+        return (x0, y0), cut_out(pattern, x0, y0, width, height), cut_out(inverted, x0, y0, width, height)
+
+    def _active(self, change: Floats, pose: Pose, corner: tuple[int, int]) -> bool:
+        """Whether pattern and inverse differ where the array should be: a hidden or dark array shows no change."""
+        half = max(0.5 * self._side * pose.pitch - 1, 1)
+        x, y = pose.x - corner[0], pose.y - corner[1]
+        rows, cols = (slice(max(0, round(c - half)), max(0, round(c + half)) + 1) for c in (y, x))
+        inner = change[rows, cols]
+        return bool(inner.size and np.sqrt(np.mean(inner**2)) >= self._settings.activity * self.gain)
 
     def _inside(self, fit: Fit, frame: Frame) -> bool:
         """Whether the array's centre is in the frame."""

@@ -1,0 +1,55 @@
+"""Real recordings for the channel, from files: background footage and motion of a car."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.errors import MediaError
+from heliograph.channel import Footage, ImuTrace
+from heliograph.media import open_film
+
+IMU_COLUMNS = ("t_s", "gyro_fwd_rad_s", "gyro_right", "gyro_down", "speed_m_s")
+"""Columns of a motion file, by name in its first line: time, rates about forward, right and down axis, car speed."""
+
+
+def load_footage(path: Path) -> Footage:
+    """Footage from any video file; it is read again from the start whenever the channel needs it.
+
+    Raises
+    ------
+    MediaError
+        The file is missing, damaged or no video.
+    """
+    with open_film(path, expand_range=True) as film:
+        rate = film.rate_hz
+        next(iter(film))
+
+    def frames() -> Iterator[NDArray[np.uint8]]:
+        with open_film(path, expand_range=True) as film:
+            for frame in film:
+                yield (frame.pixels >> (frame.bits - 8)).astype(np.uint8)
+
+    return Footage(frames, rate)
+
+
+def load_imu(path: Path) -> ImuTrace:
+    """Motion of a car from a CSV file with the columns of `IMU_COLUMNS`, others ignored.
+
+    Raises
+    ------
+    MediaError
+        The file is missing, lacks a column, or holds what is no number.
+    """
+    try:
+        table = np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64, encoding="utf-8")
+    except (OSError, ValueError, UnicodeDecodeError) as error:
+        raise MediaError(f"cannot read the motion file {path}: {str(error).splitlines()[0]}") from None
+    lacking = [name for name in IMU_COLUMNS if name not in (table.dtype.names or ())]
+    if lacking:
+        raise MediaError(f"{path} lacks the column '{lacking[0]}'; a motion file has {', '.join(IMU_COLUMNS)}")
+    try:
+        return ImuTrace.from_columns(*(np.atleast_1d(table[name]) for name in IMU_COLUMNS))
+    except ValueError as error:
+        raise MediaError(f"{path}: {error}") from None

@@ -1,0 +1,150 @@
+"""Open and create films: the file's kind is found from its suffix, or, when reading, from its content."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from heliograph.base.errors import MediaError
+from heliograph.media import hdf5, video_read, video_write
+from heliograph.media.reader import FilmReader
+from heliograph.media.record import FilmSpec
+from heliograph.media.writer import Background, FilmWriter, Sink, partial_path, write_error
+
+SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
+
+
+def open_film(path: str | os.PathLike[str], *, expand_range: bool = False) -> FilmReader:
+    """Open a film: HDF5 as written by `create_film`, or any video FFmpeg reads, as gray frames.
+
+    Levels come as they are stored: luma of YUV video is not rescaled, RGB is weighted to luma.
+
+    Parameters
+    ----------
+    path
+        The file; its suffix does not matter.
+    expand_range
+        Stretch limited-range video (black at 16, white at 235, usual for dashcams) to the full scale. Films written
+        here are full range and stay as they are.
+
+    Returns
+    -------
+    FilmReader
+        A context manager and iterable of `heliograph.base.frames.Frame`.
+
+    Raises
+    ------
+    MediaError
+        The file is missing, a folder, empty, no film, or damaged beyond reading. What is damaged further on is
+        reported while iterating, after the whole frames.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise MediaError(f"{path} is a folder: give a film in it")
+    if not path.exists():
+        raise MediaError(f"there is no file {path}: check the name")
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(hdf5.SIGNATURE))
+    except OSError as error:
+        raise MediaError(f"cannot read {path}: {error.strerror}") from error
+    if not head:
+        raise MediaError(f"{path} is empty: copy or record it again")
+    if head == hdf5.SIGNATURE or path.suffix.lower() in hdf5.SUFFIXES:
+        return hdf5.Hdf5Reader(path)
+    return video_read.VideoReader(path, expand_range)
+
+
+def read_gray_frames(path: str | os.PathLike[str], *, expand_range: bool = False) -> FilmReader:
+    """Open background footage: `open_film` by another name."""
+    return open_film(path, expand_range=expand_range)
+
+
+def create_film(
+    path: str | os.PathLike[str],
+    *,
+    width: int,
+    height: int,
+    rate_hz: float,
+    bits: int = 8,
+    codec: str | None = None,
+    metadata: Mapping[str, str] | None = None,
+    crf: float | None = None,
+    lossless: bool = False,
+) -> FilmWriter:
+    """Create a film; the suffix chooses its kind.
+
+    ======= ======================= =============== ==================================================================
+    suffix  codecs, default first   exact levels    times
+    ======= ======================= =============== ==================================================================
+    .nut    ffv1, h264, mjpeg       ffv1, lossless  to 1 us, exact on the grid of ``rate_hz``
+    .mkv    ffv1, h264, mjpeg       ffv1, lossless  exact on the grid, elsewhere to 1 ms; up to 1000 frames a second
+    .mp4    h264                    lossless        to 1 us, exact on the grid
+    .avi    mjpeg                   no              the grid only; up to 1000 frames a second
+    .h5     none                    yes             exact
+    ======= ======================= =============== ==================================================================
+
+    The grid is the first frame's time plus whole multiples of ``1 / rate_hz``; frames may be missing from it.
+
+    Parameters
+    ----------
+    path
+        The target; an existing file is replaced when the film is finished, not before.
+    width, height
+        Size in pixels.
+    rate_hz
+        Nominal frames per second, above 0 and at most 1e6.
+    bits
+        Bits of a gray level: 8 to 16 with FFV1 and HDF5, 8 to 10 with H.264, 8 with MJPEG.
+    codec
+        "ffv1", "h264" or "mjpeg"; None for the suffix's default.
+    metadata
+        Text to keep with the film.
+    crf
+        Quality of lossy H.264, from 0 (best) to 51; default 12, whose error is about 1.4 gray levels rms in noise of
+        1.5, without bias. The usual 18 wipes the noise out.
+    lossless
+        H.264 bit for bit: faster than FFV1, but few players show it.
+
+    Returns
+    -------
+    FilmWriter
+        A context manager with ``write``, ``finish`` and ``abort``.
+
+    Raises
+    ------
+    MediaError
+        Unknown suffix or codec, settings that do not go together, or a place that cannot be written.
+    """
+    target = Path(path)
+    suffix = target.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise MediaError(f"unknown kind of film {target.name!r}: the name must end in one of {', '.join(SUFFIXES)}")
+    spec = FilmSpec(width=width, height=height, rate_hz=float(rate_hz), bits=bits, metadata=dict(metadata or {}))
+    sink_codec = _codec(suffix, spec, codec, crf, lossless)
+    partial = partial_path(target)
+    try:
+        sink = _sink(partial, target, spec, sink_codec)
+    except (MediaError, OSError) as error:
+        partial.unlink(missing_ok=True)
+        raise error if isinstance(error, MediaError) else write_error(error, target) from error
+    return FilmWriter(target, partial, spec, sink)
+
+
+def _codec(
+    suffix: str, spec: FilmSpec, name: str | None, crf: float | None, lossless: bool
+) -> video_write.VideoCodec | None:
+    if suffix in hdf5.SUFFIXES:
+        if name is not None or crf is not None:
+            raise MediaError(
+                f"{suffix} films are not coded: leave out codec and crf, or choose .mkv, .nut, .mp4 or .avi"
+            )
+        return None
+    codec = video_write.chosen_codec(suffix, name, crf, lossless)
+    video_write.check_form(spec, suffix, codec.name)
+    return codec
+
+
+def _sink(partial: Path, target: Path, spec: FilmSpec, codec: video_write.VideoCodec | None) -> Sink:
+    if codec is None:
+        return hdf5.Hdf5Sink(partial, target, spec)  # writes faster than a queue hands over
+    return Background(video_write.VideoSink(partial, target, spec, codec))

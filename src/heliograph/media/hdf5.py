@@ -1,0 +1,183 @@
+"""Films in HDF5: a dataset of frames in chunks of one, no filter, and a dataset of their times."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
+from heliograph.media.reader import FilmReader
+from heliograph.media.record import FilmSpec
+from heliograph.media.writer import write_error
+
+SUFFIXES = (".h5", ".hdf5")
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_EXPECTED = "'frames' (frame, row, column) of uint8 or uint16 and 'times_s' (frame,) in seconds"
+_STEP = 256  # frames by which the datasets grow: resizing costs more than writing
+
+
+class _PatientFile:
+    """A file that hides a failed write from HDF5, which crashes the process at exit when told; we look at ``error``."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("w+b", buffering=0)
+        self.error: OSError | None = None
+        self.seek, self.tell, self.read = self._file.seek, self._file.tell, self._file.read
+        self.flush, self.close = self._file.flush, self._file.close
+
+    def readinto(self, buffer: memoryview) -> int:
+        got = self._file.readinto(buffer)
+        return len(buffer) if self.error else got  # what was never written may be asked for again
+
+    def write(self, data: memoryview) -> int:
+        left = memoryview(data).cast("B")
+        while self.error is None and len(left):  # near the end of the disk only a part is taken
+            left = left[self._tried(self._file.write, left) :]
+        return len(data)
+
+    def truncate(self, size: int) -> int:
+        self._tried(self._file.truncate, size)
+        return size
+
+    def _tried(self, call: Callable[..., int], argument: object) -> int:
+        try:
+            return call(argument)
+        except OSError as error:
+            self.error = error
+            return 0
+
+
+class Hdf5Sink:
+    """An HDF5 film being written."""
+
+    def __init__(self, partial: Path, target: Path, spec: FilmSpec) -> None:
+        import h5py
+
+        self._target = target
+        self._count = 0
+        with self._clear_errors():
+            self._disk = _PatientFile(partial)
+            self._file = h5py.File(self._disk, "w")
+            shape, dtype = (spec.height, spec.width), "u1" if spec.bits == 8 else "<u2"
+            limits = {"maxshape": (None, *shape), "chunks": (1, *shape)}
+            self._frames = self._file.create_dataset("frames", (0, *shape), dtype, fillvalue=0, **limits)
+            self._times = self._file.create_dataset("times_s", (0,), "<f8", maxshape=(None,), chunks=(_STEP,))
+            _write_attributes(self._file.attrs, spec)
+
+    def put(self, frame: Frame) -> None:
+        """Append a frame."""
+        with self._clear_errors():
+            if self._count == self._times.shape[0]:
+                self._resize(self._count + _STEP)
+            pixels = np.ascontiguousarray(frame.pixels, dtype=self._frames.dtype)
+            self._frames.id.write_direct_chunk((self._count, 0, 0), pixels)
+            self._times[self._count] = frame.time_s
+            self._count += 1
+
+    def close(self) -> None:
+        """Cut the datasets to the frames written and close the file."""
+        with self._clear_errors():
+            self._resize(self._count)
+            self._file.close()
+            self._disk.close()
+
+    def discard(self) -> None:
+        """Close without caring for the outcome: the file is about to be removed."""
+        with suppress(Exception):
+            self._file.close()
+        self._disk.close()
+
+    def _resize(self, count: int) -> None:
+        self._frames.resize(count, axis=0)
+        self._times.resize(count, axis=0)
+
+    @contextmanager
+    def _clear_errors(self) -> Iterator[None]:
+        try:
+            yield
+            if self._disk.error is not None:
+                raise self._disk.error
+        except (OSError, RuntimeError) as error:  # HDF5 raises either
+            raise write_error(error, self._target) from error
+
+
+class Hdf5Reader(FilmReader):
+    """An HDF5 film; see `FilmReader`."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        with _opened(path) as file:
+            frames = file["frames"]
+            self.frame_count, self.height, self.width = frames.shape
+            self.bits = int(file.attrs.get("bits", 8 * frames.dtype.itemsize))
+            self.metadata = _read_metadata(file.attrs)
+            self.rate_hz = float(file.attrs.get("rate_hz") or _mean_rate(file["times_s"]))
+
+    def _frames(self) -> Iterator[Frame]:
+        if not self.frame_count:
+            raise MediaError(f"{self.path} holds no frames: record it again")
+        with _opened(self.path) as file:
+            frames, index = file["frames"], -1
+            for place, time_s in enumerate(_times(file["times_s"])):
+                try:
+                    pixels = frames[place]
+                except OSError as error:
+                    raise MediaError(f"{self.path} is damaged after {place} whole frames: copy it again") from error
+                index = max(index + 1, round(time_s * self.rate_hz))
+                yield Frame(index, time_s, pixels, self.bits)
+
+
+def _times(dataset: Any) -> Iterator[float]:
+    for start in range(0, dataset.shape[0], 4096):
+        yield from dataset[start : start + 4096].tolist()
+
+
+def _mean_rate(times: Any) -> float:
+    span = float(times[-1] - times[0]) if times.shape[0] > 1 else 0.0
+    return (times.shape[0] - 1) / span if span > 0 else 1.0
+
+
+def _write_attributes(attributes: Any, spec: FilmSpec) -> None:
+    attributes["format"] = "heliograph film"
+    attributes["version"] = 1
+    attributes["rate_hz"] = spec.rate_hz
+    attributes["bits"] = spec.bits
+    attributes["metadata"] = json.dumps(dict(spec.metadata))
+
+
+def _read_metadata(attributes: Any) -> dict[str, str]:
+    try:
+        return {str(name): str(text) for name, text in json.loads(attributes.get("metadata", "{}")).items()}
+    except (ValueError, TypeError, AttributeError):  # somebody else's attribute of the same name
+        return {}
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    import h5py
+
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        if "truncated file" in str(error):
+            raise MediaError(f"{path} ends in the middle and cannot be read: copy or record it again") from error
+        raise MediaError(f"{path} is not a readable HDF5 file, it may be damaged: copy or record it again") from error
+    with file:
+        _check_form(path, file)
+        yield file
+
+
+def _check_form(path: Path, file: Any) -> None:
+    import h5py
+
+    frames, times = file.get("frames"), file.get("times_s")
+    if not (isinstance(frames, h5py.Dataset) and isinstance(times, h5py.Dataset)):
+        held = ", ".join(sorted(file)) or "nothing"
+        raise MediaError(f"{path} is not a film: expected the datasets {_EXPECTED}, it holds {held}")
+    if frames.ndim != 3 or frames.dtype not in (np.uint8, np.uint16) or times.shape != frames.shape[:1]:
+        got = f"'frames' {frames.shape} of {frames.dtype} and 'times_s' {times.shape}"
+        raise MediaError(f"{path} is not a film: expected {_EXPECTED}, got {got}")

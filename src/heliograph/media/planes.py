@@ -1,0 +1,81 @@
+"""Gray levels in and out of the codec's picture buffers, bit for bit."""
+
+import functools
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from heliograph.base.frames import Pixels
+
+if TYPE_CHECKING:
+    import av
+
+LIMITED, FULL = 1, 2  # AVCOL_RANGE_MPEG (16..235) and AVCOL_RANGE_JPEG (0..255)
+
+# Formats whose plane 0 is luma alone, samples in the low bits, little endian.
+_LUMA_FIRST = re.compile(r"(gray|yuva?4[0-4][0-4]p|yuvj4[0-4][0-4]p|nv(12|21|16|24))(9le|1[0-6]le)?")
+_GRAY = {8: "gray", 9: "gray9le", 10: "gray10le", 12: "gray12le", 14: "gray14le", 16: "gray16le"}
+
+
+def gray_format(bits: int) -> str:
+    """Return the smallest gray pixel format that holds ``bits``."""
+    return _GRAY[min(b for b in _GRAY if b >= bits)]
+
+
+def to_video(pixels: Pixels, pixel_format: str) -> "av.VideoFrame":
+    """Copy gray levels of shape (rows, columns) into a full-range picture; colour planes, if any, are neutral gray."""
+    import av
+
+    rows, columns = pixels.shape
+    picture = av.VideoFrame(columns, rows, pixel_format)
+    _plane(picture, 0, 8 * pixels.itemsize)[:rows, :columns] = pixels
+    for index in range(1, len(picture.planes)):
+        _plane(picture, index, 8)[:] = 128
+    picture.color_range = FULL
+    return picture
+
+
+def to_gray(picture: "av.VideoFrame", expand_range: bool) -> tuple[Pixels, int]:
+    """Return a copy of the gray levels, shape (rows, columns), and their bits.
+
+    Luma is read as it is stored; only RGB and packed formats go through a conversion. With ``expand_range`` the limited
+    range 16..235 is stretched to 0..255 (scaled likewise for more bits), and what lies outside is clipped.
+    """
+    limited = is_limited(picture)
+    if not _LUMA_FIRST.fullmatch(picture.format.name):
+        picture = _as_gray(picture)
+    bits = picture.format.components[0].bits
+    pixels = _plane(picture, 0, bits)[: picture.height, : picture.width]
+    if expand_range and limited:
+        return _expansion(bits)[pixels], bits
+    return pixels.copy(), bits
+
+
+def is_limited(picture: "av.VideoFrame") -> bool:
+    """Return whether black is at 16 and white at 235; video that does not say so counts as limited if it is YUV."""
+    name = picture.format.name
+    if picture.format.is_rgb or picture.format.has_palette or name.startswith(("mono", "yuvj")):
+        return False
+    return picture.color_range == LIMITED or (picture.color_range != FULL and not name.startswith("gray"))
+
+
+def _as_gray(picture: "av.VideoFrame") -> "av.VideoFrame":
+    bits = picture.format.components[0].bits
+    # The same range on both sides keeps the levels where they are.
+    return picture.reformat(format=_GRAY.get(max(bits, 8), "gray16le"), src_color_range=FULL, dst_color_range=FULL)
+
+
+def _plane(picture: "av.VideoFrame", index: int, bits: int) -> Pixels:
+    plane: Any = picture.planes[index]  # its lines are padded: go by line_size, not by width
+    if bits == 8:
+        return np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
+    return np.frombuffer(plane, np.uint16).reshape(-1, plane.line_size // 2)
+
+
+@functools.lru_cache
+def _expansion(bits: int) -> Pixels:
+    unit = 1 << (bits - 8)
+    levels = (np.arange(1 << bits) - 16 * unit) * ((1 << bits) - 1) / (219 * unit)
+    levels = np.clip(np.rint(levels), 0, (1 << bits) - 1)
+    return levels.astype(np.uint8) if bits == 8 else levels.astype(np.uint16)

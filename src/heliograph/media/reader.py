@@ -1,0 +1,85 @@
+"""The reading face of every kind of film."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
+
+
+class FilmReader(ABC):
+    """A film opened for reading: iterate it for its frames, one at a time; each iteration starts at the first frame.
+
+    Memory does not grow with the film. Use it as a context manager, or call `close`.
+
+    Attributes
+    ----------
+    path
+        The file.
+    width, height
+        Size in pixels.
+    bits
+        Bits of a gray level.
+    rate_hz
+        Nominal frames per second.
+    frame_count
+        Frames to expect, for a progress display; exact for HDF5, else worked out from the duration, so that dropped
+        frames count as well; None when unknown.
+    metadata
+        Text the writer kept with the film; for foreign films the container's own tags.
+    """
+
+    path: Path
+    width: int
+    height: int
+    bits: int
+    rate_hz: float
+    frame_count: int | None
+    metadata: dict[str, str]
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._running: Iterator[Frame] | None = None
+        self._closed = False
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield the frames in order of time.
+
+        Yields
+        ------
+        Frame
+            Pixels of shape (height, width), uint8 for 8 bit, else uint16; ``time_s`` the start of the exposure in
+            seconds; ``index`` is ``round(time_s * rate_hz)``, so that a dropped frame leaves a gap.
+
+        Raises
+        ------
+        MediaError
+            The film is closed, holds no frames, is damaged, or ends in the middle; every whole frame before the
+            damage is delivered first.
+        """
+        if self._closed:
+            raise MediaError(f"{self.path} is closed: iterate it inside its 'with' block")
+        self._running = self._frames()
+        return self._running
+
+    @abstractmethod
+    def _frames(self) -> Iterator[Frame]: ...
+
+    def close(self) -> None:
+        """Close the film; may be called twice."""
+        self._closed = True
+        stop = getattr(self._running, "close", None)  # a generator holds the file open until it is closed
+        if stop is not None:
+            stop()
+        self._running = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

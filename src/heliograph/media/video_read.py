@@ -1,0 +1,160 @@
+"""Reading video files of any origin as gray frames through PyAV."""
+
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame, Pixels
+from heliograph.media import planes, whole
+from heliograph.media.reader import FilmReader
+from heliograph.media.record import from_tags, restored_time
+
+if TYPE_CHECKING:
+    import av
+    from av.container import InputContainer
+
+DECODER_THREADS = 2
+_TEXT_FORMATS = ("tty", "lrc", "srt", "ass", "webvtt")  # a text file is a film to FFmpeg: of letters on a terminal
+_FALLBACK_HZ = 25.0  # what FFmpeg assumes where nothing is known
+
+
+class VideoReader(FilmReader):
+    """A video file; see `FilmReader`."""
+
+    def __init__(self, path: Path, expand_range: bool) -> None:
+        super().__init__(path)
+        self._expand_range = expand_range
+        with _opened(path) as container:
+            stream = container.streams.video[0]
+            self._record = from_tags(container.metadata)
+            self.width, self.height = stream.codec_context.width, stream.codec_context.height
+            self.metadata = self._record.metadata if self._record else _tags(container)
+            self.rate_hz = self._record.rate_hz if self._record else _rate(stream)
+            self.bits = self._record.bits if self._record else _bits(stream)
+            self.frame_count = _frame_count(container, self.rate_hz)
+
+    def _frames(self) -> Iterator[Frame]:
+        with _opened(self.path) as container:
+            index = -1
+            for count, picture in enumerate(self._pictures(container)):
+                time_s = self._time(picture, count)
+                index = max(index + 1, round(time_s * self.rate_hz))
+                pixels, bits = planes.to_gray(picture, self._expand_range)
+                self._check_size(pixels, count)
+                yield Frame(index, time_s, pixels, self.bits if self._record else bits)
+
+    def _check_size(self, pixels: Pixels, count: int) -> None:
+        if pixels.shape != (self.height, self.width):
+            sizes = f"{self.width}x{self.height} to {pixels.shape[1]}x{pixels.shape[0]}"
+            raise MediaError(f"{self.path} changes its size from {sizes} pixels after {count} frames: cut it there")
+
+    def _pictures(self, container: "InputContainer") -> Iterator["av.VideoFrame"]:
+        """Yield decoded pictures, then raise what is wrong with the rest."""
+        import av
+
+        stream = _prepared(container, strict=self._record is not None)
+        count, damaged = 0, False
+        try:
+            for packet in self._sound_packets(container, stream):
+                for picture in packet.decode() if packet is not None else stream.codec_context.decode(None):
+                    count += 1
+                    yield picture
+                damaged = packet is None
+        except av.error.FFmpegError:
+            damaged = True
+        self._judge_end(count, damaged)
+
+    def _sound_packets(
+        self, container: "InputContainer", stream: "av.VideoStream"
+    ) -> Iterator["av.Packet[av.VideoStream] | None"]:
+        """Yield packets up to the first FFV1 picture with a wrong checksum, in whose place comes None."""
+        check = self._is_own_ffv1(stream)
+        for packet in container.demux(stream):
+            if check and packet.size and not whole.slices_whole(bytes(packet)):
+                yield None
+                return
+            yield packet
+
+    def _is_own_ffv1(self, stream: "av.VideoStream") -> bool:
+        context = stream.codec_context
+        crc = zlib.crc32(context.extradata or b"")
+        return self._record is not None and context.name == "ffv1" and self._record.codec_crc == crc
+
+    def _judge_end(self, count: int, damaged: bool) -> None:
+        cut = whole.ends_early(self.path)
+        if cut or (cut is None and self._record and self.path.suffix.lower() in (".mkv", ".nut")):
+            raise MediaError(f"{self.path} ends in the middle, after {count} whole frames: copy or record it again")
+        if damaged:
+            raise MediaError(f"{self.path} is damaged after {count} whole frames: copy or record it again")
+        if not count:
+            raise MediaError(f"{self.path} holds no frames: record it again")
+
+    def _time(self, picture: "av.VideoFrame", count: int) -> float:
+        if picture.pts is None or picture.time_base is None:
+            return count / self.rate_hz
+        elapsed_s = float(picture.pts * picture.time_base)
+        if self._record is None:
+            return elapsed_s
+        return restored_time(self._record, elapsed_s, float(picture.time_base))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator["InputContainer"]:
+    import av
+
+    try:
+        # "file:" because a colon in a name would be taken for a protocol.
+        container = av.open(f"file:{path}", "r", metadata_errors="replace")
+    except (av.error.FFmpegError, OSError) as error:
+        raise _unreadable(path, error) from error
+    with container:
+        if not container.streams.video or container.format.name in _TEXT_FORMATS:
+            raise MediaError(f"{path} holds no pictures: give a video or an .h5 film")
+        yield container
+
+
+def _unreadable(path: Path, error: Exception) -> MediaError:
+    if isinstance(error, PermissionError):
+        return MediaError(f"not allowed to read {path}: check its rights")
+    if whole.ends_early(path):
+        return MediaError(f"{path} ends in the middle and cannot be read without its end: copy or record it again")
+    return MediaError(f"{path} is not a video that can be read: give a video (.mkv, .nut, .mp4, .avi ...) or .h5 film")
+
+
+def _prepared(container: "InputContainer", strict: bool) -> "av.VideoStream":
+    stream = container.streams.video[0]
+    # Frame threads decode ahead while the caller works on a frame: no reading thread of our own is needed.
+    stream.thread_type = "AUTO"
+    stream.codec_context.thread_count = DECODER_THREADS
+    if strict:  # our own films are perfect or damaged; footage from elsewhere is taken as the decoder mends it
+        stream.codec_context.options = {"err_detect": "explode"}
+    return stream
+
+
+def _tags(container: "InputContainer") -> dict[str, str]:
+    return {**container.metadata, **container.streams.video[0].metadata}
+
+
+def _rate(stream: "av.VideoStream") -> float:
+    rate = stream.average_rate or stream.guessed_rate or stream.base_rate
+    return float(rate) if rate else _FALLBACK_HZ
+
+
+def _bits(stream: "av.VideoStream") -> int:
+    layout = stream.codec_context.format
+    return max(8, layout.components[0].bits) if layout else 8
+
+
+def _frame_count(container: "InputContainer", rate_hz: float) -> int | None:
+    """Return the smaller of what the container counts and what its duration says: edit lists hide stored frames."""
+    stream = container.streams.video[0]
+    counts = [stream.frames] if stream.frames else []
+    if stream.duration and stream.time_base:
+        counts.append(round(stream.duration * float(stream.time_base) * rate_hz))
+    elif container.duration:
+        last = "nut" in container.format.name  # NUT knows the start of the last frame, not its end
+        counts.append(round(container.duration * 1e-6 * rate_hz) + last)
+    return min(counts, default=None)

@@ -1,0 +1,190 @@
+"""Writing video files through PyAV: FFV1 and lossless H.264 bit for bit, H.264 and MJPEG lossy, always full range."""
+
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
+from heliograph.media import planes
+from heliograph.media.record import FilmSpec, Record, fine_time_base, rational_rate, to_tags
+from heliograph.media.writer import write_error
+
+if TYPE_CHECKING:
+    import av
+    from av.container import OutputContainer
+
+CODECS = {  # by suffix, the default first
+    ".mkv": ("ffv1", "h264", "mjpeg"),
+    ".nut": ("ffv1", "h264", "mjpeg"),
+    ".mp4": ("h264",),
+    ".avi": ("mjpeg",),
+}
+MOST_BITS = {"ffv1": 16, "h264": 10, "mjpeg": 8}
+DEFAULT_CRF = 12.0
+ENCODER_THREADS = 2
+_COARSE_HZ = 1000  # Matroska counts milliseconds; AVI's reader distrusts more than 1000 frames a second
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VideoCodec:
+    """How pictures are coded: a name of `CODECS`, H.264's quality (0 best to 51), or lossless H.264."""
+
+    name: str
+    crf: float = DEFAULT_CRF
+    lossless: bool = False
+
+
+def chosen_codec(suffix: str, name: str | None, crf: float | None, lossless: bool) -> VideoCodec:
+    """Return the codec for a suffix of `CODECS`, or raise `MediaError` for what does not go together."""
+    known = CODECS[suffix]
+    name = name or known[0]
+    if name not in known:
+        raise MediaError(f"codec {name!r} does not go into {suffix}: choose one of {', '.join(known)}")
+    if name != "h264" and crf is not None:
+        raise MediaError(f"crf is a setting of h264, the codec of this film is {name}: leave it out")
+    if name == "mjpeg" and lossless:
+        raise MediaError("mjpeg cannot be lossless: choose codec='ffv1' or 'h264' in a .mkv or .nut file")
+    if crf is not None and lossless:
+        raise MediaError("give either crf or lossless, not both: lossless has no quality to choose")
+    if crf is not None and not 0 <= crf <= 51:
+        raise MediaError(f"crf lies between 0 (best) and 51 (smallest), got {crf}")
+    return VideoCodec(name=name, crf=DEFAULT_CRF if crf is None else crf, lossless=lossless)
+
+
+def check_form(spec: FilmSpec, suffix: str, codec: str) -> None:
+    """Raise `MediaError` where container or codec cannot hold a film of this form."""
+    if spec.bits > MOST_BITS[codec]:
+        raise MediaError(f"{codec} holds at most {MOST_BITS[codec]} bits, the film has {spec.bits}: use ffv1 or .h5")
+    if suffix in (".mkv", ".avi") and spec.rate_hz > _COARSE_HZ:
+        raise MediaError(
+            f"{suffix} keeps time to 1 ms at best, too coarse for {spec.rate_hz:g} frames/s: use .nut, .mp4 or .h5"
+        )
+
+
+class VideoSink:
+    """A video file being written. Its header is written with the first frame, whose time belongs into it."""
+
+    def __init__(self, partial: Path, target: Path, spec: FilmSpec, codec: VideoCodec) -> None:
+        self._target = target
+        self._spec = spec
+        self._suffix = target.suffix.lower()
+        self._time_base = _time_base(self._suffix, spec.rate_hz)
+        self._pixel_format, options = _coding(codec, spec)
+        self._start_s: float | None = None
+        self._last_tick = -1
+        with self._clear_errors():
+            self._container = _create(partial, self._suffix)
+            self._stream = self._add_stream(codec, options)
+
+    def put(self, frame: Frame) -> None:
+        """Encode a frame."""
+        with self._clear_errors():
+            if self._start_s is None:
+                self._start_s = frame.time_s
+                self._write_record(frame.time_s)
+            picture = planes.to_video(frame.pixels, self._pixel_format)
+            picture.pts = self._tick(frame.time_s - self._start_s)
+            picture.time_base = self._time_base
+            picture.duration = round(1 / (self._spec.rate_hz * self._time_base))
+            self._container.mux(self._stream.encode(picture))
+
+    def close(self) -> None:
+        """Encode what the codec holds back and write the index."""
+        with self._clear_errors():
+            self._container.mux(self._stream.encode())
+            self._container.close()
+
+    def discard(self) -> None:
+        """Close without caring for the outcome: the file is about to be removed."""
+        with suppress(Exception):
+            self._container.close()
+
+    def _add_stream(self, codec: VideoCodec, options: dict[str, str]) -> "av.VideoStream":
+        import av
+
+        encoder = {"h264": "libx264"}.get(codec.name, codec.name)
+        rate = rational_rate(self._spec.rate_hz)
+        stream = cast(av.VideoStream, self._container.add_stream(encoder, rate=rate, options=options))
+        stream.width, stream.height = self._spec.width, self._spec.height
+        stream.pix_fmt = self._pixel_format
+        stream.time_base = self._time_base
+        context = stream.codec_context
+        context.time_base = self._time_base
+        context.color_range = planes.FULL
+        context.thread_count = ENCODER_THREADS
+        if codec.name == "ffv1":
+            context.gop_size = 1  # every picture stands alone: a damaged one spoils no other
+        context.open()
+        return stream
+
+    def _write_record(self, start_s: float) -> None:
+        record = Record(
+            rate_hz=self._spec.rate_hz,
+            bits=self._spec.bits,
+            start_s=start_s,
+            metadata=dict(self._spec.metadata),
+            codec_crc=zlib.crc32(self._stream.codec_context.extradata or b""),
+        )
+        self._container.metadata.update(to_tags(record, self._suffix))
+
+    def _tick(self, elapsed_s: float) -> int:
+        tick = round(elapsed_s * self._time_base.denominator / self._time_base.numerator)
+        if tick <= self._last_tick:
+            raise MediaError(
+                f"two frames fall on the same {float(self._time_base):.3g} s tick of {self._suffix}, the second "
+                f"{elapsed_s:.9f} s after the start: leave more time between frames, or use .nut or .h5"
+            )
+        if self._suffix == ".avi" and abs(tick - elapsed_s * self._spec.rate_hz) > 0.01:
+            raise MediaError(
+                f".avi holds whole frame periods only, got a frame {elapsed_s:.9f} s after the start "
+                f"at {self._spec.rate_hz:g} frames/s: use .nut, .mp4 or .h5"
+            )
+        self._last_tick = tick
+        return tick
+
+    @contextmanager
+    def _clear_errors(self) -> Iterator[None]:
+        import av
+
+        try:
+            yield
+        except MediaError:
+            raise
+        except (av.error.FFmpegError, OSError) as error:
+            raise write_error(error, self._target) from error
+
+
+def _create(partial: Path, suffix: str) -> "OutputContainer":
+    import av
+
+    options = {"movflags": "use_metadata_tags"} if suffix == ".mp4" else {}  # else MP4 drops tags it does not know
+    # "file:" because a colon in a name would be taken for a protocol.
+    return av.open(f"file:{partial}", "w", options=options)
+
+
+def _time_base(suffix: str, rate_hz: float) -> Fraction:
+    if suffix == ".avi":
+        return 1 / rational_rate(rate_hz)
+    return Fraction(1, 1000) if suffix == ".mkv" else fine_time_base(rate_hz)
+
+
+def _coding(codec: VideoCodec, spec: FilmSpec) -> tuple[str, dict[str, str]]:
+    """Return pixel format and options of the encoder: the fastest that were measured (benchmarks/media.py)."""
+    if codec.name == "ffv1":
+        # Golomb-Rice codes 8 bits at nearly twice the speed of the range coder; more bits need the latter.
+        coder = "0" if spec.bits == 8 else "1"
+        options = {"level": "3", "coder": coder, "context": "0", "slices": "6", "slicecrc": "1"}
+        return planes.gray_format(spec.bits), options
+    if codec.name == "mjpeg":
+        return "yuv420p", {"qmin": "2", "qmax": "2"}
+    quality = {"qp": "0"} if codec.lossless else {"crf": f"{codec.crf:g}"}
+    even = spec.width % 2 == 0 and spec.height % 2 == 0
+    # 4:2:0 for the sake of players, which know nothing else; lossless they cannot play anyway.
+    colour = spec.bits == 8 and even and not codec.lossless
+    pixel_format = "yuv420p" if colour else planes.gray_format(max(spec.bits, 10) if spec.bits > 8 else 8)
+    return pixel_format, {"preset": "ultrafast", "bf": "0", **quality}

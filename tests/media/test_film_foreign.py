@@ -1,0 +1,103 @@
+"""Footage from elsewhere: real recordings, limited range, RGB and packed formats."""
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from heliograph.media import open_film, planes, read_gray_frames
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(("name", "size", "rate", "count"), [
+    ("day-motorway", (960, 540), 25.0, 221),
+    ("day-shade", (1280, 720), 25.0, 100),
+    ("night-road", (1920, 1080), 29.98, 157),
+])  # fmt: skip
+def test_dashcam_footage(data: Path, name: str, size: tuple[int, int], rate: float, count: int) -> None:
+    with read_gray_frames(data / "driving" / f"{name}.mp4") as film:
+        assert (film.width, film.height, film.bits, film.frame_count) == (*size, 8, count)
+        assert film.rate_hz == pytest.approx(rate, abs=0.01)
+        frames = film if name == "day-shade" else [f for f, _ in zip(film, range(5), strict=False)]
+        indices, times = zip(*((f.index, f.time_s) for f in frames), strict=True)
+    assert list(indices) == list(range(len(indices)))
+    assert len(indices) == (100 if name == "day-shade" else 5)
+    assert np.allclose(np.diff(times), 1 / rate, atol=2e-4)
+
+
+@pytest.mark.real_data
+def test_luma_is_plane_0_and_expands_only_if_asked(data: Path) -> None:
+    path = data / "driving" / "day-motorway.mp4"
+    with av.open(str(path)) as container:
+        luma = next(container.decode(video=0)).to_ndarray()[:540, :960]  # yuv420p: the luma rows come first
+    with open_film(path) as plain, open_film(path, expand_range=True) as expanded:
+        levels, stretched = next(iter(plain)).pixels, next(iter(expanded)).pixels
+    assert np.array_equal(levels, luma)
+    assert np.array_equal(stretched, np.clip(np.rint((luma - 16.0) * 255 / 219), 0, 255))
+
+
+def bytes_of(plane: Any) -> NDArray[np.uint8]:
+    return np.frombuffer(plane, np.uint8)
+
+
+def ramp(pixel_format: str, color_range: int) -> av.VideoFrame:
+    picture = av.VideoFrame(64, 16, pixel_format)
+    for plane in picture.planes:
+        bytes_of(plane)[:] = 128
+    picture.color_range = color_range
+    return picture
+
+
+@pytest.mark.parametrize("pixel_format", ["yuv420p", "yuv422p", "yuv444p", "nv12", "gray", "yuyv422", "yuvj420p"])
+@pytest.mark.parametrize("color_range", [planes.LIMITED, planes.FULL])
+def test_levels_are_read_as_stored(pixel_format: str, color_range: int) -> None:
+    picture = ramp(pixel_format, color_range)
+    step = 2 if pixel_format == "yuyv422" else 1
+    lines = bytes_of(picture.planes[0]).reshape(-1, picture.planes[0].line_size)
+    lines[:16, : 64 * step : step] = np.arange(0, 256, 4, dtype=np.uint8)
+    pixels, bits = planes.to_gray(picture, expand_range=False)
+    assert bits == 8
+    assert np.array_equal(pixels, np.tile(np.arange(0, 256, 4), (16, 1)))
+
+
+@pytest.mark.parametrize("color_range", [0, planes.LIMITED, planes.FULL])
+def test_range_of_black_and_white(color_range: int) -> None:
+    picture = ramp("yuv420p", color_range)
+    bytes_of(picture.planes[0])[:3] = 16, 235, 255
+    pixels, _ = planes.to_gray(picture, expand_range=True)
+    assert pixels[0, :3].tolist() == ([16, 235, 255] if color_range == planes.FULL else [0, 255, 255])
+
+
+def test_ten_bits_expand() -> None:
+    picture = ramp("yuv420p10le", planes.LIMITED)
+    bytes_of(picture.planes[0]).view(np.uint16)[:] = 940
+    pixels, bits = planes.to_gray(picture, expand_range=True)
+    assert (bits, pixels.dtype.name, int(pixels.min())) == (10, "uint16", 1023)
+
+
+@pytest.mark.parametrize("pixel_format", ["rgb24", "bgr0", "gbrp"])
+def test_rgb_becomes_gray_without_a_shift(pixel_format: str) -> None:
+    gray = np.tile(np.arange(0, 256, 4, dtype=np.uint8), (16, 1))
+    picture = av.VideoFrame.from_ndarray(np.dstack([gray] * 3), "rgb24").reformat(format=pixel_format)
+    pixels, _ = planes.to_gray(picture, expand_range=True)
+    assert np.abs(pixels.astype(int) - gray).max() <= 1
+
+
+def test_a_film_without_our_record(tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "a.mov"), "w") as container:
+        stream = container.add_stream("mpeg4", rate=Fraction(30000, 1001))
+        stream.width, stream.height, stream.pix_fmt = 64, 16, "yuv420p"
+        for number in range(7):
+            picture = ramp("yuv420p", 0)
+            picture.pts = number
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode())
+    with open_film(tmp_path / "a.mov") as film:
+        assert film.rate_hz == pytest.approx(30000 / 1001)
+        assert film.frame_count == 7
+        assert [f.index for f in film] == list(range(7))
+        assert "major_brand" in film.metadata
