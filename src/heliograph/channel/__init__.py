@@ -1,1 +1,24 @@
-"""channel"""
+"""Equations (1) to (6) made physical: LED patterns -> camera frames, and the truth kept apart.
+
+exposure (PWM slots within the shutter) -> scene and motion (pinhole, vehicle) -> optics (disc, lobe, blur, pixels)
+-> background -> sensor (EMVA 1288).
+"""
+
+from heliograph.channel.camera import film, frame_count
+from heliograph.channel.footage import Footage
+from heliograph.channel.motion import ImuTrace, film_duration
+from heliograph.channel.settings import ChannelSettings, Placement
+from heliograph.channel.truth import ArrayTruth, NoiseModel, Truth
+
+__all__ = [
+    "ArrayTruth",
+    "ChannelSettings",
+    "Footage",
+    "ImuTrace",
+    "NoiseModel",
+    "Placement",
+    "Truth",
+    "film",
+    "film_duration",
+    "frame_count",
+]

@@ -1,1 +1,1 @@
-"""cli"""
+"""The command: a thin face over `heliograph.link` and `heliograph.experiments`."""

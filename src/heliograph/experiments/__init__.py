@@ -1,1 +1,1 @@
-"""experiments"""
+"""Experiments with the link, and reports of them."""

@@ -142,9 +142,7 @@ class ArrayReceiver:
     def _finish(self) -> Packet:
         """Decode what was gathered and begin the next packet."""
         packet, self._packet = self._packet, self._empty()
-        layers = decode_packet(
-            packet.luminances, packet.seen, self._form, self.identity, self._settings.decode
-        )
+        layers = decode_packet(packet.luminances, packet.seen, self._form, self.identity, self._settings.decode)
         header = float(np.mean(packet.header)) if packet.header else 0.0
         status = _status(layers, header, float(packet.seen.mean()))
         self._failures = self._failures + 1 if status in ("no_header", "no_array") else 0

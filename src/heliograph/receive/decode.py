@@ -87,9 +87,7 @@ def _decode_alike(received, form, settings):  # type: ignore[no-untyped-def]
 
 def _decode_group(code, keys, received, settings):  # type: ignore[no-untyped-def]
     llrs = np.stack([received[name][i] for name, i in keys])
-    result = code.decode(
-        llrs, algorithm=settings.algorithm, iterations=settings.iterations, stop="crc", check=check
-    )
+    result = code.decode(llrs, algorithm=settings.algorithm, iterations=settings.iterations, stop="crc", check=check)
     margins = np.abs(result.llr).mean(-1)
     return [(result.bits[i], int(result.iterations[i]), float(margins[i])) for i in range(len(keys))]
 

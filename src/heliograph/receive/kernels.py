@@ -52,8 +52,14 @@ def render(pose, weights, x0, y0, out):  # type: ignore[no-untyped-def]
             a, b = (v - half) * pitch, (u - half) * pitch
             rx, ry = c * a - s * b, s * a + c * b
             px, py = pose[0] + rx - x0, pose[1] + ry - y0
-            left, right = max(0, math.ceil(px - REACH * sigma - 0.5)), min(cols - 1, math.floor(px + REACH * sigma + 0.5))
-            top, bottom = max(0, math.ceil(py - REACH * sigma - 0.5)), min(rows - 1, math.floor(py + REACH * sigma + 0.5))
+            left, right = (
+                max(0, math.ceil(px - REACH * sigma - 0.5)),
+                min(cols - 1, math.floor(px + REACH * sigma + 0.5)),
+            )
+            top, bottom = (
+                max(0, math.ceil(py - REACH * sigma - 0.5)),
+                min(rows - 1, math.floor(py + REACH * sigma + 0.5)),
+            )
             nx, ny = right - left + 1, bottom - top + 1
             if nx <= 0 or ny <= 0:
                 continue
@@ -157,7 +163,9 @@ def alternation(f0, f1, f2, f3, out):  # type: ignore[no-untyped-def]
     for i in range(rows):
         a, b, c, d, o = f0[i], f1[i], f2[i], f3[i], out[i]
         for j in range(cols):
-            o[j] = np.float32(0.25) * np.float32(np.int32(a[j]) - np.int32(d[j]) + 3 * (np.int32(c[j]) - np.int32(b[j])))
+            o[j] = np.float32(0.25) * np.float32(
+                np.int32(a[j]) - np.int32(d[j]) + 3 * (np.int32(c[j]) - np.int32(b[j]))
+            )
 
 
 @njit(cache=True, nogil=True)

@@ -82,10 +82,20 @@ def pack(block: Block, k: int) -> NDArray[np.uint8]:
     room = payload_bytes(k)
     if len(block.payload) > room:
         raise ValueError(f"a block of {k} bits holds {room} bytes of payload, not {len(block.payload)}")
+    _check_fields(block)
     head = bytes([VERSION << 4 | LAYERS.index(block.layer), block.identity, block.stream])
     head += block.sequence.to_bytes(2) + block.length.to_bytes(3)
     body = head + block.payload.ljust(room, b"\0")
     return np.unpackbits(np.frombuffer(body + zlib.crc32(body).to_bytes(4), dtype=np.uint8))
+
+
+def _check_fields(block: Block) -> None:
+    if block.layer not in LAYERS:
+        raise ValueError(f"layers are {', '.join(LAYERS)}, not {block.layer}")
+    largest = {"identity": 255, "stream": 255, "sequence": MAX_SEGMENTS - 1, "length": MAX_MESSAGE}
+    for name, most in largest.items():
+        if not 0 <= getattr(block, name) <= most:
+            raise ValueError(f"a block's {name} is 0 to {most}, not {getattr(block, name)}")
 
 
 def check(bits: NDArray[np.uint8]) -> NDArray[np.bool_]:

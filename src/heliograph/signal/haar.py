@@ -57,7 +57,7 @@ def encode(d: ArrayLike) -> NDArray[np.uint8]:
 
 
 def inverse_transform(d: ArrayLike) -> NDArray[np.float64]:
-    """x' = 1/2 H^T D H of equation (8) for real-valued (..., n, n) coefficients."""
+    """Turn coefficients into x' = 1/2 H^T D H of equation (8); real values, (..., n, n)."""
     s = _halves_to_pairs(_halves_to_pairs(_square(d).astype(np.float64), -1), -2)
     return 0.5 * s
 

@@ -42,7 +42,7 @@ def m_sequence(polynomial: int, state: int = 1) -> NDArray[np.uint8]:
         chips[k] = register & 1
         # a[k + m] = sum_i c_i a[k + i]
         register = register >> 1 | (taps & register).bit_count() % 2 << m - 1
-        if register == state and k < period - 1 or register == 0:
+        if register == 0 or (register == state and k < period - 1):
             raise ValueError(f"polynomial {polynomial:#b} is not primitive: its sequence repeats after {k + 1} chips")
     if register != state:
         raise ValueError(f"polynomial {polynomial:#b} is not primitive: its sequence does not return to its start")

@@ -74,6 +74,10 @@ class _Assembly:
     length: int
     pieces: dict[int, bytes] = field(default_factory=dict)
 
+    def takes(self, block: Block) -> bool:
+        """Whether the block agrees with what is there."""
+        return self.length == block.length and self.pieces.get(block.sequence, block.payload) == block.payload
+
     def whole(self) -> bytes | None:
         if sum(map(len, self.pieces.values())) < self.length:
             return None
@@ -85,27 +89,38 @@ class Reassembler:
     """Puts messages together from blocks in any order, with repeats and gaps; each message comes out once.
 
     Memory is bounded by 256 messages a layer and array. A transmitter that changes a message must change its stream
-    number; a block of another length under the same number starts the message anew.
+    number; a block of another length or content under the same number starts the message anew.
     """
 
     _open: dict[tuple[int, str, int], _Assembly] = field(default_factory=dict)
-    _done: dict[tuple[int, str, int], tuple[int, int]] = field(default_factory=dict)
+    _done: dict[tuple[int, str, int], tuple[int, dict[int, int]]] = field(default_factory=dict)
 
     def add(self, block: Block) -> Message | None:
         """Take a block; return the message it completes, if it does and the message is new."""
         key = (block.identity, block.layer, block.stream)
-        if not block.length or not block.payload or self._done.get(key, (None,))[0] == block.length:
+        if not block.length or not block.payload or self._had(key, block):
             return None
         assembly = self._open.get(key)
-        if assembly is None or assembly.length != block.length:
+        if assembly is None or not assembly.takes(block):
             assembly = self._open[key] = _Assembly(block.length)
         assembly.pieces[block.sequence] = block.payload
         data = assembly.whole()
         if data is None:
             return None
         del self._open[key]
-        self._done[key] = (len(data), zlib.crc32(data))
+        self._done[key] = (len(data), {i: zlib.crc32(piece) for i, piece in assembly.pieces.items()})
         return Message(*key, data)
+
+    def _had(self, key: tuple[int, str, int], block: Block) -> bool:
+        """Whether the block is of the message last completed under its number."""
+        length, pieces = self._done.get(key, (0, {}))
+        if length != block.length:
+            return False
+        if pieces.get(block.sequence) == zlib.crc32(block.payload):
+            return True
+        # same length, other content: the number has come round to a new message
+        del self._done[key]
+        return False
 
     def unfinished(self) -> list[tuple[int, str, int, int, int]]:
         """Messages still lacking segments: (identity, layer, stream, bytes had, bytes in all)."""

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.base.errors import SettingsError
 from heliograph.signal import haar, ook, pwm
 from heliograph.signal.block import MIN_BITS, Block, pack, payload_bytes, whitening
 from heliograph.signal.header import header_levels
@@ -141,9 +142,9 @@ def _plan(name: str, count: int, quarter: int, pairs: int, rate: float) -> Layer
         e = bits // split
         if bits % split == 0 and rate * e <= QPP_SIZES[-1] + 32:
             break
-    k = min((k for k in QPP_SIZES if k <= 0.91 * e), key=lambda k: abs(k - rate * e), default=0)
+    k = min((k for k in QPP_SIZES if 10 * k <= 9 * e), key=lambda k: abs(k - rate * e), default=0)
     if k < MIN_BITS:
-        raise ValueError(
+        raise SettingsError(
             f"{name} layer: {pairs} data pairs give {e} bits a codeword at rate {rate:.3g}, "
             f"too few for a block of {MIN_BITS} bits; raise signal.data_pairs or the rate"
         )

@@ -20,7 +20,7 @@ def _fraction(value: Any) -> Any:
     """Let a rate be written as a fraction, '1/3'."""
     try:
         return float(Fraction(value)) if isinstance(value, str) else value
-    except (ValueError, ZeroDivisionError):
+    except (ValueError, ArithmeticError):
         return value
 
 

@@ -1,5 +1,5 @@
 """Messages -> timed LED patterns."""
 
-from heliograph.transmit.transmitter import TimedPattern, Transmitter, TransmitSettings
+from heliograph.transmit.transmitter import TimedPattern, TransmitSettings, Transmitter
 
 __all__ = ["TimedPattern", "TransmitSettings", "Transmitter"]

@@ -13,6 +13,7 @@ from pydantic.dataclasses import dataclass as checked
 from heliograph.base.config import CONFIG
 from heliograph.signal.block import Block
 from heliograph.signal.header import IDENTITIES
+from heliograph.signal.header import identity as identity_of
 from heliograph.signal.message import Carousel
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS, SignalSettings
@@ -74,7 +75,7 @@ class Transmitter:
         if unknown:
             raise ValueError(f"layers are {', '.join(LAYERS)}, not {', '.join(sorted(unknown))}")
         self.format = PacketFormat(settings)
-        self.identity = identity
+        self.identity = identity_of(identity).number
         self._carousels = {
             name: Carousel(identity, name, messages.get(name, ()), layer.payload_bytes)
             for name, layer in self.format.layers.items()

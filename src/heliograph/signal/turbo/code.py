@@ -1,6 +1,6 @@
 """The turbo code as the rest of the project uses it: one frozen value per block size and rate."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -161,7 +161,7 @@ class TurboCode:
             check=check,
             coded_output=coded_output,
         )
-        return _reshaped(flat, leading)
+        return flat.mapped(lambda array: array.reshape((*leading, *array.shape[1:])))
 
     def _llrs(self, name: str, values: ArrayLike, size: int) -> NDArray[np.float32]:
         array = np.asarray(values)
@@ -172,15 +172,9 @@ class TurboCode:
             raise ValueError(f"{name} must not hold NaN; {wrong} of {array.size} values are NaN")
         if array.dtype != np.float32:
             array = np.clip(array, -LLR_LIMIT, LLR_LIMIT).astype(np.float32)
-        return np.ascontiguousarray(array)
+        # Numba would compile a second kernel for read-only arrays
+        return np.require(array, requirements=["C", "W"])
 
     def _check_shape(self, name: str, array: NDArray[Any], size: int) -> None:
         if array.ndim == 0 or array.shape[-1] != size:
             raise ValueError(f"{name} must have {size} values a block (last axis), not shape {array.shape}")
-
-
-def _reshaped(flat: TurboResult, leading: tuple[int, ...]) -> TurboResult:
-    values = {field.name: getattr(flat, field.name) for field in fields(flat)}
-    return TurboResult(
-        **{name: None if value is None else value.reshape(*leading, *value.shape[1:]) for name, value in values.items()}
-    )

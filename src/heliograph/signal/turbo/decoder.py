@@ -1,13 +1,16 @@
 """Drives the kernel: packs blocks into tiles, stops those that are done, keeps the others together."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.signal.turbo.encoder import TERMINATION
 from heliograph.signal.turbo.options import LLR_LIMIT, Check, DecoderOptions, TurboResult
 
-_CHUNK = 512
-"""Blocks worked on at once: bounds the working memory whatever the caller's batch."""
+_CHUNK_BITS = 2**17
+"""Information bits worked on at once: keeps the tiles near the cache, whatever the caller's batch."""
+_FEWEST, _MOST = 64, 512
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
@@ -47,15 +50,16 @@ def decode_blocks(
     TurboResult
         Arrays of leading shape (B,). A block's result does not depend on the others beside it.
     """
-    result = _empty_result(*llr.shape, len(order), coded_output)
-    for start in range(0, len(llr), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    result = _empty_result(len(llr), len(positions), len(order), coded_output)
+    chunk = min(max(_CHUNK_BITS // len(order), _FEWEST), _MOST)
+    for start in range(0, len(llr), chunk):
+        part = slice(start, start + chunk)
         run = _Run(llr[part], positions, order, options, None if a_priori is None else a_priori[part])
         run.decode(_rows(result, part), check)
     if result.coded_llr is None:
         return result
     received = np.clip(llr, -LLR_LIMIT, LLR_LIMIT)
-    return TurboResult(**(vars(result) | {"coded_extrinsic": result.coded_llr - received}))
+    return replace(result, coded_extrinsic=result.coded_llr - received)
 
 
 def _empty_result(blocks: int, coded_bits: int, k: int, coded_output: bool) -> TurboResult:
@@ -71,7 +75,7 @@ def _empty_result(blocks: int, coded_bits: int, k: int, coded_output: bool) -> T
 
 def _rows(result: TurboResult, part: slice) -> TurboResult:
     """Views of some of the blocks."""
-    return TurboResult(**{name: None if value is None else value[part] for name, value in vars(result).items()})
+    return result.mapped(lambda array: array[part])
 
 
 class _Run:
@@ -84,17 +88,19 @@ class _Run:
         from heliograph.signal.turbo import kernel, tiles
 
         self.kernel, self.tiles = kernel, tiles
-        self.order, self.positions, self.options = order, positions, options
+        # copies, since Numba would compile a second kernel for the read-only originals
+        self.order, self.positions, self.options = order.copy(), positions.copy(), options
         self.scale = np.float32(options.factor)
         self.exact = None if options.algorithm == "max-log" else True
         blocks, k = len(llr), len(order)
         self.blocks = np.arange(blocks)
         self.alive = np.ones(blocks, dtype=np.bool_)
         self.mother = self.tiles.zeros(blocks, 3 * k + TERMINATION)
-        self.tiles.pack(llr, positions, self.mother)
+        self.tiles.pack(llr, self.positions, self.mother)
         if a_priori is not None:
             self.tiles.pack(a_priori, 3 * np.arange(k), self.mother)
         self.passed = self.tiles.zeros(blocks, k)
+        self.work = np.empty(self.kernel.work_size(k), dtype=np.float32)
         self._make_outputs()
 
     def _make_outputs(self) -> None:
@@ -117,7 +123,9 @@ class _Run:
                 return
 
     def _iterate(self, count: int) -> None:
-        self.kernel.iterate(self.mother, self.passed, self.app_1, self.app_2, self.order, count, self.scale, self.exact)
+        self.kernel.iterate(
+            self.mother, self.passed, self.work, self.app_1, self.app_2, self.order, count, self.scale, self.exact
+        )
 
     def _rule_met(self, check: Check | None) -> NDArray[np.bool_]:
         met = np.zeros_like(self.alive)

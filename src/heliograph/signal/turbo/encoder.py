@@ -70,7 +70,7 @@ def _divide_by_feedback(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
     k = bits.shape[-1]
     padded = np.zeros((*bits.shape[:-1], -(-k // _PERIOD) * _PERIOD), dtype=np.uint8)
     padded[..., :k] = taps
-    columns = padded.reshape(*bits.shape[:-1], -1, _PERIOD)
+    columns = padded.reshape(*bits.shape[:-1], padded.shape[-1] // _PERIOD, _PERIOD)
     summed: NDArray[np.uint8] = np.bitwise_xor.accumulate(columns, axis=-2)
     return summed.reshape(padded.shape)[..., :k]
 

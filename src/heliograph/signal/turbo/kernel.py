@@ -35,6 +35,11 @@ _Q0, _Q1, _Q2 = np.float32(0.9552112), np.float32(-0.08592595), np.float32(-0.00
 _Q3, _Q4, _Q5 = np.float32(0.0022492933), np.float32(-0.00021102457), np.float32(6.5708796e-06)
 
 
+def work_size(k: int) -> int:
+    """Values of working memory for blocks of `k` bits."""
+    return (k + 1) * _ROW
+
+
 @_compile
 def _add(a: Any, b: Any, exact: Any) -> Any:
     """ln(exp a + exp b), or the larger."""
@@ -179,7 +184,7 @@ def _siso(
 
 @_compile
 def iterate(
-    mother: Any, passed: Any, app_1: Any, app_2: Any, order: Any, iterations: int, scale: Any, exact: Any
+    mother: Any, passed: Any, work: Any, app_1: Any, app_2: Any, order: Any, iterations: int, scale: Any, exact: Any
 ) -> None:
     """Run full iterations on every tile.
 
@@ -189,13 +194,14 @@ def iterate(
         Input LLRs, a-priori LLRs already added to the systematic ones.
     passed : float32 (tiles, K, 32)
         Scaled extrinsic LLRs of the second decoder, natural order; changed.
+    work : float32 (work_size(K),)
+        Working memory, kept by the caller from call to call since fresh pages cost as much as an iteration.
     app_1, app_2 : float32 (tiles, K, 32)
         Written: a-posteriori LLRs after each half iteration, natural order. May be one array.
     order : int64 (K,)
         Interleaver.
     """
     straight = np.arange(order.size)
-    work = np.empty((order.size + 1) * _ROW, dtype=np.float32)
     beta = np.empty(STATES * L, dtype=np.float32)
     for t in range(mother.shape[0]):
         for _ in range(iterations):

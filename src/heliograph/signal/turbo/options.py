@@ -1,8 +1,8 @@
 """How to decode, and what comes out."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, fields
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,3 +94,9 @@ class TurboResult:
     stopped: NDArray[np.bool_]
     coded_llr: NDArray[np.float32] | None = None
     coded_extrinsic: NDArray[np.float32] | None = None
+
+    def mapped(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> "TurboResult":
+        """The same result with every array changed alike."""
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        changed: dict[str, Any] = {name: None if array is None else change(array) for name, array in arrays.items()}
+        return TurboResult(**changed)

@@ -1,0 +1,228 @@
+"""What is behind the arrays: flat, a drawn scene, or recorded footage, moved with the camera's shake."""
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from heliograph.base.errors import SettingsError
+from heliograph.channel.footage import Footage
+from heliograph.channel.scene import Pose
+from heliograph.channel.settings import CameraSettings, ChannelSettings
+
+Gray = NDArray[np.uint8]
+
+MARGIN_PX = 64
+"""Scene kept beyond each side of the frame for the shake; further out the edge is repeated."""
+
+MOST_FRAMES = 400
+"""Footage frames held in memory; a longer clip is turned back there."""
+
+SCENE_DEPTH_M = 300.0
+"""Distance of a drawn scene: it expands as the vehicle comes nearer."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def warp(
+    light: NDArray[np.float32],
+    corner: tuple[int, int],
+    first: Gray,
+    second: Gray,
+    mix: float,
+    affine: NDArray[np.float64],
+) -> None:
+    """Write a bilinearly interpolated mixture of two images into a window of the light.
+
+    Parameters
+    ----------
+    light, corner
+        (h, w) float32, and (x, y) on the sensor of its first pixel.
+    first, second, mix
+        (H, W) uint8 images; light is (1 - mix) first + mix second.
+    affine
+        (3, 3): sensor pixel -> pixel of the images in rows 0 and 1; ``affine[2, 2]`` is the light of white / 255.
+    """
+    height, width = light.shape
+    last_x, last_y = first.shape[1] - 1.001, first.shape[0] - 1.001
+    share = np.float32(mix)
+    scale = np.float32(affine[2, 2])
+    guess = width
+    for i in range(height):
+        j = 0
+        row = light[i]
+        ax, ay = affine[0, 0], affine[1, 0]
+        bx = affine[0, 1] * (i + corner[1]) + affine[0, 2]
+        by = affine[1, 1] * (i + corner[1]) + affine[1, 2]
+        while j < width:
+            x0 = int(min(max(ax * (j + corner[0]) + bx, 0.0), last_x))
+            y0 = int(min(max(ay * (j + corner[0]) + by, 0.0), last_y))
+            # a run of pixels that read neighbours in the images: whole steps are equal at both of its ends
+            run = min(width - j, 2 * guess)
+            while run > 1:
+                e = j + run - 1 + corner[0]
+                if (
+                    int(min(max(ax * e + bx, 0.0), last_x)) == x0 + run - 1
+                    and int(min(max(ay * e + by, 0.0), last_y)) == y0
+                ):
+                    break
+                run = (run + 1) // 2
+            run = min(run, first.shape[1] - 1 - x0)
+            guess = run
+            a0, a1 = first[y0, x0 : x0 + run + 1], first[y0 + 1, x0 : x0 + run + 1]
+            b0, b1 = second[y0, x0 : x0 + run + 1], second[y0 + 1, x0 : x0 + run + 1]
+            for k in range(run):
+                c = j + k + corner[0]
+                fx = np.float32(min(max(ax * c + bx, 0.0), last_x) - (x0 + k))
+                fy = np.float32(min(max(ay * c + by, 0.0), last_y) - y0)
+                p = np.float32(a0[k]) + share * (np.float32(b0[k]) - np.float32(a0[k]))
+                q = np.float32(a0[k + 1]) + share * (np.float32(b0[k + 1]) - np.float32(a0[k + 1]))
+                r = np.float32(a1[k]) + share * (np.float32(b1[k]) - np.float32(a1[k]))
+                s = np.float32(a1[k + 1]) + share * (np.float32(b1[k + 1]) - np.float32(a1[k + 1]))
+                upper = p + fx * (q - p)
+                row[j + k] = scale * (upper + fy * (r + fx * (s - r) - upper))
+            j += run
+
+
+def image_motion(
+    pose: Pose, index: tuple[int, ...], camera: CameraSettings, size: tuple[int, int], depth_m: float
+) -> NDArray[np.float64]:
+    """Sensor pixel -> pixel of an image (height, width) of the far scene, (3, 3), third row for the caller.
+
+    The rotation K R K^-1 to first order about the optical axis; expansion by depth / (depth - way).
+    """
+    pitch, yaw, roll, way = (a[index] for a in (pose.pitch_rad, pose.yaw_rad, pose.roll_rad, pose.way_m))
+    zoom = max(1 - way / depth_m, 0.05)
+    turn = zoom * np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
+    middle = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
+    look = camera.focal_px * np.array([yaw, -pitch])
+    affine = np.eye(3)
+    affine[:2, :2] = turn
+    affine[:2, 2] = np.array([(size[1] - 1) / 2, (size[0] - 1) / 2]) + look - turn @ middle
+    return affine
+
+
+@dataclass
+class Clip:
+    """Footage on the sensor's pixels, read as far as it is needed, played forward and backward."""
+
+    footage: Footage
+    size: tuple[int, int]
+    held: list[Gray] = field(default_factory=list)
+    source: Iterator[Gray] | None = None
+    ended: bool = False
+
+    def _read_to(self, number: int) -> None:
+        if self.source is None:
+            self.source = iter(self.footage.frames())
+        while len(self.held) <= number and not self.ended:
+            frame = next(self.source, None) if len(self.held) < MOST_FRAMES else None
+            if frame is None:
+                self.ended = True
+            else:
+                self.held.append(cover_size(frame, self.size))
+        if not self.held:
+            raise SettingsError("the footage has no frames")
+
+    def at(self, time_s: float) -> tuple[Gray, Gray, float]:
+        """The two frames about a time, and the share of the second."""
+        place = max(time_s, 0.0) * self.footage.rate_hz
+        whole = int(place)
+        self._read_to(whole + 1)
+        return self._mirrored(whole), self._mirrored(whole + 1), place - whole
+
+    def _mirrored(self, number: int) -> Gray:
+        if number < len(self.held):
+            return self.held[number]
+        period = max(2 * (len(self.held) - 1), 1)
+        number %= period
+        return self.held[min(number, period - number) if len(self.held) > 1 else 0]
+
+
+def cover_size(frame: Gray, size: tuple[int, int]) -> Gray:
+    """Scale a gray frame to cover (height, width), cut about its middle."""
+    import cv2
+
+    if frame.ndim != 2 or frame.dtype != np.uint8 or min(frame.shape) < 2:
+        raise SettingsError(f"footage is gray uint8 frames (rows, columns), not {frame.shape} {frame.dtype}")
+    scale = max(size[0] / frame.shape[0], size[1] / frame.shape[1])
+    height, width = (max(wish, round(have * scale)) for wish, have in zip(size, frame.shape, strict=True))
+    scaled = cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+    top, left = (height - size[0]) // 2, (width - size[1]) // 2
+    return np.ascontiguousarray(scaled[top : top + size[0], left : left + size[1]])
+
+
+def draw_scene(size: tuple[int, int], rng: np.random.Generator) -> Gray:
+    """A street at dusk, (height, width) uint8: sky, road, buildings with windows, round and rectangular lamps."""
+    import cv2
+
+    height, width = size
+    horizon = height // 2
+    sky = np.linspace(110, 60, horizon)
+    road = np.linspace(30, 50, height - horizon)
+    scene = np.repeat(np.concatenate([sky, road])[:, None], width, 1).astype(np.uint8)
+    for left in itertools.accumulate(rng.integers(width // 24, width // 8, 64)):
+        _draw_building(scene, int(left) - width // 8, horizon, rng)
+    for _ in range(rng.integers(12, 24)):
+        x, y = int(rng.integers(width)), int(rng.integers(height // 6, height * 5 // 6))
+        w, h, shade = int(rng.integers(2, 20)), int(rng.integers(2, 16)), int(rng.integers(160, 256))
+        if rng.random() < 0.5:
+            cv2.circle(scene, (x, y), max(w // 2, 1), shade, -1, cv2.LINE_AA)
+        else:
+            cv2.rectangle(scene, (x, y), (x + w, y + h), shade, -1)
+    return np.asarray(cv2.GaussianBlur(scene, (0, 0), 0.6), np.uint8)
+
+
+def _draw_building(scene: Gray, left: int, horizon: int, rng: np.random.Generator) -> None:
+    import cv2
+
+    width, tall = int(rng.integers(30, 120)), int(rng.integers(horizon // 4, horizon))
+    shade = int(rng.integers(20, 90))
+    cv2.rectangle(scene, (left, horizon - tall), (left + width, horizon), shade, -1)
+    for x, y in itertools.product(range(left + 5, left + width - 6, 12), range(horizon - tall + 6, horizon - 8, 16)):
+        lit = int(rng.integers(120, 220)) if rng.random() < 0.3 else shade + 15
+        cv2.rectangle(scene, (x, y), (x + 5, y + 8), lit, -1)
+
+
+Painter = Callable[[NDArray[np.float32], tuple[int, int], float, Pose, tuple[int, ...]], None]
+"""Writes the background into a window of the light: (light, corner, time_s, pose, index into the pose)."""
+
+
+def background(settings: ChannelSettings, footage: Footage | None, rng: np.random.Generator) -> Painter:
+    """The background of a film.
+
+    Raises
+    ------
+    SettingsError
+        kind is "footage" and there is none.
+    """
+    kind, level, gain = settings.background.kind, settings.background.level, settings.background.gain / 255
+    if kind == "flat":
+        return lambda light, *_: light.fill(level)
+    camera = settings.camera
+    size = (camera.height + 2 * MARGIN_PX, camera.width + 2 * MARGIN_PX)
+    if kind == "synthetic":
+        still = draw_scene(size, rng)
+        return _painter(lambda _: (still, still, 0.0), gain, camera, size, SCENE_DEPTH_M)
+    if footage is None:
+        raise SettingsError("background.kind = footage needs recorded frames")
+    return _painter(Clip(footage, size).at, gain, camera, size, np.inf)  # footage expands by itself
+
+
+def _painter(
+    images: Callable[[float], tuple[Gray, Gray, float]],
+    gain: float,
+    camera: CameraSettings,
+    size: tuple[int, int],
+    depth_m: float,
+) -> Painter:
+    def paint(
+        light: NDArray[np.float32], corner: tuple[int, int], time_s: float, pose: Pose, index: tuple[int, ...]
+    ) -> None:
+        affine = image_motion(pose, index, camera, size, depth_m)
+        affine[2, 2] = gain
+        warp(light, corner, *images(time_s), affine)
+
+    return paint

@@ -1,0 +1,32 @@
+"""heliograph demo."""
+
+from pathlib import Path
+
+from heliograph.base.errors import MediaError
+from heliograph.cli import console
+from heliograph.cli.simulate import scene_from
+
+
+def run_demo(
+    output: Path,
+    seed: int,
+    preset: str,
+    file: Path | None,
+    assignments: list[str] | None,
+    background: Path | None,
+    imu: Path | None,
+) -> None:
+    """Simulate, receive, report."""
+    from heliograph.experiments.demo import run
+
+    settings, recordings = scene_from(preset, file, assignments, background, imu)
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MediaError(f"cannot make the folder {output}: {error.strerror}") from None
+    report = run(output, settings, seed, recordings, console.progress)
+    for array in report["arrays"]:
+        layers = ", ".join(f"{n} {t['ok']}/{t['ok'] + t['failed']}" for n, t in array["layers"].items())
+        console.say(f"array {array['id']}: {array['packets']} packets; codewords read: {layers}")
+    console.say(f"{report['frames']} frames at {report['frames_per_second']:.0f} frames/s")
+    console.say(f"look at {output / 'report.html'}")

@@ -1,0 +1,145 @@
+"""The command `heliograph`."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from heliograph.base.errors import HeliographError
+from heliograph.cli import console, options
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Data sent by an LED array, received by a high-speed camera on a moving car.",
+)
+
+High = Annotated[Path | None, options.message_option("high")]
+Middle = Annotated[Path | None, options.message_option("middle")]
+Low = Annotated[Path | None, options.message_option("low")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+@app.command()
+def simulate(
+    film: Annotated[Path, typer.Argument(help="Film to write: .mkv, .nut, .mp4, .avi or .h5.")],
+    preset: options.Preset = "paper",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    seed: options.Seed = 0,
+    background: options.Background = None,
+    imu: options.Imu = None,
+    high: High = None,
+    middle: Middle = None,
+    low: Low = None,
+    codec: Annotated[str | None, typer.Option(help="ffv1, h264 or mjpeg; the suffix has a default.")] = None,
+    crf: Annotated[float | None, typer.Option(help="Quality of lossy H.264, 0 to 51.")] = None,
+    lossless: Annotated[bool, typer.Option(help="H.264 bit for bit.")] = False,
+) -> None:
+    """Film a drive past the arrays, and write its truth beside it."""
+    from heliograph.cli.simulate import run_simulate
+
+    run_simulate(film, preset, settings, assignments, seed, background, imu, (high, middle, low),
+                 {"codec": codec, "crf": crf, "lossless": lossless})  # fmt: skip
+
+
+@app.command()
+def transmit(
+    output: Annotated[Path, typer.Argument(help="Patterns to write: .npy, .csv, or a film (.mkv, .mp4, ...).")],
+    packets: Annotated[int, typer.Option(min=1, help="Packets to write.")] = 10,
+    identity: Annotated[int, typer.Option(min=0, max=29, help="Identity of the array.")] = 0,
+    slots: Annotated[bool, typer.Option("--slots", help="Write on and off by PWM slot instead of levels.")] = False,
+    preset: options.Preset = "paper",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    high: High = None,
+    middle: Middle = None,
+    low: Low = None,
+) -> None:
+    """Write the LED patterns of a transmission."""
+    from heliograph.cli.transmit import run_transmit
+
+    run_transmit(output, packets, identity, slots, preset, settings, assignments, (high, middle, low))
+
+
+@app.command()
+def receive(
+    film: Annotated[Path, typer.Argument(help="Film to read.")],
+    receiver: Annotated[str | None, typer.Option(help="Receiver to use; default of the preset.", show_default=False)] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", metavar="DIR", help="Folder for messages and packet log.", show_default=False)
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option("--truth", metavar="FILE", help="Truth of the film: count errors.", show_default=False)
+    ] = None,
+    preset: options.Preset = "paper",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    as_json: Json = False,
+) -> None:
+    """Find arrays in a film and read what they send."""
+    from heliograph.cli.receive import run_receive
+
+    run_receive(film, receiver, output, truth, preset, settings, assignments, as_json)
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("--output", metavar="DIR", help="Folder for film, messages and report.")] = Path("demo"),
+    seed: options.Seed = 0,
+    preset: options.Preset = "paper",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    background: options.Background = None,
+    imu: options.Imu = None,
+) -> None:
+    """Simulate the paper's drive, receive it, and show what arrived in report.html."""
+    from heliograph.cli.demo import run_demo
+
+    run_demo(output, seed, preset, settings, assignments, background, imu)
+
+
+@app.command()
+def presets(
+    name: Annotated[str | None, typer.Argument(help="Preset to print as TOML.", show_default=False)] = None,
+    as_json: Json = False,
+) -> None:
+    """List the presets, or print one with all its settings."""
+    from heliograph.base.config import to_mapping, to_toml
+    from heliograph.link.settings import PRESETS, load_settings
+
+    if name is None and as_json:
+        console.say_json({key: text for key, (text, _) in PRESETS.items()})
+    elif name is None:
+        for key, (text, _) in PRESETS.items():
+            console.say(f"{key:12} {text}")
+    else:
+        tree = to_mapping(load_settings(name))
+        console.say_json(tree) if as_json else console.say(to_toml(tree).rstrip())
+
+
+def _usage(error: typer.TyperException) -> str:
+    """What is wrong with the command line, in one line; the help where nothing was asked."""
+    text = error.format_message() if hasattr(error, "format_message") else str(error)
+    return text if text.count("\n") > 3 else " ".join(text.split())
+
+
+def run() -> None:
+    """Entry of the command: every error becomes one line and a non-zero status."""
+    try:
+        app(standalone_mode=False)
+    except HeliographError as error:
+        console.complain(str(error))
+        sys.exit(1)
+    except typer.TyperException as error:
+        console.complain(_usage(error))
+        sys.exit(2)
+    except (KeyboardInterrupt, typer.Abort):
+        console.complain("interrupted")
+        sys.exit(console.INTERRUPTED)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(1)

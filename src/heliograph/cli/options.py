@@ -1,0 +1,72 @@
+"""Options that several commands share, and how they become settings."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from heliograph.base.config import parse_toml
+from heliograph.base.errors import MediaError, SettingsError
+
+Preset = Annotated[str, typer.Option("--preset", help="Preset to start from; 'heliograph presets' lists them.")]
+SettingsFile = Annotated[
+    Path | None, typer.Option("--settings", metavar="FILE", help="TOML file laid over the preset.", show_default=False)
+]
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated.", show_default=False),
+]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of road, scene and noise.")]
+Imu = Annotated[
+    Path | None, typer.Option("--imu", metavar="CSV", help="Recorded car motion; sets channel.shake=imu.", show_default=False)
+]
+Background = Annotated[
+    Path | None,
+    typer.Option("--background", metavar="VIDEO", help="Footage behind the arrays; sets channel.background.kind=footage.",
+                 show_default=False),
+]  # fmt: skip
+
+
+def message_option(layer: str):  # type: ignore[no-untyped-def]
+    """An option that names a file to send in a layer."""
+    return typer.Option(f"--{layer}", metavar="FILE", help=f"File to send with {layer} priority.", show_default=False)
+
+
+def settings_from(preset: str, file: Path | None, assignments: list[str] | None):  # type: ignore[no-untyped-def]
+    """Settings of preset, TOML file and assignments, in this order."""
+    from heliograph.link.settings import load_settings
+
+    return load_settings(preset, _toml(file) if file else None, assignments or ())
+
+
+def read_messages(settings, high: Path | None, middle: Path | None, low: Path | None):  # type: ignore[no-untyped-def]
+    """What each array sends: the files given, a text of our own where none is given at all."""
+    from heliograph.link.simulate import default_messages
+
+    files = {"high": high, "middle": middle, "low": low}
+    if not any(files.values()):
+        return default_messages(settings)
+    content = {layer: [read_bytes(path)] for layer, path in files.items() if path}
+    return [content for _ in settings.transmit.identities]
+
+
+def read_bytes(path: Path) -> bytes:
+    """A file's content; a MediaError where it cannot be read or is empty."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise MediaError(f"cannot read {path}: {error.strerror}") from None
+    if not data:
+        raise MediaError(f"{path} is empty: there is nothing to send")
+    return data
+
+
+def _toml(file: Path) -> dict[str, object]:
+    try:
+        return parse_toml(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"cannot read the settings {file}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise SettingsError(f"the settings {file} are no text; write TOML in UTF-8") from None
+    except SettingsError as error:
+        raise SettingsError(f"{file}: {error}") from None

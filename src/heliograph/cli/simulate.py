@@ -1,0 +1,48 @@
+"""heliograph simulate."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from heliograph.cli import console, options
+
+
+def run_simulate(
+    film: Path,
+    preset: str,
+    file: Path | None,
+    assignments: list[str] | None,
+    seed: int,
+    background: Path | None,
+    imu: Path | None,
+    files: tuple[Path | None, Path | None, Path | None],
+    codec: dict[str, Any],
+) -> None:
+    """Simulate a drive into a film."""
+    from heliograph.link.film import frames_of, write_film
+    from heliograph.link.truth import truth_path
+
+    settings, recordings = scene_from(preset, file, assignments, background, imu)
+    messages = options.read_messages(settings, *files)
+    try:
+        with console.progress("simulating", frames_of(settings)) as advance:
+            count = write_film(film, settings, messages, seed, recordings, advance, **codec)
+    except KeyboardInterrupt:
+        console.complain(f"interrupted; {film} holds the frames so far")
+        sys.exit(console.INTERRUPTED)
+    console.say(f"{film}: {count} frames; truth in {truth_path(film)}")
+
+
+def scene_from(preset, file, assignments, background, imu):  # type: ignore[no-untyped-def]
+    """Settings and recordings of a simulation; a recording that is given is used."""
+    from heliograph.link.recordings import load_footage, load_imu
+    from heliograph.link.simulate import Recordings
+
+    changes = list(assignments or ())
+    if background:
+        changes.insert(0, "channel.background.kind='footage'")
+    if imu:
+        changes.insert(0, "channel.shake='imu'")
+    settings = options.settings_from(preset, file, changes)
+    footage = load_footage(background) if background else None
+    return settings, Recordings(footage=footage, imu=load_imu(imu) if imu else None)

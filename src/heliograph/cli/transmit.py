@@ -1,0 +1,97 @@
+"""heliograph transmit."""
+
+import os
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.errors import HeliographError, MediaError
+from heliograph.base.frames import Frame
+from heliograph.cli import console, options
+
+LED_PX = 16
+"""Pixels of a side of an LED in a film of patterns."""
+
+
+def run_transmit(
+    output: Path,
+    packets: int,
+    identity: int,
+    slots: bool,
+    preset: str,
+    file: Path | None,
+    assignments: list[str] | None,
+    files: tuple[Path | None, Path | None, Path | None],
+) -> None:
+    """Write the patterns of a transmission: levels, or on and off by slot."""
+    from heliograph.signal import pwm
+    from heliograph.transmit import Transmitter
+
+    changes = [*(assignments or ()), f"transmit.identities=[{identity}]"]
+    settings = options.settings_from(preset, file, changes)
+    sender = Transmitter(settings.signal, identity, options.read_messages(settings, *files)[0])
+    count = packets * settings.signal.packet_patterns
+    patterns = islice(sender.levels(), count)
+    period, brightest = settings.signal.pattern_period_s, pwm.SLOTS
+    if slots:
+        patterns = (slot for p in patterns for slot in pwm.lit_slots(p, settings.signal.slot_order).astype(np.uint8))
+        count, period, brightest = count * pwm.SLOTS, period / pwm.SLOTS, 1
+    with console.progress("transmitting", count) as advance:
+        _write(output, _counted(patterns, advance), (count, settings.signal.side), period, brightest)
+    console.say(f"{output}: {count} patterns of {period * 1e3:g} ms, {count * period:g} s")
+
+
+def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], period: float, top: int) -> None:
+    if output.suffix in (".npy", ".csv"):
+        partial = output.with_name(f".{output.name}.partial")
+        try:
+            (_write_npy if output.suffix == ".npy" else _write_csv)(partial, patterns, size, period)
+            os.replace(partial, output)
+        except OSError as error:
+            raise MediaError(f"cannot write {output}: {error.strerror}; make room or choose another place") from None
+        finally:
+            partial.unlink(missing_ok=True)
+        return
+    _write_film(output, patterns, size[1], period, top)
+
+
+def _write_npy(path: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], period: float) -> None:
+    """(patterns, n, n) uint8."""
+    count, side = size
+    header = {"descr": "|u1", "fortran_order": False, "shape": (count, side, side)}
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)  # type: ignore[arg-type]
+        for pattern in patterns:
+            file.write(pattern.tobytes())
+
+
+def _write_csv(path: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], period: float) -> None:
+    """A line a pattern: time in s, then the LEDs row by row."""
+    side = size[1]
+    with path.open("w", encoding="ascii") as file:
+        file.write("time_s," + ",".join(f"led_{u}_{v}" for u in range(side) for v in range(side)) + "\n")
+        for index, pattern in enumerate(patterns):
+            file.write(f"{index * period:.9g}," + ",".join(map(str, pattern.ravel().tolist())) + "\n")
+
+
+def _write_film(path: Path, patterns: Iterator[NDArray[np.uint8]], side: int, period: float, top: int) -> None:
+    """A film of the array itself, for a screen; gray stands for the lit share."""
+    from heliograph.media import create_film
+
+    edge, block = side * LED_PX, np.ones((LED_PX, LED_PX), dtype=np.uint8)
+    try:
+        with create_film(path, width=edge, height=edge, rate_hz=1 / period) as film:
+            for index, pattern in enumerate(patterns):
+                gray = (pattern.astype(np.uint16) * 255 // top).astype(np.uint8)
+                film.write(Frame(index, index * period, np.kron(gray, block)))
+    except MediaError as error:
+        raise HeliographError(f"{error}; patterns are also written as .npy and .csv") from None
+
+
+def _counted(patterns: Iterator[NDArray[np.uint8]], advance) -> Iterator[NDArray[np.uint8]]:  # type: ignore[no-untyped-def]
+    for number, pattern in enumerate(patterns, 1):
+        yield pattern
+        advance(number)

@@ -1,0 +1,103 @@
+"""Pictures of a reception."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from heliograph.link.errors import BIN_M, LayerErrors
+from heliograph.signal.settings import LAYERS
+
+COLOURS = {"high": "#1b6ca8", "middle": "#d1741f", "low": "#5b8c3a"}
+
+
+def image_row(images: Sequence[NDArray[Any]], titles: Sequence[str], rows: int = 1, largest: float = 255) -> Figure:
+    """Gray images side by side, in `rows` rows, each with a title."""
+    columns = -(-len(images) // rows)
+    figure = Figure(figsize=(min(2.0 * columns, 12), 2.3 * rows))
+    for k, (image, title) in enumerate(zip(images, titles, strict=True)):
+        axes = figure.add_subplot(rows, columns, k + 1)
+        axes.imshow(image, cmap="gray", vmin=0, vmax=largest, interpolation="nearest")
+        axes.set_title(title, fontsize=9)
+        axes.set_axis_off()
+    figure.tight_layout(pad=0.4)
+    return figure
+
+
+def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, title: str) -> Figure:
+    """A whole frame, the array marked, and the array enlarged beside it."""
+    figure = Figure(figsize=(12, 3.6))
+    whole, near = figure.subplots(1, 2, width_ratios=(2.2, 1))
+    whole.imshow(pixels, cmap="gray", vmin=0, vmax=255)
+    for axes in (whole, near):
+        axes.set_xticks([])
+        axes.set_yticks([])
+    box_x = [x - half, x + half, x + half, x - half, x - half]
+    whole.plot(box_x, [y - half, y - half, y + half, y + half, y - half], color="#ff6b35", lw=1)
+    near.imshow(pixels, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    near.set_xlim(x - half, x + half)
+    near.set_ylim(y + half, y - half)
+    whole.set_title(title, fontsize=10)
+    near.set_title("the array", fontsize=10)
+    figure.tight_layout()
+    return figure
+
+
+def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping[str, NDArray[Any]]) -> Figure:
+    """Position and distance over time, found and true, and the errors of position."""
+    figure = Figure(figsize=(12, 6))
+    axes = figure.subplots(2, 2, sharex=True)
+    panels = (("x", "x (px)"), ("y", "y (px)"), ("distance_m", "distance (m)"))
+    for (name, label), place in zip(panels, axes.flat, strict=False):
+        place.plot(times, truth[name], color="#b9c0c8", lw=3, label="true")
+        place.plot(times, found[name], color="#1b6ca8", lw=0.8, label="found")
+        place.set_ylabel(label)
+    axes[0, 0].legend(frameon=False)
+    for name, colour in (("x", "#1b6ca8"), ("y", "#d1741f")):
+        axes[1, 1].plot(times, found[name] - truth[name], color=colour, lw=0.6, label=f"error of {name}")
+    axes[1, 1].set_ylabel("error (px)")
+    axes[1, 1].set_ylim(-0.3, 0.3)
+    axes[1, 1].legend(frameon=False, ncols=2)
+    for place in axes[1]:
+        place.set_xlabel("time (s)")
+    _clean(figure)
+    return figure
+
+
+def errors_by_distance(bins: Mapping[float, Mapping[str, LayerErrors]]) -> Figure:
+    """Bit error rate before and after the turbo code, by layer; no error counted is an arrow at its upper bound."""
+    figure = Figure(figsize=(12, 4.2))
+    for axes, kind, title in zip(figure.subplots(1, 2), ("raw", "bits"), ("before", "after"), strict=True):
+        for name in LAYERS:
+            counts = [(start + BIN_M / 2, getattr(layers[name], kind)) for start, layers in bins.items()]
+            _error_line(axes, [(z, c) for z, c in counts if c.trials], name)
+        axes.set_yscale("log")
+        axes.set_ylim(1e-5, 1)
+        axes.set_xlabel("distance (m)")
+        axes.set_ylabel("bit error rate")
+        axes.set_title(f"{title} the turbo code", fontsize=10)
+        axes.legend(frameon=False)
+    _clean(figure)
+    return figure
+
+
+def _error_line(axes: Any, counts: Sequence[tuple[float, Any]], name: str) -> None:
+    colour = COLOURS[name]
+    seen = [(z, c.rate, *c.interval()) for z, c in counts if c.errors]
+    if seen:
+        z, rate, low, high = np.array(seen).T
+        axes.errorbar(z, rate, (rate - low, high - rate), color=colour, marker="o", ms=4, lw=1.2, capsize=2, label=name)
+    free = [(z, 3 / c.trials) for z, c in counts if not c.errors]
+    if free:
+        z, bound = np.array(free).T
+        label = None if seen else name
+        axes.plot(z, bound, color=colour, marker=r"$\downarrow$", ms=9, ls="none", alpha=0.7, label=label)
+
+
+def _clean(figure: Figure) -> None:
+    for axes in figure.axes:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(alpha=0.25, lw=0.6)
+    figure.tight_layout()

@@ -1,0 +1,126 @@
+"""Backgrounds: warp against a reference, mirrored clips, real footage."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from heliograph.base.errors import SettingsError
+from heliograph.channel import ChannelSettings, Footage, film
+from heliograph.channel.background import Clip, cover_size, draw_scene, image_motion, warp
+from heliograph.channel.scene import Pose, rotation
+from heliograph.channel.settings import BackgroundSettings
+
+SIZE = (96, 160)
+
+
+def noise(seed: int, size: tuple[int, int] = SIZE) -> NDArray[np.uint8]:
+    return np.random.default_rng(seed).integers(0, 256, size).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("turn", "shift"),
+    [(np.eye(2), (20.3, 10.7)), ([[1, -4e-3], [4e-3, 1]], (18.2, 9.9)), ([[0.7, 0.01], [-0.01, 0.7]], (-5.0, 60.0))],
+)
+def test_warp_is_bilinear_interpolation(turn: NDArray[np.float64], shift: tuple[float, float]) -> None:
+    first, second = noise(1), noise(2)
+    affine = np.eye(3)
+    affine[:2, :2], affine[:2, 2], affine[2, 2] = turn, shift, 0.9 / 255
+    light = np.empty((64, 100), np.float32)
+    warp(light, (3, 5), first, second, 0.3, affine)
+    rows, columns = np.indices(light.shape) + np.array([5, 3])[:, None, None]
+    x = np.clip(affine[0, 0] * columns + affine[0, 1] * rows + affine[0, 2], 0, SIZE[1] - 1.001)
+    y = np.clip(affine[1, 0] * columns + affine[1, 1] * rows + affine[1, 2], 0, SIZE[0] - 1.001)
+    mixed = 0.7 * first.astype(float) + 0.3 * second
+    assert light == pytest.approx(0.9 / 255 * map_coordinates(mixed, [y, x], order=1), abs=1e-5)
+
+
+def test_background_moves_with_the_arrays() -> None:
+    # far points move by K R K^-1: to first order the background's shift
+    camera = ChannelSettings().camera
+    pitch, yaw, roll = 2e-3, -1e-3, 3e-3
+    pose = Pose(*(np.array([v]) for v in (0.0, 0.0, pitch, yaw, roll)))
+    affine = image_motion(pose, (0,), camera, (camera.height, camera.width), np.inf)
+    lens = np.array([[camera.focal_px, 0, 511.5], [0, camera.focal_px, 255.5], [0, 0, 1]])
+    turn = lens @ rotation(pitch, yaw, roll) @ np.linalg.inv(lens)
+    for point in ([511.5, 255.5], [300.0, 100.0], [800.0, 400.0]):
+        exact = turn @ np.array([*point, 1])
+        assert affine[:2] @ np.array([*point, 1]) == pytest.approx(exact[:2] / exact[2], abs=0.15)
+
+
+def test_clip_runs_forward_and_backward() -> None:
+    images = [np.full((4, 8), k, np.uint8) for k in range(4)]
+    clip = Clip(Footage(lambda: iter(images), 10.0), (4, 8))
+    shown = [int(clip.at(t / 10 + 0.01)[0][0, 0]) for t in range(12)]
+    assert shown == [0, 1, 2, 3, 2, 1, 0, 1, 2, 3, 2, 1]
+    first, second, mix = clip.at(0.125)
+    assert (first[0, 0], second[0, 0]) == (1, 2)
+    assert mix == pytest.approx(0.25)
+
+
+def test_clip_is_read_only_as_far_as_needed() -> None:
+    read = []
+
+    def frames() -> Iterator[NDArray[np.uint8]]:
+        for k in range(100):
+            read.append(k)
+            yield np.full((4, 8), k, np.uint8)
+
+    Clip(Footage(frames, 10.0), (4, 8)).at(0.35)
+    assert len(read) == 5
+
+
+def test_single_image_stands_still() -> None:
+    clip = Clip(Footage(lambda: iter([noise(0)]), 10.0), SIZE)
+    assert np.array_equal(clip.at(3.14)[0], noise(0))
+
+
+def test_broken_footage_is_refused() -> None:
+    with pytest.raises(SettingsError, match="no frames"):
+        Clip(Footage(lambda: iter(()), 10.0), SIZE).at(0)
+    with pytest.raises(SettingsError, match="gray uint8"):
+        cover_size(np.zeros((4, 4, 3), np.uint8), SIZE)
+    with pytest.raises(ValueError, match="rate above 0, not 0"):
+        Footage(lambda: iter(()), 0.0)
+
+
+def test_footage_covers_the_frame_without_distortion() -> None:
+    frame = np.zeros((90, 160), np.uint8)
+    frame[35:55, 70:90] = 255  # a square stays a square
+    scaled = cover_size(frame, (640, 1152)) > 128
+    assert scaled.shape == (640, 1152)
+    assert scaled.any(0).sum() == pytest.approx(scaled.any(1).sum(), abs=2)
+
+
+def test_drawn_scene_has_dark_and_bright_and_follows_the_seed() -> None:
+    a, b, c = (draw_scene((640, 1152), np.random.default_rng(s)) for s in (1, 1, 2))
+    assert np.array_equal(a, b)
+    assert not np.array_equal(a, c)
+    assert a.max() > 180
+    assert 20 < a.mean() < 120
+
+
+@pytest.mark.real_data
+def test_real_footage_becomes_a_film(data: Path) -> None:
+    import av
+
+    def frames() -> Iterator[NDArray[np.uint8]]:
+        with av.open(str(data / "driving" / "day-shade.mp4")) as container:
+            for frame in container.decode(video=0):
+                plane = frame.planes[0]
+                yield (
+                    np.frombuffer(memoryview(plane), np.uint8)
+                    .reshape(-1, plane.line_size)[: frame.height, : frame.width]
+                    .copy()
+                )
+
+    settings = ChannelSettings(duration_s=0.05, shake="road", background=BackgroundSettings(kind="footage"))
+    lights = [iter([np.full((16, 16), 2, np.uint8)] * 60)]
+    made = list(film(settings, lights, np.random.default_rng(0), pattern_period_s=1e-3, footage=Footage(frames, 25)))
+    assert len(made) == 50
+    first = next(frames())
+    assert made[0][0].pixels.mean() == pytest.approx(first.mean(), rel=0.15)
+    assert made[0][0].pixels.std() > 20

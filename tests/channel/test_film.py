@@ -1,0 +1,241 @@
+"""The channel as a whole: timing, windows, truth, and what a film is refused for."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from heliograph.base.config import from_mapping, to_mapping
+from heliograph.base.errors import SettingsError
+from heliograph.base.frames import Frame
+from heliograph.channel import ChannelSettings, Footage, Placement, Truth, film, frame_count
+from heliograph.channel.settings import BackgroundSettings, CameraSettings, EmitterSettings, SensorSettings
+
+T_B = 1e-3
+FINE = SensorSettings(full_well_e=1e7, dark_noise_e=0, bits=12)
+"""A sensor almost without noise, to look at the light."""
+
+
+def patterns(seed: int = 0, side: int = 16) -> Iterator[NDArray[np.uint8]]:
+    rng = np.random.default_rng(seed)
+    return (rng.integers(0, 5, (side, side)).astype(np.uint8) for _ in itertools.count())
+
+
+def constant(level: int, side: int = 16) -> Iterator[NDArray[np.uint8]]:
+    return itertools.repeat(np.full((side, side), level, np.uint8))
+
+
+def still(**changes: object) -> ChannelSettings:
+    return from_mapping(ChannelSettings, {"speed_m_s": 0, "duration_s": 0.003, **changes})
+
+
+def shoot(
+    settings: ChannelSettings, *lights: Iterator[NDArray[np.uint8]], seed: int = 7, **more: Any
+) -> list[tuple[Frame, Truth]]:
+    lights = lights or tuple(patterns(k) for k in range(len(settings.arrays)))
+    return list(film(settings, lights, np.random.default_rng(seed), pattern_period_s=T_B, **more))
+
+
+def footage(frames: int = 5, seed: int = 3) -> Footage:
+    clip = np.random.default_rng(seed).integers(0, 256, (frames, 90, 160)).astype(np.uint8)
+    return Footage(lambda: iter(clip), 25.0)
+
+
+@pytest.mark.parametrize("kind", ["flat", "synthetic", "footage"])
+@pytest.mark.parametrize("bits", [8, 12])
+def test_window_is_the_frame_bit_for_bit(kind: str, bits: int) -> None:
+    settings = ChannelSettings(
+        distance_m=31,
+        duration_s=0.06,
+        shake="road",
+        road_class="D",
+        background=BackgroundSettings(kind=kind),  # type: ignore[arg-type]
+        arrays=(Placement(roll_deg=3), Placement(x_m=1.1, z_offset_m=7, yaw_deg=20, clock_ppm=80, start_s=0.0103)),
+        camera=CameraSettings(fps=250, width=320, height=256, exposure_s=0.9e-3),
+        sensor=SensorSettings(bits=bits, dark_noise_e=0 if bits == 12 else 40),
+    )
+    more: dict[str, Any] = {"footage": footage()} if kind == "footage" else {}
+    whole, part = shoot(settings, **more), shoot(settings, roi_margin_px=5, **more)
+    assert len(whole) == len(part) == 15
+    for (frame, truth), (window, same) in zip(whole, part, strict=True):
+        x, y = window.origin
+        height, width = window.pixels.shape
+        assert 20 < height < 256
+        assert np.array_equal(window.pixels, frame.pixels[y : y + height, x : x + width])
+        assert (frame.index, frame.time_s, frame.bits) == (window.index, window.time_s, window.bits)
+        assert [a.patterns for a in truth.arrays] == [a.patterns for a in same.arrays]
+
+
+def test_repeats_with_the_seed_and_changes_with_it() -> None:
+    a, b, c = (shoot(still(), seed=seed)[1][0].pixels for seed in (1, 1, 2))
+    assert np.array_equal(a, b)
+    assert not np.array_equal(a, c)
+
+
+@pytest.mark.parametrize("distance_m", [60.0, 80.0, 150.0])
+def test_unresolved_array_has_the_surface_brightness_all_on(distance_m: float) -> None:
+    settings = still(distance_m=distance_m, arrays=[{"x_m": 0, "y_m": 0, "brightness": 0.5}])
+    settings = replace(settings, sensor=FINE, emitter=EmitterSettings(panel_level=0))
+    frame, truth = shoot(settings, constant(4))[0]
+    x, y, pitch = truth.arrays[0].x, truth.arrays[0].y, truth.arrays[0].pitch_px
+    half = round(3 * pitch)
+    patch = frame.pixels[round(y) - half : round(y) + half + 1, round(x) - half : round(x) + half + 1] / 4095
+    assert patch.mean() == pytest.approx(0.4, rel=0.02)
+
+
+def test_levels_are_shares_of_the_exposure() -> None:
+    settings = replace(still(arrays=[{"x_m": 0, "y_m": 0}]), sensor=FINE)
+    sums = [float(shoot(settings, constant(level))[0][0].pixels.astype(float).sum()) for level in range(5)]
+    assert np.diff(sums) == pytest.approx(np.full(4, (sums[4] - sums[0]) / 4), rel=1e-3)
+
+
+def test_short_exposure_reads_the_slots_it_sees() -> None:
+    # a quarter of T_b from 0.5 ms on sees slot 2 alone: dark at level 2, lit at level 3
+    camera = CameraSettings(exposure_s=0.25e-3, start_s=0.5e-3)
+    settings = replace(still(arrays=[{"x_m": 0, "y_m": 0}]), camera=camera, sensor=FINE)
+    light = [float(shoot(settings, constant(level))[0][0].pixels.astype(float).sum()) for level in range(5)]
+    assert light[1] == pytest.approx(light[0], rel=1e-4)
+    assert light[2] == pytest.approx(light[0], rel=1e-4)
+    assert light[3] == pytest.approx(light[4], rel=1e-4)
+    assert light[4] > light[0] * 1.001
+
+
+def test_dark_before_the_start_and_after_the_end() -> None:
+    settings = still(duration_s=0.006, arrays=[{"x_m": 0, "y_m": 0, "start_s": 0.0015}])
+    truths = [truth for _, truth in shoot(settings, itertools.islice(patterns(), 3))]
+    assert [t.arrays[0].patterns for t in truths] == [(), (0,), (0, 1), (1, 2), (2,), ()]
+
+
+def test_clocks_drift_apart() -> None:
+    settings = still(duration_s=0.3, camera={"width": 64, "height": 64}, arrays=[{"clock_ppm": 5000.0}])
+    truths = [truth for _, truth in shoot(settings)]
+    assert truths[299].arrays[0].patterns == (297, 298) or truths[299].arrays[0].patterns == (297,)
+    own = replace(settings, camera=CameraSettings(width=64, height=64, clock_ppm=5000.0))
+    filmed = shoot(own)
+    assert all(t.arrays[0].patterns == (t.index,) for _, t in filmed)
+    assert filmed[200][0].time_s == pytest.approx(0.2)
+    assert filmed[200][1].time_s == pytest.approx(0.201)
+
+
+def test_truth_is_where_the_light_is() -> None:
+    placement = Placement(x_m=0.7, y_m=-0.4, roll_deg=10, yaw_deg=15)
+    emitter = EmitterSettings(half_angle_deg=89.9)
+    dark = replace(
+        ChannelSettings(distance_m=30, duration_s=0.05, shake="road", arrays=(placement,)), sensor=FINE, emitter=emitter
+    )
+    dark = replace(dark, background=BackgroundSettings(level=0.02))
+    for frame, truth in shoot(dark, constant(4), roi_margin_px=6)[::10]:
+        array = truth.arrays[0]
+        light = frame.pixels - 82.0
+        rows, columns = np.indices(light.shape)
+        assert frame.origin[0] + (light * columns).sum() / light.sum() == pytest.approx(
+            array.x, abs=0.03
+        )  # the near side is brighter
+        assert frame.origin[1] + (light * rows).sum() / light.sum() == pytest.approx(array.y, abs=0.03)
+        corner = array.homography @ np.array([0.1, 0.0, 1.0])
+        right = corner[:2] / corner[2] - (array.x, array.y)
+        assert np.arctan2(right[1], right[0]) == pytest.approx(array.roll_rad, abs=1e-3)
+        assert array.visible
+        assert array.pitch_px == pytest.approx(
+            0.02 * 0.035 / 12e-6 / array.distance_m * np.cos(np.radians(15)) ** 0.5, rel=2e-2
+        )
+
+
+@pytest.mark.parametrize("level", [2, 4])
+@pytest.mark.parametrize("vx_m_s", [2.0, 12.0])
+def test_long_exposure_is_the_mean_of_short_ones(vx_m_s: float, level: int) -> None:
+    # (6): the integral over the open shutter, along the motion (0.2 and 1.2 px) and over the PWM slots
+    parts = 20
+    small = CameraSettings(width=128, height=96)
+    base = replace(
+        still(distance_m=30, duration_s=1.5e-3),
+        arrays=(Placement(x_m=0, y_m=0, vx_m_s=vx_m_s, vy_m_s=1, brightness=0.3),),  # no pixel saturates
+        camera=small,
+        sensor=FINE,
+        background=BackgroundSettings(level=0.02),  # as the panel, which is drawn at its middle pose
+    )
+    whole = shoot(base, constant(level))[0][0].pixels
+    mean = np.zeros(whole.shape)
+    for k in range(parts):
+        camera = replace(small, exposure_s=1e-3 / parts, start_s=k * 1e-3 / parts)
+        mean += shoot(replace(base, camera=camera), constant(level))[0][0].pixels / parts
+    assert np.abs(whole - mean).max() < 0.001 * 4095
+    assert whole.max() > 800
+
+
+def test_default_drive_is_the_reference_link() -> None:
+    assert frame_count(ChannelSettings()) == 6600
+    frames = film(ChannelSettings(), [patterns()], np.random.default_rng(0), pattern_period_s=T_B, roi_margin_px=2)
+    first: Truth = next(frames)[1]
+    assert first.arrays[0].distance_m == pytest.approx(80, abs=0.01)
+    assert first.arrays[0].pitch_px == pytest.approx(0.729, abs=1e-3)
+    assert first.arrays[0].patterns == (0,)
+    assert first.noise.sigma(0.4) == pytest.approx(0.006, rel=0.05)
+
+
+def test_near_panel_hides_a_far_array() -> None:
+    two = [{"x_m": 0, "y_m": 0, "z_offset_m": 20}, {"x_m": 0, "y_m": 0}]
+    settings = replace(still(arrays=two, distance_m=20), sensor=FINE)
+    hidden = shoot(settings, constant(4), constant(0))[0][0].pixels
+    alone = shoot(settings, constant(0), constant(0))[0][0].pixels
+    assert np.abs(hidden.astype(int) - alone).max() <= 16
+    assert hidden[255, 511] / 4095 == pytest.approx(settings.emitter.panel_level, abs=1e-3)
+
+
+def test_array_behind_or_turned_away_is_not_seen() -> None:
+    settings = ChannelSettings(distance_m=1.0, duration_s=0.2)
+    assert not shoot(settings, roi_margin_px=3)[-1][1].arrays[0].visible
+    flat = ChannelSettings(distance_m=40, speed_m_s=0, duration_s=0.001, arrays=())
+    assert shoot(flat, roi_margin_px=3)[0][0].pixels.shape == (1, 1)
+
+
+def test_settings_survive_their_mapping() -> None:
+    settings = ChannelSettings(arrays=(Placement(), Placement(x_m=-1)), speed_profile=((0, 1), (2, 3)))
+    assert from_mapping(ChannelSettings, to_mapping(settings)) == settings
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"camera": {"exposure_s": 2e-3}}, "exposure_s is at most 1 / fps = 0.001 s, not 0.002 s"),
+        ({"distance_m": 20}, "stop_m is below distance_m"),
+        ({"speed_profile": [[1, 2], [0, 3]]}, "times of speed_profile rise"),
+        ({"speed_profile": [[1, -2]]}, "speeds are at least 0, not -2"),
+        ({"emitter": {"diameter_m": 0.03}}, "diameter_m is at most pitch_m"),
+        ({"sensor": {"bits": 16}}, "less than or equal to 12"),
+        ({"camera": {"exposure": 1}}, "did you mean 'camera.exposure_s'"),
+        ({"shake": "waves"}, "shake"),
+    ],
+)
+def test_settings_are_refused_in_one_line(change: dict[str, object], message: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        from_mapping(ChannelSettings, change)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_misuse_is_refused_in_one_line() -> None:
+    with pytest.raises(SettingsError, match=r"one stream of patterns an array: 1, not 2"):
+        shoot(still(), patterns(), patterns())
+    with pytest.raises(SettingsError, match=r"exposure is at most T_b = 0.0005 s"):
+        film(still(), [patterns()], np.random.default_rng(0), pattern_period_s=5e-4)
+    with pytest.raises(SettingsError, match=r"pass footage"):
+        film(still(background={"kind": "footage"}), [patterns()], np.random.default_rng(0), pattern_period_s=T_B)
+    with pytest.raises(SettingsError, match=r"pass imu"):
+        shoot(still(shake="imu"))
+    with pytest.raises(SettingsError, match=r"permutation of 0 to 3"):
+        shoot(still(), slot_order=(0, 1, 2, 2))
+    with pytest.raises(SettingsError, match=r"at least 0, not -1"):
+        shoot(still(), roi_margin_px=-1)
+    with pytest.raises(ValueError, match=r"show no pattern"):
+        shoot(still(), iter(()))
+    with pytest.raises(ValueError, match=r"levels of array 0 are 0 to 4, not 5"):
+        shoot(still(), constant(5))
+    with pytest.raises(ValueError, match=r"\(n, n\) uint8"):
+        shoot(still(), iter([np.zeros((4, 4), np.uint8), np.zeros((8, 8), np.uint8)]))
+    with pytest.raises(SettingsError, match=r"does not drive 55 m"):
+        shoot(ChannelSettings(speed_profile=((0, 1), (1, 0))))

@@ -1,0 +1,168 @@
+"""Road, half-car and IMU trace against their theory."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from heliograph.channel import ChannelSettings, ImuTrace, Placement, film_duration
+from heliograph.channel.motion import STEP_S, HalfCar, Travel, imu_shake, motion, road_shake
+from heliograph.channel.road import ROUGHNESS_M3, STEP_M, RoadProfile, road_profile, roughness
+from heliograph.channel.scene import Pose, centre_scale, homography, project, rotation
+
+
+@pytest.mark.parametrize("road_class", "ABCD")
+def test_spectrum_of_the_road_is_iso_8608(road_class: str) -> None:
+    road = road_profile(road_class, 3000, np.random.default_rng(1)).height_m
+    per_m, density = welch(road, 1 / STEP_M, nperseg=1 << 14)
+    for low in (0.02, 0.05, 0.1, 0.3, 1.0, 3.0):
+        band = (per_m >= low) & (per_m < low * 1.3)
+        assert density[band].mean() == pytest.approx(roughness(road_class, per_m[band]).mean(), rel=0.1)
+    assert roughness(road_class, 0.1) == pytest.approx(ROUGHNESS_M3[road_class])
+
+
+def test_road_is_smooth_between_samples_and_repeats() -> None:
+    road = road_profile("A", 100, np.random.default_rng(0))
+    length = road.height_m.size * STEP_M
+    way = np.linspace(0, 50, 999)
+    assert road.at(way + length) == pytest.approx(road.at(way), abs=1e-9)
+    assert length >= 100
+
+
+@pytest.mark.parametrize("hz", [0.8, 3.0, 11.0, 20.0])
+def test_half_car_follows_its_transfer_function(hz: float) -> None:
+    car, time = HalfCar(), np.arange(0, 15, STEP_S)
+    delay = (car.front_m + car.rear_m) / 8.0  # the rear axle rolls over the same road later
+    middle = time + STEP_S / 2
+    road = 0.01 * np.stack([np.sin(2 * np.pi * hz * middle), np.sin(2 * np.pi * hz * (middle - delay))], -1)
+    q = car.ride(road, STEP_S)[-2500:]  # whole periods
+    wave = np.exp(-2j * np.pi * hz * time[-2500:])
+    reached = 2j * (q * wave[:, None]).mean(0)
+    expected = car.response(hz) @ (0.01 * np.array([1, np.exp(-2j * np.pi * hz * delay)]))
+    assert np.abs(reached - expected).max() < 0.01 * np.abs(expected).max()
+
+
+def test_car_settles_on_a_slope() -> None:
+    # a long triangle of slope 2 %: far from its corners the car climbs with the slope, camera and all
+    way = STEP_M * np.arange(1 << 16)
+    road = RoadProfile(0.02 * np.minimum(way, way[-1] - way))
+    late = road_shake(Travel(np.zeros(1), np.array([20.0])), road, 6, 12)(np.array([12.0]))[0]
+    assert late[1] == pytest.approx(0.02, rel=1e-2)
+    assert late[0] == pytest.approx(0.02 * (20 * 12 + HalfCar().camera_m), rel=1e-2)
+    assert late[2:] == pytest.approx([0, 0])
+
+
+def test_standing_car_is_not_shaken() -> None:
+    settings = ChannelSettings(speed_m_s=0, shake="road", road_class="D")
+    pose = motion(settings, None, np.random.default_rng(0)).pose(np.linspace(0, 1, 50))
+    assert np.ptp(pose.pitch_rad) < 1e-9
+    assert np.ptp(pose.way_m) == 0
+
+
+def test_pitch_rate_grows_with_the_road_class() -> None:
+    rates = []
+    for road_class in "ABCD":
+        settings = ChannelSettings(shake="road", road_class=road_class)  # type: ignore[arg-type]
+        pose = motion(settings, None, np.random.default_rng(5)).pose(np.arange(0, 6.6, 1e-3))
+        rates.append(np.diff(pose.pitch_rad).std() * 1e3)
+    assert np.array(rates[1:]) / rates[:-1] == pytest.approx([2, 2, 2], rel=1e-3)
+    assert 0.003 < rates[1] < 0.1  # rad/s, class B at 30 km/h
+
+
+def test_travel_integrates_the_speed() -> None:
+    profile = ((1.0, 4.0), (3.0, 8.0), (5.0, 0.0))
+    travel = Travel.of(ChannelSettings(speed_profile=profile))
+    time = np.linspace(0, 7, 70_001)
+    summed = np.concatenate([[0], np.cumsum((travel.speed(time)[1:] + travel.speed(time)[:-1]) / 2 * np.diff(time))])
+    assert travel.way(time) == pytest.approx(summed, abs=1e-6)
+    assert travel.way(travel.time_of(17.5)) == pytest.approx(17.5)
+    assert film_duration(ChannelSettings()) == pytest.approx(6.6)
+
+
+def gyro(seconds: float, hz: float, rate: float) -> ImuTrace:
+    t = np.arange(0, seconds, 1 / 104)
+    zero = np.zeros_like(t)
+    return ImuTrace.from_columns(t, zero, rate * np.sin(2 * np.pi * hz * t), zero, zero)
+
+
+def test_gyro_is_integrated_above_the_steering() -> None:
+    time = np.linspace(10, 30, 5000)
+    pitch = imu_shake(gyro(60, 5.0, 0.1), 0, 0, 40)(time)[:, 1]
+    expected = -0.1 / (2 * np.pi * 5) * np.cos(2 * np.pi * 5 * time)
+    assert pitch == pytest.approx(expected, abs=2e-5)
+    slow = imu_shake(gyro(60, 0.03, 0.1), 0, 0, 40)(time)[:, 1]
+    assert np.abs(slow).max() < 0.02 * 0.1 / (2 * np.pi * 0.03)
+
+
+def test_long_drive_has_no_jump_and_no_kink() -> None:
+    time = np.arange(0, 100, 1e-3)
+    pitch = imu_shake(gyro(20, 1.3, 0.1), 3, 0, 100)(time)[:, 1]
+    assert np.abs(np.diff(pitch)).max() < 0.15e-3
+    assert np.abs(np.diff(pitch, 2)).max() < 6e-6
+
+
+@pytest.mark.real_data
+def test_recorded_trace_keeps_its_pitch_rate(data: Path) -> None:
+    rows = np.loadtxt(data / "motion" / "car-imu.csv", delimiter=",", skiprows=1)
+    trace = ImuTrace.from_columns(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], rows[:, 7])
+    time = np.arange(1, 50, 1e-3)
+    pitch = imu_shake(trace, 0, 0, 55)(time)[:, 1]
+    per_hz, density = welch(np.diff(pitch) * 1e3, 1e3, nperseg=10_000)
+    raw_hz, raw = welch(rows[:, 2], 104.2, nperseg=1042)
+    for low, high in ((0.7, 2), (2, 5), (5, 15), (15, 30)):
+        rms = np.sqrt(raw[(raw_hz >= low) & (raw_hz < high)].sum() * raw_hz[1])
+        made = np.sqrt(density[(per_hz >= low) & (per_hz < high)].sum() * per_hz[1])
+        assert made == pytest.approx(rms, rel=0.1)
+    assert 2917 * np.abs(np.diff(pitch)).max() < 1.2
+
+
+def test_recorded_speed_becomes_a_profile() -> None:
+    t = np.arange(0, 10, 0.01)
+    profile = ImuTrace.from_columns(t, t, t, t, 2 * t).speed_profile(2.5)
+    assert np.array(profile) == pytest.approx(np.array([[0, 0], [2.5, 5], [5, 10], [7.5, 15]]))
+    assert film_duration(ChannelSettings(speed_profile=profile, distance_m=40, stop_m=15)) == pytest.approx(5)
+
+
+def test_array_moves_by_itself() -> None:
+    time = np.array([0.0, 2.0])
+    pose = Pose(*[np.zeros(2)] * 5)
+    maps, eye = homography(pose, time, Placement(x_m=0, vx_m_s=0.5, vy_m_s=-0.25), 50.0, ChannelSettings().camera)
+    image, _ = project(maps, np.zeros((1, 2)))
+    assert image[1, 0] - image[0, 0] == pytest.approx(np.array([1, -0.5]) * 0.035 / 12e-6 / 50)
+    assert eye[1] == pytest.approx([-1, 1.5, -50])
+
+
+def test_broken_trace_is_refused() -> None:
+    t = np.arange(40.0)
+    with pytest.raises(ValueError, match="columns of one length of at least 32"):
+        ImuTrace.from_columns(t, t, t, t, t[:-1])
+    with pytest.raises(ValueError, match="finite values and rising times"):
+        ImuTrace.from_columns(t[::-1], t, t, t, t)
+
+
+def test_turns_move_the_image_as_they_are_named() -> None:
+    camera = ChannelSettings().camera
+    small = 1e-3
+
+    def image(pitch: float = 0, yaw: float = 0, roll: float = 0, heave: float = 0) -> NDArray[np.float64]:
+        pose = Pose(*(np.array([v]) for v in (0.0, heave, pitch, yaw, roll)))
+        one, _ = homography(pose, np.zeros(1), Placement(), 50.0, camera)
+        return np.asarray(project(one[0], np.zeros((1, 2)))[0][0])
+
+    rest = image()
+    assert image(pitch=small) - rest == pytest.approx([0, 2.917], abs=0.01)  # nose up: the array sinks in the image
+    assert image(yaw=small) - rest == pytest.approx([-2.917, 0], abs=0.01)
+    assert image(roll=small) - rest == pytest.approx([-58.3e-3, -87.5e-3], abs=1e-3)  # turns against the clock
+    assert image(heave=0.01) - rest == pytest.approx([0, 0.583], abs=1e-3)
+    assert rotation(0.1, 0.2, 0.3) @ rotation(0.1, 0.2, 0.3).T == pytest.approx(np.eye(3), abs=1e-12)
+
+
+def test_scale_is_the_slope_of_the_map() -> None:
+    camera = ChannelSettings().camera
+    pose = Pose(*(np.array([v]) for v in (1.0, 0.1, 0.01, 0.02, 0.03)))
+    one, _ = homography(pose, np.zeros(1), Placement(yaw_deg=20, pitch_deg=-10, roll_deg=5), 30.0, camera)
+    step = 1e-5
+    image, _ = project(one[0], np.array([[0, 0], [step, 0], [0, step]]))
+    assert centre_scale(one)[0] == pytest.approx(((image[1:] - image[0]) / step).T, rel=1e-4)

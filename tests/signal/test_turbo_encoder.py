@@ -1,0 +1,200 @@
+"""Turbo encoder, interleaver and rate matching against vectors made by others."""
+
+import csv
+import re
+from math import gcd
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from heliograph.base.errors import SettingsError
+from heliograph.signal.turbo import QPP_SIZES, TurboCode, nearest_size
+from heliograph.signal.turbo.encoder import encode_constituent, encode_mother
+from heliograph.signal.turbo.qpp import coefficients, interleaver
+from heliograph.signal.turbo.rate_match import selection
+from heliograph.signal.turbo.trellis import NEXT_STATE, PARITY, TAIL
+
+Bits = NDArray[np.uint8]
+
+
+def read_bits(path: Path) -> Bits:
+    return np.array(re.findall(r"[01]", path.read_text()), dtype=np.uint8)
+
+
+def in_block_order(mother: Bits) -> Bits:
+    """d0 d1 d2 interleaved -> the streams S, P1, P2 one after another, as MATLAB's lteTurboEncode puts them."""
+    return mother.reshape(-1, 3).T.ravel()
+
+
+@pytest.mark.real_data
+def test_interleaver_table_is_the_standards(data: Path) -> None:
+    with (data / "turbo" / "turbo_coeffs.csv").open(encoding="utf-8-sig") as file:
+        rows = [tuple(map(int, (row["K"], row["f1"], row["f2"]))) for row in csv.DictReader(file)]
+    assert rows == [(k, *coefficients(k)) for k in QPP_SIZES]
+
+
+def test_every_interleaver_is_a_permutation_with_the_qpp_property() -> None:
+    for k in QPP_SIZES:
+        order = interleaver(k)
+        assert np.array_equal(np.sort(order), np.arange(k))
+        # f1 is coprime to K: needed for a permutation polynomial (Sun and Takeshita, 2005)
+        assert gcd(coefficients(k)[0], k) == 1
+        # even positions stay even: what lets the standard's decoders work without memory conflicts
+        assert np.array_equal(order % 2, np.arange(k) % 2)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("k", [40, 112, 168, 432])
+def test_sionna_vectors(data: Path, k: int) -> None:
+    bits, coded = (np.load(data / "turbo" / f"ref_k{k}_{name}.npy") for name in "ux")
+    assert np.array_equal(TurboCode(k=k).encode(bits), coded)
+
+
+@pytest.mark.real_data
+def test_matlab_k40(data: Path) -> None:
+    """The first 40 input bits (the file goes on) give the 132 coded bits, in block order S P1 P2."""
+    folder = data / "turbo" / "matlab"
+    bits = read_bits(folder / "test_turboCode.infile")[:40]
+    expected = read_bits(folder / "test_turboCode.outfile.ground")
+    assert np.array_equal(in_block_order(TurboCode(k=40).encode(bits)), expected)
+
+
+@pytest.mark.real_data
+def test_matlab_k5504(data: Path) -> None:
+    """`infile` is lteTurboEncode's output in block order S P1 P2, `ground` its 5504 information bits."""
+    folder = data / "turbo" / "matlab"
+    coded, bits = (read_bits(folder / f"test_decodeTurbo.{end}") for end in ("infile", "outfile.ground"))
+    assert np.array_equal(in_block_order(TurboCode(k=5504).encode(bits)), coded)
+    decoded = TurboCode(k=5504).decode(4.0 * (1 - 2.0 * coded.reshape(3, -1).T.ravel()))
+    assert np.array_equal(decoded.bits, bits)
+
+
+# (stream length D, coded bits E, redundancy version) of each call, in file order
+MATLAB_CALLS = [(8, 10, 0), (8, 100, 2), (24, 60, 1), (24, 600, 0), (836, 5796, 0)]
+
+
+@pytest.mark.real_data
+def test_matlab_rate_matching(data: Path) -> None:
+    """Five calls of the rate matcher, one after another in both files.
+
+    The input is one 32-bit pattern over and over (its line ends mean nothing; 2700 of the 4160 bits are used).
+    Each call takes the next 3 D bits as the streams S, P1, P2 in block order and yields E bits: MATLAB_CALLS,
+    whose E add up to the 6566 bits of the ground. They are the calls of test_rateMatchTurbo.m in
+    microsoft/OTP4LTE-U, where the files come from; D need not be K + 4 of a code. All have Ncb = Kw, and they
+    cover puncturing, repetition, three redundancy versions and dummy bits (D = 8, 24, 836 fill no rectangle).
+    """
+    folder = data / "turbo" / "matlab"
+    pattern = read_bits(folder / "test_rateMatchTurbo.infile")
+    expected = read_bits(folder / "test_rateMatchTurbo.outfile.ground")
+    taken, sent = 0, []
+    for stream_length, coded_bits, version in MATLAB_CALLS:
+        streams = pattern[taken : taken + 3 * stream_length].reshape(3, stream_length)
+        sent.append(streams.T.ravel()[selection(stream_length, coded_bits, version)])
+        taken += 3 * stream_length
+    assert np.array_equal(np.concatenate(sent), expected)
+
+
+@given(st.lists(st.integers(0, 1), min_size=3, max_size=60))
+def test_constituent_encoder_is_the_shift_register(bits: list[int]) -> None:
+    """The loop-free encoder against the figure 5.1.3-2, walked bit by bit."""
+    parity, tail = encode_constituent(np.array(bits, dtype=np.uint8))
+    state, walked = 0, []
+    for bit in bits:
+        walked.append(PARITY[state, bit])
+        state = NEXT_STATE[state, bit]
+    assert parity.tolist() == walked
+    assert tail.tolist() == TAIL[state].tolist()
+
+
+def test_tail_leads_home() -> None:
+    for start in range(8):
+        state = start
+        for x, z in TAIL[start].reshape(3, 2):
+            assert PARITY[state, x] == z
+            state = NEXT_STATE[state, x]
+        assert state == 0
+
+
+def test_impulse_response_of_the_parity_has_period_seven() -> None:
+    """1 + D^2 + D^3 is primitive, so a single one rings with period 2^3 - 1."""
+    parity, _ = encode_constituent(np.eye(1, 64, dtype=np.uint8)[0])
+    assert np.array_equal(parity[1:50], parity[8:57])
+    assert parity[1:8].sum() == 4
+
+
+def test_code_is_linear() -> None:
+    rng = np.random.default_rng(1)
+    a, b = rng.integers(0, 2, (2, 104), dtype=np.uint8)
+    code = TurboCode(k=104, coded_bits=250)
+    assert np.array_equal(code.encode(a) ^ code.encode(b), code.encode(a ^ b))
+
+
+@given(st.sampled_from(QPP_SIZES), st.floats(0.1, 0.9), st.integers(0, 3))
+def test_rate_matching_fills_any_length(k: int, rate: float, version: int) -> None:
+    """Exactly E bits, every mother bit once before any is repeated."""
+    coded_bits, mother_bits = int(np.ceil(k / rate)), 3 * k + 12
+    counts = np.bincount(
+        TurboCode(k=k, coded_bits=coded_bits, redundancy_version=version).positions, minlength=mother_bits
+    )
+    assert counts.sum() == coded_bits
+    assert counts.size == mother_bits
+    assert counts.max() - counts.min() <= 1
+
+
+def test_encode_takes_any_leading_shape() -> None:
+    bits = np.random.default_rng(2).integers(0, 2, (2, 3, 40))
+    code = TurboCode(k=40, coded_bits=100)
+    coded = code.encode(bits)
+    assert coded.shape == (2, 3, 100)
+    assert coded.dtype == np.uint8
+    assert np.array_equal(coded[1, 2], code.encode(bits[1, 2]))
+    assert code.encode(bits[:0]).shape == (0, 3, 100)
+    assert np.array_equal(code.encode(bits.astype(bool)), coded)
+
+
+def test_any_permutation_will_do() -> None:
+    mother = encode_mother(np.array([1, 0, 1, 1, 0, 0, 1, 0], dtype=np.uint8), np.arange(8)[::-1])
+    assert mother.shape == (36,)
+
+
+def test_nearest_size() -> None:
+    assert [nearest_size(k) for k in (1, 40, 41, 1025, 6144)] == [40, 40, 48, 1056, 6144]
+    for wrong in (0, 6145):
+        with pytest.raises(SettingsError, match=f"1 to 6144 information bits, not {wrong}"):
+            nearest_size(wrong)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"k": 1000}, r"not 1000; the nearest is 992 or 1008"),
+        ({"k": 7}, r"not 7; the nearest is 40"),
+        ({"k": 9000}, r"not 9000; the nearest is 6144"),
+        ({"k": 1024, "coded_bits": 1137}, r"k = 1024 at rate 9/10 .* coded_bits >= 1138, not 1137"),
+        ({"k": 1024, "coded_bits": 3072, "redundancy_version": 4}, r"0, 1, 2 or 3, not 4"),
+        ({"k": 1024, "redundancy_version": 2}, r"redundancy_version 2 needs coded_bits"),
+    ],
+)
+def test_settings_that_make_no_code(settings: dict[str, int], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        TurboCode(**settings)
+
+
+def test_bits_that_are_none() -> None:
+    code = TurboCode(k=40)
+    with pytest.raises(ValueError, match=r"40 values a block .* shape \(41,\)"):
+        code.encode(np.zeros(41, dtype=np.uint8))
+    with pytest.raises(ValueError, match="0 or 1, not int64 up to 2"):
+        code.encode(np.full(40, 2))
+    with pytest.raises(ValueError, match="not float64"):
+        code.encode(np.zeros(40))
+    with pytest.raises(ValueError, match=r"not shape \(\)"):
+        code.encode(1)
+    with pytest.raises(SettingsError, match="at least 1"):
+        selection(0, 5)
+    with pytest.raises(SettingsError, match="not 9"):
+        selection(44, 5, 9)
