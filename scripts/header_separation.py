@@ -42,9 +42,11 @@ def blur_overlap(t: Floats, pitch_px: float) -> Floats:
     def second_integral(x: Floats) -> Floats:
         # of the Gaussian: x Phi(x) + sigma^2 phi(x)
         density = np.exp(-(x**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
-        return x * 0.5 * erfc(-x / np.sqrt(2 * variance)) + variance * density
+        integral: Floats = x * 0.5 * erfc(-x / np.sqrt(2 * variance)) + variance * density
+        return integral
 
-    return second_integral(t + 1) - 2 * second_integral(t) + second_integral(t - 1)
+    overlap: Floats = second_integral(t + 1) - 2 * second_integral(t) + second_integral(t - 1)
+    return overlap
 
 
 def cell_overlaps(shifts_px: Floats, pitch_px: float) -> Floats:
@@ -52,7 +54,8 @@ def cell_overlaps(shifts_px: Floats, pitch_px: float) -> Floats:
     led = np.arange(SIDE) * pitch_px
     overlap = blur_overlap(led[:, None] - led[None] - shifts_px[:, None, None], pitch_px)
     width = SIDE // CELLS
-    return overlap.reshape(-1, CELLS, width, CELLS, width).sum((2, 4))
+    cells: Floats = overlap.reshape(-1, CELLS, width, CELLS, width).sum((2, 4))
+    return cells
 
 
 def header_products(shifts_px: Floats, pitch_px: float) -> Floats:

@@ -26,11 +26,15 @@ def say_json(value: Any) -> None:
     say(json.dumps(value))
 
 
+def _quiet(done: int, /) -> None:
+    """Show no progress."""
+
+
 @contextlib.contextmanager
 def progress(title: str, total: int | None) -> Iterator[Callable[[int], None]]:
     """A progress bar on a terminal, nothing in a pipe; call it with the number done."""
     if not sys.stderr.isatty():
-        yield lambda done: None
+        yield _quiet
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

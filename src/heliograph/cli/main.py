@@ -68,12 +68,16 @@ def transmit(
 @app.command()
 def receive(
     film: Annotated[Path, typer.Argument(help="Film to read.")],
-    receiver: Annotated[str | None, typer.Option(help="Receiver to use; default of the preset.", show_default=False)] = None,
+    receiver: Annotated[
+        str | None, typer.Option(help="Receiver to use; default of the preset.", show_default=False)
+    ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", metavar="DIR", help="Folder for messages and packet log.", show_default=False)
+        Path | None,
+        typer.Option("--output", metavar="DIR", help="Folder for messages and packet log.", show_default=False),
     ] = None,
     truth: Annotated[
-        Path | None, typer.Option("--truth", metavar="FILE", help="Truth of the film: count errors.", show_default=False)
+        Path | None,
+        typer.Option("--truth", metavar="FILE", help="Truth of the film: count errors.", show_default=False),
     ] = None,
     preset: options.Preset = "paper",
     settings: options.SettingsFile = None,
@@ -88,7 +92,9 @@ def receive(
 
 @app.command()
 def demo(
-    output: Annotated[Path, typer.Option("--output", metavar="DIR", help="Folder for film, messages and report.")] = Path("demo"),
+    output: Annotated[
+        Path, typer.Option("--output", metavar="DIR", help="Folder for film, messages and report.")
+    ] = Path("demo"),
     seed: options.Seed = 0,
     preset: options.Preset = "paper",
     settings: options.SettingsFile = None,

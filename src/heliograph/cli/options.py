@@ -1,12 +1,16 @@
 """Options that several commands share, and how they become settings."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from heliograph.base.config import parse_toml
 from heliograph.base.errors import MediaError, SettingsError
+
+if TYPE_CHECKING:
+    from heliograph.link.settings import LinkSettings
+    from heliograph.link.simulate import Messages
 
 Preset = Annotated[str, typer.Option("--preset", help="Preset to start from; 'heliograph presets' lists them.")]
 SettingsFile = Annotated[
@@ -18,35 +22,37 @@ Assignments = Annotated[
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of road, scene and noise.")]
 Imu = Annotated[
-    Path | None, typer.Option("--imu", metavar="CSV", help="Recorded car motion; sets channel.shake=imu.", show_default=False)
+    Path | None,
+    typer.Option("--imu", metavar="CSV", help="Recorded car motion; sets channel.shake=imu.", show_default=False),
 ]
 Background = Annotated[
     Path | None,
-    typer.Option("--background", metavar="VIDEO", help="Footage behind the arrays; sets channel.background.kind=footage.",
-                 show_default=False),
-]  # fmt: skip
+    typer.Option("--background", metavar="VIDEO", help="Film to put behind the arrays.", show_default=False),
+]
 
 
-def message_option(layer: str):  # type: ignore[no-untyped-def]
+def message_option(layer: str) -> Any:
     """An option that names a file to send in a layer."""
     return typer.Option(f"--{layer}", metavar="FILE", help=f"File to send with {layer} priority.", show_default=False)
 
 
-def settings_from(preset: str, file: Path | None, assignments: list[str] | None):  # type: ignore[no-untyped-def]
+def settings_from(preset: str, file: Path | None, assignments: list[str] | None) -> "LinkSettings":
     """Settings of preset, TOML file and assignments, in this order."""
     from heliograph.link.settings import load_settings
 
     return load_settings(preset, _toml(file) if file else None, assignments or ())
 
 
-def read_messages(settings, high: Path | None, middle: Path | None, low: Path | None):  # type: ignore[no-untyped-def]
+def read_messages(
+    settings: "LinkSettings", high: Path | None, middle: Path | None, low: Path | None
+) -> "list[Messages]":
     """What each array sends: the files given, a text of our own where none is given at all."""
     from heliograph.link.simulate import default_messages
 
     files = {"high": high, "middle": middle, "low": low}
     if not any(files.values()):
         return default_messages(settings)
-    content = {layer: [read_bytes(path)] for layer, path in files.items() if path}
+    content: Messages = {layer: [read_bytes(path)] for layer, path in files.items() if path}
     return [content for _ in settings.transmit.identities]
 
 

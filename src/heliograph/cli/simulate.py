@@ -2,9 +2,13 @@
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from heliograph.cli import console, options
+
+if TYPE_CHECKING:
+    from heliograph.link.settings import LinkSettings
+    from heliograph.link.simulate import Recordings
 
 
 def run_simulate(
@@ -33,7 +37,9 @@ def run_simulate(
     console.say(f"{film}: {count} frames; truth in {truth_path(film)}")
 
 
-def scene_from(preset, file, assignments, background, imu):  # type: ignore[no-untyped-def]
+def scene_from(
+    preset: str, file: Path | None, assignments: list[str] | None, background: Path | None, imu: Path | None
+) -> "tuple[LinkSettings, Recordings]":
     """Settings and recordings of a simulation; a recording that is given is used."""
     from heliograph.link.recordings import load_footage, load_imu
     from heliograph.link.simulate import Recordings

@@ -1,7 +1,7 @@
 """heliograph transmit."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def run_transmit(
     settings = options.settings_from(preset, file, changes)
     sender = Transmitter(settings.signal, identity, options.read_messages(settings, *files)[0])
     count = packets * settings.signal.packet_patterns
-    patterns = islice(sender.levels(), count)
+    patterns: Iterator[NDArray[np.uint8]] = islice(sender.levels(), count)
     period, brightest = settings.signal.pattern_period_s, pwm.SLOTS
     if slots:
         patterns = (slot for p in patterns for slot in pwm.lit_slots(p, settings.signal.slot_order).astype(np.uint8))
@@ -48,7 +48,10 @@ def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int,
     if output.suffix in (".npy", ".csv"):
         partial = output.with_name(f".{output.name}.partial")
         try:
-            (_write_npy if output.suffix == ".npy" else _write_csv)(partial, patterns, size, period)
+            if output.suffix == ".npy":
+                _write_npy(partial, patterns, size)
+            else:
+                _write_csv(partial, patterns, size, period)
             os.replace(partial, output)
         except OSError as error:
             raise MediaError(f"cannot write {output}: {error.strerror}; make room or choose another place") from None
@@ -58,12 +61,12 @@ def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int,
     _write_film(output, patterns, size[1], period, top)
 
 
-def _write_npy(path: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], period: float) -> None:
+def _write_npy(path: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int]) -> None:
     """(patterns, n, n) uint8."""
     count, side = size
     header = {"descr": "|u1", "fortran_order": False, "shape": (count, side, side)}
     with path.open("wb") as file:
-        np.lib.format.write_array_header_1_0(file, header)  # type: ignore[arg-type]
+        np.lib.format.write_array_header_1_0(file, header)
         for pattern in patterns:
             file.write(pattern.tobytes())
 
@@ -91,7 +94,7 @@ def _write_film(path: Path, patterns: Iterator[NDArray[np.uint8]], side: int, pe
         raise HeliographError(f"{error}; patterns are also written as .npy and .csv") from None
 
 
-def _counted(patterns: Iterator[NDArray[np.uint8]], advance) -> Iterator[NDArray[np.uint8]]:  # type: ignore[no-untyped-def]
+def _counted(patterns: Iterator[NDArray[np.uint8]], advance: Callable[[int], None]) -> Iterator[NDArray[np.uint8]]:
     for number, pattern in enumerate(patterns, 1):
         yield pattern
         advance(number)

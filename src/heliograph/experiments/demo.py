@@ -21,7 +21,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings
 from heliograph.link.truth import TruthFile, open_truth, truth_path
 from heliograph.media import open_film
-from heliograph.receive import Packet, Pose
+from heliograph.receive import Pose
 from heliograph.receive.detect import cut_out
 from heliograph.signal.message import Message
 from heliograph.signal.settings import LAYERS
@@ -113,7 +113,7 @@ def _write_report(path, settings, truth, watch, reception, counts, messages) -> 
     page = Report("Heliograph: a drive past an LED array")
     channel = settings.channel
     page.text(
-        f"A 16 x 16 LED array speaks to a {channel.camera.fps:.0f} fps camera behind the windscreen of a car that drives "
+        f"A 16 x 16 LED array speaks to a {channel.camera.fps:.0f} fps camera behind the windscreen of a car driving "
         f"from {channel.distance_m:.0f} m to {channel.stop_m:.0f} m at {channel.speed_m_s * 3.6:.0f} km/h. The film is "
         f"simulated; the receiver gets its frames alone. {counts['frames']} frames were read at "
         f"{counts['frames_per_second']:.0f} frames/s."
@@ -192,7 +192,9 @@ def _show_errors(page: Report, reception: Reception) -> None:
     assert reception.errors is not None  # the demonstration knows the truth
     bins = reception.errors.bins()
     page.heading("Errors by distance")
-    page.figure(plots.errors_by_distance(bins), "Counted errors, 95 % intervals; an arrow is a bound (3/n), no error met.")
+    page.figure(
+        plots.errors_by_distance(bins), "Counted errors, 95 % intervals; an arrow is a bound (3/n), no error met."
+    )
     head = ["distance"] + [f"{layer}: {what}" for layer in LAYERS for what in ("BER", "codewords wrong/sent")]
     rows = [
         [f"{start:.0f}-{start + BIN_M:.0f} m"]

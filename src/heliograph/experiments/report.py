@@ -17,7 +17,7 @@ STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1d2126; max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
 h1 { font-size: 1.8rem; margin-bottom: .3rem } h2 { font-size: 1.2rem; margin-top: 2.2rem }
 figure { margin: 1rem 0 } img { max-width: 100%; height: auto } figcaption, .note { color: #5a636e; font-size: .92rem }
-table { border-collapse: collapse; margin: 1rem 0 } th, td { padding: .3rem .8rem; text-align: right }
+table { border-collapse: collapse; margin: 1rem 0 } th, td { padding: .3rem .7rem; text-align: right; white-space: nowrap }
 th { border-bottom: 2px solid #c9ced6; font-weight: 600 } td { border-bottom: 1px solid #e3e6ea }
 th:first-child, td:first-child { text-align: left } pre { background: #f4f5f7; padding: .7rem; white-space: pre-wrap }
 """
@@ -68,7 +68,9 @@ class Report:
 
     def write(self, path: Path) -> None:
         """Write the page, whole or not at all."""
-        head = f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{escape(self._title)}</title>"
+        head = (
+            f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{escape(self._title)}</title>"
+        )
         page = f"<!doctype html><html lang=en><head>{head}<style>{STYLE}</style></head><body>"
         partial = path.with_name(f".{path.name}.partial")
         try:

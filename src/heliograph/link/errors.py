@@ -125,7 +125,7 @@ class ErrorCounter:
             sent = pack(block, code.k)
             wrong = int(np.count_nonzero(word.bits != sent))
             known = word.raw != ERASED
-            errors.raw.add(known.sum(), np.count_nonzero((word.raw != code.encode(sent)) & known))
+            errors.raw.add(int(known.sum()), int(np.count_nonzero((word.raw != code.encode(sent)) & known)))
             errors.bits.add(code.k, wrong)
             errors.codewords.add(1, wrong > 0 or word.status != "ok")
             self.false_codewords += word.status == "ok" and wrong > 0

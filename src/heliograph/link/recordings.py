@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ def load_imu(path: Path) -> ImuTrace:
         The file is missing, lacks a column, or holds what is no number.
     """
     try:
-        table = np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64, encoding="utf-8")
+        table: Any = np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64, encoding="utf-8")
     except (OSError, ValueError, UnicodeDecodeError) as error:
         raise MediaError(f"cannot read the motion file {path}: {str(error).splitlines()[0]}") from None
     lacking = [name for name in IMU_COLUMNS if name not in (table.dtype.names or ())]

@@ -62,7 +62,10 @@ class TruthWriter:
     def __init__(self, path: Path, settings: LinkSettings, messages: Sequence[Messages], seed: int):
         self._path, self._settings, self._messages, self._seed = path, settings, messages, seed
         self._type = row_type(len(settings.channel.arrays))
-        self._rows = tempfile.TemporaryFile(dir=path.parent)
+        try:
+            self._rows = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115 - lives as long as the writer
+        except OSError as error:
+            raise MediaError(f"cannot write in {path.parent}: {error.strerror}") from None
         self._count = 0
 
     def add(self, truth: Truth) -> None:
@@ -84,7 +87,9 @@ class TruthWriter:
             os.replace(partial, self._path)
         except OSError as error:
             partial.unlink(missing_ok=True)
-            raise MediaError(f"cannot write {self._path}: {error.strerror}; make room or choose another place") from None
+            raise MediaError(
+                f"cannot write {self._path}: {error.strerror}; make room or choose another place"
+            ) from None
         finally:
             self._rows.close()
 
@@ -100,7 +105,7 @@ class TruthWriter:
                 archive.writestr(name, data)
             with archive.open("frames.npy", "w", force_zip64=True) as out:
                 header = {"descr": np.lib.format.dtype_to_descr(self._type), "fortran_order": False}
-                np.lib.format.write_array_header_2_0(out, {**header, "shape": (self._count,)})  # type: ignore[arg-type]
+                np.lib.format.write_array_header_2_0(out, {**header, "shape": (self._count,)})
                 self._rows.seek(0)
                 while block := self._rows.read(1 << 20):
                     out.write(block)

@@ -10,7 +10,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive.decode import decode_packet
 from heliograph.receive.detect import Detection, project
 from heliograph.receive.extract import pair_luminances
-from heliograph.receive.packets import Codeword, Observer, Packet
+from heliograph.receive.packets import Codeword, Observer, Packet, Status
 from heliograph.receive.pose import Pose
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.track import TrackedPair, Tracker
@@ -150,7 +150,9 @@ class ArrayReceiver:
         self._observe("decode", {"identity": self.identity, "packet": result, "luminances": packet.luminances})
         return result
 
-    def _packet_value(self, packet, status, layers, header):  # type: ignore[no-untyped-def]
+    def _packet_value(
+        self, packet: _Gathered, status: Status, layers: dict[str, tuple[Codeword, ...]], header: float
+    ) -> Packet:
         calibration, form = self._settings.calibration, self._form.settings
         pose = packet.poses[len(packet.poses) // 2] if packet.poses else self.tracker.state.pose
         start = self._start_s + (self._pair - self._pair_in_packet(self._pair)) * 2 * form.pattern_period_s
@@ -174,7 +176,7 @@ class ArrayReceiver:
         return _Gathered(np.zeros((pairs, side, side)), np.zeros(pairs, dtype=bool))
 
 
-def _status(layers: dict[str, tuple[Codeword, ...]], header: float, seen: float):  # type: ignore[no-untyped-def]
+def _status(layers: dict[str, tuple[Codeword, ...]], header: float, seen: float) -> Status:
     good = [word.status == "ok" for words in layers.values() for word in words]
     if any(good):
         return "ok" if all(good) else "partial"

@@ -1,6 +1,7 @@
 """Luminances of a packet's pairs to codewords: FHWT, LLR, turbo decoder, CRC."""
 
 from collections import defaultdict
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,9 @@ from heliograph.receive.settings import DecodeSettings
 from heliograph.signal.block import check, unpack
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.turbo import TurboCode
+
+Decoded = tuple[NDArray[np.uint8], int, float]
+"""Information bits, iterations, mean magnitude of the LLRs."""
 
 ERASED = 255
 
@@ -47,7 +51,7 @@ def decode_packet(
     received = {name: form.layers[name].deinterleave(values) for name, values in llrs.items()}
     decoded = _decode_alike(received, form, settings)
     return {
-        name: tuple(_codeword(*decoded[name, i], llr, identity, name) for i, llr in enumerate(rows))
+        name: tuple(_codeword(decoded[name, i], llr, identity, name) for i, llr in enumerate(rows))
         for name, rows in received.items()
     }
 
@@ -73,7 +77,9 @@ def soft_to_llr(soft: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[n
     return np.clip(np.where(seen[:, None], llr, 0.0), -LARGEST_LLR, LARGEST_LLR)
 
 
-def _decode_alike(received, form, settings):  # type: ignore[no-untyped-def]
+def _decode_alike(
+    received: Mapping[str, NDArray[np.float64]], form: PacketFormat, settings: DecodeSettings
+) -> dict[tuple[str, int], Decoded]:
     """Decode codewords of equal codes in one call: {(layer, number): (bits, iterations, margin)}."""
     groups: dict[TurboCode, list[tuple[str, int]]] = defaultdict(list)
     for name, rows in received.items():
@@ -85,16 +91,20 @@ def _decode_alike(received, form, settings):  # type: ignore[no-untyped-def]
     }
 
 
-def _decode_group(code, keys, received, settings):  # type: ignore[no-untyped-def]
+def _decode_group(
+    code: TurboCode,
+    keys: list[tuple[str, int]],
+    received: Mapping[str, NDArray[np.float64]],
+    settings: DecodeSettings,
+) -> list[Decoded]:
     llrs = np.stack([received[name][i] for name, i in keys])
     result = code.decode(llrs, algorithm=settings.algorithm, iterations=settings.iterations, stop="crc", check=check)
     margins = np.abs(result.llr).mean(-1)
     return [(result.bits[i], int(result.iterations[i]), float(margins[i])) for i in range(len(keys))]
 
 
-def _codeword(
-    bits: NDArray[np.uint8], iterations: int, margin: float, llr: NDArray[np.float64], identity: int, layer: str
-) -> Codeword:
+def _codeword(decoded: Decoded, llr: NDArray[np.float64], identity: int, layer: str) -> Codeword:
+    bits, iterations, margin = decoded
     block = unpack(bits)
     raw = np.where(llr == 0, ERASED, llr < 0).astype(np.uint8)
     if block is None:

@@ -238,7 +238,7 @@ def _change(frames: list[NDArray[np.uint8] | NDArray[np.uint16]]) -> NDArray[np.
     if len(frames) < 4:
         return frames[0].astype(np.float32) - frames[1]
     out = np.empty(frames[0].shape, dtype=np.float32)
-    kernels.alternation(*frames[:4], out)
+    kernels.alternation(frames[0], frames[1], frames[2], frames[3], out)
     return out
 
 

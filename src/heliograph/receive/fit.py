@@ -110,7 +110,7 @@ def fit_array(
         linear = linear + step[5:]
         scene.place(vector)
     covariance = np.linalg.inv(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3))[:5, :5]
-    fitted = np.tensordot(linear, scene.columns, 1)
+    fitted: Floats = np.tensordot(linear, scene.columns, 1)
     return Fit(vector, covariance, float(linear[0]), _correlation(image, fitted), _spread_of(image - fitted))
 
 

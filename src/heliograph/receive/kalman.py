@@ -9,7 +9,7 @@ from heliograph.receive.pose import Pose
 from heliograph.receive.settings import TrackSettings
 
 SHOWN = 5
-"""The first five of the state are the pose vector (x, y, ln pitch, roll, ln blur); then the rates of the first three."""
+"""The state begins with the pose vector (x, y, ln pitch, roll, ln blur); the rates of its first three follow."""
 
 ROLL_WALK = 0.03
 BLUR_WALK = 0.1

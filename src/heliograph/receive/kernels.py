@@ -122,8 +122,8 @@ def normal_equations(image, slopes, columns, linear, rough, matrix, vector):  # 
     """Gauss-Newton normal equations of image = linear . columns(pose), weights by Tukey's biweight of scale `rough`.
 
     slopes (5, rows, columns): derivatives by the pose; columns (m, rows, columns) with coefficients linear (m,).
-    matrix (5 + m, 5 + m) and vector (5 + m,) are overwritten. Returns the sum of weights and the weighted sum of squared
-    residuals.
+    matrix (5 + m, 5 + m) and vector (5 + m,) are overwritten. Returns the sum of weights and that of the
+    weighted squared residuals.
     """
     rows, cols = image.shape
     m = columns.shape[0]
@@ -158,7 +158,7 @@ def normal_equations(image, slopes, columns, linear, rough, matrix, vector):  # 
 
 @njit(cache=True, nogil=True)
 def alternation(f0, f1, f2, f3, out):  # type: ignore[no-untyped-def]
-    """(f0 - 3 f1 + 3 f2 - f3) / 4 of four frames: a header stays, steady motion of the background cancels to 3rd order."""
+    """(f0 - 3 f1 + 3 f2 - f3) / 4: a header stays, what moves evenly or accelerates evenly cancels."""
     rows, cols = out.shape
     for i in range(rows):
         a, b, c, d, o = f0[i], f1[i], f2[i], f3[i], out[i]

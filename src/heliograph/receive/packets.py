@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from heliograph.receive.pose import Pose
 from heliograph.signal.block import Block
 
+Status = Literal["ok", "partial", "crc_fail", "no_header", "no_array"]
+"""Outcome of a packet, see `Packet`."""
+
 
 @dataclass(frozen=True, slots=True)
 class Codeword:
@@ -69,7 +72,7 @@ class Packet:
     """
 
     identity: int
-    status: Literal["ok", "partial", "crc_fail", "no_header", "no_array"]
+    status: Status
     start_time_s: float
     first_frame: int
     last_frame: int

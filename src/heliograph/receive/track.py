@@ -19,7 +19,7 @@ MARGIN_PITCHES, MARGIN_PX = 1.5, 1.5
 
 
 SUM_BIAS = np.array([0.0, 0.0, 0.05, 0.0, 0.5]) ** 2
-"""Systematic errors of ln pitch and ln blur in a sum: the panel's rim against its background looks like another size."""
+"""Systematic errors of ln pitch and ln blur in a sum: the panel's rim looks like another size of the array."""
 
 HEADER_BIAS = np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2
 """Of x and y in a header minus its inverse, in px: motion between the two. The background cancels there."""

@@ -18,7 +18,7 @@ LLR_LIMIT = 1e4
 """Magnitude to which input LLRs are clipped: surer than any channel, and single precision still tells
 an LLR of 0.01 beside it."""
 
-_DEFAULT_SCALE: dict[str, float] = {"max-log": 0.75, "log-map": 1.0}
+_DEFAULT_SCALE: dict[str, float] = {"max-log": 0.7, "log-map": 1.0}
 _STOPS = ("none", "agreement", "crc")
 
 
@@ -33,7 +33,7 @@ class DecoderOptions:
     iterations : int
         Most full iterations (both constituent decoders), at least 1.
     scale : float, optional
-        Factor on the extrinsic LLRs passed on, in (0, 1]; 0.75 for max-log, which overrates them, else 1.
+        Factor on the extrinsic LLRs passed on, in (0, 1]; 0.7 for max-log, which overrates them, else 1.
     stop : {"none", "agreement", "crc"}
         When a block stops early: never; when the hard decisions of the two half iterations are the same; when the
         caller's check says so.
