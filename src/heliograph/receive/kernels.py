@@ -168,7 +168,7 @@ def alternation(f0, f1, f2, f3, out):  # type: ignore[no-untyped-def]
             )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def block_means(image, size, out):  # type: ignore[no-untyped-def]
     """Mean magnitude over blocks of size x size pixels."""
     for bi in range(out.shape[0]):

@@ -1,0 +1,125 @@
+"""The hierarchical code against the double sums of the paper's (8) and (10), and against PyWavelets."""
+
+import numpy as np
+import pytest
+import pywt
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from heliograph.signal import haar
+
+Floats = NDArray[np.float64]
+
+seeds = st.integers(0, 2**32 - 1)
+halves = st.integers(1, 10)
+
+
+def paper_matrix(n: int) -> list[list[int]]:
+    """Equation (9), element by element."""
+    h = n // 2
+    sums = [[int(v // 2 == m) for v in range(n)] for m in range(h)]
+    differences = [[int(v // 2 == m) * (-1) ** v for v in range(n)] for m in range(h)]
+    return sums + differences
+
+
+def equation_8(d: Floats) -> Floats:
+    n, h = len(d), paper_matrix(len(d))
+    r = range(n)
+    return np.array([[sum(d[m, k] * h[k][v] * h[m][u] for m in r for k in r) / 2 for v in r] for u in r])
+
+
+def equation_10(x: Floats) -> Floats:
+    n, h = len(x), paper_matrix(len(x))
+    r = range(n)
+    return np.array([[sum(x[u, v] * h[k][v] * h[m][u] for u in r for v in r) / 2 for k in r] for m in r])
+
+
+def data(seed: int, *shape: int) -> NDArray[np.int8]:
+    return np.random.default_rng(seed).choice(np.array([-1, 1], np.int8), shape)
+
+
+@pytest.mark.parametrize("n", [2, 4, 6, 10, 16])
+def test_double_sums_of_the_paper(n: int) -> None:
+    d = data(n, n, n)
+    x = equation_8(d.astype(float))
+    assert np.array_equal(haar.haar_matrix(n), paper_matrix(n))
+    assert np.array_equal(haar.inverse_transform(d), x)
+    assert np.array_equal(haar.encode(d), x + 2)
+    soft = np.random.default_rng(n).normal(size=(n, n))
+    assert np.allclose(haar.decode(soft), equation_10(soft))
+
+
+@given(halves, seeds)
+def test_same_as_pywavelets(half: int, seed: int) -> None:
+    x = np.random.default_rng(seed).normal(size=(3, 2 * half, 2 * half))
+    mean, (horizontal, vertical, diagonal) = pywt.dwt2(x, "haar", mode="periodization")
+    # PyWavelets names a detail by its edges: vertical edges are differences along a row, D12
+    theirs = np.block([[mean, vertical], [horizontal, diagonal]])
+    # both are orthonormal, 1 / sqrt 2 along each axis
+    assert np.allclose(haar.decode(x), theirs)
+    assert np.allclose(haar.inverse_transform(theirs), x)
+
+
+@given(halves, seeds)
+def test_levels_and_round_trip(half: int, seed: int) -> None:
+    d = data(seed, 2, 3, 2 * half, 2 * half)
+    levels = haar.encode(d)
+    assert levels.dtype == np.uint8
+    assert levels.shape == d.shape
+    assert levels.max() <= 4
+    x = levels.astype(float) - 2
+    assert np.array_equal(haar.decode(x), d)
+    assert np.array_equal(haar.decide(haar.decode(x)), d)
+    # the inverse of a pattern is the pattern of -D
+    assert np.array_equal(haar.encode(-d), 4 - levels)
+    # one matrix alone is coded as it is within a batch
+    assert np.array_equal(haar.encode(d[1, 2]), levels[1, 2])
+
+
+def test_every_level_occurs_as_often_as_theory_says() -> None:
+    # level = 2 + half the sum of four signs: binomial 1 4 6 4 1
+    bits = (np.arange(16)[:, None] >> np.arange(4) & 1) * 2 - 1
+    levels = haar.encode(bits.reshape(16, 2, 2))
+    for led in levels.reshape(16, 4).T:
+        assert np.bincount(led).tolist() == [1, 4, 6, 4, 1]
+
+
+@given(halves, seeds, st.floats(-3, 3), st.floats(-3, 3))
+def test_linear(half: int, seed: int, a: float, b: float) -> None:
+    x, y = np.random.default_rng(seed).normal(size=(2, 2 * half, 2 * half))
+    assert np.allclose(haar.decode(a * x + b * y), a * haar.decode(x) + b * haar.decode(y))
+    assert np.allclose(haar.decode(haar.inverse_transform(x)), x)
+    # energy is kept: 1/2 H . H^T is orthonormal
+    assert np.isclose(np.sum(haar.decode(x) ** 2), np.sum(x**2))
+
+
+def test_blur_over_a_pair_takes_the_low_layer_only() -> None:
+    """The mean of each LED with its neighbour of the pair leaves the sums: D11 (and D21 if along v)."""
+    d = data(1, 8, 8)
+    x = haar.inverse_transform(d).reshape(8, 4, 2)
+    blurred = np.broadcast_to(x.mean(2, keepdims=True), x.shape).reshape(8, 8)
+    soft = haar.decode(blurred)
+    assert np.allclose(soft[:, :4], d[:, :4])
+    assert np.allclose(soft[:, 4:], 0)
+
+
+@pytest.mark.parametrize("n", [0, 1, 3, -2])
+def test_matrix_needs_an_even_size(n: int) -> None:
+    with pytest.raises(ValueError, match="even size"):
+        haar.haar_matrix(n)
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (4, 6), (4,), (0, 0)])
+def test_wrong_shapes(shape: tuple[int, ...]) -> None:
+    for transform in (haar.encode, haar.decode, haar.inverse_transform):
+        with pytest.raises(ValueError, match="n even"):
+            transform(np.ones(shape))
+
+
+@pytest.mark.parametrize("value", [0, 2, 0.5, np.nan])
+def test_data_are_signs(value: float) -> None:
+    d = np.ones((4, 4))
+    d[1, 2] = value
+    with pytest.raises(ValueError, match=r"-1 and \+1 only"):
+        haar.encode(d)

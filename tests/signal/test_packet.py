@@ -1,0 +1,265 @@
+"""Packets: places of the bits, sizes of the codewords, and the way back from patterns to blocks."""
+
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from heliograph.base.errors import SettingsError
+from heliograph.signal.block import Block, pack, unpack
+from heliograph.signal.header import header_levels
+from heliograph.signal.packet import LayerFormat, PacketFormat, with_inverses
+from heliograph.signal.pwm import waveform
+from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
+from heliograph.signal.turbo import QPP_SIZES
+
+Bits = NDArray[np.uint8]
+
+
+def make(
+    side: int = 16,
+    pairs: int = 48,
+    rate: float = 1 / 3,
+    modulation: Literal["haar", "ook"] = "haar",
+    header_pairs: int = 2,
+) -> PacketFormat:
+    rates = RateSettings(high=rate, middle=rate, low=rate)
+    return PacketFormat(
+        SignalSettings(side=side, data_pairs=pairs, rate=rates, modulation=modulation, header_pairs=header_pairs)
+    )
+
+
+def random_blocks(form: PacketFormat, identity: int, seed: int = 1) -> dict[str, list[Block]]:
+    rng = np.random.default_rng(seed)
+
+    def block(layer: LayerFormat, i: int) -> Block:
+        return Block(layer.name, identity, seed, i, 1 << 20, rng.bytes(layer.payload_bytes))
+
+    return {name: [block(layer, i) for i in range(layer.codewords)] for name, layer in form.layers.items()}
+
+
+def read(form: PacketFormat, patterns: NDArray[Any], gain: float = 1.0) -> dict[str, list[Block | None]]:
+    """Blocks of a packet's patterns without noise: data pairs' differences, Haar, places, turbo decoder."""
+    data = patterns[2 * form.settings.header_pairs :].astype(float)
+    soft = form.split(form.soft_data(gain * (data[0::2] - data[1::2])))
+    found = {}
+    for name, layer in form.layers.items():
+        bits = layer.code.decode(4 * layer.deinterleave(soft[name])).bits
+        found[name] = [unpack(row) for row in bits]
+    return found
+
+
+# sides 4 to 32, odd and even numbers of pairs
+CASES = [(4, 78, 1 / 3), (4, 117, 0.5), (8, 21, 1 / 3), (8, 33, 0.75), (16, 48, 1 / 3), (16, 49, 0.9), (32, 13, 0.5)]
+
+
+@pytest.mark.parametrize(("side", "pairs", "rate"), CASES)
+def test_patterns_give_the_blocks_back(side: int, pairs: int, rate: float) -> None:
+    form = make(side, pairs, rate)
+    blocks = random_blocks(form, 7)
+    patterns = form.patterns(7, blocks)
+    assert patterns.shape == (2 * (2 + pairs), side, side)
+    assert patterns.dtype == np.uint8
+    assert patterns.max() <= 4
+    assert read(form, patterns) == blocks
+    # any gain of the camera
+    assert read(form, patterns, 0.3) == blocks
+
+
+def test_on_off_keying_gives_the_blocks_back() -> None:
+    form = make(8, 21, modulation="ook")
+    blocks = random_blocks(form, 7)
+    patterns = form.patterns(7, blocks)
+    assert set(np.unique(patterns)) == {0, 4}
+    assert read(form, patterns) == blocks
+
+
+def test_blocks_of_an_other_packet_do_not_come_out() -> None:
+    form = make(8, 21)
+    assert read(form, form.patterns(7, random_blocks(form, 7, 1))) != random_blocks(form, 7, 2)
+
+
+def test_header_then_data_then_inverses() -> None:
+    form = make(8, 21, header_pairs=3)
+    blocks = random_blocks(form, 4)
+    patterns = form.patterns(4, blocks)
+    assert np.array_equal(patterns[0:6:2], [header_levels(4, 8)] * 3)
+    assert np.array_equal(patterns[6::2], form.data_patterns(blocks))
+
+
+@pytest.mark.parametrize(("side", "pairs", "rate"), CASES)
+def test_each_pair_sums_to_all_on(side: int, pairs: int, rate: float) -> None:
+    form = make(side, pairs, rate)
+    patterns = form.patterns(3, random_blocks(form, 3))
+    assert np.all(patterns[0::2] + patterns[1::2] == 4)
+    # the whole source: the same light in every pair, header and data
+    flux = waveform(patterns).reshape(-1, 8).sum(1)
+    assert np.allclose(flux, 4)
+
+
+@given(st.integers(1, 9), st.integers(0, 2**32 - 1))
+def test_inverses_follow(count: int, seed: int) -> None:
+    patterns = np.random.default_rng(seed).integers(0, 5, (count, 4, 4)).astype(np.uint8)
+    both = with_inverses(patterns)
+    assert np.array_equal(both[0::2], patterns)
+    assert np.array_equal(both[1::2], 4 - patterns)
+
+
+@pytest.mark.parametrize(("side", "pairs", "rate"), CASES)
+def test_interleaver_is_a_bijection(side: int, pairs: int, rate: float) -> None:
+    for layer in make(side, pairs, rate).layers.values():
+        size = layer.codewords * layer.code.length
+        assert size == layer.pairs * layer.cells
+        assert np.array_equal(np.sort(layer.places), np.arange(size))
+        coded = np.random.default_rng(1).integers(0, 2, (layer.codewords, layer.code.length), dtype=np.uint8)
+        soft = 1.0 - 2.0 * layer.interleave(coded ^ layer.chips).astype(np.float64)
+        assert np.array_equal(layer.deinterleave(soft), 1.0 - 2.0 * coded)
+
+
+@settings(deadline=None)
+@given(st.sampled_from([4, 8, 12, 16, 20, 24, 32, 44, 48, 64]), st.integers(1, 200))
+def test_interleaver_is_a_bijection_for_any_size(side: int, pairs: int) -> None:
+    code = make().layers["high"].code
+    for quarters in (1, 2):
+        places = LayerFormat("high", 1, code, pairs, quarters * (side // 2) ** 2).places
+        assert np.array_equal(np.sort(places), np.arange(pairs * quarters * (side // 2) ** 2))
+
+
+@given(st.sampled_from([4, 8, 16]), st.integers(1, 5), st.integers(0, 2**32 - 1))
+def test_split_undoes_join(side: int, pairs: int, seed: int) -> None:
+    form = make(side)
+    cells = np.random.default_rng(seed).choice(np.array([-1, 1], np.int8), (pairs, side**2))
+    d = form.join(cells)
+    parts = form.split(d.astype(float))
+    assert np.array_equal(np.concatenate([parts[name] for name in LAYERS], axis=1), cells)
+    # the quarters of the paper: D11 high, D12 then D21 middle, D22 low
+    h = side // 2
+    assert np.array_equal(parts["high"][0], d[0, :h, :h].ravel())
+    assert np.array_equal(parts["middle"][0], np.concatenate([d[0, :h, h:].ravel(), d[0, h:, :h].ravel()]))
+    assert np.array_equal(parts["low"][0], d[0, h:, h:].ravel())
+
+
+@pytest.mark.parametrize("modulation", ["haar", "ook"])
+def test_layers_are_where_blur_leaves_them(modulation: Literal["haar", "ook"]) -> None:
+    """Of the hierarchical code, the means of 2 x 2 LEDs carry the high layer whole; of on-off keying nothing whole."""
+    form = make(16, 48, modulation=modulation)
+    blocks = random_blocks(form, 0)
+    patterns = form.patterns(0, blocks).astype(float)
+    means = patterns.reshape(-1, 8, 2, 8, 2).mean((2, 4))
+    found = read(form, np.kron(means, np.ones((1, 2, 2))))
+    assert (found["high"] == blocks["high"]) == (modulation == "haar")
+    assert found["middle"] != blocks["middle"]
+    assert found["low"] != blocks["low"]
+
+
+def systematic(layer: LayerFormat, codeword: int) -> Bits:
+    """1 where the packet holds a systematic bit of the codeword: (pairs, cells)."""
+    marks = np.zeros((layer.codewords, layer.code.length), np.uint8)
+    positions = layer.code.positions
+    marks[codeword] = (positions % 3 == 0) & (positions < 3 * layer.code.k)
+    return layer.interleave(marks)
+
+
+@pytest.mark.parametrize(("name", "codeword"), [("high", 0), ("middle", 0), ("middle", 1), ("low", 0)])
+def test_every_part_of_the_array_holds_its_share(name: str, codeword: int) -> None:
+    layer = make().layers[name]
+    marks = systematic(layer, codeword).reshape(48, -1, 8, 8).astype(int)
+    total = marks.sum()
+    quarters = marks.reshape(48, -1, 2, 4, 2, 4).sum((0, 3, 5)).ravel()
+    rows, columns = marks.sum((0, 3)).ravel(), marks.sum((0, 2)).ravel()
+    assert np.all(np.abs(quarters / total * len(quarters) - 1) < 0.1)
+    assert np.all(np.abs(rows / total * len(rows) - 1) < 0.15)
+    assert np.all(np.abs(columns / total * len(columns) - 1) < 0.15)
+
+
+@pytest.mark.parametrize("lost", [1, 4, 12])
+@pytest.mark.parametrize("name", LAYERS)
+def test_a_burst_of_lost_pairs_takes_its_share(name: str, lost: int) -> None:
+    layer = make().layers[name]
+    for codeword in range(layer.codewords):
+        by_pair = systematic(layer, codeword).sum(1).astype(int)
+        for start in range(48):
+            taken = by_pair[np.arange(start, start + lost) % 48].sum()
+            assert abs(taken / by_pair.sum() * 48 / lost - 1) < 0.06
+
+
+def test_a_lost_quarter_of_the_array_or_of_the_packet_is_decoded() -> None:
+    """A rate of 1/3 leaves room for a quarter of the bits to be lost, wherever they are."""
+    form = make()
+    for name, layer in form.layers.items():
+        info = np.random.default_rng(3).integers(0, 2, (layer.codewords, layer.code.k), dtype=np.uint8)
+        sent = 1.0 - 2.0 * layer.interleave(layer.code.encode(info) ^ layer.chips).astype(np.float64)
+        for start, along_pairs in product((0, 0.4, 0.75), (True, False)):
+            kept = sent.copy()
+            size = kept.shape[0] if along_pairs else kept.shape[1]
+            gone = slice(int(start * size), int((start + 0.25) * size))
+            kept[gone if along_pairs else slice(None), slice(None) if along_pairs else gone] = 0
+            assert np.array_equal(layer.code.decode(4 * layer.deinterleave(kept)).bits, info), name
+
+
+@pytest.mark.parametrize("rate", [1 / 3, 0.4, 0.5, 0.6, 2 / 3, 0.75, 0.8, 0.9])
+@pytest.mark.parametrize(("side", "pairs"), [(8, 48), (8, 77), (16, 16), (16, 48), (32, 48), (64, 101)])
+def test_codewords_fill_the_packet_at_about_the_rate(side: int, pairs: int, rate: float) -> None:
+    layers = make(side, pairs, rate).layers
+    quarter = (side // 2) ** 2 * pairs
+    for name, quarters in zip(LAYERS, (1, 2, 1), strict=True):
+        layer = layers[name]
+        assert layer.codewords * layer.code.length == quarters * quarter
+        assert layer.code.k in QPP_SIZES
+        assert layer.code.rate <= 0.9
+        # half the widest step between sizes, a whole one at the highest rate
+        assert abs(layer.code.k - rate * layer.code.length) <= (64 if rate > 0.88 else 32)
+    assert layers["middle"].codewords == 2 * layers["high"].codewords == 2 * layers["low"].codewords
+    assert layers["middle"].code == layers["high"].code
+
+
+def test_codewords_are_as_long_as_may_be() -> None:
+    # 16 x 16, 48 pairs: 3072 bits a quarter, one codeword of 1024 bits at 1/3
+    high = make().layers["high"]
+    assert (high.codewords, high.code.k, high.code.length, high.payload_bytes) == (1, 1024, 3072, 116)
+    # 32 x 32, 101 pairs at 0.9: 25856 = 2^8 * 101 bits; a quarter of it would need K = 5818, a half 11635
+    assert make(32, 101, 0.9).layers["high"].codewords == 4
+
+
+def test_layers_may_differ_in_rate() -> None:
+    form = PacketFormat(SignalSettings(rate=RateSettings(high=1 / 3, middle=0.5, low=0.75)))
+    assert [form.layers[name].code.k for name in LAYERS] == [1024, 1536, 2304]
+    blocks = random_blocks(form, 1)
+    assert read(form, form.patterns(1, blocks)) == blocks
+
+
+@pytest.mark.parametrize("pairs", [16, 31, 44, 51, 104])
+@pytest.mark.parametrize("side", [4, 8, 16])
+def test_highest_rate_never_exceeds_what_the_code_allows(side: int, pairs: int) -> None:
+    """Where the nearest size lies just above 9/10, the next below is taken."""
+    try:
+        layers = make(side, pairs, 0.9).layers
+    except SettingsError as error:
+        assert "raise signal.data_pairs" in str(error)  # noqa: PT017  # too few bits for a block
+        assert side**2 // 4 * pairs < 116
+    else:
+        assert layers["high"].code.rate <= 0.9
+
+
+def test_whitening_is_in_the_light() -> None:
+    """Idle blocks, all but empty, still light half of the LEDs: levels near 1 4 6 4 1."""
+    form = make()
+    idle = {name: [Block(name, 0, 0, 0, 0, b"")] * layer.codewords for name, layer in form.layers.items()}
+    shares = np.bincount(form.data_patterns(idle).ravel(), minlength=5) / (48 * 256)
+    assert np.allclose(shares, np.array([1, 4, 6, 4, 1]) / 16, atol=0.02)
+
+
+def test_encode_is_pack_code_whiten_place() -> None:
+    layer = make().layers["middle"]
+    blocks = random_blocks(make(), 5)["middle"]
+    cells = layer.encode(blocks)
+    assert cells.shape == (48, 128)
+    coded = np.stack([layer.code.encode(pack(block, layer.code.k)) for block in blocks]) ^ layer.chips
+    for j in (0, 1, 47, 48, 3071, 3072, 6143):
+        # the formula of the air interface
+        pair = j % 48
+        assert cells[pair, (j // 48 + 23 * pair) % 128] == coded[j // 3072, j % 3072]

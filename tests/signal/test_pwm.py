@@ -1,0 +1,66 @@
+"""Pulse width modulation: pulses in slots, and what an exposure integrates."""
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from heliograph.signal import pwm
+
+orders = st.permutations(range(4))
+
+
+def test_waveforms_of_the_paper() -> None:
+    """Figure 4: level k/4 lights the LED for k/4 of T_b, from its beginning."""
+    levels = np.arange(5).reshape(5, 1, 1)
+    expected = [[0, 0, 0, 0], [1, 0, 0, 0], [1, 1, 0, 0], [1, 1, 1, 0], [1, 1, 1, 1]]
+    assert pwm.lit_slots(levels)[..., 0, 0].tolist() == np.array(expected, bool).tolist()
+    assert pwm.waveform(levels).tolist() == np.ravel(expected).tolist()
+
+
+@given(orders, st.integers(0, 2**32 - 1))
+def test_exposure_over_a_period_is_the_level(order: list[int], seed: int) -> None:
+    levels = np.random.default_rng(seed).integers(0, 5, (3, 2, 6, 6))
+    lit = pwm.lit_slots(levels, order)
+    assert lit.shape == (3, 2, 4, 6, 6)
+    assert lit.dtype == np.bool_
+    assert np.array_equal(lit.sum(-3), levels)
+
+
+@pytest.mark.parametrize("order", list(permutations(range(4))))
+def test_slots_are_lit_in_their_order(order: tuple[int, ...]) -> None:
+    for level in range(5):
+        lit = pwm.lit_slots(np.full((1, 1), level), order)[:, 0, 0]
+        assert set(np.flatnonzero(lit)) == set(order[:level])
+
+
+@given(orders, st.integers(0, 2**32 - 1))
+def test_pattern_and_inverse_make_a_constant(order: list[int], seed: int) -> None:
+    levels = np.random.default_rng(seed).integers(0, 5, (5, 4, 4)).astype(np.uint8)
+    inverse = pwm.invert(levels)
+    assert inverse.dtype == np.uint8
+    assert np.all(levels + inverse == 4)
+    both = np.stack([levels, inverse], 1).reshape(-1, 4, 4)
+    flux = pwm.waveform(both, order).reshape(5, 8)
+    # eight slots, every LED lit in four of them
+    assert np.allclose(flux.sum(1), 4)
+    assert np.array_equal(pwm.invert(inverse), levels)
+
+
+def test_waveform_is_the_share_of_leds() -> None:
+    levels = np.array([[[4, 0], [1, 2]]])
+    assert pwm.waveform(levels).tolist() == [0.75, 0.5, 0.25, 0.25]
+
+
+@pytest.mark.parametrize("level", [-1, 5])
+def test_level_out_of_range(level: int) -> None:
+    with pytest.raises(ValueError, match="levels are 0 to 4"):
+        pwm.lit_slots(np.full((2, 2), level))
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (0, 1, 2, 2), (1, 2, 3, 4), (0, 1, 2, 3, 4)])
+def test_order_is_a_permutation(order: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="permutation of 0 to 3"):
+        pwm.lit_slots(np.zeros((2, 2), np.uint8), order)

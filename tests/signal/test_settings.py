@@ -1,0 +1,80 @@
+"""Settings of the signal: what is refused, and with which words."""
+
+from typing import Any
+
+import pytest
+
+from heliograph.base.config import from_mapping, to_mapping
+from heliograph.base.errors import SettingsError
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import LAYERS, MULTIPLICITY, RateSettings, SignalSettings
+
+
+def test_defaults_are_the_papers_array_in_100_ms() -> None:
+    settings = SignalSettings()
+    assert (settings.side, settings.pattern_period_s, settings.modulation) == (16, 1e-3, "haar")
+    assert settings.packet_patterns == 100
+    assert settings.packet_s == pytest.approx(0.1)
+    assert settings.rate == RateSettings(high=1 / 3, middle=1 / 3, low=1 / 3)
+    assert sum(MULTIPLICITY) == 4
+    assert len(LAYERS) == len(MULTIPLICITY) == 3
+
+
+def test_packet_length_counts_inverses() -> None:
+    settings = SignalSettings(header_pairs=3, data_pairs=7, pattern_period_s=0.5)
+    assert settings.packet_patterns == 20
+    assert settings.packet_s == 10
+
+
+@pytest.mark.parametrize(
+    ("text", "rate"), [("1/3", 1 / 3), ("2/3", 2 / 3), ("0.5", 0.5), (0.333, 0.333), (0.9, 0.9), ("9/10", 0.9)]
+)
+def test_rates_may_be_fractions(text: Any, rate: float) -> None:
+    settings = from_mapping(SignalSettings, {"rate": {"middle": text}})
+    assert settings.rate.middle == pytest.approx(rate)
+    assert from_mapping(SignalSettings, to_mapping(settings)) == settings
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"side": 18}, "side"),
+        ({"side": 0}, "side"),
+        ({"side": 68}, "side"),
+        ({"pattern_period_s": 0.0}, "pattern_period_s"),
+        ({"pattern_period_s": float("nan")}, "pattern_period_s"),
+        ({"pattern_period_s": float("inf")}, "pattern_period_s"),
+        ({"slot_order": (0, 1, 2, 2)}, "permutation of 0 to 3"),
+        ({"slot_order": (0, 1, 2)}, "permutation of 0 to 3"),
+        ({"header_pairs": 0}, "header_pairs"),
+        ({"data_pairs": 0}, "data_pairs"),
+        ({"data_pairs": 4097}, "data_pairs"),
+        ({"modulation": "qam"}, "modulation"),
+        ({"rate": {"high": 0.3}}, r"rate\.high"),
+        ({"rate": {"high": 0.95}}, r"rate\.high"),
+        ({"rate": {"high": "1/0"}}, r"rate\.high"),
+        ({"rate": {"high": "one third"}}, r"rate\.high"),
+        # larger than any float: an error of its own in Python
+        ({"rate": {"high": "1e400"}}, r"rate\.high"),
+        ({"rates": {"high": 0.5}}, "unknown setting 'rates'; did you mean"),
+    ],
+)
+def test_refused_in_one_line(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(SettingsError, match=words) as caught:
+        from_mapping(SignalSettings, change)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("side", [4, 8, 12, 16, 20, 32, 64])
+@pytest.mark.parametrize("rate", [1 / 3, 0.4, 0.5, 2 / 3, 0.75, 0.9])
+def test_whatever_is_accepted_makes_a_format_or_says_what_to_raise(side: int, rate: float) -> None:
+    for pairs in [*range(1, 60), 127, 128, 1000, 4093, 4096]:
+        settings = SignalSettings(side=side, data_pairs=pairs, rate=RateSettings(high=rate, middle=rate, low=rate))
+        try:
+            layers = PacketFormat(settings).layers
+        except SettingsError as error:
+            # a block of 104 bits at rate 9/10 needs 116 bits; at most that is too little
+            assert "raise signal.data_pairs or the rate" in str(error)  # noqa: PT017  # either outcome is right
+            assert (side // 2) ** 2 * pairs * rate < 108.1
+        else:
+            assert all(layer.code.k >= 104 for layer in layers.values())

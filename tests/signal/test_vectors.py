@@ -1,0 +1,305 @@
+"""The published vectors against the code, and against a second implementation written from the document alone.
+
+The second one, below, is pure Python, and takes its tables from the text of docs/air-interface.md.
+"""
+
+import hashlib
+import json
+import re
+import runpy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from heliograph.signal.turbo import QPP_SIZES
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "docs" / "vectors"
+DOCUMENT = (ROOT / "docs" / "air-interface.md").read_text(encoding="utf-8")
+LAYERS = ["high", "middle", "low"]
+
+Matrix = list[list[int]]
+
+# The document's tables.
+
+QPP = {int(k): (int(f1), int(f2)) for k, f1, f2 in re.findall(r"(\d+): (\d+) (\d+)", DOCUMENT)}
+COLUMNS = [int(c) for c in re.findall(r"T = ([\d ]+)", DOCUMENT)[0].split()]
+
+
+def cells_of_the_document() -> list[str]:
+    # three groups of four lines, each with a row of ten cells
+    lines = [line.split() for line in re.findall(r"(?m)^(?: +[#.]{4}){10}$", DOCUMENT)]
+    return ["/".join(lines[first + r][i] for r in range(4)) for first in (0, 4, 8) for i in range(10)]
+
+
+# The document's rules, section by section.
+
+
+def header(identity: int) -> Matrix:
+    """Section 4: the cells, 1 lit."""
+    q, s = divmod(identity, 15)
+    a = [1, 0, 0, 0]
+    while len(a) < 15:
+        a.append(a[-1] ^ a[-4] if q == 0 else a[-3] ^ a[-4])
+    path = [0, 1, 2, 3, 7, 6, 5, 4, 8, 9, 10, 11, 15, 14, 13, 12]
+    chips = [a[(k + s) % 15] for k in range(15)] + [0]
+    return [[chips[path[4 * r + c]] for c in range(4)] for r in range(4)]
+
+
+def header_pattern(identity: int, n: int) -> Matrix:
+    cells = header(identity)
+    return [[4 * cells[u * 4 // n][v * 4 // n] for v in range(n)] for u in range(n)]
+
+
+def inverse(pattern: Matrix) -> Matrix:
+    """Section 3."""
+    return [[4 - level for level in row] for row in pattern]
+
+
+def haar(d: Matrix) -> Matrix:
+    """Section 6.1, the formula of a level."""
+    n, h = len(d), len(d) // 2
+
+    def level(u: int, v: int) -> int:
+        i, j = u // 2, v // 2
+        across, down = 1 - v % 2 * 2, 1 - u % 2 * 2
+        return 2 + (d[i][j] + across * d[i][h + j] + down * d[h + i][j] + down * across * d[h + i][h + j]) // 2
+
+    return [[level(u, v) for v in range(n)] for u in range(n)]
+
+
+def ook(d: Matrix) -> Matrix:
+    """Section 6.2."""
+    return [[4 if value > 0 else 0 for value in row] for row in d]
+
+
+def crc32(data: bytes) -> int:
+    """Section 7: bit by bit, reflected."""
+    register = 0xFFFFFFFF
+    for byte in data:
+        register ^= byte
+        for _ in range(8):
+            # 0xEDB88320 is 0x04C11DB7 read backwards
+            register = register >> 1 ^ (0xEDB88320 if register & 1 else 0)
+    return register ^ 0xFFFFFFFF
+
+
+def block(layer: str, identity: int, stream: int, sequence: int, length: int, payload: bytes, k: int) -> bytes:
+    """Section 7."""
+    head = bytes([16 + LAYERS.index(layer), identity, stream, sequence >> 8, sequence & 255])
+    head += bytes([length >> 16, length >> 8 & 255, length & 255])
+    body = head + payload + bytes(k // 8 - 12 - len(payload))
+    crc = crc32(body)
+    return body + bytes([crc >> 24, crc >> 16 & 255, crc >> 8 & 255, crc & 255])
+
+
+def bits_of(data: bytes) -> list[int]:
+    return [byte >> 7 - i & 1 for byte in data for i in range(8)]
+
+
+def carousel(layer: str, identity: int, messages: list[bytes], k: int) -> list[bytes]:
+    """Section 8: all segments in order."""
+    room = k // 8 - 12
+    return [
+        block(layer, identity, stream, i, len(text), text[i * room : (i + 1) * room], k)
+        for stream, text in enumerate(messages or [b""])
+        for i in range(max(1, -(-len(text) // room)))
+    ]
+
+
+def plan(h: int, pairs: int, quarters: int, rate: float) -> tuple[int, int, int]:
+    """Section 9.1: W, K and E."""
+    bits = h * h * pairs
+    m = next(m for m in range(1, bits + 1) if bits % m == 0 and rate * (bits // m) <= 6176)
+    e = bits // m
+    k = min((k for k in QPP if 10 * k <= 9 * e), key=lambda k: (abs(k - rate * e), k))
+    return quarters * m, k, e
+
+
+def constituent(c: list[int]) -> tuple[list[int], list[int]]:
+    """Section 9.2: inputs and parities of K + 3 steps."""
+    w, x, z = [0, 0, 0], [], []
+    for step in range(len(c) + 3):
+        feedback = w[-2] ^ w[-3]
+        x.append(c[step] if step < len(c) else feedback)
+        z.append(x[-1] ^ feedback ^ w[-1] ^ w[-3])
+        w.append(x[-1] ^ feedback)
+    assert w[-3:] == [0, 0, 0]
+    return x, z
+
+
+def mother(c: list[int]) -> list[list[int]]:
+    """Section 9.2: d0, d1, d2."""
+    k = len(c)
+    f1, f2 = QPP[k]
+    x, z = constituent(c)
+    y, t = constituent([c[(f1 * i + f2 * i * i) % k] for i in range(k)])
+    return [
+        [*c, x[k], z[k + 1], y[k], t[k + 1]],
+        [*z[:k], z[k], x[k + 2], t[k], y[k + 2]],
+        [*t[:k], x[k + 1], z[k + 2], y[k + 1], t[k + 2]],
+    ]
+
+
+def rate_match(d: list[list[int]], e: int) -> list[int]:
+    """Section 9.3; None marks an empty place."""
+    rows = -(-len(d[0]) // 32)
+    size = 32 * rows
+    y = [[None] * (size - len(stream)) + stream for stream in d]
+    reading = [COLUMNS[k // rows] + 32 * (k % rows) for k in range(size)]
+    v0, v1 = ([y[i][place] for place in reading] for i in (0, 1))
+    v2 = [y[2][(place + 1) % size] for place in reading]
+    buffer = v0 + [bit for two in zip(v1, v2, strict=True) for bit in two]
+    sent: list[int] = []
+    place = 2 * rows
+    while len(sent) < e:
+        bit = buffer[place % len(buffer)]
+        if bit is not None:
+            sent.append(bit)
+        place += 1
+    return sent
+
+
+def chips() -> list[int]:
+    """Section 10: one period."""
+    g = [1] * 15
+    while len(g) < 32767:
+        g.append(g[-1] ^ g[-15])
+    return g
+
+
+G = chips()
+
+
+def whitening(count: int, layer: int, codeword: int) -> list[int]:
+    return [G[(8192 * layer + 509 * codeword + j) % 32767] for j in range(count)]
+
+
+def place(j: int, pairs: int, cells: int) -> tuple[int, int]:
+    """Section 11."""
+    pair = j % pairs
+    return pair, (j // pairs + 23 * pair) % cells
+
+
+def cell_of(layer: int, c: int, h: int) -> tuple[int, int]:
+    """Section 5: row and column of D."""
+    row, column = c % (h * h) // h, c % h
+    if layer == 0:
+        return row, column
+    if layer == 2:
+        return h + row, h + column
+    return (row, h + column) if c < h * h else (h + row, column)
+
+
+def packet(case: dict[str, Any], number: int = 0) -> list[Matrix]:
+    """Section 12."""
+    n, pairs = case["side"], case["data_pairs"]
+    h = n // 2
+    d = [[[0] * n for _ in range(n)] for _ in range(pairs)]
+    for layer, name in enumerate(LAYERS):
+        words, k, e = plan(h, pairs, (1, 2, 1)[layer], case["rate"][layer])
+        messages = [bytes.fromhex(text) for text in case["layers"][name]["messages"]]
+        wheel = carousel(name, case["identity"], messages, k)
+        for i in range(words):
+            coded = rate_match(mother(bits_of(wheel[(number * words + i) % len(wheel)])), e)
+            for j, (bit, chip) in enumerate(zip(coded, whitening(e, layer, i), strict=True)):
+                pair, cell = place(i * e + j, pairs, (h * h, 2 * h * h, h * h)[layer])
+                row, column = cell_of(layer, cell, h)
+                d[pair][row][column] = 1 - 2 * (bit ^ chip)
+    modulate = haar if case["modulation"] == "haar" else ook
+    shown = [header_pattern(case["identity"], n)] * case["header_pairs"] + [modulate(matrix) for matrix in d]
+    return [both for pattern in shown for both in (pattern, inverse(pattern))]
+
+
+# Reading the files.
+
+
+def load(name: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    return found
+
+
+def text_rows(matrix: Matrix) -> list[str]:
+    return ["".join(map(str, row)) for row in matrix]
+
+
+def digits(bits: list[int]) -> str:
+    return "".join(map(str, bits))
+
+
+def test_files_are_what_the_code_gives() -> None:
+    made: dict[str, str] = runpy.run_path(str(ROOT / "scripts" / "make_vectors.py"))["vectors"]()
+    assert {path.name for path in FOLDER.glob("*.json")} == set(made)
+    for name, text in made.items():
+        # not a plain comparison: pytest would print the difference of thousands of digits
+        same = (FOLDER / name).read_text(encoding="utf-8") == text
+        assert same, f"docs/vectors/{name} is out of date; run scripts/make_vectors.py"
+        assert json.loads(text)["about"]
+    assert sum(map(len, made.values())) < 200_000
+    assert all(f"`{name}`" in DOCUMENT for name in made)
+
+
+def test_tables_of_the_document() -> None:
+    assert tuple(QPP) == QPP_SIZES
+    assert sorted(COLUMNS) == list(range(32))
+    drawn = ["/".join("".join(".#"[chip] for chip in row) for row in header(i)) for i in range(30)]
+    assert cells_of_the_document() == drawn
+
+
+def test_haar() -> None:
+    for case in load("haar")["cases"]:
+        d = [[1 if sign == "+" else -1 for sign in row] for row in case["d"]]
+        assert text_rows(haar(d)) == case["levels"]
+        assert text_rows(inverse(haar(d))) == case["inverse"]
+
+
+def test_header() -> None:
+    vector = load("header")
+    assert ["/".join(text_rows(header(i))) for i in range(30)] == vector["all_cells"]
+    for case in vector["cases"]:
+        assert text_rows(header_pattern(case["identity"], 8)) == case["levels_side_8"]
+
+
+def test_block() -> None:
+    assert crc32(b"123456789") == 0xCBF43926
+    for case in load("block")["cases"]:
+        numbers = (case["identity"], case["stream"], case["sequence"], case["length"])
+        made = block(case["layer"], *numbers, bytes.fromhex(case["payload"]), case["k"])
+        assert made.hex() == case["block"]
+
+
+def test_turbo() -> None:
+    for case in load("turbo")["cases"]:
+        streams = mother([int(bit) for bit in case["bits"]])
+        assert [digits(stream) for stream in streams] == case["d0_d1_d2"]
+        assert digits(rate_match(streams, case["e"])) == case["sent"]
+
+
+def test_whitening() -> None:
+    for case in load("whitening")["cases"]:
+        assert digits(whitening(64, LAYERS.index(case["layer"]), case["codeword"])) == case["chips"]
+
+
+def test_interleaver() -> None:
+    for case in load("interleaver")["cases"]:
+        found = [place(j, case["data_pairs"], case["cells"]) for j in range(len(case["pair_of_j"]))]
+        assert found == list(zip(case["pair_of_j"], case["cell_of_j"], strict=True))
+
+
+@pytest.mark.parametrize("name", ["packet_small", "packet_ook", "packet_default"])
+def test_packet(name: str) -> None:
+    case = load(name)
+    patterns = packet(case)
+    for layer, rate in zip(LAYERS, case["rate"], strict=True):
+        own = case["layers"][layer]
+        sizes = plan(case["side"] // 2, case["data_pairs"], 2 if layer == "middle" else 1, rate)
+        assert (own["codewords"], own["k"], own["e"]) == sizes
+        wheel = carousel(layer, case["identity"], [bytes.fromhex(text) for text in own["messages"]], own["k"])
+        assert own["blocks"] == [wheel[i % len(wheel)].hex() for i in range(own["codewords"])]
+    shown = case["patterns"]
+    for i, expected in shown.items() if isinstance(shown, dict) else enumerate(shown):
+        rows = text_rows(patterns[int(i)])
+        assert (rows if isinstance(expected, list) else "/".join(rows)) == expected
+    levels = bytes(level for pattern in patterns for row in pattern for level in row)
+    assert hashlib.sha256(levels).hexdigest() == case["sha256"]

@@ -1,0 +1,116 @@
+"""The transmitter: without end, on time, and readable from any packet on."""
+
+from itertools import islice, pairwise
+
+import numpy as np
+import pytest
+
+from heliograph.base.config import from_mapping
+from heliograph.base.errors import SettingsError
+from heliograph.signal.header import header_levels
+from heliograph.signal.message import Message, Reassembler
+from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
+from heliograph.transmit import TimedPattern, TransmitSettings, Transmitter
+
+SMALL = SignalSettings(side=8, header_pairs=2, data_pairs=21, pattern_period_s=2e-3)
+MESSAGES = {"high": [b"stop line in 40 m", b"red, 12 s left"], "low": [bytes(range(256))]}
+
+
+def patterns(count: int, settings: SignalSettings = SMALL, identity: int = 0) -> list[TimedPattern]:
+    return list(islice(Transmitter(settings, identity, MESSAGES).patterns(), count))
+
+
+def test_endless_and_on_time() -> None:
+    shown = patterns(3 * 46 + 5)
+    assert [p.index for p in shown] == list(range(len(shown)))
+    # counted, not added up: no drift in a long transmission
+    assert [p.time_s for p in shown] == [i * 2e-3 for i in range(len(shown))]
+    assert all(p.levels.shape == (8, 8) and p.levels.dtype == np.uint8 for p in shown)
+
+
+def test_parts_and_inverses() -> None:
+    shown = patterns(3 * 46)
+    for p in shown:
+        assert p.part == ("header" if p.index % 46 < 4 else "data")
+        assert p.inverted == bool(p.index % 2)
+    for first, second in pairwise(shown):
+        if second.inverted:
+            assert np.all(first.levels + second.levels == 4)
+
+
+def test_header_alternates() -> None:
+    lit = header_levels(0, 8)
+    for p in patterns(3 * 46):
+        if p.part == "header":
+            assert np.array_equal(p.levels, 4 - lit if p.inverted else lit)
+
+
+def test_two_identities_differ() -> None:
+    one, other = patterns(46, identity=0), patterns(46, identity=7)
+    assert not np.array_equal(one[0].levels, other[0].levels)
+    # the identity is in every block, and the CRC spreads it over the data
+    differing = np.mean([np.any(a.levels != b.levels) for a, b in zip(one[4:], other[4:], strict=True)])
+    assert differing > 0.5
+
+
+def test_streams_of_packets_levels_and_patterns_agree() -> None:
+    sender = Transmitter(SMALL, 3, MESSAGES)
+    packets = np.concatenate(list(islice(sender.packets(), 3)))
+    assert np.array_equal(packets, list(islice(sender.levels(), len(packets))))
+    assert np.array_equal(packets, [p.levels for p in islice(sender.patterns(), len(packets))])
+
+
+def test_any_packet_alone_equals_that_of_the_sequence() -> None:
+    sender = Transmitter(SMALL, 3, MESSAGES)
+    sequence = list(islice(sender.packets(), 12))
+    for number in (11, 0, 5):
+        alone = sender.format.patterns(3, sender.blocks(number))
+        assert np.array_equal(alone, sequence[number])
+
+
+def test_blocks_bring_the_messages_from_any_packet_on() -> None:
+    settings = SignalSettings(side=8, data_pairs=21, rate=RateSettings(high=0.5, middle=0.5, low=0.5))
+    sender = Transmitter(settings, 3, MESSAGES)
+    for start in (0, 1, 1000):
+        reassembler = Reassembler()
+        blocks = [b for p in range(start, start + 80) for layer in LAYERS for b in sender.blocks(p)[layer]]
+        found = {m for m in map(reassembler.add, blocks) if m is not None}
+        sent = {Message(3, layer, i, data) for layer in MESSAGES for i, data in enumerate(MESSAGES[layer])}
+        assert found == sent
+
+
+def test_segments_go_on_from_packet_to_packet() -> None:
+    """Codeword c of packet p carries segment (p W + c) mod S."""
+    sender = Transmitter(SMALL, 3, {"middle": [bytes(range(40)), b"next"]})
+    room, words = (sender.format.layers["middle"].payload_bytes, sender.format.layers["middle"].codewords)
+    sent = [block for packet in range(60) for block in sender.blocks(packet)["middle"]]
+    count = -(-40 // room) + -(-4 // room)
+    assert words == 2
+    assert len({(b.stream, b.sequence) for b in sent}) == count
+    order = sorted({(b.stream, b.sequence) for b in sent})
+    assert [(b.stream, b.sequence) for b in sent] == [order[i % count] for i in range(120)]
+
+
+def test_a_layer_without_messages_is_idle() -> None:
+    for packet in (0, 9):
+        blocks = Transmitter(SMALL, 3, MESSAGES).blocks(packet)["middle"]
+        assert [(b.length, b.stream, b.payload) for b in blocks] == [(0, 0, b"")] * 2
+
+
+def test_refusals() -> None:
+    with pytest.raises(ValueError, match="layers are high, middle, low, not top"):
+        Transmitter(SMALL, 0, {"top": [b""]})
+    with pytest.raises(ValueError, match="identity is 0 to 29, not 30"):
+        Transmitter(SMALL, 30, {})
+    with pytest.raises(ValueError, match="at most 65536 bytes, not 65537"):
+        Transmitter(SignalSettings(side=8, data_pairs=20), 0, {"high": [bytes(65537)]})
+    with pytest.raises(SettingsError, match=r"raise signal\.data_pairs"):
+        Transmitter(SignalSettings(side=4, data_pairs=10), 0, {})
+
+
+def test_settings() -> None:
+    assert TransmitSettings().identities == (0,)
+    assert from_mapping(TransmitSettings, {"identities": [0, 29]}).identities == (0, 29)
+    for wrong in (-1, 30):
+        with pytest.raises(SettingsError, match="identities"):
+            from_mapping(TransmitSettings, {"identities": [wrong]})
