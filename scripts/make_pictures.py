@@ -18,7 +18,9 @@ def main() -> None:
     images, titles = [], []
     for kind in ("pattern", "inverted", "sum"):
         for distance in DISTANCES:
-            settings = load_settings("static", assignments=[f"channel.distance_m={distance}", "channel.duration_s=0.02"])
+            settings = load_settings(
+                "static", assignments=[f"channel.distance_m={distance}", "channel.duration_s=0.02"]
+            )
             frames = [f.pixels for f, _ in simulate(settings, default_messages(settings), 0, roi_margin_px=3)]
             up, down = (frames[SHOWN + k].astype(float) for k in (0, 1))
             images.append({"pattern": up, "inverted": down, "sum": np.minimum(up + down, 255)}[kind])

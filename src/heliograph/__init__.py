@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings, load_settings
     from heliograph.link.simulate import simulate
     from heliograph.media import create_film, open_film
-    from heliograph.receive import Packet, Receiver, receive
+    from heliograph.receive import Packet, Receiver, receive_frames
     from heliograph.signal.settings import SignalSettings
     from heliograph.transmit import Transmitter
 
@@ -34,7 +34,7 @@ _HOMES = {
     "encode": "link.codec",
     "load_settings": "link.settings",
     "open_film": "media",
-    "receive": "receive",
+    "receive_frames": "receive",
     "simulate": "link.simulate",
 }
 
@@ -53,7 +53,7 @@ __all__ = [
     "encode",
     "load_settings",
     "open_film",
-    "receive",
+    "receive_frames",
     "simulate",
 ]
 

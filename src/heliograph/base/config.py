@@ -6,10 +6,12 @@ text, and turns what pydantic says into one line that names the rule, the value 
 """
 
 import difflib
+import json
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -29,7 +31,7 @@ def from_mapping(cls: type[T], mapping: Mapping[str, Any]) -> T:
         A key is unknown or a value is of the wrong type or out of range.
     """
     try:
-        return TypeAdapter(cls).validate_python(dict(mapping))
+        return TypeAdapter(cls).validate_python(dict(mapping) if isinstance(mapping, Mapping) else mapping)
     except ValidationError as error:
         raise SettingsError(_one_line(error, cls)) from None
 
@@ -53,13 +55,18 @@ def parse_assignment(text: str) -> dict[str, Any]:
     path = [part.strip() for part in key.split(".")]
     if not sign or not all(path):
         raise SettingsError(f"'{text}' is not an assignment; write key=value, such as channel.distance_m=60")
-    try:
-        leaf = tomllib.loads(f"v = {value}")["v"]
-    except tomllib.TOMLDecodeError:
-        leaf = value.strip()
+    leaf = _leaf(value)
     for part in reversed(path):
         leaf = {part: leaf}
     return leaf
+
+
+def _leaf(text: str) -> Any:
+    try:
+        found = tomllib.loads(f"v = {text}")
+    except tomllib.TOMLDecodeError:
+        return text.strip()
+    return found["v"] if len(found) == 1 else text.strip()  # a second line may hold a second key
 
 
 def merge(base: Any, over: Any) -> Any:
@@ -72,10 +79,13 @@ def merge(base: Any, over: Any) -> Any:
 
 
 def keys_of(cls: type) -> Iterator[str]:
-    """All dotted keys of a settings class, leaves only."""
+    """All dotted keys of a settings class, leaves only; a list of settings by its item 0."""
     for field in fields(cls):
+        items = [kind for kind in get_args(field.type) if isinstance(kind, type) and is_dataclass(kind)]
         if isinstance(field.type, type) and is_dataclass(field.type):
             yield from (f"{field.name}.{key}" for key in keys_of(field.type))
+        elif items:
+            yield from (f"{field.name}.0.{key}" for key in keys_of(items[0]))
         else:
             yield field.name
 
@@ -89,7 +99,8 @@ def to_toml(mapping: Mapping[str, Any], prefix: str = "") -> str:
         parts = [value] if isinstance(value, Mapping) else value
         mark = "[{}]" if isinstance(value, Mapping) else "[[{}]]"
         lines += [f"\n{mark.format(name)}\n{to_toml(part, name + '.')}".rstrip() for part in parts]
-    return "\n".join(lines) + "\n"
+    text = "\n".join(lines) + "\n"
+    return text if prefix else text.lstrip("\n")
 
 
 def _is_table(value: Any) -> bool:
@@ -101,7 +112,7 @@ def _toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # escapes as TOML has them
     if isinstance(value, Sequence):
         return "[" + ", ".join(_toml_value(v) for v in value) + "]"
     return repr(value)
@@ -128,7 +139,8 @@ def _one_line(error: ValidationError, cls: type) -> str:
 
 
 def _nearest(key: str, cls: type) -> str:
-    known = list(keys_of(cls))
+    item = re.search(r"\.\d+\.", key)
+    known = [k.replace(".0.", item[0]) if item else k for k in keys_of(cls)]
     by_leaf = {k.rpartition(".")[2]: k for k in reversed(known)}
     close = difflib.get_close_matches(key, known, 1, 0.6)
     if not close:

@@ -17,8 +17,8 @@ def say(text: str) -> None:
 
 
 def complain(text: str) -> None:
-    """A line about what went wrong."""
-    sys.stderr.write(f"heliograph: {text}\n")
+    """A line about what went wrong; one line, whatever the text quotes."""
+    sys.stderr.write(f"heliograph: {' '.join(text.splitlines())}\n")
 
 
 def say_json(value: Any) -> None:

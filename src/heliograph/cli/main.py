@@ -1,5 +1,6 @@
 """The command `heliograph`."""
 
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -109,6 +110,75 @@ def demo(
 
 
 @app.command()
+def sweep(
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="KEY=VALUES",
+            show_default=False,
+            help="Values by comma, or first:last:step; may be repeated for a grid. Also 'receiver' and 'preset'.",
+        ),
+    ] = None,
+    preset: options.Preset = "static",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    seed: options.Seed = 0,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", metavar="DIR", help="Folder of results; a sweep broken off goes on from it.", show_default=False
+        ),
+    ] = None,
+    min_errors: Annotated[int, typer.Option(min=1, help="Wrong codewords a layer needs.")] = 50,
+    max_codewords: Annotated[int, typer.Option(min=1, help="Codewords after which a layer needs no more.")] = 1000,
+    max_seconds: Annotated[
+        float | None, typer.Option(help="Computing time of a point, workers together.", show_default=False)
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Worker processes; one a core by default.", show_default=False)
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to work on instead.", show_default=False)
+    ] = None,
+    background: options.Background = None,
+    imu: options.Imu = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON list and nothing else.")] = False,
+) -> None:
+    """Count errors over a grid of settings, without films."""
+    from heliograph.cli.sweep import run_sweep
+
+    limits = {"min_errors": min_errors, "max_codewords": max_codewords, "max_seconds": max_seconds}
+    run_sweep(vary, preset, settings, assignments, seed, output, limits, (workers, scheduler), (background, imu),
+              as_json)  # fmt: skip
+
+
+@app.command()
+def reproduce(
+    figures: Annotated[
+        list[str] | None, typer.Argument(metavar="[FIGURE ...]", help="fig3, fig13, ...; all by default.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few trials: minutes instead of tens of minutes.")] = False,
+    output: Annotated[Path, typer.Option("--output", metavar="DIR", help="Folder for report, pictures, data.")] = Path(
+        "reproduction"
+    ),
+    data: Annotated[
+        Path | None,
+        typer.Option("--data", metavar="DIR", show_default=False,
+                     help="Recordings: driving/*.mp4 and motion/car-imu.csv; a drawn scene and a road without."),
+    ] = None,
+    seed: options.Seed = 0,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Worker processes; one a core by default.", show_default=False)
+    ] = None,
+) -> None:  # fmt: skip
+    """Run the paper's experiments, and write its claims beside what was measured."""
+    from heliograph.cli.reproduce import run_reproduce
+
+    run_reproduce(figures or [], quick, output, data, seed, workers)
+
+
+@app.command()
 def presets(
     name: Annotated[str | None, typer.Argument(help="Preset to print as TOML.", show_default=False)] = None,
     as_json: Json = False,
@@ -127,21 +197,27 @@ def presets(
         console.say_json(tree) if as_json else console.say(to_toml(tree).rstrip())
 
 
-def _usage(error: typer.TyperException) -> str:
-    """What is wrong with the command line, in one line; the help where nothing was asked."""
+def _usage(error: typer.TyperException) -> None:
+    """Say what is wrong with the command line, in one line; the help where nothing was asked."""
     text = error.format_message() if hasattr(error, "format_message") else str(error)
-    return text if text.count("\n") > 3 else " ".join(text.split())
+    if text.count("\n") > 3:
+        sys.stderr.write(text + "\n")
+        return
+    context = getattr(error, "ctx", None)
+    command = f"{context.command_path} --help" if context else "heliograph --help"
+    console.complain(f"{' '.join(text.split()).rstrip('.')}; see '{command}'")
 
 
 def run() -> None:
     """Entry of the command: every error becomes one line and a non-zero status."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # told to end: as tidy as after Ctrl-C
     try:
-        app(standalone_mode=False)
+        status = app(standalone_mode=False)
     except HeliographError as error:
         console.complain(str(error))
         sys.exit(1)
     except typer.TyperException as error:
-        console.complain(_usage(error))
+        _usage(error)
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
         console.complain("interrupted")
@@ -149,3 +225,12 @@ def run() -> None:
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(1)
+    except MemoryError:
+        console.complain("not enough memory; make the film shorter or its frames smaller")
+        sys.exit(1)
+    except OSError as error:
+        console.complain(f"{error.filename or 'input or output'}: {error.strerror or error}")
+        sys.exit(1)
+    if status == console.INTERRUPTED:  # typer's way to hand on Ctrl-C
+        console.complain("interrupted")
+    sys.exit(status)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from heliograph.base.config import parse_toml
+from heliograph.base.config import parse_assignment, parse_toml
 from heliograph.base.errors import MediaError, SettingsError
 
 if TYPE_CHECKING:
@@ -41,6 +41,11 @@ def settings_from(preset: str, file: Path | None, assignments: list[str] | None)
     from heliograph.link.settings import load_settings
 
     return load_settings(preset, _toml(file) if file else None, assignments or ())
+
+
+def signal_chosen(file: Path | None, assignments: list[str]) -> bool:
+    """Whether file or assignments say anything of the signal."""
+    return any("signal" in change for change in [_toml(file) if file else {}, *map(parse_assignment, assignments)])
 
 
 def read_messages(

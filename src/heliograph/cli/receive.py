@@ -5,12 +5,20 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from heliograph.base.errors import HeliographError, MediaError
+from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.cli import console, options
+
+if TYPE_CHECKING:
+    from heliograph.link.errors import ErrorCounter, LayerErrors
+    from heliograph.link.reception import Reception
+    from heliograph.link.settings import LinkSettings
+    from heliograph.media import FilmReader
+    from heliograph.signal.message import Message
+    from heliograph.signal.settings import SignalSettings
 
 
 def run_receive(
@@ -24,25 +32,25 @@ def run_receive(
     as_json: bool,
 ) -> None:
     """Read a film; whatever ends it, what was decoded before is kept and shown."""
-    from heliograph.link.film import signal_of
+    from heliograph.link.film import check_truth, signal_of
     from heliograph.link.reception import Reception
     from heliograph.link.truth import open_truth
     from heliograph.media import open_film
 
     changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
     settings = options.settings_from(preset, file, changes)
-    chosen = file is not None or any(c.startswith("signal.") for c in changes)
-    reception = Reception(open_truth(truth) if truth else None)
+    chosen = options.signal_chosen(file, changes)
+    known = open_truth(truth) if truth else None
+    reception = Reception(known)
     began = time.perf_counter()
-    ending: BaseException | None = None
-    with Folder(output) as folder, open_film(film) as source:
+    with open_film(film) as source:
         signal = signal_of(source, settings, chosen)
-        try:
-            _read(source, signal, settings, reception, folder)
-        except (HeliographError, KeyboardInterrupt) as error:
-            ending = error
-        report = reception.report(time.perf_counter() - began)
-        folder.write("summary.json", json.dumps(report, indent=1).encode())
+        if known is not None:
+            check_truth(source, known)
+        with Folder(output) as folder:
+            ending = _read(source, signal, settings, reception, folder)
+            report = reception.report(time.perf_counter() - began)
+            ending = _finish(folder, report) or ending
     console.say_json(report) if as_json else _show(report, reception, folder)
     if isinstance(ending, KeyboardInterrupt):
         console.complain(f"interrupted after {reception.frames} frames; the results so far are above")
@@ -51,14 +59,30 @@ def run_receive(
         raise ending
 
 
-def _read(source, signal, settings, reception, folder) -> None:  # type: ignore[no-untyped-def]
+def _read(
+    source: "FilmReader", signal: "SignalSettings", settings: "LinkSettings", reception: "Reception", folder: "Folder"
+) -> BaseException | None:
+    """Read the film to its end, or until something ends it: that is returned."""
     from heliograph.link.film import packet_row, receive_film
 
-    with console.progress("receiving", source.frame_count) as advance:
-        for packet, messages in receive_film(source, signal, settings, reception, progress=advance):
-            folder.log(packet_row(packet))
-            for message in messages:
-                folder.write(f"array-{message.identity}-{message.layer}-{message.stream}.bin", message.data)
+    try:
+        with console.progress("receiving", source.frame_count) as advance:
+            for packet, messages in receive_film(source, signal, settings, reception, progress=advance):
+                folder.log(packet_row(packet))
+                for message in messages:
+                    folder.message(message)
+    except (HeliographError, OSError, MemoryError, KeyboardInterrupt) as error:
+        return error
+    return None
+
+
+def _finish(folder: "Folder", report: dict[str, Any]) -> MediaError | None:
+    """Finish the folder's files; a failure is returned, for the results are still to be shown."""
+    try:
+        folder.finish(report)
+    except MediaError as error:
+        return error
+    return None
 
 
 class Folder:
@@ -72,51 +96,50 @@ class Folder:
 
     def __init__(self, path: Path | None):
         self.path = path
-        self.written: list[str] = []
+        self.messages: list[str] = []
         self._log: IO[str] | None = None
+        self._partial = (path or Path()) / ".packets.jsonl.partial"
 
     def __enter__(self) -> "Folder":
         if self.path is not None:
-            with _clear(self.path):
+            with clear_write_errors(self.path):
                 self.path.mkdir(parents=True, exist_ok=True)
-                self._log = (self.path / ".packets.jsonl.partial").open("w", encoding="utf-8")
+                self._log = self._partial.open("w", encoding="utf-8")
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._log is not None and self.path is not None:
-            self._log.close()
-            os.replace(self._log.name, self.path / "packets.jsonl")
+        if self._log is not None:
+            with contextlib.suppress(OSError):  # what is buffered may find no room
+                self._log.close()
+            self._partial.unlink(missing_ok=True)
 
     def log(self, row: Any) -> None:
         """Append a line to the packet log."""
-        if self._log is not None:
-            with _clear(self.path):
+        if self._log is not None and self.path is not None:
+            with clear_write_errors(self.path / "packets.jsonl"):
                 self._log.write(json.dumps(row) + "\n")
 
-    def write(self, name: str, data: bytes) -> None:
-        """Write a file whole."""
-        if self.path is None:
-            return
-        partial = self.path / f".{name}.partial"
-        with _clear(self.path):
-            try:
-                partial.write_bytes(data)
-                os.replace(partial, self.path / name)
-            finally:
-                partial.unlink(missing_ok=True)
-        self.written.append(name)
+    def message(self, message: "Message") -> None:
+        """Write a message."""
+        if self.path is not None:
+            name = f"array-{message.identity}-{message.layer}-{message.stream}.bin"
+            write_whole(self.path / name, message.data)
+            self.messages.append(name)
+
+    def finish(self, report: Any) -> None:
+        """Put the packet log in its place, and write the summary."""
+        if self._log is not None and self.path is not None:
+            with clear_write_errors(self.path / "packets.jsonl"):
+                self._log.close()
+                os.replace(self._partial, self.path / "packets.jsonl")
+            write_whole(self.path / "summary.json", json.dumps(report, indent=1).encode())
 
 
-@contextlib.contextmanager
-def _clear(path: Path | None) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise MediaError(f"cannot write to {path}: {error.strerror}; make room or choose another --output") from None
-
-
-def _show(report: dict[str, Any], reception, folder: Folder) -> None:  # type: ignore[no-untyped-def]
-    console.say(f"{report['frames']} frames in {report['seconds']:.1f} s ({report['frames_per_second']:.0f} frames/s)")
+def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> None:
+    console.say(
+        f"{report['frames']} frames in {report['seconds']:.1f} s ({report['frames_per_second']:.0f} frames/s), "
+        f"{report['detections']} detections"
+    )
     if not report["arrays"]:
         console.say("no array found")
     for array in report["arrays"]:
@@ -125,17 +148,24 @@ def _show(report: dict[str, Any], reception, folder: Folder) -> None:  # type: i
         )
         for layer, t in array["layers"].items():
             console.say(f"  {layer:6} {t['ok']} codewords read, {t['failed']} not, {t['bytes']} bytes")
-    for name in folder.written[:-1]:
+    for name in folder.messages:
         console.say(f"message {folder.path}/{name}")
     for identity, layer, stream, had, size in reception.unfinished():
         console.say(f"array {identity}, {layer}, message {stream}: {had} of {size} bytes")
     if reception.errors is not None:
-        _show_errors(reception)
+        _show_errors(reception.errors)
 
 
-def _show_errors(reception) -> None:  # type: ignore[no-untyped-def]
-    console.say("distance      bit error rate, codewords wrong of sent: high, middle, low")
-    for start, layers in reception.errors.bins().items():
-        cells = [f"{e.bits.text():>10} {e.codewords.errors:3d}/{e.codewords.trials:<3d}" for e in layers.values()]
-        console.say(f"{start:5.0f}-{start + 5:<4.0f} m  " + "   ".join(cells))
-    console.say(f"codewords taken for right that were not sent: {reception.errors.false_codewords}")
+def _show_errors(errors: "ErrorCounter") -> None:
+    from heliograph.link.errors import BIN_M
+
+    console.say("distance      bit error rate of so many bits, codewords wrong/sent: high, middle, low")
+    for start, layers in errors.bins().items():
+        cells = "   ".join(_cell(e) for e in layers.values())
+        console.say(f"{start:5.0f}-{start + BIN_M:<4.0f} m  {cells}")
+    console.say(f"codewords taken for right that were not sent: {errors.false_codewords}")
+
+
+def _cell(errors: "LayerErrors") -> str:
+    bits, words = errors.bits, errors.codewords
+    return f"{bits.text():>9} of {bits.trials:<7d} {words.errors:3d}/{words.trials:<3d}"

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from heliograph.base.errors import SettingsError
 from heliograph.cli import console, options
 
 if TYPE_CHECKING:
@@ -28,11 +29,19 @@ def run_simulate(
 
     settings, recordings = scene_from(preset, file, assignments, background, imu)
     messages = options.read_messages(settings, *files)
+    written = 0
     try:
         with console.progress("simulating", frames_of(settings)) as advance:
-            count = write_film(film, settings, messages, seed, recordings, advance, **codec)
+
+            def note(frames: int) -> None:
+                nonlocal written
+                written = frames
+                advance(frames)
+
+            count = write_film(film, settings, messages, seed, recordings, note, **codec)
     except KeyboardInterrupt:
-        console.complain(f"interrupted; {film} holds the frames so far")
+        kept = f"{film} holds the {written} frames so far" if written else "nothing was written"
+        console.complain(f"interrupted; {kept}")
         sys.exit(console.INTERRUPTED)
     console.say(f"{film}: {count} frames; truth in {truth_path(film)}")
 
@@ -50,5 +59,9 @@ def scene_from(
     if imu:
         changes.insert(0, "channel.shake='imu'")
     settings = options.settings_from(preset, file, changes)
+    if settings.channel.background.kind == "footage" and not background:
+        raise SettingsError("channel.background.kind=footage needs a recording: give it by --background VIDEO")
+    if settings.channel.shake == "imu" and not imu:
+        raise SettingsError("channel.shake=imu needs a recording: give it by --imu CSV")
     footage = load_footage(background) if background else None
     return settings, Recordings(footage=footage, imu=load_imu(imu) if imu else None)

@@ -1,6 +1,5 @@
 """heliograph transmit."""
 
-import os
 from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
@@ -8,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.errors import HeliographError, MediaError
+from heliograph.base.errors import MediaError
+from heliograph.base.files import whole_file
 from heliograph.base.frames import Frame
 from heliograph.cli import console, options
 
@@ -27,12 +27,13 @@ def run_transmit(
     files: tuple[Path | None, Path | None, Path | None],
 ) -> None:
     """Write the patterns of a transmission: levels, or on and off by slot."""
+    from heliograph.link.simulate import transmitters
     from heliograph.signal import pwm
-    from heliograph.transmit import Transmitter
 
-    changes = [*(assignments or ()), f"transmit.identities=[{identity}]"]
+    # one array speaks, however many the preset's scene has
+    changes = [*(assignments or ()), "channel.arrays=[{}]", f"transmit.identities=[{identity}]"]
     settings = options.settings_from(preset, file, changes)
-    sender = Transmitter(settings.signal, identity, options.read_messages(settings, *files)[0])
+    (sender,) = transmitters(settings, options.read_messages(settings, *files))
     count = packets * settings.signal.packet_patterns
     patterns: Iterator[NDArray[np.uint8]] = islice(sender.levels(), count)
     period, brightest = settings.signal.pattern_period_s, pwm.SLOTS
@@ -45,20 +46,20 @@ def run_transmit(
 
 
 def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], period: float, top: int) -> None:
-    if output.suffix in (".npy", ".csv"):
-        partial = output.with_name(f".{output.name}.partial")
-        try:
-            if output.suffix == ".npy":
-                _write_npy(partial, patterns, size)
-            else:
-                _write_csv(partial, patterns, size, period)
-            os.replace(partial, output)
-        except OSError as error:
-            raise MediaError(f"cannot write {output}: {error.strerror}; make room or choose another place") from None
-        finally:
-            partial.unlink(missing_ok=True)
-        return
-    _write_film(output, patterns, size[1], period, top)
+    from heliograph.media.film import SUFFIXES
+
+    kind = output.suffix.lower()
+    if kind == ".npy":
+        with whole_file(output) as partial:
+            _write_npy(partial, patterns, size)
+    elif kind == ".csv":
+        with whole_file(output) as partial:
+            _write_csv(partial, patterns, size, period)
+    elif kind in SUFFIXES:
+        _write_film(output, patterns, size[1], period, top)
+    else:
+        known = ", ".join((".npy", ".csv", *SUFFIXES))
+        raise MediaError(f"unknown kind of file {output.name!r}: the name must end in one of {known}")
 
 
 def _write_npy(path: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int]) -> None:
@@ -85,13 +86,10 @@ def _write_film(path: Path, patterns: Iterator[NDArray[np.uint8]], side: int, pe
     from heliograph.media import create_film
 
     edge, block = side * LED_PX, np.ones((LED_PX, LED_PX), dtype=np.uint8)
-    try:
-        with create_film(path, width=edge, height=edge, rate_hz=1 / period) as film:
-            for index, pattern in enumerate(patterns):
-                gray = (pattern.astype(np.uint16) * 255 // top).astype(np.uint8)
-                film.write(Frame(index, index * period, np.kron(gray, block)))
-    except MediaError as error:
-        raise HeliographError(f"{error}; patterns are also written as .npy and .csv") from None
+    with create_film(path, width=edge, height=edge, rate_hz=1 / period) as film:
+        for index, pattern in enumerate(patterns):
+            gray = (pattern.astype(np.uint16) * 255 // top).astype(np.uint8)
+            film.write(Frame(index, index * period, np.kron(gray, block)))
 
 
 def _counted(patterns: Iterator[NDArray[np.uint8]], advance: Callable[[int], None]) -> Iterator[NDArray[np.uint8]]:

@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.errors import HeliographError
+from heliograph.base.files import write_whole
 from heliograph.base.frames import Frame
 from heliograph.experiments import plots
 from heliograph.experiments.report import Report
@@ -70,7 +72,23 @@ def demo_messages(settings: LinkSettings) -> list[Messages]:
     return [content for _ in settings.transmit.identities]
 
 
-def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings, bar: Bar) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Demonstration:
+    """What came of it.
+
+    Attributes
+    ----------
+    counts
+        See `Reception.report`.
+    ending
+        What broke the reception off, if anything did; the report shows the results so far.
+    """
+
+    counts: dict[str, Any]
+    ending: BaseException | None = None
+
+
+def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings, bar: Bar) -> Demonstration:
     """Simulate, receive and report.
 
     Parameters
@@ -84,23 +102,28 @@ def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings,
 
     Returns
     -------
-    The counts of the reception.
+    What came of it.
     """
     film = folder / "drive.mp4"
     with bar("simulating", frames_of(settings)) as advance:
         count = write_film(film, settings, demo_messages(settings), seed, recordings, advance, lossless=True)
     truth = open_truth(truth_path(film))
     watch = _Watch([int(k) for k in np.linspace(0.02, 0.98, CUT_OUTS) * count])
-    reception, messages = Reception(truth), []
+    reception = Reception(truth)
+    messages: list[Message] = []
     began = time.perf_counter()
-    with bar("receiving", count) as advance, open_film(film) as source:
-        for _, whole in receive_film(source, settings.signal, settings, reception, watch, advance):
-            messages += whole
-    report = reception.report(time.perf_counter() - began)
+    ending: BaseException | None = None
+    try:
+        with bar("receiving", count) as advance, open_film(film) as source:
+            for _, whole in receive_film(source, settings.signal, settings, reception, watch, advance):
+                messages += whole
+    except (HeliographError, KeyboardInterrupt) as error:
+        ending = error
+    counts = reception.report(time.perf_counter() - began)
     for message in messages:
-        (folder / message_name(message)).write_bytes(message.data)
-    _write_report(folder / "report.html", settings, truth, watch, reception, report, messages)
-    return report
+        write_whole(folder / message_name(message), message.data)
+    _write_report(folder / "report.html", settings, truth, watch, reception, counts, messages)
+    return Demonstration(counts, ending)
 
 
 def message_name(message: Message) -> str:
@@ -112,16 +135,18 @@ def message_name(message: Message) -> str:
 def _write_report(path, settings, truth, watch, reception, counts, messages) -> None:  # type: ignore[no-untyped-def]
     page = Report("Heliograph: a drive past an LED array")
     channel = settings.channel
+    side = settings.signal.side
     page.text(
-        f"A 16 x 16 LED array speaks to a {channel.camera.fps:.0f} fps camera behind the windscreen of a car driving "
-        f"from {channel.distance_m:.0f} m to {channel.stop_m:.0f} m at {channel.speed_m_s * 3.6:.0f} km/h. The film is "
-        f"simulated; the receiver gets its frames alone. {counts['frames']} frames were read at "
+        f"A {side} x {side} LED array speaks to a {channel.camera.fps:.0f} fps camera behind the windscreen of a car "
+        f"driving from {channel.distance_m:.0f} m to {channel.stop_m:.0f} m at {channel.speed_m_s * 3.6:.0f} km/h. "
+        f"The film is simulated; the receiver gets its frames alone. {counts['frames']} frames were read at "
         f"{counts['frames_per_second']:.0f} frames/s."
     )
     _show_messages(page, messages, reception)
     if watch.cuts:
         _show_frames(page, watch)
-        _show_track(page, truth, watch)
+        if watch.identity in settings.transmit.identities:
+            _show_track(page, truth, watch)
         _show_cuts(page, watch)
     _show_errors(page, reception)
     page.write(path)
@@ -146,13 +171,14 @@ def _show_frames(page: Report, watch: _Watch) -> None:
     for which, (_, pose, frame, _) in (("far", watch.cuts[0]), ("near", watch.cuts[-1])):
         title = f"{which}: frame {frame.index}, {pose.pitch:.2f} px from LED to LED"
         half = 11 * pose.pitch
-        page.figure(plots.frame_with_array(frame.pixels, pose.x, pose.y, half, title), f"Received image, {which}.")
+        figure = plots.frame_with_array(frame.pixels, pose.x, pose.y, half, title, frame.full_scale)
+        page.figure(figure, f"Received image, {which}.")
 
 
 def _show_track(page: Report, truth: TruthFile, watch: _Watch) -> None:
     frames = np.array([frame for _, frame, _ in watch.track])
     wanted, true = set(frames.tolist()), []
-    array = truth.settings.transmit.identities.index(watch.identity) if watch.identity is not None else 0
+    array = truth.settings.transmit.identities.index(watch.identity)
     before = None
     for row in truth.rows():
         # a pair's pose is that of its middle: the mean of its two frames
@@ -176,11 +202,11 @@ def _show_track(page: Report, truth: TruthFile, watch: _Watch) -> None:
 
 
 def _show_cuts(page: Report, watch: _Watch) -> None:
-    first = watch.cuts[0][1]
+    first, largest = watch.cuts[0][1], 2 * watch.cuts[0][2].full_scale
     for title, fixed in (("without tracking", True), ("with tracking", False)):
         images = [_sum_at(first if fixed else pose, up, down) for _, pose, up, down in watch.cuts]
         names = [f"frame {index}" for index, *_ in watch.cuts]
-        page.figure(plots.image_row(images, names, largest=510), f"Pattern plus inverse, cut out {title}.")
+        page.figure(plots.image_row(images, names, largest=largest), f"Pattern plus inverse, cut out {title}.")
 
 
 def _sum_at(pose: Pose, up: Frame, down: Frame) -> NDArray[np.float64]:
@@ -192,13 +218,20 @@ def _show_errors(page: Report, reception: Reception) -> None:
     assert reception.errors is not None  # the demonstration knows the truth
     bins = reception.errors.bins()
     page.heading("Errors by distance")
+    if not bins:
+        page.text("No packet was received, and none was filmed whole.")
+        return
     page.figure(
         plots.errors_by_distance(bins), "Counted errors, 95 % intervals; an arrow is a bound (3/n), no error met."
     )
-    head = ["distance"] + [f"{layer}: {what}" for layer in LAYERS for what in ("BER", "codewords wrong/sent")]
+    head = ["distance"] + [f"{layer}: {what}" for layer in LAYERS for what in ("bit error rate", "codewords wrong")]
     rows = [
         [f"{start:.0f}-{start + BIN_M:.0f} m"]
-        + [cell for e in layers.values() for cell in (e.bits.text(), f"{e.codewords.errors}/{e.codewords.trials}")]
+        + [
+            cell
+            for e in layers.values()
+            for cell in (f"{e.bits.text()} of {e.bits.trials}", f"{e.codewords.errors} of {e.codewords.trials}")
+        ]
         for start, layers in bins.items()
     ]
     page.table(head, rows)

@@ -26,17 +26,17 @@ def image_row(images: Sequence[NDArray[Any]], titles: Sequence[str], rows: int =
     return figure
 
 
-def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, title: str) -> Figure:
+def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, title: str, largest: float = 255) -> Figure:
     """A whole frame, the array marked, and the array enlarged beside it."""
     figure = Figure(figsize=(12, 3.6))
     whole, near = figure.subplots(1, 2, width_ratios=(2.2, 1))
-    whole.imshow(pixels, cmap="gray", vmin=0, vmax=255)
+    whole.imshow(pixels, cmap="gray", vmin=0, vmax=largest)
     for axes in (whole, near):
         axes.set_xticks([])
         axes.set_yticks([])
     box_x = [x - half, x + half, x + half, x - half, x - half]
     whole.plot(box_x, [y - half, y - half, y + half, y + half, y - half], color="#ff6b35", lw=1)
-    near.imshow(pixels, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    near.imshow(pixels, cmap="gray", vmin=0, vmax=largest, interpolation="nearest")
     near.set_xlim(x - half, x + half)
     near.set_ylim(y + half, y - half)
     whole.set_title(title, fontsize=10)
@@ -78,7 +78,8 @@ def errors_by_distance(bins: Mapping[float, Mapping[str, LayerErrors]]) -> Figur
         axes.set_xlabel("distance (m)")
         axes.set_ylabel("bit error rate")
         axes.set_title(f"{title} the turbo code", fontsize=10)
-        axes.legend(frameon=False)
+        if axes.get_legend_handles_labels()[0]:  # nothing received: no bit counted
+            axes.legend(frameon=False)
     _clean(figure)
     return figure
 

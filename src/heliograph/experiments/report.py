@@ -2,13 +2,12 @@
 
 import base64
 import io
-import os
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from heliograph.base.errors import MediaError
+from heliograph.base.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,8 +16,9 @@ STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1d2126; max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
 h1 { font-size: 1.8rem; margin-bottom: .3rem } h2 { font-size: 1.2rem; margin-top: 2.2rem }
 figure { margin: 1rem 0 } img { max-width: 100%; height: auto } figcaption, .note { color: #5a636e; font-size: .92rem }
-table { border-collapse: collapse; margin: 1rem 0 } th, td { padding: .3rem .7rem; text-align: right; white-space: nowrap }
-th { border-bottom: 2px solid #c9ced6; font-weight: 600 } td { border-bottom: 1px solid #e3e6ea }
+table { border-collapse: collapse; margin: 1rem 0 } th, td { padding: .3rem .7rem; text-align: right }
+th, td { white-space: nowrap; border-bottom: 1px solid #e3e6ea } th { border-bottom: 2px solid #c9ced6 }
+.prose td, .prose th { white-space: normal; text-align: left; vertical-align: top }
 th:first-child, td:first-child { text-align: left } pre { background: #f4f5f7; padding: .7rem; white-space: pre-wrap }
 """
 
@@ -60,11 +60,11 @@ class Report:
         image = f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
         self._parts.append(f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>")
 
-    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Add a table."""
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], prose: bool = False) -> None:
+        """Add a table, of numbers or of prose, whose lines may be broken."""
         top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
         body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-        self._parts.append(f"<table><tr>{top}</tr>{body}</table>")
+        self._parts.append(f"<table{' class=prose' if prose else ''}><tr>{top}</tr>{body}</table>")
 
     def write(self, path: Path) -> None:
         """Write the page, whole or not at all."""
@@ -72,11 +72,4 @@ class Report:
             f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{escape(self._title)}</title>"
         )
         page = f"<!doctype html><html lang=en><head>{head}<style>{STYLE}</style></head><body>"
-        partial = path.with_name(f".{path.name}.partial")
-        try:
-            partial.write_text(page + "\n".join(self._parts) + "</body></html>\n", encoding="utf-8")
-            os.replace(partial, path)
-        except OSError as error:
-            raise MediaError(f"cannot write {path}: {error.strerror}; make room or choose another place") from None
-        finally:
-            partial.unlink(missing_ok=True)
+        write_whole(path, (page + "\n".join(self._parts) + "</body></html>\n").encode())

@@ -1,1 +1,1 @@
-"""link"""
+"""The whole link: transmitters, channel and receiver composed, films with their truth, errors counted."""

@@ -1,6 +1,7 @@
 """Error counting: packets received against packets sent, by layer and distance."""
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -41,13 +42,18 @@ class LayerErrors:
     missed: int = 0
 
 
+_Bins = dict[int, dict[str, LayerErrors]]
+
+
 @dataclass(slots=True)
 class _Sent:
     """A packet an array sent while it was filmed."""
 
     frames: int = 0
     hidden: int = 0
-    distances: list[float] = field(default_factory=list)
+    distance_m: float = 0.0
+    """At the frame nearest to its middle, which is `off_middle` of the packet away."""
+    off_middle: float = 1.0
     received: bool = False
 
 
@@ -66,7 +72,7 @@ class ErrorCounter:
         self._settings = settings
         self._senders = transmitters(settings, messages)
         self._sent: list[dict[int, _Sent]] = [{} for _ in self._senders]
-        self._bins: dict[int, dict[str, LayerErrors]] = {}
+        self._bins: _Bins = {}
         self.false_codewords = 0
         """Codewords passed as right that were not sent so: there must be none."""
 
@@ -79,8 +85,8 @@ class ErrorCounter:
             sent = self._sent[array].setdefault(number, _Sent())
             sent.frames += 1
             sent.hidden += not in_view
-            if abs(place - 0.5) < 0.06:
-                sent.distances.append(distance)
+            if abs(place - 0.5) < sent.off_middle:
+                sent.distance_m, sent.off_middle = distance, abs(place - 0.5)
 
     def received(self, packet: Packet) -> None:
         """Take a packet; the truth up to its last frame must have been seen."""
@@ -88,23 +94,26 @@ class ErrorCounter:
             self._count_false(packet)
             return
         array = self._settings.transmit.identities.index(packet.identity)
-        number, _ = self._packet_at(array, packet.start_time_s + 0.5 * self._packet_s(array))
+        number, _ = self._packet_at(array, self._true_time(packet.start_time_s) + 0.5 * self._packet_s(array))
         sent = self._sent[array].get(number)
         if sent is None or sent.received:
             self._count_false(packet)
             return
         sent.received = True
         for name, words in packet.layers.items():
-            self._compare(self._senders[array], number, self._errors(sent, name), name, words)
+            self._compare(self._senders[array], number, _errors(self._bins, sent, name), name, words)
 
     def bins(self) -> dict[float, dict[str, LayerErrors]]:
-        """Errors by the lower edge of the distance bin and by layer, near first; missed packets counted."""
+        """Errors by the lower edge of the distance bin and by layer, near first; missed packets counted.
+
+        A packet filmed whole and not received so far counts as missed, for now: it may still come.
+        """
+        bins = deepcopy(self._bins)
         for array, packets in enumerate(self._sent):
             for sent in packets.values():
                 if not sent.received and self._complete(array, sent):
-                    sent.received = True
-                    self._count_missed(array, sent)
-        return {key * BIN_M: self._bins[key] for key in sorted(self._bins)}
+                    self._count_missed(bins, array, sent)
+        return {key * BIN_M: bins[key] for key in sorted(bins)}
 
     def report(self) -> list[dict[str, Any]]:
         """The bins as plain values, for JSON."""
@@ -130,9 +139,9 @@ class ErrorCounter:
             errors.codewords.add(1, wrong > 0 or word.status != "ok")
             self.false_codewords += word.status == "ok" and wrong > 0
 
-    def _count_missed(self, array: int, sent: _Sent) -> None:
+    def _count_missed(self, bins: _Bins, array: int, sent: _Sent) -> None:
         for name, layer in self._senders[array].format.layers.items():
-            errors = self._errors(sent, name)
+            errors = _errors(bins, sent, name)
             errors.codewords.add(layer.codewords, layer.codewords)
             errors.missed += layer.codewords
 
@@ -143,15 +152,15 @@ class ErrorCounter:
         """Whether the packet was filmed from its first pattern to its last, in view all the time."""
         camera = self._settings.channel.camera
         expected = self._packet_s(array) * camera.fps
-        return not sent.hidden and sent.frames >= expected - 1 and bool(sent.distances)
-
-    def _errors(self, sent: _Sent, layer: str) -> LayerErrors:
-        distance = float(np.mean(sent.distances)) if sent.distances else 0.0
-        by_layer = self._bins.setdefault(int(distance // BIN_M), {name: LayerErrors() for name in LAYERS})
-        return by_layer[layer]
+        return not sent.hidden and sent.frames >= expected - 1
 
     def _packet_s(self, array: int) -> float:
         return self._settings.signal.packet_s * (1 + self._settings.channel.arrays[array].clock_ppm * 1e-6)
+
+    def _true_time(self, time_s: float) -> float:
+        """True time of what the camera's clock calls `time_s`."""
+        camera = self._settings.channel.camera
+        return camera.start_s + (time_s - camera.start_s) * (1 + camera.clock_ppm * 1e-6)
 
     def _packet_at(self, array: int, time_s: float) -> tuple[int, float]:
         """Number of the packet shown at a time, and how much of it is over."""
@@ -159,6 +168,11 @@ class ErrorCounter:
         # a frame that starts with a pattern must not fall before it by rounding
         number, share = divmod((time_s + 1e-7 - place.start_s) / self._packet_s(array), 1.0)
         return int(number), share
+
+
+def _errors(bins: _Bins, sent: _Sent, layer: str) -> LayerErrors:
+    """Where the errors of a packet's layer are counted."""
+    return bins.setdefault(int(sent.distance_m // BIN_M), {name: LayerErrors() for name in LAYERS})[layer]
 
 
 def pooled(bins: Any) -> dict[str, LayerErrors]:

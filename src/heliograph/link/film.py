@@ -1,18 +1,19 @@
 """Films of simulated drives, and films received: the link with files at its ends."""
 
+import contextlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from heliograph.base.config import from_mapping, to_mapping
-from heliograph.base.errors import MediaError, SettingsError
+from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.channel import frame_count
 from heliograph.link.reception import Reception
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
-from heliograph.link.truth import TruthWriter, truth_path
+from heliograph.link.truth import TruthFile, TruthWriter, fingerprint, truth_path
 from heliograph.media import FilmReader, create_film
 from heliograph.receive import Packet, Receiver
 from heliograph.receive.packets import Observer, ignore
@@ -21,6 +22,12 @@ from heliograph.signal.settings import SignalSettings
 
 SIGNAL_TAG = "heliograph_signal"
 """Metadata of a film that tells what the light speaks; a receiver may know that."""
+
+RATE_TOLERANCE = 1e-3
+"""Departure of a film's rate from its truth's, as a share, that a container's rounding explains."""
+
+TRUTH_TAG = "heliograph_simulation"
+"""Metadata of a simulated film that tells which truth file is its own, and nothing of what is in it."""
 
 Progress = Callable[[int], None]
 
@@ -58,7 +65,7 @@ def write_film(
     Raises
     ------
     MediaError
-        The film cannot be written; nothing is left behind then.
+        The film or its truth cannot be written; nothing is left behind then, and what was there stays.
     """
     camera = settings.channel.camera
     film = create_film(
@@ -67,26 +74,32 @@ def write_film(
         height=camera.height,
         rate_hz=camera.fps,
         bits=settings.channel.sensor.bits,
-        metadata={SIGNAL_TAG: json.dumps(to_mapping(settings.signal))},
+        metadata={
+            SIGNAL_TAG: json.dumps(to_mapping(settings.signal)),
+            TRUTH_TAG: fingerprint(settings, messages, seed),
+        },
         **codec,
     )
-    truth = TruthWriter(truth_path(path), settings, messages, seed)
-    count = 0
-    try:
-        for frame, row in simulate(settings, messages, seed, recordings):
-            film.write(frame)
-            truth.add(row)
-            count += 1
-            progress(count)
-    except KeyboardInterrupt:
-        _close(film, truth, count)
-        raise
-    except BaseException:
-        film.abort()
-        truth.abort()
-        raise
-    _close(film, truth, count)
-    return count
+    interrupted: KeyboardInterrupt | None = None
+    with contextlib.ExitStack() as undo:
+        undo.callback(film.abort)  # does nothing once the film is finished
+        truth = TruthWriter(truth_path(path), settings, messages, seed)
+        undo.callback(truth.abort)
+        try:
+            for frame, row in simulate(settings, messages, seed, recordings):
+                film.write(frame)
+                truth.add(row)
+                progress(film.frames_written)
+        except KeyboardInterrupt as error:
+            interrupted = error
+        if film.frames_written:
+            with truth.finishing():
+                film.finish()
+    if interrupted is not None:
+        raise interrupted
+    if not film.frames_written:
+        raise MediaError("the film has no frames: the drive is shorter than an exposure; raise channel.duration_s")
+    return film.frames_written
 
 
 def frames_of(settings: LinkSettings) -> int:
@@ -101,8 +114,23 @@ def signal_of(film: FilmReader, settings: LinkSettings, chosen: bool) -> SignalS
         return settings.signal
     try:
         return from_mapping(SignalSettings, json.loads(text))
-    except (json.JSONDecodeError, SettingsError) as error:
-        raise MediaError(f"the film's note on its signal is unreadable ({error}); give --preset or --set") from None
+    except ValueError as error:  # no JSON, or no settings
+        raise MediaError(f"the film's note on its signal is unreadable ({error}); set signal.* yourself") from None
+
+
+def check_truth(film: FilmReader, truth: TruthFile) -> None:
+    """Raise a MediaError where the truth is that of another film: counting against it would invent errors."""
+    camera, own = truth.settings.channel.camera, film.metadata.get(TRUTH_TAG)
+    size, rate = (camera.width, camera.height), camera.fps
+    if own and truth.fingerprint and own != truth.fingerprint:
+        differs = "they come from different simulations"
+    elif size != (film.width, film.height):
+        differs = f"it has frames of {size[0]}x{size[1]} pixels, the film of {film.width}x{film.height}"
+    elif abs(rate / film.rate_hz - 1) > RATE_TOLERANCE:
+        differs = f"it has {rate:g} frames/s, the film {film.rate_hz:g}"
+    else:
+        return
+    raise MediaError(f"{truth.path} is not the truth of {film.path}: {differs}; give the one written beside the film")
 
 
 def receive_film(
@@ -136,11 +164,18 @@ def receive_film(
         The film breaks off or is shorter than a packet; all packets before have been given.
     """
     receiver = Receiver(signal, settings.receive, observe)
-    for frame in _whole_film(film, reception, progress):
-        for packet in receiver.push(frame):
-            yield packet, list(reception.add(packet))
+    broken: MediaError | None = None
+    try:
+        for frame in _whole_film(film, reception, progress):
+            for packet in receiver.push(frame):
+                yield packet, list(reception.add(packet))
+            reception.detections = receiver.detections
+    except MediaError as error:
+        broken = error
     for packet in receiver.finish():
         yield packet, list(reception.add(packet))
+    if broken is not None:
+        raise broken
     if reception.frames < signal.packet_patterns:
         raise MediaError(
             f"{film.path} has {reception.frames} frames; a packet takes {signal.packet_patterns}: record longer"
@@ -152,15 +187,6 @@ def _whole_film(film: FilmReader, reception: Reception, progress: Progress) -> I
         reception.saw(frame.index)
         yield frame
         progress(reception.frames)
-
-
-def _close(film: Any, truth: TruthWriter, count: int) -> None:
-    if not count:
-        film.abort()
-        truth.abort()
-        raise MediaError("the film has no frames: the drive is shorter than an exposure; raise channel.duration_s")
-    film.finish()
-    truth.finish()
 
 
 def packet_row(packet: Packet) -> Mapping[str, Any]:

@@ -71,6 +71,8 @@ class Reception:
     def __init__(self, truth: TruthFile | None = None):
         self.arrays: dict[int, ArrayTally] = {}
         self.frames = 0
+        self.detections = 0
+        """Times the receiver took something for an array."""
         self.errors = ErrorCounter(truth.settings, truth.messages) if truth else None
         self._rows = truth.rows() if truth else None
         self._reassembler = Reassembler()
@@ -109,6 +111,7 @@ class Reception:
             "frames": self.frames,
             "seconds": round(seconds, 3),
             "frames_per_second": round(self.frames / max(seconds, 1e-9), 1),
+            "detections": self.detections,
             "arrays": [_plain(identity, tally) for identity, tally in sorted(self.arrays.items())],
         }
         if self.errors is not None:

@@ -1,5 +1,6 @@
 """Real recordings for the channel, from files: background footage and motion of a car."""
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -43,10 +44,7 @@ def load_imu(path: Path) -> ImuTrace:
     MediaError
         The file is missing, lacks a column, or holds what is no number.
     """
-    try:
-        table: Any = np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64, encoding="utf-8")
-    except (OSError, ValueError, UnicodeDecodeError) as error:
-        raise MediaError(f"cannot read the motion file {path}: {str(error).splitlines()[0]}") from None
+    table = _table(path)
     lacking = [name for name in IMU_COLUMNS if name not in (table.dtype.names or ())]
     if lacking:
         raise MediaError(f"{path} lacks the column '{lacking[0]}'; a motion file has {', '.join(IMU_COLUMNS)}")
@@ -54,3 +52,22 @@ def load_imu(path: Path) -> ImuTrace:
         return ImuTrace.from_columns(*(np.atleast_1d(table[name]) for name in IMU_COLUMNS))
     except ValueError as error:
         raise MediaError(f"{path}: {error}") from None
+
+
+def _table(path: Path) -> Any:
+    """A CSV file's columns by name, NaN where there is no number."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise MediaError(f"cannot read the motion file {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise MediaError(f"the motion file {path} is no text; give a CSV file") from None
+    if not text.strip():
+        raise MediaError(f"the motion file {path} is empty; a motion file has {', '.join(IMU_COLUMNS)}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a file without rows: its length is checked
+            return np.genfromtxt(text.splitlines(), delimiter=",", names=True, dtype=np.float64)
+    except ValueError as error:
+        reason = str(error).splitlines()[:2][-1].strip()  # the second line tells which row is short
+        raise MediaError(f"cannot read the motion file {path}: {reason}") from None

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heliograph.base.errors import HeliographError, SettingsError
 from heliograph.base.frames import Frame
 from heliograph.channel import Footage, ImuTrace, Truth, film
 from heliograph.link.settings import LinkSettings
@@ -44,9 +45,24 @@ def default_messages(settings: LinkSettings) -> list[Messages]:
 
 
 def transmitters(settings: LinkSettings, messages: Sequence[Messages]) -> list[Transmitter]:
-    """A transmitter for each array, `messages` in the order of the arrays."""
+    """A transmitter for each array, `messages` in the order of the arrays.
+
+    Raises
+    ------
+    SettingsError
+        A message is too long, there are too many, or a packet is too small for a codeword.
+    """
     pairs = zip(settings.transmit.identities, messages, strict=True)
-    return [Transmitter(settings.signal, identity, content) for identity, content in pairs]
+    return [_transmitter(settings, identity, content) for identity, content in pairs]
+
+
+def _transmitter(settings: LinkSettings, identity: int, messages: Messages) -> Transmitter:
+    try:
+        return Transmitter(settings.signal, identity, messages)
+    except HeliographError:
+        raise
+    except ValueError as error:
+        raise SettingsError(f"array {identity}: {error}; send less, or cut it up") from None
 
 
 def simulate(

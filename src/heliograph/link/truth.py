@@ -4,10 +4,11 @@ Only error counting and pictures read it, never a receiver.
 """
 
 import contextlib
+import hashlib
 import json
-import os
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.config import from_mapping, to_mapping
-from heliograph.base.errors import MediaError, SettingsError
+from heliograph.base.errors import MediaError
+from heliograph.base.files import clear_write_errors, whole_file
 from heliograph.channel import Truth
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages
@@ -48,6 +50,14 @@ def truth_path(film: Path) -> Path:
     return film.with_name(film.name + ".truth.npz")
 
 
+def fingerprint(settings: LinkSettings, messages: Sequence[Messages], seed: int) -> str:
+    """Short text that tells one simulation from another, to know which truth is whose."""
+    digest = hashlib.sha256(json.dumps([to_mapping(settings), seed, _names(messages)]).encode())
+    for data in _contents(messages):
+        digest.update(hashlib.sha256(data).digest())
+    return digest.hexdigest()[:16]
+
+
 class TruthWriter:
     """Writes the truth of a film frame by frame; the file appears whole when finished.
 
@@ -62,10 +72,10 @@ class TruthWriter:
     def __init__(self, path: Path, settings: LinkSettings, messages: Sequence[Messages], seed: int):
         self._path, self._settings, self._messages, self._seed = path, settings, messages, seed
         self._type = row_type(len(settings.channel.arrays))
-        try:
+        if path.is_dir():
+            raise MediaError(f"{path} is a folder: move it away, the film's truth goes there")
+        with clear_write_errors(path):
             self._rows = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115 - lives as long as the writer
-        except OSError as error:
-            raise MediaError(f"cannot write in {path.parent}: {error.strerror}") from None
         self._count = 0
 
     def add(self, truth: Truth) -> None:
@@ -76,45 +86,44 @@ class TruthWriter:
             (a.x, a.y, a.pitch_px, a.roll_rad, a.distance_m, a.visible, a.patterns[0] if a.patterns else -1)
             for a in truth.arrays
         ]
-        self._rows.write(row.tobytes())
+        with clear_write_errors(self._path):
+            self._rows.write(row.tobytes())
         self._count += 1
 
-    def finish(self) -> None:
-        """Write the file."""
-        partial = self._path.with_name(f".{self._path.name}.partial")
+    @contextlib.contextmanager
+    def finishing(self) -> Iterator[None]:
+        """Write the file; it takes its place when the block ends well, and not at all otherwise.
+
+        So a film can be finished in the block, and there is never a film beside the truth of another one.
+        """
         try:
-            self._write(partial)
-            os.replace(partial, self._path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise MediaError(
-                f"cannot write {self._path}: {error.strerror}; make room or choose another place"
-            ) from None
+            with whole_file(self._path) as partial:
+                self._write(partial)
+                yield
         finally:
-            self._rows.close()
+            self.abort()
 
     def abort(self) -> None:
         """Leave nothing behind."""
-        self._rows.close()
+        with contextlib.suppress(OSError):  # what is buffered may find no room
+            self._rows.close()
 
     def _write(self, partial: Path) -> None:
-        about = {"settings": to_mapping(self._settings), "seed": self._seed, "messages": self._message_names()}
+        names = _names(self._messages)
+        about = {"settings": to_mapping(self._settings), "seed": self._seed, "messages": names}
+        about["fingerprint"] = fingerprint(self._settings, self._messages, self._seed)
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
             archive.writestr("about.json", json.dumps(about))
-            for name, data in zip(_flat(self._message_names()), _contents(self._messages), strict=True):
+            for name, data in zip(_flat(names), _contents(self._messages), strict=True):
                 archive.writestr(name, data)
             with archive.open("frames.npy", "w", force_zip64=True) as out:
                 header = {"descr": np.lib.format.dtype_to_descr(self._type), "fortran_order": False}
                 np.lib.format.write_array_header_2_0(out, {**header, "shape": (self._count,)})
                 self._rows.seek(0)
-                while block := self._rows.read(1 << 20):
+                left = self._count * self._type.itemsize  # Ctrl-C may have left a row that is not counted
+                while block := self._rows.read(min(left, 1 << 20)):
                     out.write(block)
-
-    def _message_names(self) -> list[dict[str, list[str]]]:
-        return [
-            {name: [f"messages/{k}/{name}/{i}" for i in range(len(m.get(name, ())))] for name in LAYERS}
-            for k, m in enumerate(self._messages)
-        ]
+                    left -= len(block)
 
 
 @dataclass(frozen=True)
@@ -127,21 +136,31 @@ class TruthFile:
         The file.
     settings, messages, seed
         What was simulated.
+    fingerprint
+        What the film has as well, see `fingerprint`; empty where unknown.
     """
 
     path: Path
     settings: LinkSettings
     messages: Sequence[Messages]
     seed: int
+    fingerprint: str = ""
 
     def rows(self) -> Iterator[NDArray[Any]]:
         """Rows of `row_type`, one a frame."""
         kind = row_type(len(self.settings.channel.arrays))
         with _broken_is_clear(self.path), zipfile.ZipFile(self.path) as archive, archive.open("frames.npy") as file:
             np.lib.format.read_magic(file)
-            np.lib.format.read_array_header_2_0(file)
+            shape, _, stored = np.lib.format.read_array_header_2_0(file)
+            if stored != kind:
+                raise ValueError(f"its rows have the type {stored}, not {kind}")
+            left = shape[0]
             while block := file.read(CHUNK * kind.itemsize):
-                yield from np.frombuffer(block, kind)
+                rows = np.frombuffer(block, kind)
+                left -= len(rows)
+                yield from rows
+            if left:
+                raise ValueError(f"it should have {shape[0]} rows, not {shape[0] - left}")
 
 
 def open_truth(path: Path) -> TruthFile:
@@ -156,16 +175,33 @@ def open_truth(path: Path) -> TruthFile:
         raise MediaError(f"there is no truth file {path}; 'heliograph simulate' writes it beside the film")
     with _broken_is_clear(path), zipfile.ZipFile(path) as archive:
         about = json.loads(archive.read("about.json"))
-        messages = [{n: [archive.read(i) for i in names] for n, names in m.items()} for m in about["messages"]]
-        return TruthFile(path, from_mapping(LinkSettings, about["settings"]), messages, about["seed"])
+        messages = [{n: [archive.read(i) for i in m[n]] for n in LAYERS} for m in about["messages"]]
+        settings = from_mapping(LinkSettings, about["settings"])
+        if len(messages) != len(settings.channel.arrays):
+            raise ValueError(f"messages of {len(messages)} arrays, not {len(settings.channel.arrays)}")
+        return TruthFile(path, settings, messages, int(about["seed"]), str(about.get("fingerprint", "")))
+
+
+_BROKEN = (
+    zipfile.BadZipFile, zlib.error, EOFError, OSError,
+    KeyError, ValueError, TypeError, AttributeError, NotImplementedError, RuntimeError,
+)  # fmt: skip
+"""All that a damaged archive, or an archive of something else, makes of reading it."""
 
 
 @contextlib.contextmanager
 def _broken_is_clear(path: Path) -> Iterator[None]:
     try:
         yield
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, SettingsError) as error:
+    except _BROKEN as error:
         raise MediaError(f"{path} is no truth file, or damaged ({error}); simulate the film again") from None
+
+
+def _names(messages: Sequence[Messages]) -> list[dict[str, list[str]]]:
+    return [
+        {name: [f"messages/{k}/{name}/{i}" for i in range(len(by_layer.get(name, ())))] for name in LAYERS}
+        for k, by_layer in enumerate(messages)
+    ]
 
 
 def _flat(names: list[dict[str, list[str]]]) -> list[str]:

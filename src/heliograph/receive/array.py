@@ -101,12 +101,10 @@ class ArrayReceiver:
 
     def _advance(self, pair: int) -> Iterator[Packet]:
         """Account for pairs that no frames came for; a packet may end among them."""
-        while self._pair < pair:
-            if self._pair_in_packet(self._pair) == self._pairs - 1 and self._packet.frames:
-                yield self._finish()
-            self._pair += 1
-            if pair - self._pair > self._pairs:
-                self._pair = pair
+        end = self._pair - self._pair_in_packet(self._pair) + self._pairs
+        if pair >= end and self._packet.frames:
+            self._pair = end - 1
+            yield self._finish()
         self._pair = pair
 
     def _read(self, pattern: Frame, inverted: Frame) -> None:
@@ -127,7 +125,8 @@ class ArrayReceiver:
 
     def _luminances(self, pattern: Frame, inverted: Frame, tracked: TrackedPair) -> NDArray[np.float64]:
         poses = (tracked.state.pose_at(pattern.time_s), tracked.state.pose_at(inverted.time_s))
-        x = pair_luminances(pattern, inverted, poses, self.tracker.gain, self._form.settings.side)
+        side, equaliser = self._form.settings.side, self._settings.equaliser
+        x = pair_luminances(pattern, inverted, poses, self.tracker.gain, side, equaliser)
         self._observe(
             "extract", {"identity": self.identity, "frames": (pattern, inverted), "poses": poses, "luminances": x}
         )

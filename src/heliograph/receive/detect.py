@@ -27,6 +27,9 @@ BLOCK = 8
 SIDE_STEP = 1.12
 """Ratio of successive sizes looked for: half a step costs 3 % of correlation."""
 
+COMB = 0.5
+"""Pitches of blur that hide single LEDs while a candidate is centred: else it locks in a whole pitch beside them."""
+
 SLACK = 2
 """Frames by which the start of the header may differ from the searched window's, either way."""
 
@@ -107,6 +110,9 @@ class Detector:
         return self._search(list(self._frames), taken)
 
     def _search(self, frames: list[Frame], taken: Sequence[Pose]) -> list[Detection]:
+        frames = _common(frames)
+        if min(frames[0].pixels.shape) < self._sides[0]:
+            return []
         window = frames[SLACK : SLACK + self._span]
         change = _change([f.pixels for f in window])
         origin = frames[0].origin
@@ -114,7 +120,7 @@ class Detector:
         if not busy.any():
             return []
         found = [self._refine(frames, change, row, taken) for row in self._coarse(change, busy, frames[0].full_scale)]
-        return _distinct([d for d in found if d is not None])
+        return _distinct([d for d in found if d is not None], self._side)
 
     def _busy(
         self, change: NDArray[np.float32], origin: tuple[int, int], taken: Sequence[Pose], full_scale: int
@@ -157,10 +163,10 @@ class Detector:
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], row[3] / self._side, 0.0, blur)
         if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
             return None
-        rough = _fit_window(change, origin, start, sign * weights, self._side)
+        rough = _fit_window(change, origin, start, sign * weights, self._side, COMB)
         if rough is None or rough.score < self._settings.detect.coarse_score:
             return None
-        return self._timed(frames, rough.pose, weights, number)
+        return self._timed(frames, replace(rough.pose, blur=blur), weights, number)
 
     def _timed(self, frames: list[Frame], pose: Pose, weights: NDArray[np.float64], number: int) -> Detection | None:
         """Where the header begins, the start at which its frames alternate most; and the pose in just those frames."""
@@ -178,9 +184,10 @@ class Detector:
         return Detection(number, header[0].time_s, fit, middle, fit.score, regularity)
 
     def _convincing(self, fit: Fit, regularity: float, full_scale: int) -> bool:
-        detect = self._settings.detect
+        detect, side, half_step = self._settings.detect, self._side * fit.pose.pitch, SIDE_STEP**0.5
         bright = fit.gain >= detect.min_contrast * full_scale
-        return bright and fit.score >= detect.score and regularity >= detect.regularity
+        sized = detect.min_side_px / half_step <= side <= detect.max_side_px * half_step
+        return bright and sized and fit.score >= detect.score and regularity >= detect.regularity
 
     def _weights(self, number: int) -> NDArray[np.float64]:
         size = self._side // CELLS
@@ -223,7 +230,21 @@ def _sizes(smallest: float, largest: float) -> NDArray[np.float64]:
 
 
 def _follows(last: Frame, frame: Frame) -> bool:
-    return last.pixels.shape == frame.pixels.shape and last.origin == frame.origin and frame.index == last.index + 1
+    return last.pixels.dtype == frame.pixels.dtype and last.bits == frame.bits and frame.index == last.index + 1
+
+
+def _common(frames: list[Frame]) -> list[Frame]:
+    """Frames cut to the window of the sensor that all of them show; a camera's window may follow the array."""
+    if all(f.origin == frames[0].origin and f.pixels.shape == frames[0].pixels.shape for f in frames):
+        return frames
+    left, top = (max(f.origin[k] for f in frames) for k in (0, 1))
+    right, low = (min(f.origin[k] + f.pixels.shape[1 - k] for f in frames) for k in (0, 1))
+    return [_cropped(f, left, top, max(right, left), max(low, top)) for f in frames]
+
+
+def _cropped(frame: Frame, left: int, top: int, right: int, low: int) -> Frame:
+    x, y = frame.origin
+    return replace(frame, pixels=frame.pixels[top - y : low - y, left - x : right - x].copy(), origin=(left, top))
 
 
 def _before(frame: Frame, count: int) -> list[Frame]:
@@ -249,26 +270,37 @@ def _blank(mean: NDArray[np.float32], pose: Pose, side: int, origin: tuple[int, 
 
 
 def _fit_window(
-    change: NDArray[np.float32], origin: tuple[int, int], start: Pose, weights: NDArray[np.float64], side: int
+    change: NDArray[np.float32],
+    origin: tuple[int, int],
+    start: Pose,
+    weights: NDArray[np.float64],
+    side: int,
+    smooth: float = 0.0,
 ) -> Fit | None:
+    """Fit near a start, to pixels blurred by `smooth` pitches."""
     x0, y0, width, height = window_around(start, side, 0.12 * side * start.pitch + 1)
     i, j = y0 - origin[1], x0 - origin[0]
     if i < 0 or j < 0 or i + height > change.shape[0] or j + width > change.shape[1]:
         return None
     image = change[i : i + height, j : j + width].astype(np.float64)
+    sigma = smooth * start.pitch
+    if sigma:
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float64)
+        start = replace(start, blur=float(np.hypot(start.blur, sigma)))
     reach = 0.08 * side * start.pitch
     spread = np.diag([reach**2, reach**2, 0.1**2, 0.05**2, 0.2**2])
     return fit_array(image, (x0, y0), Prior(start.vector(), spread), weights, 6)
 
 
-def _distinct(detections: list[Detection]) -> list[Detection]:
+def _distinct(detections: list[Detection], side: int) -> list[Detection]:
     """One detection a place, the best."""
     kept: list[Detection] = []
     for one in sorted(detections, key=lambda d: -d.score):
-        if all(_apart(one.fit.pose, other.fit.pose) for other in kept):
+        if all(_apart(one.fit.pose, other.fit.pose, side) for other in kept):
             kept.append(one)
     return kept
 
 
-def _apart(a: Pose, b: Pose) -> bool:
-    return bool(np.hypot(a.x - b.x, a.y - b.y) > 4 * (a.pitch + b.pitch))
+def _apart(a: Pose, b: Pose, side: int) -> bool:
+    """Whether two arrays do not overlap, a tenth left for slips: parts of a header look like smaller ones."""
+    return bool(np.hypot(a.x - b.x, a.y - b.y) > 0.45 * side * (a.pitch + b.pitch))

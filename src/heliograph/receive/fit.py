@@ -68,7 +68,13 @@ GAIN_SPREAD = 0.15
 
 
 def fit_array(
-    image: Floats, corner: tuple[int, int], prior: Prior, weights: Floats, iterations: int, panel: bool = False
+    image: Floats,
+    corner: tuple[int, int],
+    prior: Prior,
+    weights: Floats,
+    iterations: int,
+    panel: bool = False,
+    start: Floats | None = None,
 ) -> Fit:
     """Most probable pose of LEDs of known weights, by Gauss-Newton with robust weights.
 
@@ -87,13 +93,15 @@ def fit_array(
     panel
         Whether a panel darker or brighter than the background may surround the LEDs: it does in a sum of frames, it
         cancels in a difference.
+    start
+        Pose vector (5,) to start from; the prior's if None.
 
     Returns
     -------
     Fit
     """
     scene = _Scene(image, corner, weights, panel)
-    vector, precision = prior.vector.copy(), np.linalg.inv(prior.covariance)
+    vector, precision = (prior.vector if start is None else start).copy(), np.linalg.inv(prior.covariance)
     scene.place(vector)
     linear = scene.coefficients(prior.gain)
     for _ in range(iterations):
@@ -111,7 +119,13 @@ def fit_array(
         scene.place(vector)
     covariance = np.linalg.inv(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3))[:5, :5]
     fitted: Floats = np.tensordot(linear, scene.columns, 1)
-    return Fit(vector, covariance, float(linear[0]), _correlation(image, fitted), _spread_of(image - fitted))
+    return Fit(
+        vector,
+        np.asarray(covariance, np.float64),
+        float(linear[0]),
+        _correlation(image, fitted),
+        _spread_of(image - fitted),
+    )
 
 
 class _Scene:

@@ -89,7 +89,7 @@ class Receiver:
             )
 
 
-def receive(
+def receive_frames(
     frames: Iterable[Frame],
     signal: SignalSettings,
     settings: ReceiveSettings | None = None,

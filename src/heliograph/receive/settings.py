@@ -10,6 +10,8 @@ from heliograph.base.config import CONFIG
 Share = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0)]
 
+Equaliser = Literal["none", "inverse"]
+
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class CalibrationSettings:
@@ -60,7 +62,7 @@ class DetectSettings:
     max_side_px: Annotated[float, Field(ge=6, le=400)] = 64.0
     min_contrast: Share = 0.03
     coarse_score: Share = 0.5
-    score: Share = 0.8
+    score: Share = 0.9
     regularity: Share = 0.5
     candidates: Annotated[int, Field(ge=1, le=64)] = 6
 
@@ -93,7 +95,7 @@ class TrackSettings:
         Gauss-Newton steps a pair.
     """
 
-    acceleration_px_s2: Positive = 3e4
+    acceleration_px_s2: Positive = 1e5
     acceleration_s: Positive = 4e-3
     expansion_s2: Positive = 0.5
     activity: Share = 0.06
@@ -126,9 +128,13 @@ class ReceiveSettings:
     ----------
     receiver
         Its name: "plain" is the paper's own.
+    equaliser
+        How the LEDs are read: "none", the luminance at each one's position, as in the paper, or "inverse", all by
+        least squares with the blur known, as Kasashima et al. 2013 did.
     """
 
     receiver: Literal["plain"] = "plain"
+    equaliser: Equaliser = "none"
     calibration: CalibrationSettings = CalibrationSettings()
     detect: DetectSettings = DetectSettings()
     track: TrackSettings = TrackSettings()

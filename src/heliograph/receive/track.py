@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +24,10 @@ SUM_BIAS = np.array([0.0, 0.0, 0.05, 0.0, 0.5]) ** 2
 
 HEADER_BIAS = np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2
 """Of x and y in a header minus its inverse, in px: motion between the two. The background cancels there."""
+
+
+RESOLVED_PX = 1.0
+"""Pitch from which on single LEDs show in a sum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +82,11 @@ class Tracker:
         corner, up, down = self._cut(pattern, inverted, predicted)
         # (pattern) + (inverse) = every LED on, Fig. 9
         prior = Prior(predicted.mean[:5], predicted.expected(SUM_BIAS), self.gain)
-        fit = fit_array(up + down, corner, prior, self._ones, self._settings.iterations, panel=True)
+        total = up + down
+        start = self._unresolved(total, corner, prior) if self._unsure(predicted) else None
+        # a start of its own saves a step
+        steps = self._settings.iterations - (start is not None and self._settings.iterations > 1)
+        fit = fit_array(total, corner, prior, self._ones, steps, panel=True, start=start)
         seen = self._inside(fit, pattern) and self._active(up - down, fit.pose, corner)
         if seen:
             predicted = predicted.condition(fit.vector, fit.covariance, SUM_BIAS)
@@ -94,15 +103,29 @@ class Tracker:
         if fit.score >= self._settings.score:
             self.state = self.state.condition(fit.vector, fit.covariance, HEADER_BIAS)
 
-    def coast(self, time_s: float) -> None:
-        """Move on without a look, where a frame of the pair is missing."""
-        self.state = self._predict(time_s)
-
     def _predict(self, time_s: float) -> PoseState:
         """The state at a time; pairs seen before the detection's own time take it as it is."""
         if time_s <= self.state.time_s:
             return PoseState(time_s, self.state.mean, self.state.covariance)
         return self.state.predict(time_s, self._settings)
+
+    def _unsure(self, predicted: PoseState) -> bool:
+        """Whether the prediction may be a pitch off, so that resolved LEDs would be taken for their neighbours."""
+        spread = float(np.sqrt(predicted.covariance[:2, :2].diagonal().max()))
+        pitch = predicted.pose.pitch
+        return pitch > RESOLVED_PX and spread > 0.2 * pitch
+
+    def _unresolved(self, total: Floats, corner: tuple[int, int], prior: Prior) -> Floats:
+        """Start of the fit found on pixels so blurred that no LED can be taken for its neighbour."""
+        pose = Pose.of(prior.vector)
+        sigma = 0.5 * pose.pitch
+        vector, covariance = prior.vector.copy(), prior.covariance.copy()
+        vector[4] = np.log(np.hypot(pose.blur, sigma))
+        covariance[[0, 1], [0, 1]] += pose.pitch**2
+        smooth = np.asarray(cv2.GaussianBlur(total, (0, 0), sigma), np.float64)
+        wide = Prior(vector, covariance, prior.gain)
+        fit = fit_array(smooth, corner, wide, self._ones, max(1, self._settings.iterations - 1), panel=True)
+        return np.append(fit.vector[:4], prior.vector[4])
 
     def _cut(self, pattern: Frame, inverted: Frame, state: PoseState) -> tuple[tuple[int, int], Floats, Floats]:
         """The array's surroundings in both frames, and their corner."""

@@ -1,0 +1,118 @@
+"""Speed of the plain receiver on whole frames kept in memory, beside plain filters of the same frame.
+
+python benchmarks/receive.py
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from heliograph.base.frames import Frame
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import default_messages, simulate
+from heliograph.receive import Packet, Receiver
+from heliograph.receive.detect import Detector
+
+RUNS = 5
+FRAMES = 220
+"""Two packets and a bit."""
+
+
+def static(distance_m: float, background: str = "flat") -> LinkSettings:
+    scene = {"distance_m": distance_m, "duration_s": FRAMES * 1e-3, "background": {"kind": background}}
+    return load_settings("static", {"channel": scene})
+
+
+def film(settings: LinkSettings) -> list[Frame]:
+    return [frame for frame, _ in simulate(settings, default_messages(settings), 1)]
+
+
+def empty(background: str) -> list[Frame]:
+    """A drive over a rough road past nothing: the array is dark."""
+    drive = {"speed_m_s": 8.33, "shake": "road", "road_class": "C", "stop_m": 1.0, "distance_m": 50.0}
+    scene = {**drive, "duration_s": FRAMES * 1e-3, "background": {"kind": background}, "arrays": [{"start_s": 1e3}]}
+    return film(load_settings("static", {"channel": scene}))
+
+
+def rate(frames: Sequence[Frame]) -> tuple[float, list[Packet], int]:
+    """Median frames/s over the runs, the packets read and the candidates fitted."""
+    rates, packets, fitted = list[float](), list[Packet](), 0
+    for _ in range(RUNS):
+        receiver, packets = Receiver(load_settings().signal), []
+        start = time.perf_counter()
+        for frame in frames:
+            packets += receiver.push(frame)
+        rates.append(len(frames) / (time.perf_counter() - start))
+        fitted = receiver._detector.candidates_fitted
+    return float(np.median(rates)), packets, fitted
+
+
+def following_rate(frames: Sequence[Frame]) -> float:
+    """Frames/s without the search: what following and decoding alone take."""
+    push = Detector.push
+    receiver, rates = Receiver(load_settings().signal), list[float]()
+    for frame in frames[:20]:
+        list(receiver.push(frame))
+    try:
+        Detector.push = lambda *_: []  # type: ignore[method-assign]
+        period = round(frames[-1].index / 100) * 100
+        for run in range(RUNS):
+            part = [replace(f, index=f.index + run * period, time_s=f.time_s + run * period * 1e-3) for f in frames]
+            part = part[20 if not run else len(frames) - period : len(frames)]
+            start = time.perf_counter()
+            for frame in part:
+                list(receiver.push(frame))
+            rates.append(len(part) / (time.perf_counter() - start))
+    finally:
+        Detector.push = push  # type: ignore[method-assign]
+    return float(np.median(rates))
+
+
+def plain_ms(work: Callable[[], object]) -> float:
+    """Median time of a call in ms."""
+    times = []
+    for _ in range(200):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times)) * 1e3
+
+
+def baselines(frames: Sequence[Frame]) -> tuple[float, float]:
+    """Times in ms of a difference and of a filter of whole frames, in buffers kept."""
+    a, b, out = frames[0].pixels, frames[1].pixels, np.empty_like(frames[0].pixels)
+    return plain_ms(lambda: cv2.absdiff(a, b, out)), plain_ms(lambda: cv2.GaussianBlur(a, (5, 5), 0, out))
+
+
+def main() -> None:
+    cv2.setNumThreads(1)
+    near = film(static(30.0))
+    list(Receiver(load_settings().signal).push(near[0]))
+    difference, blur = baselines(near)
+    height, width = near[0].pixels.shape
+    print(f"frames of {width} x {height}, medians of {RUNS} runs, one thread")
+    print(f"{'cv2.absdiff':36} {difference:8.3f} ms")
+    print(f"{'cv2.GaussianBlur 5x5':36} {blur:8.3f} ms")
+    cases = (
+        ("following an array at 50 m", film(static(50.0))),
+        ("following an array at 30 m", near),
+        ("following, drawn scene, 50 m", film(static(50.0, "synthetic"))),
+        ("searching, flat", empty("flat")),
+        ("searching, drawn scene shaken", empty("synthetic")),
+    )
+    for name, frames in cases:
+        per_s, packets, fitted = rate(frames)
+        ms = 1e3 / per_s
+        read = sum(p.status == "ok" for p in packets)
+        ratios = f"{ms / difference:6.1f} absdiffs {ms / blur:5.1f} blurs"
+        print(f"{name:36} {ms:8.3f} ms {per_s:7.0f} frames/s {ratios}  {read} packets, {fitted} candidates fitted")
+    for name, frames in cases[:2]:
+        per_s = following_rate(frames)
+        print(f"{name + ', no search':36} {1e3 / per_s:8.3f} ms {per_s:7.0f} frames/s")
+
+
+if __name__ == "__main__":
+    main()

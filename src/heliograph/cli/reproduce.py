@@ -1,0 +1,34 @@
+"""heliograph reproduce."""
+
+import os
+import sys
+from pathlib import Path
+
+from heliograph.base.files import clear_write_errors
+from heliograph.cli import console
+
+
+def run_reproduce(
+    figures: list[str], quick: bool, output: Path, data: Path | None, seed: int, workers: int | None
+) -> None:
+    """Run the paper's experiments and write their report."""
+    from heliograph.experiments.chapter import Context
+    from heliograph.experiments.reproduce import chosen, recordings_in, reproduce
+
+    keys = chosen(figures)
+    with clear_write_errors(output):
+        output.mkdir(parents=True, exist_ok=True)
+    known = {"quick": quick, "seed": seed, "workers": workers or os.cpu_count() or 1, **recordings_in(data)}
+    try:
+        with console.progress("reproducing", len(keys)) as advance:
+            context = Context(**known)
+            chapters = reproduce(keys, context, output, lambda key, _: advance(keys.index(key)))
+    except KeyboardInterrupt:
+        console.complain(f"interrupted; {output} holds the experiments done so far")
+        sys.exit(console.INTERRUPTED)
+    for chapter in chapters:
+        for finding in chapter.findings:
+            console.say(f"{chapter.key:8} {finding.verdict:8} {finding.claim} Measured: {finding.ours}")
+    if quick:
+        console.say("a quick run: the intervals are wide")
+    console.say(f"look at {output / 'report.html'}")

@@ -1,0 +1,129 @@
+"""heliograph sweep."""
+
+import contextlib
+import logging
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from heliograph.base.config import merge, parse_assignment
+from heliograph.base.errors import HeliographError, SettingsError
+from heliograph.cli import console, options
+from heliograph.link.statistics import Count
+
+if TYPE_CHECKING:
+    from heliograph.experiments.points import Tally
+    from heliograph.experiments.sweep import Progress
+
+SCALE = 1000
+"""Parts of a point in the progress bar."""
+
+
+def run_sweep(
+    vary: list[str] | None,
+    preset: str,
+    file: Path | None,
+    assignments: list[str] | None,
+    seed: int,
+    output: Path | None,
+    limits: dict[str, Any],
+    crew: tuple[int | None, str | None],
+    recordings: tuple[Path | None, Path | None],
+    as_json: bool,
+) -> None:
+    """Count errors over a grid of settings; whatever ends it, what was counted before is kept and shown."""
+    from heliograph.experiments.executors import THREAD_LIMITS
+
+    os.environ.update(THREAD_LIMITS)  # NumPy is not imported yet
+    from heliograph.experiments.plan import plan
+    from heliograph.experiments.points import StopRule, Tally
+
+    points = plan(_varied(vary), preset, _over(file, assignments), seed, *recordings)
+    tallies = [Tally(point, StopRule(**limits)) for point in points]
+    logging.disable(logging.CRITICAL)  # what is lost of a cluster is said in one line
+    ending = _run(tallies, output, crew)
+    if isinstance(ending, Exception) and not any(tally.blocks for tally in tallies):
+        raise ending
+    reports = [tally.report() for tally in tallies]
+    console.say_json(reports) if as_json else _show(reports)
+    if isinstance(ending, KeyboardInterrupt):
+        kept = f"; {output} holds the results so far" if output else ""
+        console.complain(f"interrupted with {sum(t.done for t in tallies)} of {len(tallies)} points complete{kept}")
+        sys.exit(console.INTERRUPTED)
+    if ending is not None:
+        raise ending
+
+
+def _run(tallies: "Sequence[Tally]", output: Path | None, crew: tuple[int | None, str | None]) -> BaseException | None:
+    """Count to the end, or until something ends it: that is returned."""
+    from heliograph.experiments.sweep import count
+
+    try:
+        with _progress(len(tallies)) as progress:
+            count(tallies, output, *crew, progress)
+    except (HeliographError, OSError, MemoryError, KeyboardInterrupt) as error:
+        return error
+    return None
+
+
+def _varied(texts: list[str] | None) -> dict[str, list[Any]]:
+    from heliograph.experiments.vary import parse_vary
+
+    vary: dict[str, list[Any]] = {}
+    for key, values in map(parse_vary, texts or ()):
+        if key in vary:
+            raise SettingsError(f"'{key}' is varied twice; write its values in one --vary")
+        vary[key] = values
+    return vary
+
+
+def _over(file: Path | None, assignments: list[str] | None) -> Any:
+    """File and assignments as one nested mapping."""
+    tree: Any = options._toml(file) if file else {}
+    for change in map(parse_assignment, assignments or ()):
+        tree = merge(tree, change)
+    return tree
+
+
+@contextlib.contextmanager
+def _progress(points: int) -> "Iterator[Progress]":
+    """A bar with the time left on a terminal, nothing in a pipe."""
+    from heliograph.experiments.sweep import silent
+
+    if not sys.stderr.isatty():
+        yield silent
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("sweeping", total=SCALE * points)
+
+        def show(tallies: "Sequence[Tally]") -> None:
+            done = f"{sum(t.done for t in tallies)} of {points} points"
+            bar.update(task, description=done, completed=round(SCALE * sum(t.share for t in tallies)))
+
+        yield show
+
+
+def _show(reports: list[dict[str, Any]]) -> None:
+    """A line a point: bit and codeword error rate by layer, bounds where no error was met, and the net rate."""
+    rows = [_row(report) for report in reports]
+    keys, layers = reports[0]["settings"], reports[0]["layers"]
+    head = [*keys, *(f"{layer} {what}" for layer in layers for what in ("BER", "FER")), "net bit/s"]
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    for cells in [head, *rows]:
+        console.say("  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
+
+
+def _row(report: dict[str, Any]) -> list[str]:
+    rates = [
+        Count(layer[trials], layer[errors]).text()
+        for layer in report["layers"].values()
+        for trials, errors in (("bits", "bit_errors"), ("codewords", "codeword_errors"))
+    ]
+    net = report["net_bits_per_second"]
+    return [*map(str, report["settings"].values()), *rates, "no data" if net is None else f"{net:.0f}"]

@@ -1,0 +1,232 @@
+"""Who computes blocks: this process, worker processes of this machine, or a Dask cluster.
+
+All have the interface of `concurrent.futures`. Nothing heavy is imported here: a worker imports this module first,
+and sets its thread limits before NumPy is there.
+"""
+
+import contextlib
+import multiprocessing
+import os
+import re
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, Protocol
+
+from heliograph.base.errors import HeliographError
+
+Job = Callable[[dict[str, Any]], dict[str, Any]]
+
+_LIBRARIES = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM", "NUMBA_NUM", "NUMEXPR_NUM")
+
+THREAD_LIMITS = {f"{name}_THREADS": "1" for name in _LIBRARIES}
+"""Environment of a worker: a core each, and no threads of libraries beside it."""
+
+CONNECT_S = 10.0
+"""How long to wait for a scheduler."""
+
+
+class Workers(Protocol):
+    """Computes jobs."""
+
+    @property
+    def slots(self) -> int:
+        """Jobs worked on at a time."""
+
+    def submit(self, job: Job, work: dict[str, Any]) -> "Future[dict[str, Any]]":
+        """Hand a job in."""
+
+    def restart(self) -> None:
+        """Begin anew after workers were lost; what was handed in is lost."""
+
+    def close(self) -> None:
+        """Stop at once; what is not finished is lost."""
+
+
+def open_workers(count: int | None = None, scheduler: str | None = None) -> Workers:
+    """Workers as asked for.
+
+    Parameters
+    ----------
+    count
+        Worker processes; 1 computes in this process, None takes one a core.
+    scheduler
+        Address of a Dask scheduler, which has its own workers.
+
+    Raises
+    ------
+    HeliographError
+        Both are given, the count is below 1, or the scheduler is not there.
+    """
+    if scheduler is not None:
+        if count is not None:
+            raise HeliographError("a scheduler has its own workers: give --workers or --scheduler, not both")
+        return Cluster(scheduler)
+    if count is None:
+        count = cores()
+    if count < 1:
+        raise HeliographError(f"a sweep takes at least 1 worker, not {count}")
+    return Here() if count == 1 else Pool(count)
+
+
+def cores() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Here:
+    """Computes in this process, one job after the other."""
+
+    slots = 1
+
+    def submit(self, job: Job, work: dict[str, Any]) -> "Future[dict[str, Any]]":
+        """Do a job."""
+        future: Future[dict[str, Any]] = Future()
+        try:
+            future.set_result(job(work))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def restart(self) -> None:
+        """Nothing is ever lost."""
+
+    def close(self) -> None:
+        """Nothing to stop."""
+
+
+class Pool:
+    """Worker processes, started afresh (never forked: threads and locks of this process stay here).
+
+    Parameters
+    ----------
+    count
+        How many.
+    """
+
+    def __init__(self, count: int):
+        self.slots = count
+        self._executor = self._start()
+
+    def submit(self, job: Job, work: dict[str, Any]) -> "Future[dict[str, Any]]":
+        """Hand a job in; the first one starts the processes."""
+        try:
+            with _worker_environment():
+                return self._executor.submit(job, work)
+        except BrokenProcessPool as error:
+            future: Future[dict[str, Any]] = Future()
+            future.set_exception(error)
+            return future
+
+    def restart(self) -> None:
+        """Replace the pool: one lost process breaks it."""
+        self.close()
+        self._executor = self._start()
+
+    def close(self) -> None:
+        """End the processes, whatever they do."""
+        processes = list((getattr(self._executor, "_processes", None) or {}).values())
+        self._executor.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.join()
+
+    def _start(self) -> Executor:
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(self.slots, mp_context=context, initializer=begin_worker)
+
+
+class Cluster:
+    """Workers of a Dask scheduler; it repeats by itself what a lost worker had.
+
+    Parameters
+    ----------
+    address
+        Of the scheduler, such as tcp://127.0.0.1:8786.
+    """
+
+    def __init__(self, address: str):
+        try:
+            from distributed import Client
+        except ImportError:
+            raise HeliographError("--scheduler needs Dask: install heliograph[cluster]") from None
+        if not re.fullmatch(r"\w+://.+:\d+", address):
+            raise HeliographError(f"'{address}' is no address of a scheduler; write one such as tcp://127.0.0.1:8786")
+        try:
+            self._client = Client(address, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+        except (OSError, ValueError, TypeError) as error:  # a timeout is an OSError
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise HeliographError(
+                f"no Dask scheduler at {address} ({reason}); start one with 'dask scheduler'"
+            ) from None
+        self._executor = self._client.get_executor(retries=2, pure=False)  # type: ignore[no-untyped-call]
+
+    @property
+    def slots(self) -> int:
+        """Threads of all workers there are now; one job waits if there are none."""
+        return max(1, sum(self._client.nthreads().values()))  # type: ignore[no-untyped-call]
+
+    def submit(self, job: Job, work: dict[str, Any]) -> "Future[dict[str, Any]]":
+        """Hand a job in."""
+        return self._executor.submit(_limited, job, work)
+
+    def restart(self) -> None:
+        """Begin anew with the workers there are."""
+
+    def close(self) -> None:
+        """Drop what is not finished and leave; the cluster stays."""
+        self._executor.shutdown(wait=False)
+        self._client.close()  # type: ignore[no-untyped-call]
+
+
+@contextlib.contextmanager
+def _worker_environment() -> Iterator[None]:
+    """What a process started within inherits: thread limits, and that Ctrl-C waits until it can leave it alone."""
+    before = {name: os.environ.get(name) for name in THREAD_LIMITS}
+    os.environ.update(THREAD_LIMITS)
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
+    try:
+        yield
+    finally:
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def begin_worker() -> None:
+    """First thing in a worker process: leave Ctrl-C to the parent, and end with it however it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    limit_threads()
+
+
+def limit_threads() -> None:
+    """One thread for this process: by its environment where NumPy is not imported yet, by calls for the rest."""
+    if "numpy" not in sys.modules:
+        os.environ.update(THREAD_LIMITS)
+    import cv2
+    import numba
+
+    cv2.setNumThreads(1)
+    numba.set_num_threads(1)
+
+
+def _limited(job: Job, work: dict[str, Any]) -> dict[str, Any]:
+    """A job in a worker that others set up."""
+    limit_threads()
+    return job(work)
+
+
+def _end_with(parent: Any) -> None:
+    parent.join()
+    os._exit(1)

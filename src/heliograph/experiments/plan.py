@@ -1,0 +1,93 @@
+"""The points of a sweep from what varies and what does not, checked before anything is computed."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from heliograph.base.config import merge, parse_assignment
+from heliograph.base.errors import SettingsError
+from heliograph.experiments.points import Point, Recorded
+from heliograph.experiments.vary import grid, nested, varied
+from heliograph.link.recordings import load_footage, load_imu
+from heliograph.link.settings import LinkSettings
+from heliograph.link.simulate import transmitters
+
+
+def plan(
+    vary: Mapping[str, Sequence[Any]],
+    preset: str = "static",
+    over: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    background: Path | None = None,
+    imu: Path | None = None,
+) -> list[Point]:
+    """Points of a sweep, all of them checked.
+
+    Parameters
+    ----------
+    vary
+        Values by dotted key; "receiver" is short for "receive.receiver", and "preset" may vary too.
+    preset, over
+        What does not vary: a preset and nested settings laid on it.
+    seed
+        Of all that is random.
+    background, imu
+        Recordings, which are then used.
+
+    Raises
+    ------
+    SettingsError
+        A key is unknown, a value wrong, or a recording lacks.
+    MediaError
+        A recording cannot be read.
+    """
+    recordings = _recordings(background, imu)
+    use: dict[str, Any] = {"channel": {"background": {"kind": "footage"}}} if background else {}
+    use = merge(use, {"channel": {"shake": "imu"}} if imu else {})
+    tree = merge(use, over or {})
+    return [_point(choice, _settings(choice, preset, tree), seed, recordings) for choice in grid(vary)]
+
+
+def laid_over(changes: Mapping[str, Any] | Sequence[str]) -> Mapping[str, Any]:
+    """Changes by dotted key or by text as one nested mapping."""
+    if isinstance(changes, str):
+        changes = [changes]
+    if isinstance(changes, Mapping):
+        parts = [nested(key, value) for key, value in changes.items()]
+    else:
+        parts = [parse_assignment(text) for text in changes]
+    tree: Any = {}
+    for part in parts:
+        tree = merge(tree, part)
+    return tree
+
+
+def _settings(choice: Mapping[str, Any], preset: str, over: Mapping[str, Any]) -> LinkSettings:
+    """Settings of a point; an error names the point where it is one of several."""
+    try:
+        return varied(preset, over, choice)
+    except SettingsError as error:
+        where = ", ".join(f"{key}={value}" for key, value in choice.items())
+        raise SettingsError(f"{error} (at {where})" if where else str(error)) from None
+
+
+def _point(choice: Mapping[str, Any], settings: LinkSettings, seed: int, recordings: Mapping[str, Recorded]) -> Point:
+    channel = settings.channel
+    if channel.background.kind == "footage" and "footage" not in recordings:
+        raise SettingsError("channel.background.kind=footage needs a recording: give it by --background VIDEO")
+    if channel.shake == "imu" and "imu" not in recordings:
+        raise SettingsError("channel.shake=imu needs a recording: give it by --imu CSV")
+    transmitters(settings, [{} for _ in settings.transmit.identities])  # a packet may be too small for a codeword
+    return Point(choice, settings, seed, recordings)
+
+
+def _recordings(background: Path | None, imu: Path | None) -> dict[str, Recorded]:
+    """Recordings with their digests, once it is known that they can be read."""
+    found = {}
+    for name, path, load in (("footage", background, load_footage), ("imu", imu, load_imu)):
+        if path is not None:
+            load(path)
+            with path.open("rb") as file:
+                found[name] = Recorded(str(path.resolve()), hashlib.file_digest(file, "sha256").hexdigest()[:32])
+    return found

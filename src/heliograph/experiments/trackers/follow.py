@@ -1,0 +1,79 @@
+"""What a tracker is here; the one that does nothing, and the receiver's own."""
+
+from typing import Protocol
+
+from heliograph.base.frames import Frame
+from heliograph.link.settings import LinkSettings
+from heliograph.receive import Pose
+from heliograph.receive.detect import Detection
+from heliograph.receive.track import Tracker
+from heliograph.signal.header import header_levels
+
+
+class Follower(Protocol):
+    """Follows one array from pair to pair of frames.
+
+    Attributes
+    ----------
+    sized
+        Whether its poses tell the array's pitch; else the pitch is that of the start.
+    """
+
+    sized: bool
+
+    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
+        """Begin where the array was found; the two frames are a pair of its header."""
+        ...
+
+    def update(self, pattern: Frame, inverted: Frame) -> Pose:
+        """The pose in the middle of the next pair."""
+        ...
+
+
+class Still:
+    """No tracking: the array stays where it was found."""
+
+    sized = False
+
+    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002
+        """Keep the pose."""
+        self._pose = found.fit.pose
+
+    def update(self, pattern: Frame, inverted: Frame) -> Pose:  # noqa: ARG002
+        """The pose kept."""
+        return self._pose
+
+
+class InvertedSignals:
+    """The paper's way, as in the receiver: the sum of a pattern and its inverse shows every LED.
+
+    Parameters
+    ----------
+    settings
+        The link's; its headers sharpen pitch and blur, as in the receiver.
+    """
+
+    sized = True
+
+    def __init__(self, settings: LinkSettings):
+        self._settings = settings
+
+    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002
+        """Start the receiver's tracker."""
+        side = self._settings.signal.side
+        self._weights = header_levels(found.identity, side) / 2.0 - 1.0
+        self._tracker = Tracker(found, side, self._settings.receive.track)
+        self._start_s = found.start_time_s
+
+    def update(self, pattern: Frame, inverted: Frame) -> Pose:
+        """Follow a pair; a header's pair sharpens the pose for the next."""
+        tracked = self._tracker.follow(pattern, inverted)
+        if tracked.seen and in_header(self._settings, pattern.time_s - self._start_s):
+            self._tracker.refine(pattern, inverted, self._weights)
+        return tracked.state.pose
+
+
+def in_header(settings: LinkSettings, since_s: float) -> bool:
+    """Whether the pattern shown so long after the first header's start is a header's."""
+    signal = settings.signal
+    return round(since_s / signal.pattern_period_s) % signal.packet_patterns < 2 * signal.header_pairs

@@ -1,0 +1,159 @@
+"""A partially known tracking pattern, section IV.B.1: some LEDs shine always, each single frame is fitted.
+
+The known LEDs are four blocks in the corners. The Haar code puts four data into each square of 2 x 2 LEDs, so the side
+of a block is even: known LEDs take whole squares and leave the other data as they are.
+"""
+
+from collections.abc import Iterator
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.link.settings import LinkSettings
+from heliograph.receive import Pose
+from heliograph.receive.detect import Detection, cut_out
+from heliograph.receive.fit import PANEL_MARGINS, window_around
+from heliograph.receive.kalman import PoseState
+from heliograph.signal import haar
+from heliograph.signal.header import header_levels
+from heliograph.signal.pwm import SLOTS
+
+Floats = NDArray[np.float64]
+
+BLOCK = 4
+"""Side of a block of known LEDs."""
+
+SPREAD = 0.32
+"""Rms of a data LED's luminance about its mean, 1/2: levels 0 to 4 with probabilities 1, 4, 6, 4, 1 of 16 have 0.25,
+neighbours in a square of the code add to it."""
+
+MARGIN_PX = 3.0
+STEPS = 3
+
+
+def known_leds(side: int) -> NDArray[np.bool_]:
+    """Which LEDs are known, (side, side)."""
+    near = (np.arange(side) < BLOCK) | (np.arange(side) >= side - BLOCK)
+    return near[:, None] & near
+
+
+def known_light(settings: LinkSettings, identity: int, seed: int) -> Iterator[NDArray[np.uint8]]:
+    """Endless patterns: headers as in the signal, between them random data, none of it inverted, and known LEDs lit."""
+    signal, rng = settings.signal, np.random.default_rng(seed)
+    header, known = header_levels(identity, signal.side), known_leds(signal.side)
+    for number in count():
+        place = number % signal.packet_patterns
+        if place < 2 * signal.header_pairs:
+            yield header if place % 2 == 0 else (SLOTS - header).astype(np.uint8)
+        else:
+            data = haar.encode(rng.choice(np.array([-1, 1], np.int8), (signal.side, signal.side)))
+            yield np.where(known, SLOTS, data).astype(np.uint8)
+
+
+class KnownPattern:
+    """Fits the expected image to each frame: known LEDs lit, data LEDs at their mean and trusted little.
+
+    Parameters
+    ----------
+    settings
+        The link's; the receiver's motion model is used as for the inverted signals.
+    """
+
+    sized = True
+
+    def __init__(self, settings: LinkSettings):
+        self._settings = settings
+        self._side = settings.signal.side
+
+    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002
+        """Begin at the detection."""
+        wider = found.fit.covariance + np.diag([1.0, 1.0, 1e-3, 1e-4, 1e-2])
+        self._state = PoseState.start(found.time_s, found.fit.vector, wider)
+        self._start_s, self._gain = found.start_time_s, found.fit.gain
+        known, header = known_leds(self._side), header_levels(found.identity, self._side) / SLOTS
+        none = np.zeros(known.shape)
+        self._expected = [(header, none), (1 - header, none), (np.where(known, 1.0, 0.5), np.where(known, 0.0, 1.0))]
+
+    def update(self, pattern: Frame, inverted: Frame) -> Pose:
+        """Fit both frames by themselves: there is no inverse."""
+        first, second = self._look(pattern), self._look(inverted)
+        return Pose.of(0.5 * (first + second))
+
+    def _look(self, frame: Frame) -> Floats:
+        if frame.time_s > self._state.time_s:
+            self._state = self._state.predict(frame.time_s, self._settings.receive.track)
+        mean, data = self._expected[self._kind(frame.time_s - self._start_s)]
+        vector, covariance = self._fit(frame, mean, data)
+        self._state = self._state.condition(vector, covariance, np.zeros(5))
+        return self._state.mean[:5].copy()
+
+    def _kind(self, since_s: float) -> int:
+        signal = self._settings.signal
+        place = round(since_s / signal.pattern_period_s) % signal.packet_patterns
+        return place % 2 if place < 2 * signal.header_pairs else 2
+
+    def _fit(self, frame: Frame, mean: Floats, data: Floats) -> tuple[Floats, Floats]:
+        """Posterior pose and covariance by Gauss-Newton; each pixel counts by its noise and its share of data."""
+        start, prior = self._state.mean[:5], np.linalg.inv(self._state.covariance[:5, :5])
+        x0, y0, width, height = window_around(self._state.pose, self._side, MARGIN_PX)
+        image = cut_out(frame, x0, y0, width, height)
+        trust, scene = self._trust(image, data, (x0, y0)), _Scene(image.shape, (x0, y0))
+        vector = start.copy()
+        for _ in range(STEPS):
+            shapes = scene.place(vector, mean)
+            linear = self._light(image, shapes, trust)
+            slopes = np.tensordot(linear[:-3], shapes[:-3, 1:], 1)
+            columns = np.concatenate([slopes, shapes[:, 0]]).reshape(5 + len(linear), -1)
+            matrix, rhs = _normal(columns, trust, image - np.tensordot(linear, shapes[:, 0], 1))
+            matrix[:5, :5] += prior
+            rhs[:5] += prior @ (start - vector)
+            matrix += 1e-9 * np.diag(np.diag(matrix) + 1e-3)
+            vector = vector + np.clip(np.linalg.solve(matrix, rhs)[:5], -0.5, 0.5)
+        self._gain += 0.02 * (float(linear[0]) - self._gain)
+        return vector, np.asarray(np.linalg.inv(matrix)[:5, :5], np.float64)
+
+    def _trust(self, image: Floats, data: Floats, corner: tuple[int, int]) -> Floats:
+        """One over the variance of each pixel."""
+        from heliograph.receive import kernels  # Numba is slow to import
+
+        shape = np.empty((6, *image.shape))
+        kernels.render(self._state.mean[:5].copy(), data, float(corner[0]), float(corner[1]), shape)
+        noise = 1.0 + self._gain * np.maximum(image, 0) / 15000
+        return np.asarray(1 / (noise + (SPREAD * self._gain * shape[0]) ** 2))
+
+    def _light(self, image: Floats, shapes: Floats, trust: Floats) -> Floats:
+        """Gain, panel and background at a pose, the gain near what it was."""
+        columns = shapes[:, 0].reshape(len(shapes), -1)
+        matrix, rhs = _normal(columns, trust, image)
+        weight = (0.1 * self._gain) ** -2
+        matrix[0, 0] += weight
+        rhs[0] += weight * self._gain
+        return np.asarray(np.linalg.solve(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3), rhs))
+
+
+class _Scene:
+    """Images of the array, the panel's two squares and a plane, with their derivatives: (6, 6, rows, columns)."""
+
+    def __init__(self, shape: tuple[int, ...], corner: tuple[int, int]):
+        rows, cols = shape
+        self._corner = float(corner[0]), float(corner[1])
+        self._shapes = np.zeros((4 + len(PANEL_MARGINS), 6, rows, cols))
+        self._shapes[-3, 0] = 1
+        self._shapes[-2, 0] = np.linspace(-0.5, 0.5, cols)
+        self._shapes[-1, 0] = np.linspace(-0.5, 0.5, rows)[:, None]
+
+    def place(self, vector: Floats, mean: Floats) -> Floats:
+        from heliograph.receive import kernels
+
+        kernels.render(vector, mean, *self._corner, self._shapes[0])
+        for shape, margin in zip(self._shapes[1:-3], PANEL_MARGINS, strict=True):
+            kernels.render_box(vector, 0.5 * len(mean) + margin, *self._corner, shape)
+        return self._shapes
+
+
+def _normal(columns: Floats, trust: Floats, image: Floats) -> tuple[Floats, Floats]:
+    """Weighted normal equations."""
+    weighted = columns * trust.ravel()
+    return weighted @ columns.T, weighted @ image.ravel()

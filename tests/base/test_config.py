@@ -1,0 +1,211 @@
+"""Settings from mappings, TOML and assignments: what is right goes in, what is wrong is one clear line."""
+
+import tomllib
+from typing import Any
+
+import pytest
+from pydantic.dataclasses import dataclass
+
+from heliograph.base.config import (
+    CONFIG,
+    from_mapping,
+    keys_of,
+    merge,
+    parse_assignment,
+    parse_toml,
+    to_mapping,
+    to_toml,
+)
+from heliograph.base.errors import SettingsError
+from heliograph.link.settings import PRESETS, LinkSettings, load_settings
+
+
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
+class Item:
+    x_m: float = 0.0
+    name: str = "a"
+
+
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
+class Tree:
+    count: int = 3
+    duration_s: float | None = None
+    shares: tuple[float, ...] = (0.5,)
+    item: Item = Item()
+    items: tuple[Item, ...] = (Item(),)
+
+
+def problem(mapping: Any) -> str:
+    with pytest.raises(SettingsError) as caught:
+        from_mapping(Tree, mapping)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def test_a_mapping_becomes_settings_and_comes_back() -> None:
+    tree = from_mapping(Tree, {"count": 4, "item": {"x_m": 2}, "items": [{"name": "b"}, {}]})
+    assert tree == Tree(count=4, item=Item(x_m=2.0), items=(Item(name="b"), Item()))
+    assert from_mapping(Tree, to_mapping(tree)) == tree
+
+
+@pytest.mark.parametrize(
+    ("mapping", "nearest"),
+    [
+        ({"coutn": 1}, "count"),
+        ({"item": {"x": 1}}, "item.x_m"),
+        ({"nmae": "c"}, "name"),
+        ({"items": [{}, {"x_n": 1}]}, "items.1.x_m"),
+    ],
+)
+def test_an_unknown_key_names_the_nearest_one(mapping: dict[str, Any], nearest: str) -> None:
+    text = problem(mapping)
+    assert text.startswith("unknown setting '")
+    assert nearest in text.partition("did you mean")[2]
+
+
+def test_a_key_like_no_other_names_them_all() -> None:
+    assert problem({"zzzz": 1}) == "unknown setting 'zzzz'; known are count, duration_s, item, items, shares"
+
+
+@pytest.mark.parametrize(
+    ("mapping", "parts"),
+    [
+        ({"count": "many"}, ("'count'", "integer", "'many'")),
+        ({"count": 2.5}, ("'count'", "integer", "2.5")),
+        ({"item": 3}, ("'item'", "3")),
+        ({"item": {"x_m": float("nan")}}, ("'item.x_m'", "finite", "nan")),
+        ({"item": {"x_m": float("inf")}}, ("'item.x_m'", "finite")),
+        ({"shares": [0.1, "half"]}, ("'shares.1'", "number", "'half'")),
+        ({"items": 3}, ("'items'", "tuple", "3")),
+    ],
+)
+def test_a_wrong_value_is_named_with_its_key(mapping: dict[str, Any], parts: tuple[str, ...]) -> None:
+    text = problem(mapping)
+    assert all(part in text for part in parts), text
+
+
+@pytest.mark.parametrize("no_mapping", [None, 5, [1], "text"])
+def test_what_is_no_mapping_is_refused(no_mapping: Any) -> None:
+    assert "Tree" in problem(no_mapping)
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        ("channel.distance_m=-1", ("channel.distance_m", "greater than 0", "-1")),
+        ("channel.sensor.bits=13", ("channel.sensor.bits", "12", "13")),
+        ("signal.side=7", ("signal.side", "multiple of 4", "7")),
+        ("channel.camera.exposure_s=0.002", ("exposure_s", "0.001", "0.002")),
+        ("receive.detect.min_side_px=70", ("min_side_px", "max_side_px", "70")),
+        ("transmit.identities=[30]", ("transmit.identities.0", "30")),
+        ("channel.stop_m=90", ("stop_m", "80", "90")),
+    ],
+)
+def test_ranges_are_checked_and_told(change: str, parts: tuple[str, ...]) -> None:
+    with pytest.raises(SettingsError) as caught:
+        load_settings(assignments=[change])
+    assert all(part in str(caught.value) for part in parts), str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("3", 3),
+        (" 2.5", 2.5),
+        ("true", True),
+        ("[1, 2]", [1, 2]),
+        ("'plain'", "plain"),
+        ("plain", "plain"),
+        ("1/3", "1/3"),
+        ("{x = 1}", {"x": 1}),
+        ("", ""),
+        ("1\nother = 2", "1\nother = 2"),
+    ],
+)
+def test_the_value_of_an_assignment_is_toml_or_bare_text(text: str, value: Any) -> None:
+    assert parse_assignment(f"a.b={text}") == {"a": {"b": value}}
+
+
+@pytest.mark.parametrize("text", ["", "a", "a.b", "=3", "a.=3", ".a=3", "a..b=3"])
+def test_what_is_no_assignment_is_shown_how(text: str) -> None:
+    with pytest.raises(SettingsError, match="write key=value"):
+        parse_assignment(text)
+
+
+def test_a_fraction_may_be_written_as_one() -> None:
+    assert load_settings(assignments=["signal.rate.high=1/2"]).signal.rate.high == 0.5
+
+
+def test_toml_is_read_and_its_errors_are_settings_errors() -> None:
+    assert parse_toml("[a]\nb = 1") == {"a": {"b": 1}}
+    with pytest.raises(SettingsError, match=r"not valid TOML.*line 2"):
+        parse_toml("a = 1\nb = = 2\n")
+
+
+def test_merge_lays_one_tree_on_another() -> None:
+    base = {"a": 1, "b": {"c": 2, "d": (1, 2)}}
+    assert merge(base, {"b": {"c": 3}, "e": 4}) == {"a": 1, "b": {"c": 3, "d": (1, 2)}, "e": 4}
+    assert merge(base, {"b": {"d": [9]}})["b"] == {"c": 2, "d": [9]}
+    assert merge(base, {"b": 5})["b"] == 5
+    assert base == {"a": 1, "b": {"c": 2, "d": (1, 2)}}
+
+
+def test_items_of_a_list_are_changed_by_index() -> None:
+    items = ({"x": 0, "y": 1},)
+    assert merge(items, {"0": {"x": 5}}) == [{"x": 5, "y": 1}]
+    assert merge(items, {"1": {"x": 5}}) == [{"x": 0, "y": 1}, {"x": 5}]
+    assert merge((1, 2, 3), {"1": 7}) == [1, 7, 3]
+    for wrong in ("2", "-1", "x", ""):
+        with pytest.raises(SettingsError, match="not an item of a list of 1"):
+            merge(items, {wrong: {"x": 5}})
+
+
+def test_later_assignments_win() -> None:
+    settings = load_settings(
+        over={"channel": {"distance_m": 60.0}},
+        assignments=["channel.arrays.0.x_m=2", "channel.distance_m=50", "channel.arrays.0.x_m=3"],
+    )
+    assert settings.channel.distance_m == 50
+    assert settings.channel.arrays[0].x_m == 3
+    assert settings.channel.arrays[0].y_m == -1.0
+
+
+def test_keys_are_leaves_by_dots() -> None:
+    assert list(keys_of(Tree)) == [
+        "count",
+        "duration_s",
+        "shares",
+        "item.x_m",
+        "item.name",
+        "items.0.x_m",
+        "items.0.name",
+    ]
+    known = set(keys_of(LinkSettings))
+    assert {"signal.rate.low", "channel.camera.fps", "channel.arrays.0.x_m", "receive.decode.iterations"} <= known
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_toml_of_every_preset_reads_back_the_same(name: str) -> None:
+    settings = load_settings(name)
+    text = to_toml(to_mapping(settings))
+    assert text.startswith("[signal]\n")
+    assert from_mapping(LinkSettings, tomllib.loads(text)) == settings
+
+
+def test_toml_holds_any_plain_value() -> None:
+    tree = {
+        "t": 'a "b" \\ \n\té\x7f',
+        "f": 1e-06,
+        "g": 1e22,
+        "b": True,
+        "e": [],
+        "l": [[1, 2.5], ["x"]],
+        "n": {"k": {"v": 1}},
+    }
+    assert tomllib.loads(to_toml(tree)) == tree
+    assert tomllib.loads(to_toml({"a": None, "b": 1})) == {"b": 1}
+    assert tomllib.loads(to_toml({"i": [{"a": 1, "s": {"b": 2}}, {"a": 3}]})) == {
+        "i": [{"a": 1, "s": {"b": 2}}, {"a": 3}]
+    }

@@ -1,0 +1,43 @@
+"""Files appear whole or not at all."""
+
+from pathlib import Path
+
+import pytest
+
+from heliograph.base.errors import MediaError
+from heliograph.base.files import whole_file, write_whole
+
+
+def test_a_file_takes_its_place_when_all_went_well(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    with whole_file(target) as partial:
+        partial.write_text("new")
+        assert target.read_text() == "old"
+    assert target.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("error", [ValueError("x"), KeyboardInterrupt(), MediaError("said already")])
+def test_whatever_goes_wrong_leaves_the_old_file(tmp_path: Path, error: BaseException) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+
+    def fail() -> None:
+        with whole_file(target) as partial:
+            partial.write_text("half")
+            raise error
+
+    with pytest.raises(type(error)):
+        fail()
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for target in (tmp_path / "none" / "a", tmp_path / "file" / "a", tmp_path):
+        with pytest.raises(MediaError, match=r"cannot write .*; make room or choose another place"):
+            write_whole(target, b"x")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert not list(tmp_path.parent.glob(".*partial"))

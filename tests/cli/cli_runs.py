@@ -1,0 +1,98 @@
+"""Running the command as its users do, and what every run must keep to."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(sys.executable).with_name("heliograph")
+COMMAND = [str(SCRIPT)] if SCRIPT.exists() else [sys.executable, "-c", "from heliograph.cli.main import run; run()"]
+SMALL = (
+    "--preset", "static",
+    "--set", "channel.camera.width=160", "--set", "channel.camera.height=120",
+    "--set", "channel.arrays.0.x_m=0", "--set", "channel.arrays.0.y_m=0",
+)  # fmt: skip
+"""A small camera that looks straight at the array."""
+
+Run = subprocess.CompletedProcess[str]
+
+
+def lasting(seconds: float) -> tuple[str, ...]:
+    return (*SMALL, "--set", f"channel.duration_s={seconds}")
+
+
+def heliograph(*arguments: str | Path, cwd: Path, prepare: Callable[[], object] | None = None) -> Run:
+    command = [*COMMAND, *map(str, arguments)]
+    return subprocess.run(
+        command, cwd=cwd, capture_output=True, text=True, timeout=120, check=False, preexec_fn=prepare
+    )
+
+
+def called(*arguments: str | Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
+    """The command within this process, in the present folder: the same, without the second it takes to start."""
+    from heliograph.cli.main import run
+
+    monkeypatch.setattr(sys, "argv", ["heliograph", *map(str, arguments)])
+    before = signal.getsignal(signal.SIGTERM)
+    capfd.readouterr()
+    try:
+        with pytest.raises(SystemExit) as ended:
+            run()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    out, err = capfd.readouterr()
+    return subprocess.CompletedProcess(sys.argv, int(ended.value.code or 0), out, err)
+
+
+def succeeded(run: Run) -> str:
+    """Check that a run went well and said nothing but its result; return that."""
+    assert run.returncode == 0, run.stderr
+    assert run.stderr == ""
+    return run.stdout
+
+
+def failed(run: Run, status: int = 1) -> str:
+    """Check that a run failed with one clear line; return that."""
+    assert run.returncode == status, run.stdout + run.stderr
+    assert "Traceback" not in run.stderr
+    assert run.stderr.count("\n") == 1, run.stderr
+    assert run.stderr.startswith("heliograph: ")
+    return run.stderr.strip()
+
+
+def names(folder: Path) -> list[str]:
+    """All files under a folder, hidden ones too; none of them half written."""
+    found = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir())
+    assert not [name for name in found if "partial" in name or Path(name).name.startswith(".")]
+    return found
+
+
+def interrupted(*arguments: str | Path, cwd: Path, when: Callable[[], bool], by: signal.Signals = signal.SIGINT) -> Run:
+    """Run a command and send it a signal as soon as `when` says so."""
+    command = [*COMMAND, *map(str, arguments)]
+    with subprocess.Popen(
+        command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c
+    ) as process:
+        end = time.monotonic() + 60
+        while not when() and process.poll() is None:
+            assert time.monotonic() < end, "what was waited for never came"
+            time.sleep(0.01)
+        assert process.poll() is None, "over before it could be interrupted"
+        os.kill(process.pid, by)
+        out, err = process.communicate(timeout=60)
+    return subprocess.CompletedProcess(command, process.returncode, out, err)
+
+
+def heed_ctrl_c() -> None:
+    """Undo a shell's `&`, under which children do not hear of Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def grown(folder: Path, pattern: str, size: int = 1) -> Callable[[], bool]:
+    """Whether a file of a name like `pattern` has got a size."""
+    return lambda: any(path.stat().st_size >= size for path in folder.glob(pattern) if path.exists())

@@ -1,0 +1,283 @@
+"""Bad input is one clear line on stderr that says what is wrong and how to mend it, and nothing is left behind."""
+
+import json
+import os
+import resource
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runs import SMALL, Run, called, failed, heliograph, lasting, names, succeeded
+
+from heliograph.base.frames import Frame
+from heliograph.link.film import write_film
+from heliograph.link.settings import load_settings
+from heliograph.media import create_film
+
+Call = Callable[..., Run]
+
+
+@pytest.fixture(scope="module")
+def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of files that are something else than they should be, and a film that is right."""
+    folder = tmp_path_factory.mktemp("stock")
+    for name, content in {
+        "text.mkv": b"this is no film\n",
+        "empty.mkv": b"",
+        "bad.toml": b"a = [\n",
+        "binary.toml": b"\xff\xfe\x00",
+        "unknown.toml": b"[channel]\ndistanse_m = 3\n",
+        "lacks.csv": b"t_s,gyro_fwd_rad_s,gyro_right,speed_m_s\n0,0,0,0\n",
+        "file": b"a file",
+        "long": bytes(20_000_000),
+        "empty": b"",
+    }.items():
+        (folder / name).write_bytes(content)
+    (folder / "folder").mkdir()
+    changes = [part for part in SMALL if "=" in part] + ["channel.duration_s=0.25"]
+    settings = load_settings("static", None, changes)
+    write_film(folder / "a.mkv", settings, [{"high": [b"kept"]}], seed=1)
+    whole = (folder / "a.mkv").read_bytes()
+    (folder / "cut.mkv").write_bytes(whole[: int(len(whole) * 0.6)])
+    truth = (folder / "a.mkv.truth.npz").read_bytes()
+    (folder / "cut.npz").write_bytes(truth[: len(truth) // 2])
+    write_film(folder / "other.mkv", load_settings("static", None, [*changes, "channel.duration_s=0.01"]), [{}], seed=2)
+    with create_film(folder / "one.mkv", width=160, height=120, rate_hz=1000) as film:
+        film.write(Frame(0, 0.0, np.zeros((120, 160), np.uint8)))
+    return folder
+
+
+@pytest.fixture
+def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: called(*arguments, capfd=capfd, monkeypatch=monkeypatch)
+
+
+S = " ".join(lasting(0.01))
+
+BAD = {
+    # films to read
+    "receive {}/text.mkv --output out": "text.mkv is not a video",
+    "receive {}/empty.mkv --output out": "empty.mkv is empty",
+    "receive {}/missing.mkv --output out": "there is no file",
+    "receive {}/folder": "is a folder",
+    "receive {}/a.mkv.truth.npz": "is not a video",
+    # settings
+    "simulate a.mkv --preset papre": "did you mean 'paper'",
+    "presets papre": "did you mean 'paper'",
+    "simulate a.mkv --set channel.distanse_m=3": "did you mean 'channel.distance_m'",
+    "simulate a.mkv --set channel.arrays.0.x=3": "did you mean 'channel.arrays.0.x_m'",
+    "simulate a.mkv --set channel.distance_m=far": "channel.distance_m",
+    "simulate a.mkv --set channel.camera.width=1": "greater than or equal to 16",
+    "simulate a.mkv --set channel.distance_m": "write key=value",
+    "simulate a.mkv --set channel.arrays.7.x_m=1": "not an item of a list of 1",
+    "simulate a.mkv --set signal.data_pairs=1": "raise signal.data_pairs",
+    f"simulate a.mkv {S} --set channel.duration_s=1e-5": "raise channel.duration_s",
+    "simulate a.mkv --settings {}/bad.toml": "bad.toml: not valid TOML",
+    "simulate a.mkv --settings {}/binary.toml": "write TOML in UTF-8",
+    "simulate a.mkv --settings {}/unknown.toml": "did you mean 'channel.distance_m'",
+    "simulate a.mkv --settings {}/missing.toml": "No such file",
+    "simulate a.mkv --settings {}/folder": "directory",
+    "receive {}/a.mkv --receiver plane": "'plain', not 'plane'",
+    # truth and output
+    "receive {}/a.mkv --truth {}/missing.npz": "there is no truth file",
+    "receive {}/a.mkv --truth {}/text.mkv": "no truth file, or damaged",
+    "receive {}/a.mkv --truth {}/cut.npz": "no truth file, or damaged",
+    "receive {}/a.mkv --truth {}/other.mkv.truth.npz": "is not the truth of",
+    "receive {}/a.mkv --output {}/file": "cannot write",
+    "receive {}/a.mkv --output {}/file/deeper": "cannot write",
+    "demo --output {}/file": "cannot write",
+    f"simulate a.xyz {S}": "must end in one of .mkv",
+    f"simulate a {S}": "must end in one of .mkv",
+    f"simulate none/a.mkv {S}": "the folder none does not exist",
+    f"simulate a.mkv {S} --codec divx": "choose one of",
+    f"simulate a.mkv {S} --crf 70 --codec h264": "crf",
+    "transmit a.xyz": "must end in one of .npy, .csv",
+    "transmit none/a.npy": "cannot write none/a.npy",
+    "transmit {}/file/a.csv": "cannot write",
+    "transmit a.mkv --slots": "use .nut",
+    # recordings
+    f"simulate a.mkv {S} --background {{}}/text.mkv": "not a video",
+    f"simulate a.mkv {S} --background {{}}/missing.mkv": "there is no file",
+    f"simulate a.mkv {S} --set channel.background.kind=footage": "--background",
+    f"simulate a.mkv {S} --imu {{}}/lacks.csv": "lacks the column 'gyro_down'",
+    f"simulate a.mkv {S} --imu {{}}/empty": "is empty",
+    f"simulate a.mkv {S} --imu {{}}/a.mkv": "no text",
+    f"simulate a.mkv {S} --set channel.shake=imu": "--imu",
+    # messages
+    f"simulate a.mkv {S} --high {{}}/missing": "cannot read",
+    f"simulate a.mkv {S} --low {{}}/empty": "nothing to send",
+    f"simulate a.mkv {S} --middle {{}}/long": "send less",
+    "transmit a.npy --high {}/long": "send less",
+}
+
+
+@pytest.mark.parametrize("line", BAD)
+def test_bad_input_is_one_clear_line(line: str, stock: Path, tmp_path: Path, call: Call) -> None:
+    before = names(stock)
+    assert BAD[line] in failed(call(*line.replace("{}", str(stock)).split()))
+    assert names(tmp_path) == []
+    assert not (tmp_path / "out").exists()
+    assert names(stock) == before
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("receive", "Missing argument"),
+        ("recieve a.mkv", "No such command 'recieve'"),
+        ("receive a.mkv --outptu x", "No such option"),
+        ("receive a.mkv --output", "requires an argument"),
+        ("receive a.mkv b.mkv", "unexpected extra argument"),
+        ("simulate a.mkv --seed -1", "--seed"),
+        ("simulate a.mkv --seed x", "--seed"),
+        ("transmit a.npy --identity 30", "--identity"),
+        ("transmit a.npy --packets 0", "--packets"),
+    ],
+)
+def test_wrong_usage_is_one_line_that_points_to_the_help(line: str, said: str, tmp_path: Path, call: Call) -> None:
+    text = failed(call(*line.split()), status=2)
+    assert said in text
+    assert "--help" in text
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("receive {}/text.mkv --output out", "text.mkv is not a video"),
+        ("simulate a.mkv --imu {}/empty", "is empty"),
+        ("simulate a.mkv --set channel.distanse_m=3", "did you mean 'channel.distance_m'"),
+    ],
+)
+def test_it_is_the_same_from_a_shell(line: str, said: str, stock: Path, tmp_path: Path) -> None:
+    assert said in failed(heliograph(*line.replace("{}", str(stock)).split(), cwd=tmp_path))
+    assert names(tmp_path) == []
+
+
+def test_a_cut_film_gives_its_results_and_then_the_error(stock: Path, tmp_path: Path) -> None:
+    run = heliograph(
+        "receive", stock / "cut.mkv", "--output", "out", "--truth", stock / "a.mkv.truth.npz", cwd=tmp_path
+    )
+    assert "ends in the middle, after 1" in failed(run)
+    assert "message out/array-0-high-0.bin" in run.stdout
+    assert "50-55" in run.stdout
+    assert (tmp_path / "out/array-0-high-0.bin").read_bytes() == b"kept"
+    assert names(tmp_path / "out") == ["array-0-high-0.bin", "packets.jsonl", "summary.json"]
+    assert (tmp_path / "out/packets.jsonl").read_text().count("\n") >= 1
+
+
+def test_a_cut_film_keeps_the_json_whole(stock: Path, call: Call) -> None:
+    run = call("receive", stock / "cut.mkv", "--json")
+    failed(run)
+    report = json.loads(run.stdout)
+    assert 100 < report["frames"] < 200
+    assert report["arrays"][0]["layers"]["high"]["ok"] >= 1
+
+
+def test_a_film_of_one_frame_is_too_short(stock: Path, call: Call, tmp_path: Path) -> None:
+    run = call("receive", stock / "one.mkv", "--output", "out")
+    assert "has 1 frames; a packet takes 100" in failed(run)
+    assert "1 frames in" in run.stdout
+    assert "no array found" in run.stdout
+    assert names(tmp_path / "out") == ["packets.jsonl", "summary.json"]
+
+
+def test_a_film_that_cannot_be_read_leaves_earlier_results_alone(stock: Path, call: Call, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/packets.jsonl").write_text("earlier\n")
+    failed(call("receive", stock / "text.mkv", "--output", "out"))
+    assert (tmp_path / "out/packets.jsonl").read_text() == "earlier\n"
+
+
+def test_a_failed_simulation_leaves_the_earlier_film_alone(stock: Path, call: Call, tmp_path: Path) -> None:
+    (tmp_path / "a.mkv").write_bytes(b"earlier")
+    failed(
+        call("simulate", "a.mkv", *lasting(0.2), "--background", stock / "cut.mkv", "--set", "channel.camera.fps=1e6")
+    )
+    assert (tmp_path / "a.mkv").read_bytes() == b"earlier"
+    assert names(tmp_path) == ["a.mkv"]
+
+
+def test_too_little_memory_is_told(tmp_path: Path) -> None:
+    def little() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
+
+    run = heliograph("simulate", "a.mkv", "--set", "channel.duration_s=1e9", cwd=tmp_path, prepare=little)
+    assert "not enough memory" in failed(run)
+    assert names(tmp_path) == []
+
+
+def limited() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+
+@pytest.mark.parametrize("name", ["a.mkv", "a.h5"])
+def test_a_film_that_must_not_grow_is_removed(name: str, tmp_path: Path) -> None:
+    assert "cannot write" in failed(heliograph("simulate", name, *lasting(0.1), cwd=tmp_path, prepare=limited))
+    assert names(tmp_path) == []
+
+
+def test_patterns_that_must_not_grow_are_removed(tmp_path: Path) -> None:
+    run = heliograph("transmit", "a.npy", cwd=tmp_path, prepare=limited)
+    assert "cannot write a.npy: File too large" in failed(run)
+    assert names(tmp_path) == []
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 64 kB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    made = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)], capture_output=True, check=False
+    )
+    if made.returncode:
+        pytest.skip(f"a small disk cannot be mounted here: {made.stderr.decode().strip()}")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def fill(disk: Path, left: int) -> None:
+    free = os.statvfs(disk).f_bavail * os.statvfs(disk).f_frsize
+    with (disk / "filler").open("ab") as file:
+        file.write(bytes(max(0, free - left)))
+
+
+def test_a_full_disk_keeps_no_half_file_and_shows_the_results(disk: Path, stock: Path, call: Call) -> None:
+    assert "disk full" in failed(call("simulate", disk / "a.mkv", *lasting(0.1)))
+    assert names(disk) == []
+    assert "No space left" in failed(call("transmit", disk / "a.npy", "--packets", "9"))
+    assert names(disk) == []
+    assert "disk full" in failed(call("demo", "--output", disk / "d", *lasting(0.1)))
+    assert names(disk) == []
+    fill(disk, 4096)
+    run = call("receive", stock / "a.mkv", "--output", disk / "out")
+    assert "No space left" in failed(run)
+    assert "array 0: 2 packets" in run.stdout
+    assert "message" in run.stdout
+    assert names(disk) == ["filler", "out/array-0-high-0.bin"]
+    assert (disk / "out/array-0-high-0.bin").read_bytes() == b"kept"
+    fill(disk, 0)
+    assert "No space left" in failed(call("receive", stock / "a.mkv", "--output", disk / "new"))
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_may_not_be_written_is_told(stock: Path, call: Call, tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o500)
+    for line in (
+        f"simulate {closed}/a.mkv {S}",
+        f"transmit {closed}/a.npy",
+        f"receive {stock}/a.mkv --output {closed}",
+    ):
+        failed(call(*line.split()))
+    assert names(tmp_path) == []
+
+
+def test_no_array_in_sight_is_a_result_not_a_fault(call: Call, tmp_path: Path) -> None:
+    succeeded(call("simulate", "a.mkv", *lasting(0.12), "--set", "channel.arrays.0.x_m=30"))
+    run = call("receive", "a.mkv", "--truth", "a.mkv.truth.npz")
+    assert "no array found" in succeeded(run)

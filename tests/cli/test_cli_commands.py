@@ -1,0 +1,209 @@
+"""Each command does what it says; the JSON keeps to its contract."""
+
+import json
+import os
+import pty
+import subprocess
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runs import COMMAND, Run, called, heliograph, lasting, names, succeeded
+
+from heliograph.link.settings import PRESETS
+from heliograph.media import open_film
+
+HIGH, MIDDLE, LOW = b"brake\x00\xff", b"detour " * 40, bytes(range(256))
+
+
+Call = Callable[..., Run]
+
+
+@pytest.fixture
+def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: called(*arguments, capfd=capfd, monkeypatch=monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("film")
+    for name, data in (("high", HIGH), ("middle", MIDDLE), ("low", LOW)):
+        (folder / name).write_bytes(data)
+    out = heliograph("simulate", "a.mkv", *lasting(0.4), "--high", "high", "--middle", "middle", "--low", "low",
+                     "--seed", "5", cwd=folder)  # fmt: skip
+    assert succeeded(out) == "a.mkv: 400 frames; truth in a.mkv.truth.npz\n"
+    assert names(folder) == ["a.mkv", "a.mkv.truth.npz", "high", "low", "middle"]
+    return folder / "a.mkv"
+
+
+def test_receive_writes_messages_packets_and_summary(film: Path, tmp_path: Path) -> None:
+    out = succeeded(heliograph("receive", film, "--receiver", "plain", "--output", "out", cwd=tmp_path))
+    assert out.startswith("400 frames in ")
+    assert "array 0: 4 packets, frames 0 to 399" in out
+    assert "message out/array-0-high-0.bin" in out
+    assert names(tmp_path / "out") == [
+        "array-0-high-0.bin", "array-0-low-0.bin", "array-0-middle-0.bin", "packets.jsonl", "summary.json"
+    ]  # fmt: skip
+    assert (tmp_path / "out/array-0-high-0.bin").read_bytes() == HIGH
+    assert (tmp_path / "out/array-0-middle-0.bin").read_bytes() == MIDDLE
+    assert (tmp_path / "out/array-0-low-0.bin").read_bytes() == LOW
+    log = [json.loads(line) for line in (tmp_path / "out/packets.jsonl").read_text().splitlines()]
+    assert [row["first_frame"] for row in log] == [0, 100, 200, 300]
+    assert all(row["status"] == "ok" for row in log)
+    assert json.loads((tmp_path / "out/summary.json").read_text())["frames"] == 400
+
+
+def test_json_is_one_object_as_agreed(film: Path, tmp_path: Path, call: Call) -> None:
+    out = succeeded(call("receive", film, "--json", "--truth", f"{film}.truth.npz"))
+    assert out.count("\n") == 1
+    report = json.loads(out)
+    assert {"frames", "seconds", "frames_per_second", "arrays", "errors"} <= set(report)
+    assert report["frames"] == 400
+    assert report["frames_per_second"] == pytest.approx(400 / report["seconds"], rel=0.01)
+    (array,) = report["arrays"]
+    assert set(array) == {"id", "first_frame", "last_frame", "packets", "layers"}
+    assert (array["id"], array["first_frame"], array["last_frame"], array["packets"]) == (0, 0, 399, 4)
+    assert list(array["layers"]) == ["high", "middle", "low"]
+    assert array["layers"]["high"] == {"ok": 4, "failed": 0, "bytes": 4 * len(HIGH)}
+    (row,) = report["errors"]
+    assert (row["from_m"], row["to_m"]) == (50.0, 55.0)
+    for layer, codewords in (("high", 4), ("middle", 8), ("low", 4)):
+        assert {"bits", "errors", "codewords", "codeword_errors"} <= set(row[layer])
+        assert (row[layer]["bits"], row[layer]["errors"]) == (1024 * codewords, 0)
+        assert (row[layer]["codewords"], row[layer]["codeword_errors"]) == (codewords, 0)
+    assert names(tmp_path) == []
+
+
+def test_without_truth_there_are_no_errors_to_tell(film: Path, tmp_path: Path, call: Call) -> None:
+    report = json.loads(succeeded(call("receive", film, "--json")))
+    assert "errors" not in report
+
+
+def test_error_rates_come_with_their_counts(film: Path, tmp_path: Path, call: Call) -> None:
+    out = succeeded(call("receive", film, "--truth", f"{film}.truth.npz"))
+    (line,) = [line for line in out.splitlines() if line.strip().startswith("50-55")]
+    assert line.split() == [
+        "50-55", "m",
+        "<", "7.3e-04", "of", "4096", "0/4",
+        "<", "3.7e-04", "of", "8192", "0/8",
+        "<", "7.3e-04", "of", "4096", "0/4",
+    ]  # fmt: skip
+    assert "codewords taken for right that were not sent: 0" in out
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".mp4"])
+def test_films_of_other_kinds(suffix: str, tmp_path: Path, call: Call) -> None:
+    lossless = ("--lossless",) if suffix == ".mp4" else ()
+    succeeded(call("simulate", f"a{suffix}", *lasting(0.1), *lossless))
+    assert names(tmp_path) == [f"a{suffix}", f"a{suffix}.truth.npz"]
+    report = json.loads(succeeded(call("receive", f"a{suffix}", "--json")))
+    assert report["arrays"][0]["layers"]["high"]["ok"] == 1
+
+
+def test_settings_come_from_preset_file_and_assignments_in_this_order(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "my.toml").write_text("[channel]\nduration_s = 0.02\n[channel.camera]\nwidth = 96\nheight = 48\n")
+    succeeded(call("simulate", "a.mkv", "--preset", "static", "--settings", "my.toml",
+                         "--set", "channel.camera.height=64"))  # fmt: skip
+    with open_film(tmp_path / "a.mkv") as film:
+        assert (film.width, film.height, len(list(film))) == (96, 64, 20)
+
+
+def test_a_background_and_recorded_motion_are_used(film: Path, tmp_path: Path, call: Call) -> None:
+    rows = [f"{k * 0.01:.2f},0.01,{0.2 * np.sin(k):.4f},0,8" for k in range(50)]
+    (tmp_path / "imu.csv").write_text("t_s,gyro_fwd_rad_s,gyro_right,gyro_down,speed_m_s\n" + "\n".join(rows))
+    for name, extra in (("b.mkv", ()), ("c.mkv", ("--imu", "imu.csv"))):
+        succeeded(call("simulate", name, *lasting(0.02), "--background", film, *extra))
+    pictures = []
+    for name in ("b.mkv", "c.mkv"):
+        with open_film(tmp_path / name) as source:
+            pictures.append(np.stack([frame.pixels for frame in source]))
+    assert not np.array_equal(pictures[0], pictures[1])
+
+
+def test_transmit_writes_patterns_as_numbers(tmp_path: Path, call: Call) -> None:
+    out = succeeded(call("transmit", "a.npy", "--packets", "2", "--identity", "9"))
+    assert out == "a.npy: 200 patterns of 1 ms, 0.2 s\n"
+    levels = np.load(tmp_path / "a.npy")
+    assert (levels.shape, levels.dtype, levels.max()) == ((200, 16, 16), np.uint8, 4)
+    assert (levels[0::2] + levels[1::2] == 4).all(), "each pattern is followed by its inverse"
+    out = succeeded(call("transmit", "a.csv", "--packets", "2", "--identity", "9", "--slots"))
+    assert out == "a.csv: 800 patterns of 0.25 ms, 0.2 s\n"
+    table = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)
+    assert table[:, 0] == pytest.approx(np.arange(800) * 0.25e-3)
+    assert (table[:, 1:].reshape(200, 4, 16, 16).sum(1) == levels).all()
+    assert names(tmp_path) == ["a.csv", "a.npy"]
+
+
+def test_transmit_writes_a_film_for_a_screen(tmp_path: Path, call: Call) -> None:
+    succeeded(call("transmit", "a.mkv", "--packets", "1", "--preset", "two-arrays"))
+    with open_film(tmp_path / "a.mkv") as film:
+        frames = [frame.pixels for frame in film]
+    assert len(frames) == 100
+    assert frames[0].shape == (256, 256)
+    assert set(np.unique(frames[50])) <= {0, 63, 127, 191, 255}
+
+
+def test_presets_are_listed_and_printed(tmp_path: Path, call: Call) -> None:
+    listed = succeeded(call("presets")).splitlines()
+    assert [line.split()[0] for line in listed] == list(PRESETS)
+    assert json.loads(succeeded(call("presets", "--json"))).keys() == PRESETS.keys()
+    text = succeeded(call("presets", "night"))
+    tree = json.loads(succeeded(call("presets", "night", "--json")))
+    assert tomllib.loads(text)["channel"]["emitter"] == tree["channel"]["emitter"]
+    assert tree["channel"]["emitter"]["all_on"] == 0.2
+
+
+def test_demo_shows_what_arrived(tmp_path: Path) -> None:
+    out = succeeded(heliograph("demo", "--output", "d", *lasting(0.1), cwd=tmp_path))
+    assert "array 0: 1 packets; codewords read: high 1/1" in out
+    assert out.splitlines()[-1] == "look at d/report.html"
+    assert {"report.html", "drive.mp4", "drive.mp4.truth.npz", "array-0-high-0.txt"} <= set(names(tmp_path / "d"))
+
+
+def test_help_and_no_arguments(tmp_path: Path) -> None:
+    assert "simulate" in succeeded(heliograph("--help", cwd=tmp_path))
+    assert "--truth" in succeeded(heliograph("receive", "--help", cwd=tmp_path))
+    run = heliograph(cwd=tmp_path)
+    assert run.returncode == 2
+    assert "Usage: heliograph" in run.stderr
+
+
+def test_long_work_shows_progress_on_a_terminal(tmp_path: Path) -> None:
+    ours, theirs = pty.openpty()
+    command = [*COMMAND, "simulate", "a.mkv", *lasting(0.3)]
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80"}
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=theirs, env=environment) as process:
+        os.close(theirs)
+        shown = b""
+        while True:
+            try:
+                part = os.read(ours, 4096)
+            except OSError:
+                break  # the other end is closed
+            if not part:
+                break
+            shown += part
+        assert process.wait(60) == 0
+        assert process.stdout is not None
+        assert process.stdout.read() == b"a.mkv: 300 frames; truth in a.mkv.truth.npz\n"
+    os.close(ours)
+    assert b"simulating" in shown
+    assert b"/300" in shown
+
+
+def test_tuning_the_receiver_keeps_the_films_own_signal(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "tune.toml").write_text("[receive.decode]\niterations = 4\n")
+    succeeded(call("simulate", "a.mkv", *lasting(0.14), "--set", "signal.data_pairs=64"))
+    run = call("receive", "a.mkv", "--json", "--settings", "tune.toml")
+    assert json.loads(succeeded(run))["arrays"][0]["packets"] == 1
+
+
+@pytest.mark.parametrize("command", ["presets paper", "receive {film}"])
+def test_a_closed_pipe_is_no_fault(command: str, film: Path, tmp_path: Path) -> None:
+    line = f"{' '.join(COMMAND)} {command.format(film=film)} | head -1"
+    run = subprocess.run(line, shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+    assert run.stderr == ""
+    assert run.stdout.count("\n") == 1

@@ -1,0 +1,126 @@
+"""The demonstration: one page, with everything in it, that tells what arrived."""
+
+import base64
+import contextlib
+import json
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from heliograph.base.errors import MediaError
+from heliograph.experiments import plots
+from heliograph.experiments.demo import Demonstration, demo_messages, run
+from heliograph.experiments.report import Report
+from heliograph.link.errors import LayerErrors
+from heliograph.link.settings import load_settings
+from heliograph.link.simulate import Recordings
+
+SMALL = (
+    "channel.speed_m_s=0", "channel.shake=none", "channel.camera.width=256", "channel.camera.height=96",
+    "channel.arrays.0.x_m=0.8", "channel.arrays.0.y_m=0",
+)  # fmt: skip
+PNG = b"\x89PNG\r\n"
+
+
+@contextlib.contextmanager
+def bar(title: str, total: int | None) -> Iterator[Callable[[int], None]]:
+    yield lambda _: None
+
+
+def demo(folder: Path, preset: str, *changes: str) -> Demonstration:
+    return run(folder, load_settings(preset, None, [*SMALL, *changes]), 1, Recordings(), bar)
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Demonstration]:
+    folder = tmp_path_factory.mktemp("demo")
+    made = demo(
+        folder, "two-arrays", "channel.distance_m=40", "channel.duration_s=0.6",
+        "channel.arrays.1.x_m=-0.8", "channel.arrays.1.y_m=0",
+    )  # fmt: skip
+    return folder, made
+
+
+def test_the_page_stands_alone(two: tuple[Path, Demonstration]) -> None:
+    page = (two[0] / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"https?:|<script|<link|@import|url\(", page)
+    assert all(source.startswith("data:image/png;base64,") for source in re.findall(r'src="([^"]*)"', page))
+    assert page.startswith("<!doctype html>")
+    assert page.rstrip().endswith("</html>")
+
+
+def test_the_page_has_pictures_and_messages_of_both_arrays(two: tuple[Path, Demonstration]) -> None:
+    page = (two[0] / "report.html").read_text(encoding="utf-8")
+    pictures = [base64.b64decode(data) for data in re.findall(r"base64,([^\"]*)", page)]
+    assert len(pictures) >= 6
+    assert all(picture.startswith(PNG) for picture in pictures)
+    for identity in (0, 7):
+        assert f"Array {identity}, high priority" in page
+    assert page.count("Signal ahead: red for 12 s. Prepare to stop.") == 2
+    assert page.count("Tram 4 crosses") == 6
+    assert "rms error of position" in page
+    assert "Codewords taken for right that were not sent: 0." in page
+
+
+def test_the_messages_are_files_as_well(two: tuple[Path, Demonstration]) -> None:
+    folder, made = two
+    sent = demo_messages(load_settings("two-arrays"))[0]
+    for identity in (0, 7):
+        for layer, suffix in (("high", "txt"), ("middle", "txt"), ("low", "png")):
+            assert (folder / f"array-{identity}-{layer}-0.{suffix}").read_bytes() == sent[layer][0]
+    assert not [path for path in folder.iterdir() if path.name.startswith(".")]
+    assert made.ending is None
+    assert [array["id"] for array in made.counts["arrays"]] == [0, 7]
+    assert json.loads(json.dumps(made.counts)) == made.counts
+
+
+def test_nothing_to_see_is_a_report_as_well(tmp_path: Path) -> None:
+    made = demo(tmp_path, "static", "channel.duration_s=0.12", "channel.arrays.0.x_m=30")
+    assert made.ending is None
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "No message is complete." in page
+    assert "No packet was received, and none was filmed whole." in page
+
+
+def test_missed_packets_are_a_report_as_well(tmp_path: Path) -> None:
+    made = demo(tmp_path, "static", "channel.duration_s=0.12", "channel.emitter.all_on=0.001")
+    assert (made.ending, made.counts["arrays"]) == (None, [])
+    assert "no data of 0" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_drive_too_short_is_told_with_its_report(tmp_path: Path) -> None:
+    made = demo(tmp_path, "static", "channel.duration_s=0.05")
+    assert isinstance(made.ending, MediaError)
+    assert (tmp_path / "report.html").exists()
+
+
+def test_frames_of_more_bits_are_shown(tmp_path: Path) -> None:
+    made = demo(tmp_path, "static", "channel.duration_s=0.12", "channel.sensor.bits=10")
+    assert made.counts["arrays"][0]["packets"] == 1
+    assert "What the camera saw" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_text_is_text_on_the_page(tmp_path: Path) -> None:
+    page = Report("a < b")
+    page.text("<script>x</script>")
+    page.code("<b>&")
+    page.table(["<i>"], [["<u>"]])
+    page.write(tmp_path / "a.html")
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert not re.search(r"<script|<b>|<i>|<u>", text)
+    assert "&lt;script&gt;x&lt;/script&gt;" in text
+    with pytest.raises(MediaError, match="cannot write"):
+        page.write(tmp_path / "none" / "a.html")
+
+
+def test_no_error_is_drawn_as_a_bound_of_three_by_n() -> None:
+    layers = {name: LayerErrors() for name in ("high", "middle", "low")}
+    layers["high"].bits.add(6000, 0)
+    layers["low"].bits.add(1000, 10)
+    after = plots.errors_by_distance({50.0: layers}).axes[1]
+    points = [(float(x), float(y)) for line in after.lines for x, y in np.array(line.get_xydata())]
+    assert (52.5, 3 / 6000) in points
+    assert (52.5, 0.01) in points

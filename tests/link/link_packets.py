@@ -1,0 +1,63 @@
+"""Packets as a receiver without any error would hand them out, and what may go wrong with them."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from heliograph.link.errors import ErrorCounter
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import Messages, default_messages, transmitters
+from heliograph.receive import Packet, Pose
+from heliograph.receive.decode import decode_packet
+from heliograph.receive.settings import DecodeSettings
+
+SMALL = (
+    "channel.camera.width=160",
+    "channel.camera.height=120",
+    "channel.arrays.0.x_m=0",
+    "channel.arrays.0.y_m=0",
+)
+"""A small camera that looks straight at the array."""
+
+LAYERS = ("high", "middle", "low")
+
+
+def small(*changes: str) -> LinkSettings:
+    return load_settings("static", None, [*SMALL, *changes])
+
+
+def perfect(settings: LinkSettings, number: int, messages: Sequence[Messages] | None = None, array: int = 0) -> Packet:
+    """Packet `number` of an array, decoded from exactly what was shown."""
+    sender = transmitters(settings, messages or default_messages(settings))[array]
+    levels = sender.format.patterns(sender.identity, sender.blocks(number)).astype(float)
+    change = (levels[0::2] - levels[1::2])[settings.signal.header_pairs :]
+    words = decode_packet(change, np.ones(len(change), bool), sender.format, sender.identity, DecodeSettings())
+    place, size = settings.channel.arrays[array], settings.signal.packet_patterns
+    start = place.start_s + number * settings.signal.packet_s
+    first = round(start * settings.channel.camera.fps)
+    pose = Pose(80.0, 60.0, 1.2)
+    return Packet(sender.identity, "ok", start, first, first + size - 1, pose, 50.0, 1.0, 1.0, 1.0, words)
+
+
+def watch(counter: ErrorCounter, frames: range, distances: Any = (50.0,), visible: Any = (True,)) -> None:
+    """Show the counter the truth of frames at 1000 a second."""
+    for frame in frames:
+        at = distances(frame) if callable(distances) else distances
+        counter.saw(frame * 1e-3, at, visible(frame) if callable(visible) else visible)
+
+
+def tampered(packet: Packet, layer: str, word: int, bits: Sequence[int], raw: Sequence[int] = (), **to: Any) -> Packet:
+    """The packet with bits of a codeword turned over and its fields changed."""
+    words = list(packet.layers[layer])
+    wrong, wrong_raw = words[word].bits.copy(), words[word].raw.copy()
+    wrong[list(bits)] ^= 1
+    wrong_raw[list(raw)] ^= 1
+    words[word] = replace(words[word], bits=wrong, raw=wrong_raw, **to)
+    return replace(packet, layers={**packet.layers, layer: tuple(words)})
+
+
+def sums(counter: ErrorCounter) -> Iterator[tuple[str, int, int, int, int, int, int]]:
+    for name, e in counter.total().items():
+        yield name, e.bits.trials, e.bits.errors, e.raw.errors, e.codewords.trials, e.codewords.errors, e.missed

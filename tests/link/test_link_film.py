@@ -1,0 +1,277 @@
+"""Messages through a film and back, byte for byte; films that break off, end early, or belong to another truth."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from link_packets import SMALL, small
+
+from heliograph.base.errors import HeliographError, MediaError, SettingsError
+from heliograph.link import film as link_film
+from heliograph.link.film import SIGNAL_TAG, check_truth, packet_row, receive_film, signal_of, write_film
+from heliograph.link.reception import Reception
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import Messages, Recordings, simulate
+from heliograph.link.truth import open_truth, truth_path
+from heliograph.media import create_film, open_film
+from heliograph.signal.message import Message
+
+LONG = bytes(np.random.default_rng(5).integers(0, 256, 500, dtype=np.uint8))
+"""Longer than four codewords of 116 bytes."""
+
+
+def through(
+    path: Path, settings: LinkSettings, messages: Sequence[Messages], truth: bool = True
+) -> tuple[list[Message], Reception]:
+    """Messages that come out of a film, and what was counted."""
+    write_film(path, settings, messages, seed=3)
+    return read(path, settings, truth)
+
+
+def read(path: Path, settings: LinkSettings, truth: bool = True) -> tuple[list[Message], Reception]:
+    reception = Reception(open_truth(truth_path(path)) if truth else None)
+    with open_film(path) as source:
+        signal = signal_of(source, settings, chosen=False)
+        packets = list(receive_film(source, signal, settings, reception))
+    return [message for _, whole in packets for message in whole], reception
+
+
+def by_place(messages: list[Message]) -> dict[tuple[int, str, int], bytes]:
+    assert len({(m.identity, m.layer, m.stream) for m in messages}) == len(messages), "each message comes out once"
+    return {(m.identity, m.layer, m.stream): m.data for m in messages}
+
+
+def test_messages_come_back_byte_for_byte_in_all_layers(tmp_path: Path) -> None:
+    messages: list[Messages] = [{"high": [b"\x00stop\xff"], "middle": [LONG[:300], b"a"], "low": [LONG[:230]]}]
+    found, reception = through(tmp_path / "a.mkv", small("channel.duration_s=0.4"), messages)
+    assert by_place(found) == {
+        (0, "high", 0): b"\x00stop\xff",
+        (0, "middle", 0): LONG[:300],
+        (0, "middle", 1): b"a",
+        (0, "low", 0): LONG[:230],
+    }
+    assert reception.unfinished() == []
+    assert reception.errors is not None
+    assert {n: (e.bits.errors, e.codewords.errors) for n, e in reception.errors.total().items()} == {
+        "high": (0, 0), "middle": (0, 0), "low": (0, 0)
+    }  # fmt: skip
+    assert reception.errors.false_codewords == 0
+    report = reception.report(2.0)
+    assert (report["frames"], report["seconds"], report["frames_per_second"]) == (400, 2.0, 200.0)
+    (array,) = report["arrays"]
+    assert (array["id"], array["packets"], array["first_frame"], array["last_frame"]) == (0, 4, 0, 399)
+    assert array["layers"]["middle"] == {"ok": 8, "failed": 0, "bytes": 2 * 301}
+    (row,) = report["errors"]
+    assert (row["from_m"], row["to_m"]) == (50, 55)
+
+
+def test_an_empty_layer_stays_empty(tmp_path: Path) -> None:
+    found, reception = through(tmp_path / "a.nut", small("channel.duration_s=0.2"), [{"middle": [b"only this"]}])
+    assert by_place(found) == {(0, "middle", 0): b"only this"}
+    tally = reception.arrays[0].layers
+    assert (tally["high"].ok, tally["high"].bytes, tally["low"].ok, tally["low"].bytes) == (2, 0, 2, 0)
+
+
+def test_a_message_of_more_codewords_than_the_film_has_is_unfinished(tmp_path: Path) -> None:
+    found, reception = through(tmp_path / "a.mkv", small("channel.duration_s=0.3"), [{"high": [LONG]}])
+    assert found == []
+    assert reception.unfinished() == [(0, "high", 0, 348, 500)]
+
+
+def test_a_film_may_start_within_a_packet(tmp_path: Path) -> None:
+    settings = small("channel.arrays.0.start_s=-0.0371", "channel.duration_s=0.4")
+    found, reception = through(tmp_path / "a.mkv", settings, [{"high": [b"odd"], "low": [LONG[:300]]}])
+    assert by_place(found) == {(0, "high", 0): b"odd", (0, "low", 0): LONG[:300]}
+    assert reception.errors is not None
+    assert reception.errors.false_codewords == 0
+    assert reception.errors.total()["high"].bits.errors == 0
+    assert [list(reception.errors.bins())] == [[50.0]]
+
+
+def test_another_signal_is_told_by_the_film(tmp_path: Path) -> None:
+    settings = small("signal.data_pairs=64", "signal.rate.low=1/2", "channel.duration_s=0.3")
+    write_film(tmp_path / "a.mkv", settings, [{"high": [b"other"], "low": [b"rate"]}], seed=1)
+    found, _ = read(tmp_path / "a.mkv", small())
+    assert by_place(found) == {(0, "high", 0): b"other", (0, "low", 0): b"rate"}
+
+
+def test_two_arrays_send_different_messages(tmp_path: Path) -> None:
+    settings = load_settings("two-arrays", None, [
+        "channel.distance_m=40", "channel.speed_m_s=0", "channel.shake=none", "channel.duration_s=0.3",
+        "channel.camera.width=256", "channel.camera.height=96",
+        "channel.arrays.0.x_m=0.8", "channel.arrays.0.y_m=0", "channel.arrays.1.x_m=-0.8", "channel.arrays.1.y_m=0",
+    ])  # fmt: skip
+    found, reception = through(tmp_path / "a.mkv", settings, [{"high": [b"left"]}, {"high": [b"right"]}])
+    assert by_place(found) == {(0, "high", 0): b"left", (7, "high", 0): b"right"}
+    assert [array["id"] for array in reception.report(1.0)["arrays"]] == [0, 7]
+
+
+def test_the_same_seed_gives_the_same_film(tmp_path: Path) -> None:
+    settings = small("channel.duration_s=0.02")
+    films = [[frame.pixels for frame, _ in simulate(settings, [{}], seed)] for seed in (4, 4, 5)]
+    assert np.array_equal(films[0], films[1])
+    assert not np.array_equal(films[0], films[2])
+
+
+def test_packets_become_rows_of_plain_values(tmp_path: Path) -> None:
+    write_film(tmp_path / "a.mkv", small("channel.duration_s=0.1"), [{"high": [b"row"]}], seed=1)
+    with open_film(tmp_path / "a.mkv") as source:
+        ((packet, _),) = receive_film(source, small().signal, small(), Reception())
+    row = packet_row(packet)
+    assert (row["id"], row["status"], row["first_frame"], row["last_frame"]) == (0, "ok", 0, 99)
+    assert row["distance_m"] == pytest.approx(50, rel=0.02)
+    assert row["layers"]["high"][0]["sequence"] == 0
+
+
+def interrupted_after(monkeypatch: pytest.MonkeyPatch, frames: int, error: BaseException) -> None:
+    """Let the simulation end with an error."""
+
+    def some(*arguments: Any) -> Iterator[Any]:
+        for count, pair in enumerate(simulate(*arguments)):
+            if count == frames:
+                raise error
+            yield pair
+
+    monkeypatch.setattr(link_film, "simulate", some)
+
+
+def test_ctrl_c_keeps_the_film_and_its_truth_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    interrupted_after(monkeypatch, 120, KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        write_film(tmp_path / "a.mkv", small(), [{"high": [b"so far"]}], seed=1)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mkv", "a.mkv.truth.npz"]
+    assert len(list(open_truth(tmp_path / "a.mkv.truth.npz").rows())) == 120
+    found, reception = read(tmp_path / "a.mkv", small())
+    assert (by_place(found), reception.frames) == ({(0, "high", 0): b"so far"}, 120)
+
+
+@pytest.mark.parametrize("frames", [0, 20])
+def test_a_failure_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
+    (tmp_path / "a.mkv").write_bytes(b"old film")
+    (tmp_path / "a.mkv.truth.npz").write_bytes(b"old truth")
+    interrupted_after(monkeypatch, frames, SettingsError("broken") if frames else KeyboardInterrupt())
+    with pytest.raises(SettingsError if frames else KeyboardInterrupt):
+        write_film(tmp_path / "a.mkv", small(), [{}], seed=1)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == {
+        "a.mkv": b"old film", "a.mkv.truth.npz": b"old truth"
+    }  # fmt: skip
+
+
+def test_a_truth_that_cannot_be_written_takes_the_film_with_it(tmp_path: Path) -> None:
+    (tmp_path / "a.mkv.truth.npz").mkdir()
+    with pytest.raises(MediaError, match=r"truth\.npz is a folder: move it away"):
+        write_film(tmp_path / "a.mkv", small("channel.duration_s=0.01"), [{}], seed=1)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mkv.truth.npz"]
+
+
+def test_a_drive_without_a_frame_is_told(tmp_path: Path) -> None:
+    with pytest.raises(MediaError, match=r"no frames.*channel\.duration_s"):
+        write_film(tmp_path / "a.mkv", small("channel.duration_s=1e-5"), [{}], seed=1)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("data", [b"x" * 8_000_000, b"x" * 20_000_000])
+def test_a_message_too_long_is_told(data: bytes) -> None:
+    with pytest.raises(SettingsError, match=r"array 0: .* at most"):
+        simulate(small(), [{"high": [data]}], 0)
+
+
+def cut(path: Path, share: float) -> Path:
+    out = path.with_name("cut.mkv")
+    out.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
+    return out
+
+
+def test_a_film_that_breaks_off_gives_all_packets_before(tmp_path: Path) -> None:
+    settings = small("channel.duration_s=0.3")
+    write_film(tmp_path / "a.mkv", settings, [{"high": [b"before"]}], seed=1)
+    reception, found = Reception(), []
+
+    def receive() -> None:
+        with open_film(cut(tmp_path / "a.mkv", 0.99)) as source:
+            for _, whole in receive_film(source, settings.signal, settings, reception):
+                found.extend(whole)
+
+    with pytest.raises(MediaError, match="ends in the middle"):
+        receive()
+    assert 280 < reception.frames < 300
+    assert by_place(found) == {(0, "high", 0): b"before"}
+    # the packet in progress is read too, from what there is of it
+    assert reception.arrays[0].packets == 3
+
+
+def test_a_film_shorter_than_a_packet_is_told(tmp_path: Path) -> None:
+    with pytest.raises(MediaError, match="has 99 frames; a packet takes 100"):
+        through(tmp_path / "a.mkv", small("channel.duration_s=0.099"), [{}])
+
+
+def test_the_truth_of_another_film_is_refused(tmp_path: Path) -> None:
+    settings = small("channel.duration_s=0.01")
+    write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
+    write_film(tmp_path / "b.mkv", settings, [{}], seed=2)
+    truth = open_truth(tmp_path / "b.mkv.truth.npz")
+    with open_film(tmp_path / "b.mkv") as film:
+        check_truth(film, truth)
+    with open_film(tmp_path / "a.mkv") as film, pytest.raises(MediaError, match="different simulations"):
+        check_truth(film, truth)
+    with open_film(tmp_path / "a.mkv") as film:
+        film.metadata = {}  # copied by a tool that keeps no notes
+        check_truth(film, truth)
+        film.width = 320
+        with pytest.raises(MediaError, match="160x120 pixels, the film of 320x120"):
+            check_truth(film, truth)
+        film.width, film.rate_hz = 160, 500.0
+        with pytest.raises(MediaError, match="1000 frames/s, the film 500"):
+            check_truth(film, truth)
+
+
+@pytest.mark.parametrize("note", ["", "{", "[1]", "null", '{"sied": 3}', '{"side": 3}'])
+def test_an_unreadable_note_on_the_signal_is_told(tmp_path: Path, note: str) -> None:
+    settings = small("channel.duration_s=0.001")
+    with create_film(tmp_path / "a.mkv", width=160, height=120, rate_hz=1000, metadata={SIGNAL_TAG: note}) as film:
+        film.write(next(iter(simulate(settings, [{}], 0)))[0])
+    with open_film(tmp_path / "a.mkv") as source:
+        assert signal_of(source, settings, chosen=True) == settings.signal
+        with pytest.raises(MediaError, match=r"note on its signal is unreadable"):
+            signal_of(source, settings, chosen=False)
+
+
+def test_a_film_out_of_step_is_told(tmp_path: Path) -> None:
+    settings = small("channel.camera.fps=500", "channel.duration_s=0.3")
+    with pytest.raises(HeliographError, match=r"500\.0 frames/s, the light 1000\.0"):
+        through(tmp_path / "a.mkv", settings, [{}])
+
+
+def test_missing_recordings_are_told() -> None:
+    for change in ("channel.background.kind=footage", "channel.shake=imu"):
+        with pytest.raises(SettingsError, match="needs"):
+            next(simulate(load_settings("static", None, [*SMALL, change]), [{}], 0, Recordings()))
+
+
+def test_a_report_may_be_asked_for_at_any_time(tmp_path: Path) -> None:
+    settings = small("channel.duration_s=0.2")
+    write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
+    reception = Reception(open_truth(truth_path(tmp_path / "a.mkv")))
+    with open_film(tmp_path / "a.mkv") as source:
+        for _ in receive_film(source, settings.signal, settings, reception, progress=lambda _: asked(reception)):
+            pass
+    assert reception.errors is not None
+    high = reception.errors.total()["high"]
+    assert (high.codewords.trials, high.codewords.errors, reception.errors.false_codewords) == (2, 0, 0)
+
+
+def asked(reception: Reception) -> None:
+    assert reception.report(1.0)["frames"] == reception.frames
+
+
+def test_packets_of_nobody_are_not_counted(tmp_path: Path) -> None:
+    settings = small("channel.duration_s=0.1")
+    write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
+    with open_film(tmp_path / "a.mkv") as source:
+        ((packet, _),) = receive_film(source, settings.signal, settings, Reception())
+    reception = Reception()
+    assert list(reception.add(replace(packet, identity=9, status="no_header"))) == []
+    assert reception.arrays == {}

@@ -1,0 +1,202 @@
+"""The truth file: written whole, read as a stream, and no damage goes unnoticed or untold."""
+
+import contextlib
+import json
+import zipfile
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from link_packets import small
+
+from heliograph.base.errors import MediaError
+from heliograph.channel import Truth
+from heliograph.link.settings import PRESETS, LinkSettings, load_settings
+from heliograph.link.simulate import Messages, default_messages, simulate
+from heliograph.link.truth import TruthWriter, fingerprint, open_truth, truth_path
+
+SETTINGS = small("channel.duration_s=0.03")
+MESSAGES: list[Messages] = [{"high": [b"one", b"two\x00"], "low": [bytes(range(256)) * 5]}]
+
+
+def write(path: Path, settings: LinkSettings = SETTINGS, seed: int = 7) -> list[Truth]:
+    messages = MESSAGES if settings is SETTINGS else default_messages(settings)
+    writer = TruthWriter(path, settings, messages, seed)
+    truths = [truth for _, truth in simulate(settings, messages, seed)]
+    for truth in truths:
+        writer.add(truth)
+    with writer.finishing():
+        pass
+    return truths
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return truth_path(tmp_path / "film.mkv")
+
+
+def test_the_name_is_the_films_with_a_suffix(tmp_path: Path) -> None:
+    assert truth_path(tmp_path / "a.b.mkv") == tmp_path / "a.b.mkv.truth.npz"
+
+
+def test_what_is_written_is_read_back(path: Path) -> None:
+    truths = write(path)
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+    file = open_truth(path)
+    assert (file.settings, file.seed) == (SETTINGS, 7)
+    assert [{n: list(m) for n, m in by_layer.items() if m} for by_layer in file.messages] == MESSAGES
+    assert file.fingerprint == fingerprint(SETTINGS, MESSAGES, 7)
+    rows = list(file.rows())
+    assert len(rows) == len(truths) == 30
+    for row, truth in zip(rows, truths, strict=True):
+        (array,) = truth.arrays
+        assert row["index"] == truth.index
+        assert row["time_s"] == truth.time_s
+        assert row["arrays"][0]["distance_m"] == np.float32(array.distance_m)
+        assert row["arrays"][0]["x"] == np.float32(array.x)
+        assert row["arrays"][0]["y"] == np.float32(array.y)
+        assert row["arrays"][0]["visible"] == array.visible
+        assert row["arrays"][0]["pattern"] == array.patterns[0]
+
+
+def test_two_arrays_and_darkness_before_the_start(path: Path) -> None:
+    settings = load_settings("two-arrays", None, ["channel.duration_s=0.04", "channel.shake=none"])
+    write(path, settings)
+    rows = list(open_truth(path).rows())
+    assert [len(row["arrays"]) for row in rows] == [2] * 40
+    assert [row["arrays"][1]["pattern"] for row in rows] == [-1] * 37 + [0, 0, 1]
+
+
+def test_numpy_reads_it_too(path: Path) -> None:
+    write(path)
+    with np.load(path) as archive:
+        assert archive["frames"]["index"].tolist() == list(range(30))
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_fingerprint_survives_the_file(name: str, path: Path) -> None:
+    settings = load_settings(name, None, ["channel.duration_s=0.001"])
+    write(path, settings)
+    file = open_truth(path)
+    assert fingerprint(file.settings, file.messages, file.seed) == file.fingerprint
+
+
+def test_the_fingerprint_tells_simulations_apart() -> None:
+    changed: list[Messages] = [{"high": [b"one", b"two"], "low": MESSAGES[0]["low"]}]
+    moved: list[Messages] = [{"high": [b"on", b"etwo\x00"], "low": MESSAGES[0]["low"]}]
+    prints = {
+        fingerprint(SETTINGS, MESSAGES, 7),
+        fingerprint(SETTINGS, MESSAGES, 8),
+        fingerprint(SETTINGS, changed, 7),
+        fingerprint(SETTINGS, moved, 7),
+        fingerprint(small(), MESSAGES, 7),
+    }
+    assert len(prints) == 5
+
+
+def test_rows_come_as_a_stream(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("heliograph.link.truth.CHUNK", 4)
+    write(path)
+    assert [int(row["index"]) for row in islice(open_truth(path).rows(), 3)] == [0, 1, 2]
+    assert [int(row["index"]) for row in open_truth(path).rows()] == list(range(30))
+
+
+def test_an_aborted_or_failed_file_leaves_nothing(path: Path) -> None:
+    writer = TruthWriter(path, SETTINGS, MESSAGES, 0)
+    writer.abort()
+    writer = TruthWriter(path, SETTINGS, MESSAGES, 0)
+
+    def fail() -> None:
+        with writer.finishing():
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert list(path.parent.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(MediaError, match="cannot write"):
+        TruthWriter(tmp_path / "none" / "a.npz", SETTINGS, MESSAGES, 0)
+
+
+def read_all(path: Path) -> None:
+    for _ in open_truth(path).rows():
+        pass
+
+
+def complaint(path: Path) -> str:
+    with pytest.raises(MediaError) as caught:
+        read_all(path)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert str(path) in text
+    return text
+
+
+def test_a_missing_file_is_told_how_to_come_by(path: Path) -> None:
+    assert "there is no truth file" in complaint(path)
+    assert "heliograph simulate" in complaint(path.parent)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"text", bytes(5000)])
+def test_what_is_no_archive_is_no_truth(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    assert "no truth file, or damaged" in complaint(path)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.999])
+def test_a_cut_file_is_damaged(path: Path, share: float) -> None:
+    write(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    assert "damaged" in complaint(path)
+
+
+def test_any_flipped_byte_is_harmless_or_told(path: Path) -> None:
+    write(path)
+    data, told = path.read_bytes(), 0
+    for place in range(0, len(data), 23):
+        path.write_bytes(data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :])
+        with contextlib.suppress(MediaError):
+            read_all(path)
+            continue
+        told += 1
+    assert told > len(data) / 23 / 2
+
+
+def rewritten(path: Path, **changes: bytes) -> None:
+    """The archive with some members replaced."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    for name, data in changes.items():
+        members[name.replace("_", ".")] = data
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+
+
+@pytest.mark.parametrize("about", ["[]", "3", "null", "{", "{}", '{"settings": {}, "messages": [], "seed": 0}'])
+def test_an_archive_of_something_else_is_no_truth(path: Path, about: str) -> None:
+    write(path)
+    rewritten(path, about_json=about.encode())
+    assert "no truth file, or damaged" in complaint(path)
+
+
+def test_rows_of_another_type_or_number_are_damage(path: Path) -> None:
+    write(path)
+    whole = path.read_bytes()
+    with zipfile.ZipFile(path) as archive:
+        frames, about = archive.read("frames.npy"), json.loads(archive.read("about.json"))
+    rewritten(path, frames_npy=frames[:-100])
+    assert "damaged" in complaint(path)
+    path.write_bytes(whole)
+    kind = np.lib.format.dtype_to_descr(np.dtype("f8"))
+    np.save(path.parent / "other.npy", np.zeros(5, kind))
+    rewritten(path, frames_npy=(path.parent / "other.npy").read_bytes())
+    assert "damaged" in complaint(path)
+    path.write_bytes(whole)
+    about["settings"]["channel"]["speed"] = 3
+    rewritten(path, about_json=json.dumps(about).encode())
+    assert "unknown setting 'channel.speed'" in complaint(path)

@@ -1,0 +1,139 @@
+"""The fit of the array's image: right on average, as sharp as the noise allows, and honest about it."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from receive_scenes import ALL_ON, SIDE, draw, pitch_at
+from scipy.special import ndtr
+
+from heliograph.receive import Pose
+from heliograph.receive.fit import Fit, Prior, fit_array, window_around
+from heliograph.signal.header import header_levels
+
+Floats = NDArray[np.float64]
+
+GAIN, LEVEL = 200.0, 20.0
+HEADER = header_levels(11, SIDE) / 2.0 - 1.0
+PATTERNS = {"header": HEADER, "all on": ALL_ON}
+BROAD = np.diag([1.0, 1.0, 0.1, 0.1, 0.3]) ** 2
+
+
+def window(pose: Pose) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Corner and shape of the pixels the tracker looks at."""
+    x, y, cols, rows = window_around(pose, SIDE, 1.5 * pose.pitch + 1.5)
+    return (x, y), (rows, cols)
+
+
+def pixels(pose: Pose, weights: Floats) -> Floats:
+    corner, shape = window(pose)
+    return GAIN * draw(pose, weights, corner, shape) + LEVEL + 0.3 * np.arange(shape[1])
+
+
+def start(pose: Pose, rng: np.random.Generator) -> Prior:
+    """A prior that is off by 0.3 px and a few percent, and says so."""
+    return Prior(pose.vector() + rng.normal(0, [0.3, 0.3, 0.03, 0.02, 0.1]), BROAD)
+
+
+def fit(image: Floats, pose: Pose, weights: Floats, prior: Prior) -> Fit:
+    return fit_array(image, window(pose)[0], prior, weights, 8)
+
+
+def error(found: Fit, pose: Pose) -> Floats:
+    return np.asarray(found.vector - pose.vector())
+
+
+def bound(pose: Pose, weights: Floats, sigma: float) -> Floats:
+    """Cramer-Rao bound of the pose's standard deviations: gain and a plane of background unknown, the prior known."""
+    corner, shape = window(pose)
+
+    def image(v: Floats) -> Floats:
+        return GAIN * draw(Pose.of(v), weights, corner, shape)
+
+    steps = 1e-4 * np.eye(5)
+    slopes = [(image(pose.vector() + h) - image(pose.vector() - h)) / 2e-4 for h in steps]
+    rows, cols = np.mgrid[: shape[0], : shape[1]].astype(float)
+    # I = J^T J / sigma^2 + P^-1
+    jacobian = np.stack([*slopes, image(pose.vector()), np.ones(shape), rows, cols]).reshape(9, -1)
+    information = jacobian @ jacobian.T / sigma**2
+    information[:5, :5] += np.linalg.inv(BROAD)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))[:5]), np.float64)
+
+
+@pytest.mark.parametrize("kind", PATTERNS)
+@pytest.mark.parametrize("distance_m", [25, 50, 80, 110, 150])
+def test_clean_image_gives_the_pose(distance_m: float, kind: str) -> None:
+    rng, pose = np.random.default_rng(3), Pose(40.37, 31.81, pitch_at(distance_m), 0.015, 0.55)
+    found = fit(pixels(pose, PATTERNS[kind]), pose, PATTERNS[kind], start(pose, rng))
+    # what is left is the light cut at 4 standard deviations and the prior's pull
+    assert np.abs(error(found, pose))[:2].max() < 1e-3
+    assert abs(error(found, pose)[2]) < 5e-3
+    assert found.score > 0.9999
+    assert found.gain == pytest.approx(GAIN, rel=0.02)
+
+
+@pytest.mark.parametrize("roll", [-0.5, 0.2, 1.2])
+def test_rolled_array(roll: float) -> None:
+    pose = Pose(40.37, 31.81, 1.2, roll, 0.6)
+    found = fit(pixels(pose, HEADER), pose, HEADER, start(pose, np.random.default_rng(0)))
+    assert np.abs(error(found, pose)).max() < 2e-3
+
+
+@pytest.mark.parametrize("kind", PATTERNS)
+@pytest.mark.parametrize("distance_m", [25, 50, 80, 150])
+def test_noise_costs_what_it_must_and_the_covariance_says_so(distance_m: float, kind: str) -> None:
+    weights, sigma, rng = PATTERNS[kind], 2.5, np.random.default_rng(int(distance_m))
+    errors, normed = [], []
+    for _ in range(50):
+        pose = Pose(40 + rng.random(), 31 + rng.random(), pitch_at(distance_m), 0.0, 0.55)
+        clean = pixels(pose, weights)
+        found = fit(clean + rng.normal(0, sigma, clean.shape), pose, weights, start(pose, rng))
+        e = error(found, pose)
+        errors.append(e)
+        normed.append(e[:2] @ np.linalg.solve(found.covariance[:2, :2], e[:2]))
+    rms = np.sqrt(np.mean(np.square(errors), axis=0))
+    least = bound(Pose(40.5, 31.5, pitch_at(distance_m), 0.0, 0.55), weights, sigma)
+    assert (rms[:3] < 2 * least[:3]).all()
+    # of two degrees of freedom
+    assert 1.0 < np.mean(normed) < 4.0
+
+
+@pytest.mark.parametrize("distance_m", [25, 40, 60, 80])
+@pytest.mark.parametrize("scene", ["wall", "lamp"])
+def test_bright_clutter_beside_the_panel_does_not_pull(distance_m: float, scene: str) -> None:
+    rng, pose = np.random.default_rng(5), Pose(40.37, 31.81, pitch_at(distance_m), 0.0, 0.55)
+    (x0, y0), shape = window(pose)
+    y, x = np.mgrid[: shape[0], : shape[1]] + np.array([[[y0 - pose.y]], [[x0 - pose.x]]])
+    clutter = {
+        "wall": np.full(shape, 2 * GAIN),
+        "lamp": 2 * GAIN * (np.hypot(x - 10.5 * pose.pitch, y) < 3 * pose.pitch),
+    }[scene]
+    # the dark panel, a pitch beyond the cells of the outer LEDs, hides it
+    panel = np.prod([ndtr((9 * pose.pitch - np.abs(t)) / 0.6) for t in (x, y)], axis=0)
+    light = GAIN * draw(pose, ALL_ON, (x0, y0), shape) + 5 + clutter * (1 - panel)
+    off = np.array([0.2, -0.15, 0.01, 0.0, 0.05])
+    prior = Prior(pose.vector() + off, np.diag([0.5, 0.5, 0.05, 0.02, 0.5]) ** 2, GAIN)
+    found = fit_array(light + rng.normal(0, 2.5, shape), (x0, y0), prior, ALL_ON, 5, panel=True)
+    assert np.abs(error(found, pose))[:2].max() < 0.1
+
+
+def test_score_of_nothing_is_low() -> None:
+    rng, pose = np.random.default_rng(0), Pose(40.0, 31.0, 1.2, 0.0, 0.55)
+    noise = rng.normal(LEVEL, 2.5, window(pose)[1])
+    assert abs(fit(noise, pose, HEADER, start(pose, rng)).score) < 0.5
+
+
+def test_prior_holds_where_nothing_is_seen() -> None:
+    rng, pose = np.random.default_rng(0), Pose(40.0, 31.0, 1.2, 0.0, 0.55)
+    sharp = Prior(pose.vector(), 1e-6 * np.eye(5), GAIN)
+    found = fit_array(rng.normal(LEVEL, 2.5, window(pose)[1]), window(pose)[0], sharp, ALL_ON, 5)
+    assert np.abs(error(found, pose)).max() < 5e-3
+    assert np.sqrt(np.diag(found.covariance)) == pytest.approx(np.full(5, 1e-3), rel=0.2)
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.4, -2.5])
+def test_window_holds_the_array(roll: float) -> None:
+    pose = Pose(40.4, 31.3, 1.7, roll, 0.5)
+    x, y, cols, rows = window_around(pose, SIDE, 2.0)
+    leds = pose.leds(SIDE).reshape(-1, 2)
+    assert (leds.min(0) - 1.99 >= (x, y)).all()
+    assert (leds.max(0) + 1.99 <= (x + cols - 1, y + rows - 1)).all()
