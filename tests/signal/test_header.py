@@ -13,6 +13,7 @@ from heliograph.signal.header import (
     IDENTITIES,
     Identity,
     all_header_cells,
+    all_on_levels,
     header_cells,
     header_levels,
     identity,
@@ -116,3 +117,8 @@ def test_unknown_identity(number: int) -> None:
 def test_side_is_a_multiple_of_four() -> None:
     with pytest.raises(ValueError, match="multiple of 4"):
         header_levels(0, 18)
+
+
+def test_all_on_header_is_all_light_then_none() -> None:
+    assert np.array_equal(all_on_levels(8), np.full((8, 8), 4))
+    assert not invert(all_on_levels(8)).any()

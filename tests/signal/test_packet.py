@@ -263,3 +263,13 @@ def test_encode_is_pack_code_whiten_place() -> None:
         # the formula of the air interface
         pair = j % 48
         assert cells[pair, (j // 48 + 23 * pair) % 128] == coded[j // 3072, j % 3072]
+
+
+def test_all_on_header_changes_the_header_alone() -> None:
+    form, other = make(), PacketFormat(SignalSettings(header="all_on"))
+    blocks = random_blocks(form, 7)
+    usual, all_on = form.patterns(3, blocks), other.patterns(3, blocks)
+    assert np.array_equal(all_on[:4].reshape(4, -1), np.array([4, 0, 4, 0])[:, None].repeat(256, 1))
+    assert np.array_equal(all_on[4:], usual[4:])
+    assert np.array_equal(other.header_pattern(0), other.header_pattern(29))
+    assert not np.array_equal(form.header_pattern(0), form.header_pattern(29))

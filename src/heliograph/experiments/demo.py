@@ -224,7 +224,7 @@ def _show_errors(page: Report, reception: Reception) -> None:
     page.figure(
         plots.errors_by_distance(bins), "Counted errors, 95 % intervals; an arrow is a bound (3/n), no error met."
     )
-    head = ["distance"] + [f"{layer}: {what}" for layer in LAYERS for what in ("bit error rate", "codewords wrong")]
+    head = ["distance"] + [f"{layer}: {what}" for layer in LAYERS for what in ("BER", "wrong")]
     rows = [
         [f"{start:.0f}-{start + BIN_M:.0f} m"]
         + [

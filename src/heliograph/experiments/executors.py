@@ -168,7 +168,10 @@ class Cluster:
     @property
     def slots(self) -> int:
         """Threads of all workers there are now; one job waits if there are none."""
-        return max(1, sum(self._client.nthreads().values()))  # type: ignore[no-untyped-call]
+        try:
+            return max(1, sum(self._client.nthreads().values()))  # type: ignore[no-untyped-call]
+        except OSError as error:
+            raise HeliographError(f"the connection to the Dask scheduler was lost ({error})") from None
 
     def submit(self, job: Job, work: dict[str, Any]) -> "Future[dict[str, Any]]":
         """Hand a job in."""

@@ -16,7 +16,8 @@ STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1d2126; max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
 h1 { font-size: 1.8rem; margin-bottom: .3rem } h2 { font-size: 1.2rem; margin-top: 2.2rem }
 figure { margin: 1rem 0 } img { max-width: 100%; height: auto } figcaption, .note { color: #5a636e; font-size: .92rem }
-table { border-collapse: collapse; margin: 1rem 0 } th, td { padding: .3rem .7rem; text-align: right }
+table { border-collapse: collapse; margin: 1rem 0; font-size: .88rem } .wide { overflow-x: auto }
+th, td { padding: .3rem .7rem; text-align: right }
 th, td { white-space: nowrap; border-bottom: 1px solid #e3e6ea } th { border-bottom: 2px solid #c9ced6 }
 .prose td, .prose th { white-space: normal; text-align: left; vertical-align: top }
 th:first-child, td:first-child { text-align: left } pre { background: #f4f5f7; padding: .7rem; white-space: pre-wrap }
@@ -64,7 +65,8 @@ class Report:
         """Add a table, of numbers or of prose, whose lines may be broken."""
         top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
         body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-        self._parts.append(f"<table{' class=prose' if prose else ''}><tr>{top}</tr>{body}</table>")
+        kind = " class=prose" if prose else ""
+        self._parts.append(f"<div class=wide><table{kind}><tr>{top}</tr>{body}</table></div>")
 
     def write(self, path: Path) -> None:
         """Write the page, whole or not at all."""

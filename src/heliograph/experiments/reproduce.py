@@ -73,7 +73,7 @@ def reproduce(keys: Sequence[str], context: Context, folder: Path, begin: Callab
     context
         What they may use.
     folder
-        Gets report.html, pictures (NAME-1.png, ...) and data (NAME.json).
+        Gets report.html, its claims as report.md, pictures (NAME-1.png, ...) and data (NAME.json).
     begin
         Called with name and title before each.
     """
@@ -85,6 +85,7 @@ def reproduce(keys: Sequence[str], context: Context, folder: Path, begin: Callab
         _write_parts(folder, chapter)
         chapters.append(chapter)
         write_report(folder / "report.html", chapters, context)
+        write_whole(folder / "report.md", markdown(chapters, context).encode())
     return chapters
 
 
@@ -101,6 +102,22 @@ def write_report(path: Path, chapters: Sequence[Chapter], context: Context) -> N
     for chapter in chapters:
         _add(page, chapter)
     page.write(path)
+
+
+def markdown(chapters: Sequence[Chapter], context: Context) -> str:
+    """Claims and measurements as a Markdown page, for a project's documents."""
+    run = "A quick run: few trials, wide intervals." if context.quick else "The full run."
+    scene = ", ".join(context.clips) or "a drawn scene"
+    lines = ["# The paper's experiments, measured", "", f"{run} Background: {scene}; seed {context.seed}.", ""]
+    for chapter in chapters:
+        lines += [f"## {chapter.title}", "", chapter.text, "", "| claim | measured | verdict |", "|---|---|---|"]
+        lines += [f"| {_cell(f.claim)} | {_cell(f'{f.ours} {f.why}')} | {f.verdict} |" for f in chapter.findings]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
 
 
 def _verdicts(chapter: Chapter) -> list[tuple[str, str, str, str]]:

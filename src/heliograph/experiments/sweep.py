@@ -215,8 +215,11 @@ def _take(future: Future[dict[str, Any]], tally: Tally, block: int, store: Store
         return True
     except CancelledError:
         raise HeliographError("the connection to the Dask scheduler was lost; the results so far are kept") from None
-    except (HeliographError, OSError, MemoryError) as error:
-        raise HeliographError(f"{tally.point.text}: {str(error) or 'not enough memory'}") from None
+    except HeliographError as error:
+        raise HeliographError(f"{tally.point.text}: {error}") from None
+    except Exception as error:  # of a worker anywhere: no memory, no heliograph, killed once too often
+        reason = " ".join(str(error).split())[:200]
+        raise HeliographError(f"{tally.point.text}: a worker failed with {type(error).__name__}: {reason}") from error
     if result["version"] != __version__:
         raise HeliographError(
             f"a worker has heliograph {result['version']}, not {__version__}; install the same on all"

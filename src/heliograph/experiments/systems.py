@@ -103,7 +103,7 @@ SCHEMES = {scheme.key: scheme for scheme in _schemes()}
 
 @dataclass(slots=True)
 class Heard:
-    """Bits read and read wrongly at a distance, by (reading, part); and films, with those in which the array was found."""
+    """Bits counted at a distance, by (reading, part); films, and those in which the array was found."""
 
     counts: dict[tuple[Reading, str], Count] = field(default_factory=dict)
     films: int = 0

@@ -69,6 +69,11 @@ def header_levels(number: int, side: int = 16) -> NDArray[np.uint8]:
     return np.kron((header_cells(number) > 0).astype(np.uint8) * np.uint8(SLOTS), block).astype(np.uint8)
 
 
+def all_on_levels(side: int = 16) -> NDArray[np.uint8]:
+    """Header pattern without an identity, for comparison: (side, side) uint8, every LED at level 4."""
+    return np.full((side, side), SLOTS, dtype=np.uint8)
+
+
 def all_header_cells() -> NDArray[np.int8]:
     """Cells of all identities, (30, 4, 4) int8."""
     return np.stack([header_cells(i) for i in range(IDENTITIES)])

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.base.errors import SettingsError
 from heliograph.signal import haar, ook, pwm
 from heliograph.signal.block import MIN_BITS, Block, pack, payload_bytes, whitening
-from heliograph.signal.header import header_levels
+from heliograph.signal.header import all_on_levels, header_levels
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
 from heliograph.signal.turbo import QPP_SIZES, TurboCode
 
@@ -110,8 +110,13 @@ class PacketFormat:
         blocks
             For each layer one block a codeword.
         """
-        head = header_levels(identity, self.settings.side)[None].repeat(self.settings.header_pairs, 0)
+        head = self.header_pattern(identity)[None].repeat(self.settings.header_pairs, 0)
         return with_inverses(np.concatenate([head, self.data_patterns(blocks)]))
+
+    def header_pattern(self, identity: int) -> NDArray[np.uint8]:
+        """Pattern of the header pairs, (n, n) levels; that of "all_on" is the same for all identities."""
+        side = self.settings.side
+        return all_on_levels(side) if self.settings.header == "all_on" else header_levels(identity, side)
 
     def soft_data(self, x: ArrayLike) -> NDArray[np.float64]:
         """Soft D of received luminances about their mean, (..., n, n), by the modulation's decoder."""

@@ -57,6 +57,8 @@ class SignalSettings:
         Rate of the turbo code by layer.
     modulation
         "haar", the hierarchical code, or "ook", plain on-off keying of each LED.
+    header
+        "m_sequence", which tells the array's identity, or, for comparison, "all_on": every LED on, then off.
     """
 
     side: Annotated[int, Field(ge=4, le=64, multiple_of=4)] = 16
@@ -66,6 +68,7 @@ class SignalSettings:
     data_pairs: Annotated[int, Field(ge=1, le=4096)] = 48
     rate: RateSettings = RateSettings()
     modulation: Literal["haar", "ook"] = "haar"
+    header: Literal["m_sequence", "all_on"] = "m_sequence"
 
     @model_validator(mode="after")
     def _consistent(self) -> "SignalSettings":

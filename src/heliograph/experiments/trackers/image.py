@@ -16,7 +16,7 @@ FEATURES = 120
 KEY_PAIRS = 10
 """Background features, and pairs after which they are chosen anew."""
 
-REACH_PX = 4
+REACH_PX = 3
 """A pair later the array is looked for no further away; in the drives here it moves by up to 2 px."""
 
 
@@ -29,10 +29,14 @@ class BackgroundMotion:
     """
 
     sized = False
+    _old: NDArray[np.float32]
+    _key: Gray
+    _way: tuple[float, float]
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
         """Choose features around the array."""
-        self._pose, self._side = found.fit.pose, 16 * found.fit.pose.pitch
+        self._pose: Pose = found.fit.pose
+        self._side = 16 * self._pose.pitch
         self._renew(_sum(pattern, inverted))
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
@@ -40,33 +44,33 @@ class BackgroundMotion:
         both = _sum(pattern, inverted)
         self._age += 1
         if len(self._old):
-            image = self._stretched(both)
-            self._follow(image)
+            self._follow(self._stretched(both))
         if self._age >= KEY_PAIRS or not len(self._old):
             self._renew(both)
         return self._pose
 
     def _follow(self, image: Gray) -> None:
-        guess = (self._old + np.float32(self._way)).astype(np.float32)
+        guess = self._old + np.array(self._way, np.float32)
         flags = cv2.OPTFLOW_USE_INITIAL_FLOW
         new, good, _ = cv2.calcOpticalFlowPyrLK(
             self._key, image, self._old, guess, winSize=(21, 21), maxLevel=1, flags=flags
         )
         kept = good.ravel() == 1
         if kept.any():
-            self._way = np.median((new - self._old).reshape(-1, 2)[kept], axis=0)
-            self._pose = self._at.moved(float(self._way[0]), float(self._way[1]))
+            x, y = np.median((new - self._old).reshape(-1, 2)[kept], axis=0)
+            self._way = float(x), float(y)
+            self._pose = self._at.moved(*self._way)
 
     def _renew(self, both: NDArray[np.float32]) -> None:
         """A new key pair and new features."""
-        self._age, self._at, self._way = 0, self._pose, np.zeros(2)
+        self._age, self._at, self._way = 0, self._pose, (0.0, 0.0)
         self._alpha = 255 / max(float(np.quantile(both[::8, ::8], 0.995)), 16.0)
         self._key = self._stretched(both)
         mask, half = np.full(self._key.shape, 255, np.uint8), self._side + 4
         rows, cols = (slice(max(0, int(c - half)), max(0, int(c + half))) for c in (self._pose.y, self._pose.x))
         mask[rows, cols] = 0
         found = cv2.goodFeaturesToTrack(self._key, FEATURES, 0.02, 12, mask=mask)
-        self._old = np.empty((0, 1, 2), np.float32) if found is None else found
+        self._old = np.zeros((0, 1, 2), np.float32) if found is None else np.asarray(found, np.float32)
 
     def _stretched(self, both: NDArray[np.float32]) -> Gray:
         return np.asarray(cv2.convertScaleAbs(both, alpha=self._alpha), np.uint8)
@@ -82,10 +86,11 @@ class MultipleInstance:
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
         """Learn the array."""
-        params = cv2.TrackerMIL_Params()
+        opencv: Any = cv2  # its stubs leave this tracker out
+        params = opencv.TrackerMIL_Params()
         params.samplerSearchWinSize = float(REACH_PX)
         cv2.setRNGSeed(0)
-        self._tracker: Any = cv2.TrackerMIL_create(params)
+        self._tracker: Any = opencv.TrackerMIL_create(params)
         self._pose, side = found.fit.pose, round(32 * found.fit.pose.pitch)
         left, top = round(self._pose.x - side / 2), round(self._pose.y - side / 2)
         # the box's whole pixels lie a fraction of a pixel beside the array's centre
@@ -126,10 +131,10 @@ class TemplateMatch:
         """Move to the best match."""
         both = _sum(pattern, inverted)
         area = self._patch(both, self._side + 2 * REACH_PX)
-        match = cv2.matchTemplate(area, self._template, cv2.TM_CCOEFF_NORMED)
+        match = np.asarray(cv2.matchTemplate(area, self._template, cv2.TM_CCOEFF_NORMED), np.float32)
         _, _, _, (j, i) = cv2.minMaxLoc(match)
         self._pose = self._pose.moved(j - REACH_PX + _peak(match[i], j), i - REACH_PX + _peak(match[:, j], i))
-        self._template = cv2.addWeighted(self._template, 0.9, self._patch(both, self._side), 0.1, 0)
+        self._template = np.float32(0.9) * self._template + np.float32(0.1) * self._patch(both, self._side)
         return self._pose
 
     def _patch(self, both: NDArray[np.float32], side: int) -> NDArray[np.float32]:

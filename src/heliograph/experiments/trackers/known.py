@@ -25,9 +25,8 @@ Floats = NDArray[np.float64]
 BLOCK = 4
 """Side of a block of known LEDs."""
 
-SPREAD = 0.32
-"""Rms of a data LED's luminance about its mean, 1/2: levels 0 to 4 with probabilities 1, 4, 6, 4, 1 of 16 have 0.25,
-neighbours in a square of the code add to it."""
+SPREAD = 0.25
+"""Rms of a data LED's luminance about its mean, 1/2: levels 0 to 4 with probabilities 1, 4, 6, 4, 1 of 16."""
 
 MARGIN_PX = 3.0
 STEPS = 3

@@ -37,6 +37,9 @@ CUTS = 8
 ROI_PX = 24
 """Pixels kept around the array for the known pattern: its window needs no more, and a window's pixels are the same."""
 
+HELD = 16
+"""Pairs kept until the array is found: more than its header and what the detector waits for."""
+
 Pair = tuple[Frame, Frame, ArrayTruth, ArrayTruth]
 
 
@@ -87,7 +90,7 @@ class Run:
     side_px: Floats
     packet: NDArray[np.int64]
     errors: Mapping[str, Floats]
-    cuts: list[tuple[float, Floats, Floats]] = field(default_factory=list)
+    cuts: list[tuple[float, tuple[Floats, Floats]]] = field(default_factory=list)
 
 
 def race(job: Film, advance: Callable[[float], None] = lambda _: None) -> Run:
@@ -157,13 +160,13 @@ class _Lane:
         self._started = False
         self.rows: list[tuple[float, float, float]] = []
         self.errors: dict[str, list[tuple[float, float, float]]] = {name: [] for name in names}
-        self.cuts: list[tuple[float, Floats, Floats]] = []
+        self.cuts: list[tuple[float, tuple[Floats, Floats]]] = []
         self.first: Pose | None = None
         self.poses: dict[str, Pose] = {}
 
     def push(self, pair: Pair) -> None:
         """Take a pair; those held back until the array is found are followed then."""
-        self._held.append(pair)
+        self._held = [*self._held[-HELD:], pair]
         if self.found is None:
             hits = [hit for frame in pair[:2] for hit in self._detector.push(frame)]
             self.found = hits[0] if hits else None
@@ -202,7 +205,7 @@ class _Lane:
         still, moved = (
             _cut(pair, pose, self._settings.signal.side) for pose in (self.first, self.poses["inverted signals"])
         )
-        self.cuts.append((pair[0].time_s, still, moved))
+        self.cuts.append((pair[0].time_s, (still, moved)))
 
 
 def _mean(true: ArrayTruth, later: ArrayTruth, name: str) -> float:

@@ -80,6 +80,7 @@ def findings(table: Scores, day: str, dark: dict[str, list[str]]) -> list[Findin
         *(_background(table, day, what, films) for what, films in dark.items()),
         _dark(table, [film for films in dark.values() for film in films]),
         rate_finding(rates()),
+        _shown(table, BACKGROUND, "The background's motion alone, not helped by later headers."),
         _shown(table, KNOWN, f"Tracking by known LEDs ({4 * BLOCK**2} of 256 lit), each frame by itself."),
         _shown(table, "OpenCV MIL", "A general tracker: OpenCV's TrackerMIL, fed with the sums of pairs."),
         _shown(table, "OpenCV template", "Another: template matching, fed with the sums of pairs."),

@@ -1,0 +1,140 @@
+"""Measures of flicker of a light that repeats, given by its flux slot by slot.
+
+IEEE 1789-2015 low-risk limits, stroboscopic visibility measure (CIE TN 006:2016, IEC TR 63158), flickering time period
+(IEEE 802.15.7).
+"""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+SVM_EXPONENT = 3.7
+SVM_LIMIT = 0.4
+"""Largest SVM the EU's ecodesign rules allow; 1 is the threshold of an average observer."""
+
+SVM_TOP_HZ = 2000.0
+MFTP_S = 5e-3
+"""Maximum flickering time period of IEEE 802.15.7: changes of the light that last no longer are not seen."""
+
+LIMITED_HZ = 1250.0
+"""IEEE 1789's low-risk limit reaches 100 % here."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """Modulation by frequency: amplitude of each Fourier component as a share of the mean."""
+
+    hz: Floats
+    modulation: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Flicker:
+    """Measures of a light.
+
+    Attributes
+    ----------
+    percent
+        (largest - least) / (largest + least) flux in percent.
+    slow_percent
+        Largest modulation below 90 Hz, in percent.
+    limit_share, limit_hz
+        Modulation by IEEE 1789's low-risk limit where this is largest, and that frequency.
+    slow_limit_share
+        The same below 90 Hz alone.
+    svm
+        Stroboscopic visibility measure.
+    period_s
+        Flickering time period.
+    """
+
+    percent: float
+    slow_percent: float
+    limit_share: float
+    limit_hz: float
+    slow_limit_share: float
+    svm: float
+    period_s: float
+
+    def plain(self) -> dict[str, float]:
+        """The measures by name."""
+        return asdict(self)
+
+
+def measure(flux: ArrayLike, slot_s: float) -> Flicker:
+    """All measures of a light of given flux by slot, repeated without end."""
+    f = np.asarray(flux, float)
+    lines = spectrum(f, slot_s)
+    share = lines.modulation / low_risk_limit(lines.hz)
+    worst, slow = int(np.argmax(share)), lines.hz < 90
+    return Flicker(
+        percent=percent_flicker(f),
+        slow_percent=100 * float(lines.modulation[slow].max(initial=0.0)),
+        limit_share=float(share[worst]),
+        limit_hz=float(lines.hz[worst]),
+        slow_limit_share=float(share[slow].max(initial=0.0)),
+        svm=svm(lines),
+        period_s=flickering_period(f, slot_s),
+    )
+
+
+def spectrum(flux: ArrayLike, slot_s: float, top_hz: float = SVM_TOP_HZ) -> Spectrum:
+    """Fourier components of a light that holds each value for a slot and then repeats, without its mean.
+
+    Lines of a light that is random lie as close as the given stretch is long; their height falls with its root.
+    """
+    f = np.asarray(flux, float)
+    hz = np.arange(1, int(top_hz * f.size * slot_s + 1e-9) + 1) / (f.size * slot_s)
+    lines = np.fft.fft(f) / f.size
+    # a value held for a slot: c_k = DFT_k / N sinc(f slot), beyond the DFT's end by its period
+    held = np.abs(lines[np.arange(1, hz.size + 1) % f.size] * np.sinc(hz * slot_s))
+    return Spectrum(hz, 2 * held / max(float(f.mean()), 1e-12))
+
+
+def percent_flicker(flux: ArrayLike) -> float:
+    """Largest less least flux by their sum, in percent: 0 for a steady light, 100 for one that goes out."""
+    f = np.asarray(flux, float)
+    low, high = float(f.min()), float(f.max())
+    return 100 * (high - low) / max(high + low, 1e-12)
+
+
+def low_risk_limit(hz: ArrayLike) -> Floats:
+    """Largest modulation of low risk by IEEE 1789-2015, as a share; infinite where it sets none."""
+    f = np.asarray(hz, float)
+    # 0.025 f % below 90 Hz (and never above 5 %), 0.08 f % up to 1250 Hz
+    limit = np.where(f < 90, np.minimum(0.025 * f, 5.0), 0.08 * f) / 100
+    return np.where(f > LIMITED_HZ, np.inf, limit)
+
+
+def visibility_threshold(hz: ArrayLike) -> Floats:
+    """Modulation of a sine whose stroboscopic effect half of the observers see (Perz et al. 2018, CIE TN 006)."""
+    f = np.asarray(hz, float)
+    # T(f) = 1 / (1 + exp(-0.00518 (f - 306.6))) + 20 exp(-f / 10)
+    return 1 / (1 + np.exp(-0.00518 * (f - 306.6))) + 20 * np.exp(-f / 10)
+
+
+def svm(lines: Spectrum) -> float:
+    """Stroboscopic visibility measure: 1 is just visible."""
+    # SVM = (sum (C_m / T_m)^3.7)^(1 / 3.7)
+    ratio = lines.modulation / visibility_threshold(lines.hz)
+    return float((ratio**SVM_EXPONENT).sum() ** (1 / SVM_EXPONENT))
+
+
+def flickering_period(flux: ArrayLike, slot_s: float) -> float:
+    """Longest time between instants at which the light given so far equals that of a steady light of the same mean.
+
+    Over such a stretch the mean brightness is the light's own; within it, it is not. 0 for a steady light.
+    """
+    f = np.asarray(flux, float)
+    ahead = np.append(0.0, np.cumsum(f - f.mean()))  # straight lines in between
+    small = 1e-9 * max(float(f.mean()), 1e-12) * f.size
+    ahead[np.abs(ahead) < small] = 0.0
+    if not ahead.any():
+        return 0.0
+    level = np.flatnonzero(ahead == 0)
+    cross = np.flatnonzero(ahead[:-1] * ahead[1:] < 0)
+    between = cross + ahead[cross] / (ahead[cross] - ahead[cross + 1])
+    return float(np.diff(np.sort(np.concatenate([level, between]))).max() * slot_s)

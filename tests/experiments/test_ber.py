@@ -1,0 +1,133 @@
+"""Fig. 13: counts by packet, and the test of driving against static."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from heliograph.experiments.chapter import Context
+from heliograph.experiments.figures import ber
+from heliograph.link.bench import LayerCounts, random_messages, run_block
+from heliograph.link.errors import ErrorCounter
+from heliograph.link.settings import load_settings
+from heliograph.link.simulate import simulate
+from heliograph.receive import Receiver
+from heliograph.signal.settings import LAYERS
+
+
+def records(rate: float, count: int, rng: np.random.Generator) -> list[ber.Record]:
+    """Packets at 50 m to 60 m whose error rates vary from packet to packet more than bits do."""
+    out = []
+    for z in np.linspace(50.1, 59.9, count):
+        errors = rng.binomial(3072, min(rate * rng.lognormal(0, 0.3), 0.5), 3)
+        layers = {n: LayerCounts(raw_bits=3072, raw_errors=int(e)) for n, e in zip(LAYERS, errors, strict=True)}
+        out.append(ber.Record(float(z), layers))
+    return out
+
+
+def test_equal_rates_are_alike() -> None:
+    rng = np.random.default_rng(0)
+    found = ber.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
+    assert {c.bin_m for c in found} == {52.5, 57.5, None}
+    assert [c.verdict for c in found] == ["alike"] * 9
+    assert ber._alike(found).verdict == "holds"
+
+
+def test_a_faked_difference_is_found() -> None:
+    rng = np.random.default_rng(1)
+    found = ber.compare(records(0.02 * 1.9, 120, rng), records(0.02, 120, rng), rng)
+    assert {c.verdict for c in found} == {"apart"}
+    assert all(1.6 < c.ratio < 2.3 for c in found)
+    assert ber._alike(found).verdict == "differs"
+
+
+def test_few_packets_decide_nothing() -> None:
+    rng = np.random.default_rng(2)
+    found = ber.compare(records(0.03, 4, rng), records(0.02, 4, rng), rng)
+    assert all(c.verdict != "apart" for c in found)
+    assert ber.compare([], [], rng) == []
+    assert ber._alike([]).verdict == "shown"
+
+
+def test_false_alarms_are_rare() -> None:
+    """Packets that are alike are called apart hardly ever, however much they vary by themselves."""
+    rng = np.random.default_rng(3)
+    alarms = [
+        c.verdict == "apart"
+        for _ in range(20)
+        for c in ber.compare(records(0.01, 20, rng), records(0.01, 20, rng), rng)
+    ]
+    assert np.mean(alarms) < 0.02
+
+
+def test_holm() -> None:
+    assert ber.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert ber.holm([0.5, 0.9]) == [1.0, 1.0]
+    assert ber.holm([]) == []
+
+
+def test_packets_of_a_drive_by_themselves_are_the_whole_count() -> None:
+    settings = load_settings("paper", {"channel": {"distance_m": 62.0, "duration_s": 0.35}})
+    one = ber.film_packets(settings, np.random.default_rng(4))
+    assert len(one.packets) == 3
+    assert one.false_codewords == 0
+    assert all(55 < record.distance_m < 62 for record in one.packets)
+    distances = [record.distance_m for record in one.packets]
+    assert distances == sorted(distances, reverse=True)
+    seed = int(np.random.default_rng(4).integers(2**31))
+    block = run_block(settings, seed, max_packets=None)
+    for name in LAYERS:
+        total = LayerCounts()
+        for record in one.packets:
+            total.add(record.layers[name])
+        assert replace(total, missed=0) == replace(block.layers[name], missed=0)
+        assert total.raw_errors > 0
+
+
+def test_on_off_keying_end_to_end() -> None:
+    """Near, all layers of the link with on-off keying arrive, and the error counter counts every bit."""
+    changes = {"signal": {"modulation": "ook"}, "channel": {"distance_m": 35.0, "duration_s": 0.2001}}
+    settings = load_settings("static", changes)
+    messages = random_messages(settings, 5)
+    counter, receiver = ErrorCounter(settings, messages), Receiver(settings.signal, settings.receive)
+    statuses = []
+    for frame, truth in simulate(settings, messages, 5, roi_margin_px=20):
+        counter.saw(truth.time_s, [truth.arrays[0].distance_m], [truth.arrays[0].visible])
+        for packet in receiver.push(frame):
+            statuses.append(packet.status)
+            counter.received(packet)
+    assert statuses == ["ok", "ok"]
+    total = counter.total()
+    assert {name: total[name].raw.trials for name in LAYERS} == {"high": 6144, "middle": 12288, "low": 6144}
+    assert all(total[name].raw.errors == total[name].bits.errors == 0 for name in LAYERS)
+    assert counter.false_codewords == 0
+
+
+def test_on_off_keying_errors_are_alike_in_all_layers() -> None:
+    one = ber.measure(ber.Task(60.0, "ook", (6,)))
+    rates = [one.packets[0].layers[name].raw_errors / one.packets[0].layers[name].raw_bits for name in LAYERS]
+    assert min(rates) > 0.03
+    assert max(rates) < 0.2
+
+
+def test_chapter(monkeypatch: pytest.MonkeyPatch) -> None:
+    short = load_settings("paper", {"channel": {"distance_m": 66.0, "duration_s": 0.72}})
+    monkeypatch.setattr(ber, "load_settings", lambda *_: short)
+    done: list[float] = []
+    context = Context(progress=lambda _, share: done.append(share))
+    chapter = ber.chapter(context, [30.0, 60.0], films=1, drives=1)
+    assert chapter.key == "fig13"
+    assert done == sorted(done)
+    assert done[-1] == pytest.approx(1)
+    data = json.loads(json.dumps(chapter.data))
+    assert [row["distance_m"] for row in data["static"]] == [30.0, 60.0]
+    assert data["static"][0]["low"]["raw_errors"] == 0
+    assert data["static"][1]["low"]["raw_bits"] == 3072
+    assert 0.05 < data["static"][1]["low"]["raw_errors"] / 3072 < 0.3
+    assert data["driving"]
+    assert data["false_codewords"] == 0
+    assert all(np.isfinite([c["ratio"], c["p"]]).all() for c in data["comparison"])
+    assert [f.verdict for f in chapter.findings][1] == "holds"
+    assert len(chapter.pictures) == 2
+    assert all(len(row) == len(t.head) for t in chapter.tables for row in t.rows)

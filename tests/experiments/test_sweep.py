@@ -1,0 +1,327 @@
+"""Sweeps within one process: what varies, when a point ends, what is kept."""
+
+import json
+import sqlite3
+from collections.abc import Mapping
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from heliograph.base.errors import HeliographError, MediaError, SettingsError
+from heliograph.experiments import dataset, executors, sweep
+from heliograph.experiments.plan import plan
+from heliograph.experiments.points import StopRule, Tally, run_job
+from heliograph.experiments.store import NAME, Store
+from heliograph.experiments.vary import grid, parse_vary, varied
+from heliograph.link.bench import BlockCounts
+from heliograph.link.statistics import clopper_pearson
+
+SMALL = {"signal": {"data_pairs": 8}, "channel": {"camera": {"width": 480, "height": 288}}}
+
+
+def fake_counts(codewords: int, errors: int) -> BlockCounts:
+    counts = BlockCounts(film_s=1.0, frames=1000)
+    for layer in counts.layers.values():
+        layer.codewords, layer.codeword_errors = codewords, errors
+    return counts
+
+
+def points(**changes: Any) -> list[Any]:
+    return plan({"channel.distance_m": [40, 70]}, "static", {**SMALL, **changes})
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("a=25:40:5", [25, 30, 35, 40]),
+        ("a=25:39:5", [25, 30, 35]),
+        ("a=0.1:0.3:0.1", [0.1, 0.2, 0.3]),
+        ("a=3:1:-1", [3, 2, 1]),
+        ("a=1,2.5,true,plain,'q,r'", [1, 2.5, True, "plain", "q,r"]),
+        ("a=[1, 2],[3]", [[1, 2], [3]]),
+        ("a=1:2:0.5,7", [1.0, 1.5, 2.0, 7]),
+    ],
+)
+def test_values_are_read(text: str, values: list[Any]) -> None:
+    assert parse_vary(text) == ("a", values)
+
+
+@pytest.mark.parametrize("text", ["a", "=1", "a=", "a=1,,2", "a=1:2", "a=1:2:0", "a=1:2:-1", "a=0:1e9:1"])
+def test_what_varies_nothing_is_told(text: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        parse_vary(text)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_grid_has_all_combinations_the_last_key_fastest() -> None:
+    assert grid({"a": [1, 2], "b": ["x", "y"]}) == [
+        {"a": 1, "b": "x"}, {"a": 1, "b": "y"}, {"a": 2, "b": "x"}, {"a": 2, "b": "y"}
+    ]  # fmt: skip
+    assert grid({}) == [{}]
+    with pytest.raises(SettingsError, match="twice"):
+        grid({"a": [1, 1]})
+    with pytest.raises(SettingsError, match="at most"):
+        grid({"a": range(200), "b": range(200)})
+
+
+def test_presets_and_receivers_vary() -> None:
+    night = varied("paper", {"channel": {"distance_m": 60.0}}, {"preset": "night", "receiver": "plain"})
+    assert night.channel.background.level == 0.0
+    assert night.channel.distance_m == 60.0
+    with pytest.raises(SettingsError, match=r"did you mean 'channel\.distance_m'"):
+        plan({"channel.distanc_m": [40]})
+    with pytest.raises(SettingsError, match="did you mean 'paper'"):
+        plan({"preset": ["papr"]})
+    with pytest.raises(SettingsError, match="receiver=plane"):
+        plan({"receiver": ["plain", "plane"]})
+    with pytest.raises(SettingsError, match="--background"):
+        plan({"channel.background.kind": ["footage"]})
+
+
+def test_all_receivers_get_the_same_films_and_other_scenes_others() -> None:
+    one, other = plan({"receive.track.iterations": [3, 4]}, "static", SMALL)
+    assert one.key != other.key
+    assert [one.block_seed(k) for k in range(3)] == [other.block_seed(k) for k in range(3)]
+    near, far = points()
+    assert len({near.block_seed(0), near.block_seed(1), far.block_seed(0)}) == 3
+    (reseeded,) = plan({}, "static", SMALL, seed=1)
+    assert reseeded.block_seed(0) != plan({}, "static", SMALL)[0].block_seed(0)
+
+
+def test_a_point_ends_by_errors_codewords_seconds_or_emptiness() -> None:
+    (point,) = plan({}, "static", SMALL)
+    tally = Tally(point, StopRule(min_errors=5, max_codewords=100, max_seconds=9))
+    tally.add(0, fake_counts(10, 4), 1.0)
+    assert tally.ending is None
+    assert tally.share == pytest.approx(0.8)
+    tally.add(1, fake_counts(10, 1), 1.0)
+    assert tally.ending == "errors"
+    for counts, seconds, ending in (((100, 0), 1, "codewords"), ((9, 0), 9, "seconds"), ((9, 0), 1, None)):
+        tally = Tally(point, StopRule(min_errors=5, max_codewords=100, max_seconds=9))
+        tally.add(0, fake_counts(*counts), seconds)
+        assert tally.ending == ending
+    for block in range(3):
+        assert tally.ending is None or tally.blocks == 1
+        tally = Tally(point, StopRule()) if not block else tally
+        tally.add(block, fake_counts(0, 0), 1.0)
+    assert tally.ending == "empty"
+
+
+def test_blocks_count_in_their_order_and_surplus_ones_do_not() -> None:
+    (point,) = plan({}, "static", SMALL)
+    tally = Tally(point, StopRule(min_errors=5, max_codewords=20))
+    tally.add(2, fake_counts(10, 9), 1.0)
+    tally.add(1, fake_counts(10, 1), 1.0)
+    assert tally.blocks == 0
+    assert tally.has(2)
+    tally.add(0, fake_counts(10, 0), 1.0)
+    assert tally.blocks == 2
+    assert tally.total.layers["high"].codeword_errors == 1
+
+
+def test_the_report_has_counts_rates_and_intervals() -> None:
+    (point,) = plan({}, "static", SMALL)
+    tally = Tally(point, StopRule())
+    nothing = tally.report()
+    assert nothing["net_bits_per_second"] is None
+    assert nothing["layers"]["high"]["fer"] is None
+    counts = fake_counts(100, 0)
+    counts.payload_bits["high"] = 700
+    tally.add(0, counts, 1.0)
+    layer = json.loads(json.dumps(tally.report()))["layers"]["high"]
+    assert layer["fer"] == 0.0
+    assert layer["fer_ci"] == pytest.approx([0, clopper_pearson(0, 100)[1]])
+    assert layer["fer_ci"][1] == pytest.approx(3 / 100, rel=0.02)
+    assert tally.report()["net_bits_per_second"] == 700.0
+
+
+@pytest.mark.parametrize("bad", [{"min_errors": 0}, {"max_codewords": 0}, {"max_seconds": 0.0}])
+def test_stop_rules_are_checked(bad: Mapping[str, Any]) -> None:
+    with pytest.raises(SettingsError, match=next(iter(bad))):
+        StopRule(**bad)
+
+
+def count(output: Path | None, rule: StopRule | None = None, seed: int = 0) -> list[dict[str, Any]]:
+    chosen = plan({"channel.distance_m": [40, 70]}, "static", SMALL, seed)
+    tallies = [Tally(point, rule or StopRule(min_errors=5, max_codewords=20)) for point in chosen]
+    sweep.count(tallies, output, workers=1)
+    return [tally.report() for tally in tallies]
+
+
+def rows(folder: Path) -> list[tuple[int, int]]:
+    with sqlite3.connect(folder / NAME) as db:
+        found = db.execute("SELECT block, computed FROM blocks").fetchall()
+    db.close()
+    return found
+
+
+def test_a_store_is_resumed_and_extended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = count(tmp_path)
+    assert [p["stopped_by"] for p in first] == ["codewords", "codewords"]
+    assert json.loads((tmp_path / "points.json").read_text()) == first
+    assert len((tmp_path / "points.csv").read_text().splitlines()) == 1 + 2 * 3
+    before = rows(tmp_path)
+
+    def never(work: Any) -> Any:
+        raise AssertionError("computed again")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sweep, "run_job", never)
+        assert count(tmp_path) == first
+    assert rows(tmp_path) == before
+    longer = count(tmp_path, StopRule(min_errors=50, max_codewords=30))
+    assert longer[0]["layers"]["high"]["codewords"] == 30
+    assert all(computed == 1 for _, computed in rows(tmp_path))
+    assert longer == count(None, StopRule(min_errors=50, max_codewords=30))
+
+
+def test_seed_settings_and_version_are_new_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (point,) = plan({}, "static", SMALL)
+    (reseeded,) = plan({}, "static", SMALL, seed=1)
+    (moved,) = plan({"channel.distance_m": [51]}, "static", SMALL)
+    keys = {point.key, reseeded.key, moved.key}
+    monkeypatch.setattr("heliograph.experiments.points.__version__", "0.0.0")
+    assert len(keys | {point.key}) == 4
+    with Store(tmp_path) as store:
+        store.note(point)
+    with sqlite3.connect(tmp_path / NAME) as db:
+        version, seed, settings = db.execute("SELECT version, seed, settings FROM points").fetchone()
+    db.close()
+    assert version
+    assert seed == 0
+    assert json.loads(settings)["signal"]["data_pairs"] == 8
+
+
+def test_two_sweeps_may_share_a_store(tmp_path: Path) -> None:
+    (point,) = plan({}, "static", SMALL)
+    with Store(tmp_path) as one, Store(tmp_path) as other:
+        one.add(point, 0, fake_counts(1, 0), 1.0)
+        other.add(point, 0, fake_counts(1, 0), 2.0)
+        other.add(point, 1, fake_counts(1, 1), 1.0)
+        assert one.blocks(point)[0][1] == 1.0
+        assert one.blocks(point, 1).keys() == {1}
+
+
+@pytest.mark.parametrize("content", [b"no database at all, but some text", b""])
+def test_a_foreign_file_is_told(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / NAME).write_bytes(content)
+    if not content:
+        Store(tmp_path).close()  # an empty file is a new one
+        return
+    with pytest.raises(MediaError, match="choose another folder"):
+        Store(tmp_path)
+
+
+def test_another_programs_database_is_left_alone(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / NAME) as db:
+        db.execute("CREATE TABLE mine (x)")
+    db.close()
+    with pytest.raises(MediaError, match="holds no results"):
+        Store(tmp_path)
+
+
+class Fragile:
+    """Workers that are lost with the first blocks handed in."""
+
+    slots = 2
+
+    def __init__(self, losses: int):
+        self.losses, self.restarts = losses, 0
+
+    def submit(self, job: executors.Job, work: dict[str, Any]) -> "Future[dict[str, Any]]":
+        future: Future[dict[str, Any]] = Future()
+        if self.restarts < self.losses:
+            future.set_exception(BrokenProcessPool("a process died"))
+        else:
+            future.set_result(job(work))
+        return future
+
+    def restart(self) -> None:
+        self.restarts += 1
+
+    def close(self) -> None: ...
+
+
+def test_lost_workers_are_replaced_and_at_last_given_up() -> None:
+    tallies = [Tally(point, StopRule(max_codewords=10)) for point in points()]
+    with Store() as store:
+        sweep.run(tallies, store, Fragile(2))
+    assert all(tally.done for tally in tallies)
+    again = [Tally(point, StopRule(max_codewords=10)) for point in points()]
+    with Store() as store, pytest.raises(HeliographError, match="died"):
+        sweep.run(again, store, Fragile(100))
+
+
+def test_an_error_of_a_block_names_its_point() -> None:
+    chosen = plan({"channel.camera.fps": [500.0]}, "static", SMALL)
+    with pytest.raises(HeliographError, match=r"channel\.camera\.fps=500\.0: the plain receiver"):
+        sweep.count([Tally(point, StopRule()) for point in chosen], workers=1)
+
+
+def test_a_failure_of_a_worker_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(work: Any) -> Any:
+        raise MemoryError("no\nroom")
+
+    monkeypatch.setattr(sweep, "run_job", fail)
+    with pytest.raises(HeliographError, match="MemoryError: no room"):
+        sweep.count([Tally(points()[0], StopRule())], workers=1)
+
+
+def test_a_worker_of_another_version_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sweep, "run_job", lambda work: {**run_job(work), "version": "0.0.0"})
+    with pytest.raises(HeliographError, match="install the same"):
+        sweep.count([Tally(points()[0], StopRule())], workers=1)
+
+
+def test_workers_are_checked() -> None:
+    with pytest.raises(HeliographError, match="at least 1 worker"):
+        executors.open_workers(0)
+    with pytest.raises(HeliographError, match="not both"):
+        executors.open_workers(2, "tcp://127.0.0.1:1")
+    with pytest.raises(HeliographError, match="no address"):
+        executors.open_workers(None, "localhost")
+
+
+def test_a_dataset_has_dimensions_units_and_provenance(tmp_path: Path) -> None:
+    found = sweep.sweep(
+        {"channel.distance_m": [40, 70], "receiver": ["plain"]},
+        set={"signal.data_pairs": 8, "channel.camera": {"width": 480, "height": 288}},
+        min_errors=5, max_codewords=20, seed=0, output=tmp_path,
+    )  # fmt: skip
+    assert found.ber.dims == ("channel.distance_m", "receiver", "layer")
+    assert found["channel.distance_m"].attrs["units"] == "m"
+    assert found["net_bits_per_second"].attrs["units"] == "bit/s"
+    assert found.attrs["seed"] == 0
+    shared = json.loads(found.attrs["settings"])
+    assert shared["signal"]["data_pairs"] == 8
+    assert "distance_m" not in shared["channel"]
+    reports = json.loads((tmp_path / "points.json").read_text())
+    for at, report in zip((40, 70), reports, strict=True):
+        layer = found.sel({"channel.distance_m": at, "receiver": "plain", "layer": "low"})
+        assert int(layer.codewords) == report["layers"]["low"]["codewords"]
+        assert float(layer.fer_high) == report["layers"]["low"]["fer_ci"][1]
+    assert np.all(found.ber_low.values <= found.ber_high.values)
+    found.to_netcdf(tmp_path / "sweep.nc", engine="h5netcdf")
+
+
+@pytest.mark.parametrize(
+    ("key", "unit"),
+    [("channel.distance_m", "m"), ("channel.speed_m_s", "m/s"), ("channel.camera.blur_px", "px"),
+     ("channel.camera.exposure_s", "s"), ("channel.camera.fps", "Hz"), ("channel.sensor.full_well_e", "electron"),
+     ("receiver", "1"), ("channel.arrays.0.clock_ppm", "1e-6"), ("receive.track.acceleration_px_s2", "px/s2")],
+)  # fmt: skip
+def test_units_follow_from_names(key: str, unit: str) -> None:
+    assert dataset.unit(key) == unit
+
+
+def test_a_lacking_extra_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "xarray", None)
+    with pytest.raises(HeliographError, match="heliograph\\[analysis\\]"):
+        sweep.sweep({})
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    with pytest.raises(HeliographError, match="heliograph\\[cluster\\]"):
+        executors.open_workers(None, "tcp://127.0.0.1:8786")
