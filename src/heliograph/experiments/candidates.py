@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.experiments.clutter import Film
 from heliograph.receive import Pose
-from heliograph.receive.detect import COMB, Detector, _change, _fit_window
+from heliograph.receive.detect import BLOCK, COMB, Detector, _change, _fit_window
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
@@ -73,10 +73,12 @@ class Probe(Detector):
         window = film.frames[film.first : film.first + self._frames_used]
         change, full_scale = _change([f.pixels for f in window]), window[0].full_scale
         busy = self._busy(change, (0, 0), (), full_scale)
+        if film.truth is not None:
+            busy &= _around(film.truth, busy.shape)
         if not busy.any():
             return []
         rows = self._coarse_by_size(change, busy, full_scale)
-        found = [self._fitted(change, row, full_scale) for row in rows if _near(row, film.truth)]
+        found = [self._fitted(change, row, full_scale) for row in rows]
         return [one for one in found if one is not None]
 
     def _coarse_by_size(
@@ -126,9 +128,11 @@ class Scores:
         return np.array([s for (_, z), scores in self.true.items() if z == distance_m for s in scores])
 
 
-def _near(row: NDArray[np.float64], truth: Pose | None) -> bool:
-    """Whether a coarse candidate may become the array, if there is one."""
-    return truth is None or bool(np.hypot(row[1] - 0.5 - truth.x, row[2] - 0.5 - truth.y) < 8 * truth.pitch)
+def _around(truth: Pose, blocks: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Blocks of the search within half the array's side of its centre."""
+    reach = 8 * truth.pitch + BLOCK
+    y, x = ((np.arange(n) + 0.5) * BLOCK for n in blocks)
+    return np.asarray((abs(y - truth.y) < reach)[:, None] & (abs(x - truth.x) < reach))
 
 
 def best_false(found: Sequence[Candidate]) -> Candidate | None:

@@ -75,6 +75,7 @@ def fit_array(
     iterations: int,
     panel: bool = False,
     start: Floats | None = None,
+    resolved: bool = True,
 ) -> Fit:
     """Most probable pose of LEDs of known weights, by Gauss-Newton with robust weights.
 
@@ -95,12 +96,14 @@ def fit_array(
         cancels in a difference.
     start
         Pose vector (5,) to start from; the prior's if None.
+    resolved
+        Whether LEDs may show singly. If not, all are taken as lit and the array as an even square, which is faster.
 
     Returns
     -------
     Fit
     """
-    scene = _Scene(image, corner, weights, panel)
+    scene = _Scene(image, corner, weights, panel, resolved)
     vector, precision = (prior.vector if start is None else start).copy(), np.linalg.inv(prior.covariance)
     scene.place(vector)
     linear = scene.coefficients(prior.gain)
@@ -131,10 +134,11 @@ def fit_array(
 class _Scene:
     """The images whose combination is the pixels, at a pose."""
 
-    def __init__(self, image: Floats, corner: tuple[int, int], weights: Floats, panel: bool):
+    def __init__(self, image: Floats, corner: tuple[int, int], weights: Floats, panel: bool, resolved: bool):
         from heliograph.receive import kernels  # Numba is slow to import
 
         self._kernels, self._image, self._corner, self._weights = kernels, image, corner, weights
+        self._resolved = resolved
         self._margins = PANEL_MARGINS if panel else ()
         shaped = 1 + len(self._margins)
         self._shapes = np.empty((shaped, 6, *image.shape))
@@ -143,9 +147,13 @@ class _Scene:
     def place(self, vector: Floats) -> None:
         """Work the images out at a pose."""
         x0, y0 = float(self._corner[0]), float(self._corner[1])
-        self._kernels.render(vector, self._weights, x0, y0, self._shapes[0])
+        half = 0.5 * self._weights.shape[0]
+        if self._resolved:
+            self._kernels.render(vector, self._weights, x0, y0, self._shapes[0])
+        else:
+            self._kernels.render_box(vector, half, x0, y0, self._shapes[0])
         for shape, margin in zip(self._shapes[1:], self._margins, strict=True):
-            self._kernels.render_box(vector, 0.5 * self._weights.shape[0] + margin, x0, y0, shape)
+            self._kernels.render_box(vector, half + margin, x0, y0, shape)
         self.columns[: len(self._shapes)] = self._shapes[:, 0]
 
     def coefficients(self, gain: float) -> Floats:

@@ -124,7 +124,7 @@ class Tracker:
         covariance[[0, 1], [0, 1]] += pose.pitch**2
         smooth = np.asarray(cv2.GaussianBlur(total, (0, 0), sigma), np.float64)
         wide = Prior(vector, covariance, prior.gain)
-        fit = fit_array(smooth, corner, wide, self._ones, max(1, self._settings.iterations - 1), panel=True)
+        fit = fit_array(smooth, corner, wide, self._ones, self._settings.iterations, panel=True, resolved=False)
         return np.append(fit.vector[:4], prior.vector[4])
 
     def _cut(self, pattern: Frame, inverted: Frame, state: PoseState) -> tuple[tuple[int, int], Floats, Floats]:

@@ -14,6 +14,7 @@ from heliograph.experiments.clutter import Backdrop, Film, backdrops, shoot
 from heliograph.experiments.identities import Confusion, confusion, detections
 from heliograph.link.recordings import load_imu
 from heliograph.link.statistics import Count
+from heliograph.receive.settings import ReceiveSettings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,7 +22,13 @@ if TYPE_CHECKING:
 DISTANCES = (25.0, 50.0, 80.0)
 FAR_M = 150.0
 FOUND = 0.95
-"""Share of arrays that a threshold must let through when false alarms are compared."""
+"""Share of arrays that the second threshold lets through."""
+
+SCORE = ReceiveSettings().detect.score
+"""The receiver's own threshold, by which the ways are compared first."""
+
+LAMP_FILMS = 3
+"""Times as many films of the lamps as of the other scenes: there the false alarms are."""
 
 COLOURS = ("#b5446e", "#d1741f", "#5b8c3a", "#1b6ca8")
 
@@ -36,7 +43,10 @@ TEXT = (
     "which a candidate exceeds the threshold; as a receiver looks once a frame, it is stated by 1000 frames. An array "
     "counts as found where a candidate at its place, of its size, and (M-sequence) of its identity exceeds the "
     "threshold. Between frames of a clip the channel fades, so things that move by themselves change evenly there, "
-    "which four frames cancel and two do not; the shake moves the whole scene frame by frame. The receiver beside "
+    "which four frames cancel and two do not; the shake moves the whole scene frame by frame. Two thresholds: the "
+    "receiver's own of 0.9, and the one that 95 % of these arrays exceed, which is as high as only clean, sharp, "
+    "unhidden arrays allow. The share of false alarms depends on how many lamps there are: a third to a half of the "
+    "films without an array are of the street full of them. The receiver beside "
     "these has all its checks, also that the header's frames alternate in step. Intervals are Clopper-Pearson, 95 %."
 )
 
@@ -51,7 +61,7 @@ class Effort:
     repeats: int
 
 
-QUICK, FULL = Effort(7, 3, 16, 1), Effort(75, 24, 220, 10)
+QUICK, FULL = Effort(6, 3, 16, 1), Effort(90, 24, 220, 10)
 
 
 @dataclass(slots=True)
@@ -80,7 +90,7 @@ def run(context: Context, effort: Effort | None = None) -> Chapter:
         text=TEXT,
         findings=[*compared(measured), told_apart(told), ingredients(measured), as_set(measured)],
         pictures=_pictures(measured, told),
-        tables=[_found_table(measured), _scene_table(measured), _identity_table(told)],
+        tables=[_found_table(measured), *_scene_tables(measured), _identity_table(told)],
         data=_data(measured, told),
     )
 
@@ -89,14 +99,15 @@ def measure(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None
     """Scores of all ways in all films."""
     out, probes = Measured(), {way.name: Probe(way) for way in WAYS}
     for place, (name, scene) in enumerate(scenes.items()):
-        for trial in range(effort.without):
+        films = effort.without * (LAMP_FILMS if name == "lamps" else 1)
+        for trial in range(films):
             rng = np.random.default_rng([context.seed, place, trial, 0])
             _without(out, probes, name, shoot(scene(rng), rng, imu))
-            context.progress("false detections", 0.4 * (place + trial / effort.without) / len(scenes))
+            context.progress("detection", 0.7 * (place + 0.5 * trial / films) / len(scenes))
         for distance in DISTANCES:
             for trial in range(effort.with_array):
                 _with(out, probes, name, scene, distance, (context.seed, place, trial, round(distance)), imu)
-        context.progress("arrays found", 0.4 + 0.3 * (place + 1) / len(scenes))
+        context.progress("detection", 0.7 * (place + 1) / len(scenes))
     return out
 
 
@@ -137,13 +148,20 @@ def _with(
     out.receiver_found.setdefault(distance, Count()).add(1, found)
 
 
-def false_alarms(scores: Scores) -> Count:
-    """Films with a false alarm at the threshold that `FOUND` of the arrays, all distances together, exceed."""
-    false, threshold = scores.all_false(), _threshold(scores)
+def false_alarms(scores: Scores, threshold: float = SCORE) -> Count:
+    """Films without an array in which something exceeds a threshold."""
+    false = scores.all_false()
     return Count(false.size, int((false > threshold).sum()))
 
 
-def _threshold(scores: Scores) -> float:
+def found_above(scores: Scores, threshold: float = SCORE) -> Count:
+    """Arrays at all distances that exceed a threshold."""
+    true = np.concatenate([scores.all_true(z) for z in DISTANCES])
+    return Count(true.size, int((true > threshold).sum()))
+
+
+def threshold_of(scores: Scores) -> float:
+    """The threshold that `FOUND` of the arrays exceed, all distances together."""
     return cand.threshold_for_found(np.concatenate([scores.all_true(z) for z in DISTANCES]), FOUND)
 
 
@@ -161,20 +179,26 @@ def less(a: Count, b: Count) -> bool | None:
 
 
 def compared(measured: Measured) -> list[Finding]:
-    """The paper's two claims about false detections."""
-    all_on, paper, ours = (false_alarms(measured.scores[WAYS[k].name]) for k in (0, 2, 3))
-    fewer = less(paper, all_on)
+    """The paper's two claims about false detections, judged at the receiver's own threshold."""
+    all_on, paper = (measured.scores[WAYS[k].name] for k in (0, 2))
+    alarms = false_alarms(all_on)
+    fewer = less(false_alarms(paper), alarms)
     verdicts: dict[bool | None, Verdict] = {True: "holds", False: "differs", None: "shown"}
+    clean = ", ".join(
+        f"{WAYS[k].name} {false_alarms(s, threshold_of(s)).errors} of {alarms.trials} above {threshold_of(s):.3f}"
+        for k, s in ((0, all_on), (2, paper))
+    )
     return [
         Finding(
             "Fig. 6: with all LEDs on, what is left of the background can be taken for the array.",
-            f"all on, 2 frames, threshold for {FOUND:.0%} of the arrays: {_alarms(all_on)}.",
-            "holds" if all_on.errors else "differs",
+            f"All on, 2 frames, score above {SCORE}: {_alarms(alarms)}.",
+            "holds" if alarms.errors else "differs",
         ),
         Finding(
             "Section IV-A: the M-sequence is unique in the background and makes detection reliable.",
-            f"at the same {FOUND:.0%} found: M-sequence with 2 frames {_alarms(paper)}, with 4 frames {_alarms(ours)}, "
-            f"all on with 2 frames {_alarms(all_on)}.",
+            f"Score above {SCORE}: M-sequence, 2 frames, {_alarms(false_alarms(paper))}, found {_of(found_above(paper))}; "
+            f"all on, 2 frames, {_alarms(alarms)}, found {_of(found_above(all_on))}. At the thresholds that {FOUND:.0%} "
+            f"of these arrays exceed: {clean}.",
             verdicts[fewer],
             "" if fewer is not None else "The intervals overlap: more films are needed to tell.",
         ),
@@ -198,10 +222,11 @@ def told_apart(told: Mapping[float, Confusion]) -> Finding:
 
 def ingredients(measured: Measured) -> Finding:
     """What the header and the number of frames each bring."""
-    parts = [f"{way.name}: {_alarms(false_alarms(measured.scores[way.name]))}" for way in WAYS]
-    return Finding(
-        f"Asked: what does each ingredient bring, with {FOUND:.0%} of the arrays found?", "; ".join(parts) + ".", "shown"
-    )
+    parts = []
+    for way in WAYS:
+        scores = measured.scores[way.name]
+        parts.append(f"{way.name}: {_alarms(false_alarms(scores))}, found {_of(found_above(scores))}")
+    return Finding(f"Asked: what each ingredient brings, score above {SCORE}.", "; ".join(parts) + ".", "shown")
 
 
 def as_set(measured: Measured) -> Finding:
@@ -217,13 +242,17 @@ def _alarms(count: Count) -> str:
     return f"{1000 * count.rate:.0f} false alarms in 1000 frames ({count.errors} of {count.trials}, {low:.0f}-{high:.0f})"
 
 
+def _of(count: Count) -> str:
+    return f"{count.errors} of {count.trials}"
+
+
 def _range(count: Count) -> str:
     low, high = count.interval()
     return f"{low:.1%}-{high:.1%}"
 
 
 def _cell(count: Count) -> str:
-    return f"{count.errors} of {count.trials} ({_range(count)})"
+    return f"{_of(count)} ({_range(count)})"
 
 
 def _found_table(measured: Measured) -> Table:
@@ -235,16 +264,23 @@ def _found_table(measured: Measured) -> Table:
     return Table("Arrays found at no more than 10 false alarms in 1000 frames", ["way", *_metres(DISTANCES)], rows)
 
 
-def _scene_table(measured: Measured) -> Table:
-    """False alarms by scene."""
-    scenes = list(measured.scores[WAYS[0].name].false)
+def _scene_tables(measured: Measured) -> list[Table]:
+    """False alarms by scene, at the receiver's threshold and at that for `FOUND`."""
+    fixed = {way.name: SCORE for way in WAYS}
+    fitted = {way.name: threshold_of(measured.scores[way.name]) for way in WAYS}
+    return [
+        _scene_table(measured, fixed, "Films with a false alarm at the receiver's threshold"),
+        _scene_table(measured, fitted, f"Films with a false alarm at the threshold that {FOUND:.0%} of the arrays exceed"),
+    ]
+
+
+def _scene_table(measured: Measured, thresholds: Mapping[str, float], title: str) -> Table:
     rows = []
-    for way in WAYS:
-        scores = measured.scores[way.name]
-        threshold = _threshold(scores)
+    for name, threshold in thresholds.items():
+        scores = measured.scores[name]
         counts = [Count(len(f), sum(s > threshold for s in f)) for f in scores.false.values()]
-        rows.append([way.name, f"{threshold:.3f}", *map(_cell, counts)])
-    return Table(f"Films with a false alarm at the threshold for {FOUND:.0%} found", ["way", "threshold", *scenes], rows)
+        rows.append([name, f"{threshold:.3f}", *map(_cell, counts)])
+    return Table(title, ["way", "threshold", *measured.scores[WAYS[0].name].false], rows)
 
 
 def _identity_table(told: Mapping[float, Confusion]) -> Table:
@@ -286,6 +322,7 @@ def _example(score: float, film: Film, pose: Any) -> "Figure":
 
 def _roc(measured: Measured) -> "Figure":
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     figure = Figure(figsize=(12, 4))
     for axes, distance in zip(figure.subplots(1, 3, sharey=True), DISTANCES, strict=True):
@@ -296,7 +333,8 @@ def _roc(measured: Measured) -> "Figure":
             axes.step(1000 * np.maximum(alarms, least), found, where="post", color=colour, lw=1.6, label=way.name)
         count, false = measured.receiver_found[distance], max(measured.receiver_false.rate, least)
         axes.plot(1000 * false, count.rate, "*", color="#1d2126", ms=11, label="receiver as set")
-        axes.set(xscale="log", ylim=(-0.03, 1.03), xlabel="false alarms in 1000 frames", title=f"{distance:g} m")
+        axes.set(xscale="log", xlim=(700 * least, 1000), ylim=(-0.03, 1.03), xlabel="false alarms in 1000 frames", title=f"{distance:g} m")
+        axes.xaxis.set_minor_formatter(NullFormatter())
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.25, lw=0.6)
     figure.axes[0].set_ylabel("share of arrays found")

@@ -44,8 +44,9 @@ TEXT = (
     "behind it. General: of OpenCV 5 only TrackerMIL needs no trained model; its boxes have whole pixels; sub-pixel "
     "template matching stands beside it. Both get the sums of pairs, which exist only because inverses are sent. "
     "Vibration left: error within a packet of 100 ms after its best straight line is taken out, so as if each header "
-    "gave position and steady motion anew; a tracker that leaves half of it or more is said to fail. Small aperture: the background's light is cut by 5 or 8 stops, the array's "
-    "is kept, as are all others. Footage brings the shake and the drive of its own camera into the background, which "
+    "gave position and steady motion anew; a tracker that leaves half of it or more is said to fail. Small "
+    "aperture: the background's light is cut by 5 or 8 stops, the array's is kept, as it is in all films. "
+    "Footage brings the shake and the drive of its own camera into the background, which "
     "the array does not share: that counts against the background's motion vector, the drawn scene is its fair test."
 )
 
