@@ -100,12 +100,23 @@ def test_packets_not_filmed_whole_or_out_of_view_are_not_missed() -> None:
     assert counter.bins() == {}
 
 
-def test_a_packet_filmed_in_part_counts_where_it_was() -> None:
-    """A film that starts late in a packet knows no middle of it, and must not put it at 0 m."""
+def test_a_packet_filmed_in_part_is_left_out() -> None:
+    """What the film's ends cut off says nothing of the link, nor does it belong at 0 m."""
     counter = counter_of()
     watch(counter, range(70, 100), distances=(62.0,))
     counter.received(perfect(SETTINGS, 0))
+    assert counter.bins() == {}
+
+
+def test_a_packet_handed_out_early_counts_once_it_is_filmed_whole() -> None:
+    """An array that is lost gives its packet before the packet's last frame."""
+    counter = counter_of()
+    watch(counter, range(70), distances=(62.0,))
+    counter.received(perfect(SETTINGS, 0))
+    assert counter.bins() == {}
+    watch(counter, range(70, 100), distances=(62.0,))
     assert list(counter.bins()) == [60.0]
+    assert counter.total()["high"].codewords.trials == 1
 
 
 @pytest.mark.parametrize("what", ["identity", "early", "late", "twice"])

@@ -20,9 +20,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
 from heliograph.link.truth import TruthFile
 from heliograph.media import FilmReader
-from heliograph.receive import Packet
 from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS
-from heliograph.signal.message import Message
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS
 
@@ -152,7 +150,7 @@ def run_block(
     """
     settings = block_settings(settings, max_packets)
     live = _LiveFilm(settings, random_messages(settings, seed), seed, recordings)
-    reception = _WholePackets(live)
+    reception = Reception(cast(TruthFile, live))
     packets = receive_film(cast(FilmReader, live), settings.signal, settings, reception)
     deque(packets, maxlen=0)
     return _counts(reception, settings)
@@ -207,8 +205,6 @@ class _LiveFilm:
         self.settings, self.messages = settings, messages
         self._frames = simulate(settings, messages, seed, recordings, window_margin_px(settings))
         self._rows: deque[dict[str, Any]] = deque()
-        camera = settings.channel.camera
-        self.end_s = camera.start_s + frames_of(settings) / camera.fps
 
     def __iter__(self) -> Iterator[Frame]:
         """Frames, the truth of each known before."""
@@ -223,22 +219,6 @@ class _LiveFilm:
         """Rows in the order of time; there is one for each frame that was seen."""
         while True:
             yield self._rows.popleft()
-
-
-class _WholePackets(Reception):
-    """Counts packets but those that the film's end cuts off, which say nothing of the link."""
-
-    def __init__(self, live: _LiveFilm):
-        super().__init__(cast(TruthFile, live))
-        self._live = live
-
-    def add(self, packet: Packet) -> Iterator[Message]:
-        """Count a packet."""
-        signal = self._live.settings.signal
-        # half a pattern for clocks that differ
-        if packet.start_time_s + signal.packet_s - 0.5 * signal.pattern_period_s > self._live.end_s:
-            return
-        yield from super().add(packet)
 
 
 def _counts(reception: Reception, settings: LinkSettings) -> BlockCounts:

@@ -55,6 +55,8 @@ class _Sent:
     """At the frame nearest to its middle, which is `off_middle` of the packet away."""
     off_middle: float = 1.0
     received: bool = False
+    early: _Bins = field(default_factory=dict)
+    """Errors of a packet handed out before its last frame was filmed."""
 
 
 class ErrorCounter:
@@ -100,18 +102,23 @@ class ErrorCounter:
             self._count_false(packet)
             return
         sent.received = True
-        for name, words in packet.layers.items():
-            self._compare(self._senders[array], number, _errors(self._bins, sent, name), name, words)
+        if not self._whole(array, sent):
+            sent.early = self._bins_of(array, number, sent, packet)
+            return
+        _merge(self._bins, self._bins_of(array, number, sent, packet))
 
     def bins(self) -> dict[float, dict[str, LayerErrors]]:
         """Errors by the lower edge of the distance bin and by layer, near first; missed packets counted.
 
-        A packet filmed whole and not received so far counts as missed, for now: it may still come.
+        A packet filmed whole and not received so far counts as missed, for now: it may still come. One cut off by the
+        end of the film is left out, whatever was read of it.
         """
         bins = deepcopy(self._bins)
         for array, packets in enumerate(self._sent):
             for sent in packets.values():
-                if not sent.received and self._complete(array, sent):
+                if sent.early and self._whole(array, sent):
+                    _merge(bins, sent.early)
+                if not sent.received and not sent.hidden and self._whole(array, sent):
                     self._count_missed(bins, array, sent)
         return {key * BIN_M: bins[key] for key in sorted(bins)}
 
@@ -148,11 +155,16 @@ class ErrorCounter:
     def _count_false(self, packet: Packet) -> None:
         self.false_codewords += sum(word.status == "ok" for words in packet.layers.values() for word in words)
 
-    def _complete(self, array: int, sent: _Sent) -> bool:
-        """Whether the packet was filmed from its first pattern to its last, in view all the time."""
-        camera = self._settings.channel.camera
-        expected = self._packet_s(array) * camera.fps
-        return not sent.hidden and sent.frames >= expected - 1
+    def _bins_of(self, array: int, number: int, sent: _Sent, packet: Packet) -> _Bins:
+        """Errors of one packet."""
+        bins: _Bins = {}
+        for name, words in packet.layers.items():
+            self._compare(self._senders[array], number, _errors(bins, sent, name), name, words)
+        return bins
+
+    def _whole(self, array: int, sent: _Sent) -> bool:
+        """Whether the packet was filmed from its first pattern to its last."""
+        return sent.frames >= self._packet_s(array) * self._settings.channel.camera.fps - 1
 
     def _packet_s(self, array: int) -> float:
         return self._settings.signal.packet_s * (1 + self._settings.channel.arrays[array].clock_ppm * 1e-6)
@@ -168,6 +180,12 @@ class ErrorCounter:
         # a frame that starts with a pattern must not fall before it by rounding
         number, share = divmod((time_s + 1e-7 - place.start_s) / self._packet_s(array), 1.0)
         return int(number), share
+
+
+def _merge(bins: _Bins, more: _Bins) -> None:
+    """Add errors to bins."""
+    for key, layers in more.items():
+        bins[key] = pooled([bins.get(key, {}), layers])
 
 
 def _errors(bins: _Bins, sent: _Sent, layer: str) -> LayerErrors:
