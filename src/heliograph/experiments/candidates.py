@@ -86,8 +86,9 @@ class Probe(Detector):
     ) -> NDArray[np.float64]:
         """Candidates of each range of sizes: a square's parts are like it, and would be kept in place of it."""
         parts = []
-        for self._sides in self._bands:
-            parts.append(self._coarse(change, busy, full_scale).copy())  # noqa: PERF401
+        for sides in self._bands:
+            self._sides = sides
+            parts.append(self._coarse(change, busy, full_scale))
         return np.concatenate(parts)
 
     def _fitted(self, change: NDArray[np.float32], row: NDArray[np.float64], full_scale: int) -> Candidate | None:

@@ -1,4 +1,4 @@
-"""Short films of what a detector may take for an array: footage and lamps behind a shaking camera, with or without one."""
+"""Short films of what a detector may take for an array: footage and lamps before a shaking camera."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -59,7 +59,7 @@ class Film:
 
 
 def backdrops(clips: Mapping[str, Path], reach: int) -> dict[str, Backdrop]:
-    """All scenes by name: `reach` frames of each clip, a drawn street at rest, one full of moving and blinking lamps."""
+    """All scenes by name: `reach` frames of each clip, a drawn street at rest, one full of changing lamps."""
     scenes = {name: clip_backdrop(path, reach) for name, path in clips.items()}
     return {**scenes, "drawn scene": drawn_backdrop, "lamps": lamp_backdrop}
 

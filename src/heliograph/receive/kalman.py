@@ -15,7 +15,7 @@ ROLL_WALK = 0.03
 BLUR_WALK = 0.1
 """Random walks of roll (rad) and ln blur, per square root of a second."""
 
-START_RATES = np.array([900.0, 900.0, 0.5])
+START_RATES = np.array([900.0, 900.0, 0.15])
 """Standard deviations of the first rates: px/s, px/s, 1/s; 900 px/s is hard shake, 0.3 rad/s at 35 mm and 12 um."""
 
 

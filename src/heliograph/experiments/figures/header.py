@@ -45,7 +45,9 @@ def run(context: Context) -> Chapter:
                 "holds" if not at_25.errors else "differs",
             ),
         ],
-        pictures=[(plots.image_row(pictures, names), "The header of identity 0 (another layout than the paper's Fig. 7).")],
+        pictures=[
+            (plots.image_row(pictures, names), "The header of identity 0 (another layout than the paper's Fig. 7).")
+        ],
         tables=[
             Table(
                 "Cells of the header read wrong, one frame each",

@@ -44,8 +44,8 @@ def run(context: Context) -> Chapter:
         findings=[
             Finding(
                 "Fig. 5: a packet is a header part, where the array is detected, and a data part, where it is tracked.",
-                f"{headers} of {count * settings.signal.header_pairs} header pairs are the M-sequence; in {inverses} of "
-                f"{pairs.shape[0] * pairs.shape[1]} pairs the second pattern is the first one's inverse; the header "
+                f"{headers} of {count * settings.signal.header_pairs} header pairs are the M-sequence; in "
+                f"{inverses} of {pairs.shape[0] * pairs.shape[1]} pairs the second pattern is the first one's inverse; the header "
                 f"takes {head} of {settings.signal.packet_patterns} patterns.",
                 "holds" if whole else "differs",
             )
@@ -61,7 +61,11 @@ def run(context: Context) -> Chapter:
                 rows,
             )
         ],
-        data={"patterns": settings.signal.packet_patterns, "header": head, "layers": dict(zip(LAYERS, rows, strict=True))},
+        data={
+            "patterns": settings.signal.packet_patterns,
+            "header": head,
+            "layers": dict(zip(LAYERS, rows, strict=True)),
+        },
     )
 
 

@@ -15,7 +15,9 @@ from heliograph.signal.settings import SignalSettings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DISTANCE_M = 30.0
+DISTANCE_M = 60.0
+"""Far enough that no LED saturates the sensor."""
+
 LEVELS = np.arange(5, dtype=np.uint8)
 STRAIGHT = 0.02
 """Largest deviation from a straight line, as a share of the highest level, that counts as none."""
@@ -23,8 +25,8 @@ STRAIGHT = 0.02
 EXPOSURES_S = (1e-3, 0.5e-3)
 
 TEXT = (
-    f"Arrays of one level each, {DISTANCE_M:g} m away, filmed with an exposure of the whole pattern period T_b = 1 ms and "
-    "of half of it. The light of the array in the frame, the dark array's taken off, stands for the integral of "
+    f"Arrays of one level each, {DISTANCE_M:g} m away, filmed with an exposure of the whole pattern period T_b = 1 ms "
+    "and of half of it. The light of the array in the frame, the dark array's taken off, stands for the integral of "
     "equation (6); it is stated as a share of level 4."
 )
 
@@ -54,7 +56,9 @@ def run(context: Context) -> Chapter:
                 "An exposure must last the whole T_b for PWM, or the levels lit after its end look alike.",
             ),
         ],
-        pictures=[(_waveforms(), "Light of an LED by level over a pattern and its inverse; the shutter is open above.")],
+        pictures=[
+            (_waveforms(), "Light of an LED by level over a pattern and its inverse; the shutter is open above.")
+        ],
         tables=[
             Table(
                 "Light by level, share of level 4",
@@ -96,7 +100,9 @@ def _waveforms() -> "Figure":
         pair = np.array([[[level]], [[4 - level]]], dtype=np.uint8)
         wave = np.append(pwm.waveform(pair, order), 0)
         axes.step(np.arange(9) / 4, 0.8 * wave - 1.2 * level, where="post", color="#1b6ca8", lw=1.4)
-        axes.fill_between(np.arange(9) / 4, -1.2 * level, 0.8 * wave - 1.2 * level, step="post", alpha=0.15)
+        axes.fill_between(
+            np.arange(9) / 4, -1.2 * level, 0.8 * wave - 1.2 * level, step="post", color="#1b6ca8", alpha=0.15, lw=0
+        )
         axes.text(-0.05, 0.3 - 1.2 * level, f"x = {level}/4", ha="right", fontsize=9)
     for start in (0, 1):
         axes.plot([start + 0.01, start + 0.99], [1.15, 1.15], color="#d1741f", lw=3)

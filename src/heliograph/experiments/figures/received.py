@@ -69,10 +69,10 @@ def still(distance_m: float, levels: NDArray[np.uint8], seed: int) -> tuple[Fram
     return frame, truth.arrays[0]
 
 
-def at_rest(distance_m: float, rng: np.random.Generator) -> LinkSettings:
+def at_rest(distance_m: float, rng: np.random.Generator, brightness: float = 1.0) -> LinkSettings:
     """The reference link, nothing moves; the array within a pixel of the sensor's middle."""
     x, y = (float(rng.uniform(-0.5, 0.5)) * distance_m / 2917 for _ in range(2))
-    over: dict[str, Any] = {"distance_m": distance_m, "arrays": [{"x_m": x, "y_m": y}]}
+    over: dict[str, Any] = {"distance_m": distance_m, "arrays": [{"x_m": x, "y_m": y, "brightness": brightness}]}
     return load_settings("static", {"channel": over})
 
 
@@ -94,7 +94,8 @@ def leds(truth: ArrayTruth) -> NDArray[np.float64]:
 def contrast(frame: Frame, truth: ArrayTruth) -> float:
     """(light at LEDs - light midway) / sum, over an array with all LEDs on."""
     points = leds(truth)
-    on, gap = read(frame, points).mean(), read(frame, 0.5 * (points[:, 1:] + points[:, :-1])).mean()
+    midway = 0.5 * (points[:, 1:] + points[:, :-1])
+    on, gap = (np.maximum(read(frame, where), 0).mean() for where in (points, midway))  # cubics undershoot
     return float((on - gap) / (on + gap))
 
 

@@ -1,0 +1,140 @@
+"""Films with and without an array, and what each way of detecting and the receiver make of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from heliograph.channel import ImuTrace
+from heliograph.experiments import candidates as cand
+from heliograph.experiments.candidates import WAYS, Probe, Scores
+from heliograph.experiments.chapter import Context
+from heliograph.experiments.clutter import Backdrop, Film, shoot
+from heliograph.experiments.identities import detections
+from heliograph.link.statistics import Count
+from heliograph.receive import Pose
+from heliograph.receive.settings import ReceiveSettings
+
+DISTANCES = (25.0, 50.0, 80.0)
+FOUND = 0.95
+"""Share of arrays that the second threshold lets through."""
+
+SCORE = ReceiveSettings().detect.score
+"""The receiver's own threshold, by which the ways are compared first."""
+
+LAMP_FILMS = 3
+"""Times as many films of the lamps as of the other scenes: there the false alarms are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How much is filmed.
+
+    Attributes
+    ----------
+    without, with_array
+        Films of each scene without an array, and with one at each distance.
+    reach
+        Frames of a clip that are used.
+    repeats, step
+        Films of an identity at each distance; every `step`-th identity is filmed.
+    """
+
+    without: int
+    with_array: int
+    reach: int
+    repeats: int
+    step: int = 1
+
+
+@dataclass(slots=True)
+class Measured:
+    """Scores of the four ways, and counts of the receiver as it is set."""
+
+    scores: dict[str, Scores] = field(default_factory=lambda: {way.name: Scores({}, {}) for way in WAYS})
+    receiver_false: Count = field(default_factory=Count)
+    receiver_found: dict[float, Count] = field(default_factory=dict)
+    example: tuple[float, Film, Pose] | None = None
+
+
+def measure(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None, context: Context) -> Measured:
+    """Scores of all ways in all films."""
+    out, probes = Measured(), {way.name: Probe(way) for way in WAYS}
+    for place, (name, scene) in enumerate(scenes.items()):
+        films = effort.without * (LAMP_FILMS if name == "lamps" else 1)
+        for trial in range(films):
+            rng = np.random.default_rng([context.seed, place, trial, 0])
+            _without(out, probes, name, shoot(scene(rng), rng, imu))
+            context.progress("detection", 0.7 * (place + 0.5 * trial / films) / len(scenes))
+        for distance in DISTANCES:
+            for trial in range(effort.with_array):
+                _with(out, probes, name, scene, distance, (context.seed, place, trial, round(distance)), imu)
+        context.progress("detection", 0.7 * (place + 1) / len(scenes))
+    return out
+
+
+def _without(out: Measured, probes: Mapping[str, Probe], scene: str, film: Film) -> None:
+    for name, probe in probes.items():
+        best = cand.best_false(probe.candidates(film))
+        score = best.score if best else 0.0
+        out.scores[name].false.setdefault(scene, []).append(score)
+        if best and name == WAYS[0].name and (out.example is None or score > out.example[0]):
+            out.example = score, film, best.pose
+    out.receiver_false.add(1, bool(detections(film)))
+
+
+def _with(
+    out: Measured,
+    probes: Mapping[str, Probe],
+    scene: str,
+    backdrop: Backdrop,
+    distance: float,
+    seed: tuple[int, ...],
+    imu: ImuTrace | None,
+) -> None:
+    """The same moment with an array of each kind of header."""
+    films: dict[str, Film] = {}
+    for way in WAYS:
+        if way.detector not in films:
+            rng = np.random.default_rng(seed)
+            identity = int(rng.integers(30))
+            films[way.detector] = shoot(backdrop(rng), rng, imu, distance, way.detector, identity)
+        film, wanted = films[way.detector], identity if way.detector == "m_sequence" else None
+        assert film.truth is not None
+        score = cand.score_of_array(probes[way.name].candidates(film), film.truth, wanted)
+        out.scores[way.name].true.setdefault((scene, distance), []).append(score)
+    film = films["m_sequence"]
+    assert film.truth is not None
+    truth = film.truth
+    found = any(cand.same(one.fit.pose, truth) and one.identity == identity for one in detections(film))
+    out.receiver_found.setdefault(distance, Count()).add(1, found)
+
+
+def false_alarms(scores: Scores, threshold: float = SCORE) -> Count:
+    """Films without an array in which something exceeds a threshold."""
+    false = scores.all_false()
+    return Count(false.size, int((false > threshold).sum()))
+
+
+def found_above(scores: Scores, threshold: float = SCORE) -> Count:
+    """Arrays at all distances that exceed a threshold."""
+    true = np.concatenate([scores.all_true(z) for z in DISTANCES])
+    return Count(true.size, int((true > threshold).sum()))
+
+
+def threshold_of(scores: Scores) -> float:
+    """The threshold that `FOUND` of the arrays exceed, all distances together."""
+    return cand.threshold_for_found(np.concatenate([scores.all_true(z) for z in DISTANCES]), FOUND)
+
+
+def found_at(scores: Scores, distance: float, share: float) -> Count:
+    """Arrays found at the threshold that at most a share of the films without one exceed."""
+    true = scores.all_true(distance)
+    return Count(true.size, int((true > cand.threshold_for_false(scores.all_false(), share)).sum()))
+
+
+def less(a: Count, b: Count) -> bool | None:
+    """Whether rate a is below rate b; None where the intervals overlap."""
+    if a.interval()[1] < b.interval()[0]:
+        return True
+    return False if a.interval()[0] > b.interval()[1] else None

@@ -1,0 +1,122 @@
+"""False detections: thresholds and curves on made-up scores, the four ways on a few films."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from heliograph.experiments import candidates as cand
+from heliograph.experiments import detection_trials as trials
+from heliograph.experiments.candidates import WAYS, Probe, Scores
+from heliograph.experiments.chapter import Chapter, Context
+from heliograph.experiments.clutter import FRAMES, SIZE, backdrops, drawn_backdrop, lamp_backdrop, shoot
+from heliograph.experiments.detection_trials import Effort, Measured
+from heliograph.experiments.figures import detection
+from heliograph.experiments.identities import confusion
+from heliograph.link.statistics import Count
+
+
+def test_curve_rises_from_nothing_to_all() -> None:
+    rng = np.random.default_rng(0)
+    alarms, found = cand.curve(rng.random(50), rng.random(40) ** 0.3)
+    assert alarms == sorted(alarms)
+    assert found == sorted(found)
+    assert (alarms[0], found[0]) == (0, 0)
+    assert (alarms[-1], found[-1]) == (1, 1)
+
+
+def test_thresholds_let_through_what_they_should() -> None:
+    scores = np.arange(100) / 100
+    assert (scores > cand.threshold_for_false(scores, 0.01)).sum() == 1
+    assert (scores > cand.threshold_for_false(scores, 0.0)).sum() == 0
+    assert (scores > cand.threshold_for_found(scores, 0.95)).sum() == 95
+    # equal scores pass together
+    assert (np.full(7, 0.5) > cand.threshold_for_found(np.full(7, 0.5), 0.9)).all()
+
+
+def test_less_needs_intervals_apart() -> None:
+    assert trials.less(Count(100, 0), Count(100, 20))
+    assert trials.less(Count(100, 20), Count(100, 0)) is False
+    assert trials.less(Count(10, 0), Count(10, 2)) is None
+
+
+@pytest.fixture(scope="module")
+def measured() -> Measured:
+    scenes = {"lamps": lamp_backdrop, "drawn scene": drawn_backdrop}
+    return trials.measure(scenes, Effort(2, 1, 4, 1), None, Context(seed=3))
+
+
+def test_m_sequence_dominates_at_equal_false_alarms(measured: Measured) -> None:
+    all_on, sequence = measured.scores[WAYS[0].name], measured.scores[WAYS[3].name]
+    assert sequence.all_false().max() < all_on.all_false().max()
+    for distance in trials.DISTANCES:
+        for share in (0.0, 0.2, 0.5):
+            ours, theirs = (trials.found_at(one, distance, share) for one in (sequence, all_on))
+            assert ours.trials == theirs.trials == 2
+            assert ours.errors >= theirs.errors
+    assert trials.false_alarms(all_on).errors > trials.false_alarms(sequence).errors
+
+
+def test_films_are_counted_once_by_each_way(measured: Measured) -> None:
+    for way in WAYS:
+        assert measured.scores[way.name].all_false().size == 2 * trials.LAMP_FILMS + 2
+        assert [measured.scores[way.name].all_true(z).size for z in trials.DISTANCES] == [2, 2, 2]
+    assert measured.receiver_false.trials == 8
+    assert measured.example is not None
+
+
+def test_films_are_repeatable_and_hold_what_they_say() -> None:
+    films = []
+    for _ in range(2):
+        rng = np.random.default_rng(5)
+        films.append(shoot(lamp_backdrop(rng), rng, None, 50.0, "all_on"))
+    one, other = films
+    assert len(one.frames) == FRAMES
+    assert all(np.array_equal(a.pixels, b.pixels) for a, b in zip(one.frames, other.frames, strict=True))
+    assert one.truth is not None
+    x, y = round(one.truth.x), round(one.truth.y)
+    # the header: on, off, on, off
+    light = [frame.pixels[y - 3 : y + 4, x - 3 : x + 4].mean() for frame in one.frames[one.first : one.first + 4]]
+    assert min(light[0], light[2]) > 150
+    assert max(light[1], light[3]) < 30
+    found = Probe(WAYS[0]).candidates(one)
+    assert cand.score_of_array(found, one.truth, None) > 0.9
+    assert cand.score_of_array(found, one.truth.moved(40, 0), None) == 0
+
+
+def test_lamps_change_between_frames() -> None:
+    images = list(lamp_backdrop(np.random.default_rng(1)).footage.frames())
+    assert images[0].shape == SIZE
+    assert any(np.abs(a.astype(int) - b).max() > 50 for a, b in pairwise(images))
+
+
+def test_identities_are_told_apart() -> None:
+    told = confusion((50.0, 150.0), {"drawn scene": drawn_backdrop}, 1, None, 0, lambda _: None, (0, 6, 28))
+    for one in told.values():
+        assert one.counts.sum() == one.right.trials == 3
+        assert one.right.errors == 3
+        assert one.wrong.errors == one.missed.errors == 0
+
+
+def test_best_of_nothing() -> None:
+    assert cand.best_false([]) is None
+    assert Scores({}, {}).all_false().size == 0
+
+
+def test_chapter_has_counts() -> None:
+    done: Chapter = detection.run(Context(), Effort(1, 1, 4, 1, 15))
+    assert done.key == "fig6"
+    assert all(" of " in finding.ours for finding in done.findings)
+    assert [finding.verdict for finding in done.findings[-2:]] == ["shown", "shown"]
+    assert len(done.data["identities"]["25 m"]) == 30
+
+
+@pytest.mark.real_data
+def test_clips_are_backdrops(data: Path) -> None:
+    scenes = backdrops({"night": data / "driving" / "night-road.mp4"}, 4)
+    rng = np.random.default_rng(0)
+    film = shoot(scenes["night"](rng), rng, None)
+    assert film.truth is None
+    assert film.frames[0].pixels.shape == (512, 1024)
+    assert film.frames[0].pixels.std() > 5

@@ -1,0 +1,100 @@
+"""Measures of flicker on waveforms whose values are known, and on the light of the transmitter."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from heliograph.experiments import flicker
+from heliograph.experiments.chapter import Context
+from heliograph.experiments.figures import flicker as chapter
+from heliograph.experiments.flicker import Spectrum
+
+SLOT_S = 0.25e-3
+
+
+def square(hz: float, seconds: float = 1.0) -> NDArray[np.float64]:
+    time = (np.arange(round(seconds / SLOT_S)) + 0.5) * SLOT_S
+    return ((time * hz) % 1 < 0.5).astype(float)
+
+
+def test_square_wave_at_100_hz() -> None:
+    wave = square(100)
+    lines = flicker.spectrum(wave, SLOT_S)
+    assert flicker.percent_flicker(wave) == 100
+    # Fourier series of a square wave: 4 / pi / k at the odd multiples
+    for k in (1, 3, 5, 19):
+        assert lines.modulation[lines.hz == 100 * k] == pytest.approx(4 / np.pi / k, rel=1e-9)
+    assert lines.modulation[lines.hz == 200] == pytest.approx(0, abs=1e-12)
+    one = flicker.measure(wave, SLOT_S)
+    assert one.limit_hz == 100
+    assert one.limit_share == pytest.approx(4 / np.pi / 0.08, rel=1e-9)
+    assert one.slow_percent == pytest.approx(0, abs=1e-9)
+    assert one.period_s == pytest.approx(10e-3)
+
+
+def test_sine_is_measured_as_it_is() -> None:
+    slot_s = 1e-5  # held for so short a slot it keeps its amplitude
+    time = (np.arange(100_000) + 0.5) * slot_s
+    lines = flicker.spectrum(2 * (1 + 0.3 * np.sin(2 * np.pi * 120 * time)), slot_s)
+    assert lines.modulation[lines.hz == 120] == pytest.approx(0.3, rel=1e-4)
+    assert np.sort(lines.modulation)[-2] < 1e-10
+
+
+@pytest.mark.parametrize(
+    # thresholds of sines, worked out by hand from the published closed form
+    ("hz", "threshold"),
+    [(100.0, 0.2563), (200.0, 0.3654), (400.0, 0.6186), (1000.0, 0.9732), (2000.0, 0.9998)],
+)
+def test_svm_of_a_sine_at_threshold_is_one(hz: float, threshold: float) -> None:
+    assert flicker.visibility_threshold(hz) == pytest.approx(threshold, abs=1e-4)
+    line = Spectrum(np.array([hz]), flicker.visibility_threshold([hz]))
+    assert flicker.svm(line) == pytest.approx(1)
+    # two at threshold: 2^(1 / 3.7)
+    two = Spectrum(np.array([hz, hz]), flicker.visibility_threshold([hz, hz]))
+    assert flicker.svm(two) == pytest.approx(2 ** (1 / 3.7))
+
+
+def test_limits_of_ieee_1789() -> None:
+    assert flicker.low_risk_limit([50, 89, 90, 120, 1250]) == pytest.approx([0.0125, 0.02225, 0.072, 0.096, 1.0])
+    assert np.isinf(flicker.low_risk_limit(1251))
+
+
+def test_flickering_period_of_known_lights() -> None:
+    assert flicker.flickering_period(np.ones(40), 1.0) == 0
+    assert flicker.flickering_period([1, 0] * 8, 1.0) == 2
+    assert flicker.flickering_period([1, 1, 0, 0, 1, 0, 0, 1], 1.0) == 4
+    # level within a stretch: 1 ahead after a slot, back at the mean's after 1 1/3
+    assert flicker.flickering_period([2, 0.5, 0.5], 1.0) == pytest.approx(3)
+
+
+@pytest.fixture(scope="module")
+def waves() -> dict[str, NDArray[np.float64]]:
+    return {name: chapter.wave(name, 0.5) for name in chapter.SIGNALS}
+
+
+def test_pairs_keep_the_mean_of_2_ms(waves: dict[str, NDArray[np.float64]]) -> None:
+    for name in (chapter.PAIRS, chapter.ALL_ON, chapter.ORDERED):
+        assert np.allclose(chapter.pair_means(waves[name]), 0.5, atol=1e-12)
+        assert flicker.measure(waves[name], SLOT_S).period_s <= 2e-3 + 1e-12
+    assert np.ptp(chapter.pair_means(waves[chapter.BARE])) > 0.01
+    assert flicker.measure(waves[chapter.BARE], SLOT_S).period_s > flicker.MFTP_S
+
+
+def test_all_on_headers_break_what_m_sequences_keep(waves: dict[str, NDArray[np.float64]]) -> None:
+    header, all_on = (flicker.measure(waves[name], SLOT_S) for name in (chapter.HEADER, chapter.ALL_ON_HEADER))
+    assert np.ptp(waves[chapter.HEADER]) == 0
+    assert header.percent == 0
+    assert header.svm == pytest.approx(0, abs=1e-9)
+    assert all_on.percent == 100
+    # a square wave at 500 Hz: 4 / pi against 0.08 * 500 %
+    assert all_on.limit_share == pytest.approx(4 / np.pi / 0.4)
+    assert all_on.svm > 1
+
+
+def test_chapter_judges_by_its_numbers() -> None:
+    done = chapter.run(Context())
+    verdicts = [finding.verdict for finding in done.findings]
+    numbers = done.data[chapter.PAIRS]
+    assert verdicts[1] == ("holds" if numbers["svm"] <= 0.4 and numbers["limit_share"] <= 1 else "differs")
+    assert "500 of 500 pairs" in done.findings[0].ours
+    assert len(done.pictures) == 2
