@@ -10,10 +10,11 @@ from heliograph.experiments import candidates as cand
 from heliograph.experiments import detection_trials as trials
 from heliograph.experiments.candidates import WAYS, Probe, Scores
 from heliograph.experiments.chapter import Chapter, Context
-from heliograph.experiments.clutter import FRAMES, SIZE, backdrops, drawn_backdrop, lamp_backdrop, shoot
+from heliograph.experiments.clutter import backdrops, shoot
 from heliograph.experiments.detection_trials import Effort, Measured
 from heliograph.experiments.figures import detection
 from heliograph.experiments.identities import confusion
+from heliograph.experiments.lamps import FRAMES, SIZE, drawn_backdrop, lamp_backdrop
 from heliograph.link.statistics import Count
 
 

@@ -1,6 +1,6 @@
 """Short films of what a detector may take for an array: footage and lamps before a shaking camera."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.channel import Footage, ImuTrace, Placement, film
 from heliograph.channel.settings import ChannelSettings
+from heliograph.experiments.lamps import FRAMES, RATE_HZ, SIZE, Backdrop, Gray, Stretch, drawn_backdrop, lamp_backdrop
 from heliograph.link.recordings import load_footage
 from heliograph.link.settings import load_settings
 from heliograph.receive import Pose
@@ -19,34 +20,13 @@ from heliograph.signal.block import Block
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
-Gray = NDArray[np.uint8]
 Header = Literal["m_sequence", "all_on"]
 
-FRAMES, LEAD = 10, (2, 3)
-"""Frames of a film, and frames before the header's four: the packet's end, of either phase."""
+LEAD = (2, 3)
+"""Frames of a film before the header's four: the packet's end, of either phase."""
 
-SIZE = (640, 1152)
-"""Scene in pixels: the sensor and the channel's margin for the shake."""
-
-RATE_HZ = 1000.0
-LAMPS = 8
 MOST_PAIRS = 32
 """Places of a clip that are used, evenly spread: each costs 1.5 MB."""
-
-SUBSTEPS = (np.arange(8) + 0.5) / 8 / RATE_HZ
-"""Instants of an exposure at which a lamp's light is looked at."""
-
-
-@dataclass(frozen=True, slots=True)
-class Stretch:
-    """A moment of a scene: frames, and when the camera starts within them."""
-
-    footage: Footage
-    start_s: float
-
-
-Backdrop = Callable[[np.random.Generator], Stretch]
-"""Draws a moment of a scene."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,113 +62,6 @@ def clip_backdrop(path: Path, reach: int) -> Backdrop:
         return Stretch(Footage(lambda: iter([held[k], held[k + 1]]), source.rate_hz), float(rng.uniform(0, room)))
 
     return draw
-
-
-def drawn_backdrop(rng: np.random.Generator) -> Stretch:
-    """A drawn street; only the camera moves."""
-    from heliograph.channel.background import draw_scene
-
-    still = draw_scene(SIZE, rng)
-    return Stretch(Footage(lambda: iter([still, still]), RATE_HZ / FRAMES), 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Lamp:
-    """A lamp: centre in px, (half) size in px, shape, speed in px/s, light over time in 0 to 1 by row of the sign.
-
-    ``cells`` is the picture of a matrix sign, (rows, columns) of 0 and 1, or None for a plain disc or rectangle.
-    """
-
-    at: tuple[float, float]
-    half: tuple[float, float]
-    round: bool
-    speed: tuple[float, float]
-    light: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    cells: Gray | None = None
-
-
-def lamp_backdrop(rng: np.random.Generator) -> Stretch:
-    """A drawn street with lamps that move, flicker, blink and turn."""
-    import cv2
-
-    still = drawn_backdrop(rng).footage.frames()
-    street = next(iter(still))
-    makers = (_mains, _moving, _beacon, _pulsed, _sign)
-    lamps = [makers[int(rng.integers(len(makers)))](rng) for _ in range(LAMPS)]
-    images = []
-    for k in range(FRAMES + 2):
-        image = street.copy()
-        for lamp in lamps:
-            _draw(image, lamp, k / RATE_HZ)
-        images.append(np.asarray(cv2.GaussianBlur(image, (0, 0), 0.5), np.uint8))
-    # the channel looks at the middle of an exposure: half a frame on, so that it meets whole images
-    return Stretch(Footage(lambda: iter(images), RATE_HZ), 0.5 / RATE_HZ)
-
-
-def _draw(image: Gray, lamp: Lamp, time_s: float) -> None:
-    """Draw a lamp as it shines on average over an exposure; its place is that of the middle."""
-    import cv2
-
-    light = lamp.light(time_s + SUBSTEPS).mean(-1)
-    x, y = (a + v * (time_s + 0.5 / RATE_HZ) for a, v in zip(lamp.at, lamp.speed, strict=True))
-    if lamp.cells is not None:
-        _draw_sign(image, lamp, np.asarray(light))
-        return
-    shade, fine = int(20 + 235 * float(light)), 16  # 16ths of a pixel
-    if lamp.round:
-        cv2.circle(image, (round(x * fine), round(y * fine)), round(lamp.half[0] * fine), shade, -1, cv2.LINE_AA, 4)
-        return
-    corners = [(round((x + s * lamp.half[0]) * fine), round((y + s * lamp.half[1]) * fine)) for s in (-1, 1)]
-    cv2.rectangle(image, corners[0], corners[1], shade, -1, cv2.LINE_AA, 4)
-
-
-def _draw_sign(image: Gray, lamp: Lamp, light: NDArray[np.float64]) -> None:
-    assert lamp.cells is not None
-    size = max(1, round(2 * lamp.half[1] / lamp.cells.shape[0]))
-    shades = 15 + 240 * lamp.cells * light[:, None]
-    patch = np.kron(shades, np.ones((size, size))).astype(np.uint8)
-    x, y = (int(np.clip(a, 0, s - n)) for a, s, n in zip(lamp.at, image.shape[::-1], patch.shape[::-1], strict=True))
-    image[y : y + patch.shape[0], x : x + patch.shape[1]] = patch
-
-
-def _body(rng: np.random.Generator) -> tuple[tuple[float, float], tuple[float, float], bool]:
-    """Place, half sizes and roundness: as large as an array from 25 m to 80 m away."""
-    half = float(rng.uniform(4, 20))
-    at = (float(rng.uniform(90, SIZE[1] - 90)), float(rng.uniform(90, SIZE[0] - 90)))
-    return at, (half, half * float(rng.uniform(0.6, 1.4))), bool(rng.random() < 0.5)
-
-
-def _mains(rng: np.random.Generator) -> Lamp:
-    """Twice the mains frequency, 30 % to 100 % deep."""
-    depth, phase, hz = rng.uniform(0.3, 1), rng.uniform(0, 2 * np.pi), rng.choice([100.0, 120.0])
-    return Lamp(*_body(rng), (0, 0), lambda t: 1 - depth * np.sin(np.pi * hz * t + phase) ** 2)
-
-
-def _moving(rng: np.random.Generator) -> Lamp:
-    """A steady lamp of a vehicle, up to 0.7 px a frame."""
-    speed = (float(rng.uniform(-500, 500)), float(rng.uniform(-500, 500)))
-    return Lamp(*_body(rng), speed, lambda t: np.ones_like(t))
-
-
-def _beacon(rng: np.random.Generator) -> Lamp:
-    """A rotating beacon, 3 turns a second, a beam of 8 degrees, about to pass by."""
-    middle = rng.uniform(-0.01, 0.02)
-    return Lamp(*_body(rng), (0, 0), lambda t: 0.05 + 0.95 * np.exp(-0.5 * (1080 * (t - middle) / 8) ** 2))
-
-
-def _pulsed(rng: np.random.Generator) -> Lamp:
-    """Pulse width modulation at 100 Hz to 1000 Hz, as tail lamps have it; 500 Hz is the header's own frequency."""
-    hz, duty, phase = rng.uniform(100, 1000), rng.uniform(0.2, 0.8), rng.random()
-    return Lamp(*_body(rng), (0, 0), lambda t: ((hz * t + phase) % 1 < duty).astype(float))
-
-
-def _sign(rng: np.random.Generator) -> Lamp:
-    """A matrix sign with a random picture, its rows lit in turn by quarters, 100 to 1000 times a second."""
-    hz, phase, rows = rng.uniform(100, 1000), rng.random(), int(rng.integers(6, 13))
-    cells = (rng.random((rows, int(rng.integers(6, 25)))) < 0.6).astype(np.uint8)
-    turn = np.arange(rows)[:, None] % 4 / 4
-    at, half, _ = _body(rng)
-    return Lamp(at, half, False, (0, 0), lambda t: ((hz * t + phase + turn) % 1 < 0.25).astype(float), cells)
 
 
 def shoot(

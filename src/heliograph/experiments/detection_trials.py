@@ -9,8 +9,9 @@ from heliograph.channel import ImuTrace
 from heliograph.experiments import candidates as cand
 from heliograph.experiments.candidates import WAYS, Probe, Scores
 from heliograph.experiments.chapter import Context
-from heliograph.experiments.clutter import Backdrop, Film, shoot
+from heliograph.experiments.clutter import Film, shoot
 from heliograph.experiments.identities import detections
+from heliograph.experiments.lamps import Backdrop
 from heliograph.link.statistics import Count
 from heliograph.receive import Pose
 from heliograph.receive.settings import ReceiveSettings

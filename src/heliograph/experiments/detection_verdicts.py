@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from heliograph.experiments.candidates import WAYS
+from heliograph.experiments.candidates import WAYS, Scores
 from heliograph.experiments.chapter import Finding, Verdict
 from heliograph.experiments.detection_trials import (
     DISTANCES,
@@ -36,6 +36,7 @@ def compared(measured: Measured) -> list[Finding]:
             "Fig. 6: with all LEDs on, what is left of the background can be taken for the array.",
             f"All on, 2 frames, score above {SCORE}: {_alarms(alarms)}.",
             "holds" if alarms.errors else "differs",
+            _where(all_on),
         ),
         Finding(
             "Section IV-A: the M-sequence is unique in the background and makes detection reliable.",
@@ -46,6 +47,14 @@ def compared(measured: Measured) -> list[Finding]:
             "" if fewer is not None else "The intervals overlap: more films are needed to tell.",
         ),
     ]
+
+
+def _where(scores: Scores) -> str:
+    """Which scenes gave false alarms and which gave none."""
+    counts = {scene: Count(len(f), sum(s > SCORE for s in f)) for scene, f in scores.false.items()}
+    some = [f"{scene} ({_of(count)})" for scene, count in counts.items() if count.errors]
+    none = [f"{scene} ({_of(count)})" for scene, count in counts.items() if not count.errors]
+    return f"By scene: {', '.join(some) or 'none'} with false alarms; {', '.join(none) or 'none'} without any."
 
 
 def told_apart(told: Mapping[float, Confusion]) -> Finding:
@@ -97,4 +106,5 @@ def _range(count: Count) -> str:
 
 
 def counted(count: Count) -> str:
+    """A count with its interval, as text."""
     return f"{_of(count)} ({_range(count)})"

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from heliograph.channel import ImuTrace
 from heliograph.channel.settings import ChannelSettings
 from heliograph.experiments.candidates import same
-from heliograph.experiments.clutter import Backdrop, Film, shoot
+from heliograph.experiments.clutter import Film, shoot
+from heliograph.experiments.lamps import Backdrop
 from heliograph.link.settings import load_settings
 from heliograph.link.statistics import Count
 from heliograph.receive.detect import Detection, Detector

@@ -20,9 +20,6 @@ from heliograph.signal.packet import PacketFormat
 HEADER_SEEN = 0.5
 """Least alternation of a header, as a share of the array's luminance."""
 
-PATIENCE = 2
-"""Packets without header and without a right codeword after which the array is given up."""
-
 
 @dataclass(slots=True)
 class _Gathered:
@@ -60,15 +57,17 @@ class ArrayReceiver:
         self._held: Frame | None = None
         self._pair = 0
         self._packet = self._empty()
-        self._failures = 0
+        self._failed = False
+        self._now_s = detection.time_s
 
     @property
     def done(self) -> bool:
         """Whether the array is out of sight, or what was followed is no array."""
-        return self.tracker.lost or self._failures >= PATIENCE
+        return self._failed or self._now_s - self.tracker.last_seen_s > self._settings.track.coast_s
 
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take a frame; yield the packet it completes."""
+        self._now_s = max(self._now_s, frame.time_s)
         number = self._pattern_number(frame.time_s)
         if number < 0:
             return
@@ -81,7 +80,7 @@ class ArrayReceiver:
         if self._held is not None and self._pattern_number(self._held.time_s) == number - 1:
             self._read(self._held, frame)
         self._held = None
-        if self._pair_in_packet(number // 2) == self._pairs - 1:
+        if self._pair_in_packet(number // 2) == self._pairs - 1 and self._packet.frames:
             yield self._finish()
 
     def flush(self) -> Iterator[Packet]:
@@ -144,7 +143,8 @@ class ArrayReceiver:
         layers = decode_packet(packet.luminances, packet.seen, self._form, self.identity, self._settings.decode)
         header = float(np.mean(packet.header)) if packet.header else 0.0
         status = _status(layers, header, float(packet.seen.mean()))
-        self._failures = self._failures + 1 if status in ("no_header", "no_array") else 0
+        # neither header nor a right codeword: no array, or out of step; it is found anew by its next header
+        self._failed = status in ("no_header", "no_array")
         result = self._packet_value(packet, status, layers, header)
         self._observe("decode", {"identity": self.identity, "packet": result, "luminances": packet.luminances})
         return result
@@ -153,19 +153,19 @@ class ArrayReceiver:
         self, packet: _Gathered, status: Status, layers: dict[str, tuple[Codeword, ...]], header: float
     ) -> Packet:
         calibration, form = self._settings.calibration, self._form.settings
-        pose = packet.poses[len(packet.poses) // 2] if packet.poses else self.tracker.state.pose
+        pose = packet.poses[len(packet.poses) // 2]
         start = self._start_s + (self._pair - self._pair_in_packet(self._pair)) * 2 * form.pattern_period_s
         return Packet(
             identity=self.identity,
             status=status,
             start_time_s=start,
-            first_frame=packet.frames[0] if packet.frames else -1,
-            last_frame=packet.frames[-1] if packet.frames else -1,
+            first_frame=packet.frames[0],
+            last_frame=packet.frames[-1],
             pose=pose,
             # pinhole: pitch_px = f p / (Z pixel)
             distance_m=calibration.focal_m * calibration.pitch_m / (pose.pitch * calibration.pixel_m),
             header_score=header,
-            track_score=float(np.mean(packet.scores)) if packet.scores else 0.0,
+            track_score=float(np.mean(packet.scores)),
             pairs_seen=float(packet.seen.mean()),
             layers=layers,
         )

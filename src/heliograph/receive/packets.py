@@ -1,12 +1,13 @@
 """What the receiver hands out: packets as values, with their outcome and margins."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.frames import Frame
 from heliograph.receive.pose import Pose
 from heliograph.signal.block import Block
 
@@ -82,6 +83,24 @@ class Packet:
     track_score: float
     pairs_seen: float
     layers: Mapping[str, tuple[Codeword, ...]]
+
+
+class FrameReceiver(Protocol):
+    """What every receiver is: frames in, packets out.
+
+    Attributes
+    ----------
+    detections
+        Times it has taken something for an array.
+    """
+
+    detections: int
+
+    def push(self, frame: Frame) -> Iterator[Packet]:
+        """Take the next frame; yield the packets it completes."""
+
+    def finish(self) -> Iterator[Packet]:
+        """End of the film: yield the packets in progress of which enough was seen."""
 
 
 class Observer(Protocol):

@@ -1,6 +1,6 @@
-"""The receiver: camera frames to packets. One algorithm with three entrances: class, generator, list."""
+"""The receiver "plain": camera frames to packets."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
@@ -87,33 +87,3 @@ class Receiver:
                 f"the plain receiver needs one frame a pattern: the film has {steps / gap:.1f} frames/s, the light "
                 f"{1 / period:.1f} patterns/s; film at that rate or set signal.pattern_period_s"
             )
-
-
-def receive_frames(
-    frames: Iterable[Frame],
-    signal: SignalSettings,
-    settings: ReceiveSettings | None = None,
-    observe: Observer = ignore,
-) -> Iterator[Packet]:
-    """Packets of a stream of frames, each as soon as it is complete.
-
-    Parameters
-    ----------
-    frames
-        Camera frames in the order of time.
-    signal
-        What the light speaks.
-    settings
-        The receiver's settings.
-    observe
-        Gets (stage, data) of each stage.
-
-    Raises
-    ------
-    HeliographError
-        The frames do not follow in time, or not in step with the light.
-    """
-    receiver = Receiver(signal, settings, observe)
-    for frame in frames:
-        yield from receiver.push(frame)
-    yield from receiver.finish()

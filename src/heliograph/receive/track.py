@@ -71,11 +71,6 @@ class Tracker:
         self.last_seen_s = detection.time_s
         self.gain = fit.gain
 
-    @property
-    def lost(self) -> bool:
-        """Whether the array has been out of sight for too long."""
-        return self.state.time_s - self.last_seen_s > self._settings.coast_s
-
     def follow(self, pattern: Frame, inverted: Frame) -> TrackedPair:
         """Find the array in the sum of a pair and move the filter on; coast where it is not seen."""
         predicted = self._predict(0.5 * (pattern.time_s + inverted.time_s))

@@ -33,9 +33,9 @@ COLOURS = ("#b5446e", "#d1741f", "#5b8c3a", "#1b6ca8")
 
 TEXT = (
     "Short films of the reference link with and without an array, before footage of a moving camera, a drawn street, "
-    "and a street full of lamps that move, flicker with the mains, are pulsed at 100 Hz to 1000 Hz, turn as beacons or "
-    "are matrix signs with rows lit in turn; all with the shake of the car. In each, four ways of detecting look for "
-    "the header with no threshold on the score: the lit array's shape or the M-sequences of 30 identities, in the "
+    "and a street full of lamps that move, flicker with the mains, are pulsed at 100 Hz to 1000 Hz, turn as beacons "
+    "or are matrix signs with rows lit in turn; all with the shake of the car. In each, four ways of detecting look "
+    "for the header with no threshold on the score: the lit array's shape or the M-sequences of 30 identities, in the "
     "difference of two frames or in f0 - 3 f1 + 3 f2 - f3 of four. All use the receiver's search and fit, on the same "
     "scenes, shake and noise; candidates of three ranges of size are kept apart, since parts of a lit square are lit "
     "squares. The score is the correlation of pixels and fitted header. A false alarm is a film without an array in "
@@ -44,9 +44,9 @@ TEXT = (
     "threshold. Between frames of a clip the channel fades, so things that move by themselves change evenly there, "
     "which four frames cancel and two do not; the shake moves the whole scene frame by frame. Two thresholds: the "
     "receiver's own of 0.9, and the one that 95 % of these arrays exceed, which is as high as only clean, sharp, "
-    "unhidden arrays allow. The share of false alarms depends on how many lamps there are: a third to a half of the "
-    "films without an array are of the street full of them. The receiver beside "
-    "these has all its checks, also that the header's frames alternate in step. Intervals are Clopper-Pearson, 95 %."
+    "unhidden arrays allow. Of the street full of lamps three times as many films are taken as of each other scene, "
+    "so false alarms of all scenes together mean this mixture; a table has them by scene. The receiver beside these "
+    "has all its checks, also that the header's frames alternate in step. Intervals are Clopper-Pearson, 95 %."
 )
 
 

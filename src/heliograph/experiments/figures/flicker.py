@@ -29,15 +29,15 @@ ORDERED = f"M-sequence header, inverses, slot order {', '.join(map(str, ORDER))}
 SIGNALS = (PAIRS, ALL_ON, BARE, ALL_ON_BARE, HEADER, ALL_ON_HEADER, DATA, DATA_BARE, ORDERED)
 
 TEXT = (
-    "The light of the whole array in slots of 250 us, as the transmitter of the preset sends it, repeated without end. "
-    "Modulation: amplitude of a Fourier component by the mean; the limits are IEEE 1789-2015's of low risk, 0.025 f % "
-    "below 90 Hz and 0.08 f % up to 1250 Hz, line by line (random data has lines as close as the stretch is long). "
-    "SVM: stroboscopic visibility measure, exponent 3.7, components up to 2 kHz, threshold T(f) = 1 / (1 + "
-    "exp(-0.00518 (f - 306.6))) + 20 exp(-f / 10), the closed form of Perz et al. 2018 that CIE TN 006 and IEC TR 63158 use, quoted from "
-    "memory and not compared with the standards' text; 1 is just visible, the EU allows 0.4. Flickering time period: "
-    "the longest time between instants at which the light given so far equals that of a steady light of the same mean; "
-    "IEEE 802.15.7 allows 5 ms. A header alone is that header repeated, as an array would show that only wants to be "
-    "found."
+    "The light of the whole array in slots of 250 us, as the transmitter of the preset sends it, repeated without "
+    "end. Modulation: amplitude of a Fourier component by the mean; the limits are IEEE 1789-2015's of low risk, "
+    "0.025 f % below 90 Hz and 0.08 f % up to 1250 Hz, line by line (random data has lines as close as the stretch is "
+    "long). SVM: stroboscopic visibility measure, exponent 3.7, components up to 2 kHz, threshold T(f) = 1 / (1 + "
+    "exp(-0.00518 (f - 306.6))) + 20 exp(-f / 10), the closed form of Perz et al. 2018 that CIE TN 006 and IEC TR "
+    "63158 use, quoted from memory and not compared with the standards' text; 1 is just visible, the EU allows 0.4. "
+    "Flickering time period: the longest time between instants at which the light given so far equals that of a "
+    "steady light of the same mean; IEEE 802.15.7 allows 5 ms. A header alone is that header repeated, as an array "
+    "would show that only wants to be found."
 )
 
 
@@ -153,7 +153,8 @@ def _why(found: dict[str, Flicker]) -> str:
     return (
         f"The header alone has SVM {header.svm:.2f}, the data alone {data.svm:.2f}: with one slot order for all LEDs "
         f"the array is brighter at the start of each T_b, {data.limit_share:.2f} of the limit at {data.limit_hz:g} Hz. "
-        f"Slot order {', '.join(map(str, ORDER))} makes it {found[ORDERED].limit_share:.2f}, SVM {found[ORDERED].svm:.2f}."
+        f"Slot order {', '.join(map(str, ORDER))} makes it {found[ORDERED].limit_share:.2f}, SVM "
+        f"{found[ORDERED].svm:.2f}."
     )
 
 

@@ -45,8 +45,8 @@ def run(context: Context) -> Chapter:
             Finding(
                 "Fig. 5: a packet is a header part, where the array is detected, and a data part, where it is tracked.",
                 f"{headers} of {count * settings.signal.header_pairs} header pairs are the M-sequence; in "
-                f"{inverses} of {pairs.shape[0] * pairs.shape[1]} pairs the second pattern is the first one's inverse; the header "
-                f"takes {head} of {settings.signal.packet_patterns} patterns.",
+                f"{inverses} of {pairs.shape[0] * pairs.shape[1]} pairs the second pattern is the first one's inverse; "
+                f"the header takes {head} of {settings.signal.packet_patterns} patterns.",
                 "holds" if whole else "differs",
             )
         ],
