@@ -1,5 +1,6 @@
 """The command `heliograph`."""
 
+import os
 import signal
 import sys
 from pathlib import Path
@@ -210,6 +211,7 @@ def _usage(error: typer.TyperException) -> None:
 
 def run() -> None:
     """Entry of the command: every error becomes one line and a non-zero status."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the receiver's matrices are too small to share among threads
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # told to end: as tidy as after Ctrl-C
     try:
         status = app(standalone_mode=False)
