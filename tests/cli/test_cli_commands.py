@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import COMMAND, Run, called, heliograph, lasting, names, succeeded
+from cli_runs import COMMAND, Run, called, failed, heliograph, lasting, names, succeeded
 
 from heliograph.link.settings import PRESETS
 from heliograph.media import open_film
@@ -61,6 +61,7 @@ def test_json_is_one_object_as_agreed(film: Path, tmp_path: Path, call: Call) ->
     assert out.count("\n") == 1
     report = json.loads(out)
     assert {"frames", "seconds", "frames_per_second", "arrays", "errors"} <= set(report)
+    assert (report["false_packets"], report["false_codewords"]) == (0, 0)
     assert report["frames"] == 400
     assert report["frames_per_second"] == pytest.approx(400 / report["seconds"], rel=0.01)
     (array,) = report["arrays"]
@@ -79,7 +80,7 @@ def test_json_is_one_object_as_agreed(film: Path, tmp_path: Path, call: Call) ->
 
 def test_without_truth_there_are_no_errors_to_tell(film: Path, tmp_path: Path, call: Call) -> None:
     report = json.loads(succeeded(call("receive", film, "--json")))
-    assert "errors" not in report
+    assert not {"errors", "false_packets", "false_codewords"} & set(report)
 
 
 def test_error_rates_come_with_their_counts(film: Path, tmp_path: Path, call: Call) -> None:
@@ -91,7 +92,7 @@ def test_error_rates_come_with_their_counts(film: Path, tmp_path: Path, call: Ca
         "<", "3.7e-04", "of", "8192", "0/8",
         "<", "7.3e-04", "of", "4096", "0/4",
     ]  # fmt: skip
-    assert "codewords taken for right that were not sent: 0" in out
+    assert "packets that were not sent: 0\ncodewords taken for right that were not sent: 0" in out
 
 
 @pytest.mark.parametrize("suffix", [".h5", ".mp4"])
@@ -199,6 +200,39 @@ def test_tuning_the_receiver_keeps_the_films_own_signal(tmp_path: Path, call: Ca
     succeeded(call("simulate", "a.mkv", *lasting(0.14), "--set", "signal.data_pairs=64"))
     run = call("receive", "a.mkv", "--json", "--settings", "tune.toml")
     assert json.loads(succeeded(run))["arrays"][0]["packets"] == 1
+
+
+def test_one_setting_changes_one_thing_of_the_films_note_and_says_so(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "low.toml").write_text("[signal.rate]\nlow = 0.5\n")
+    succeeded(call("simulate", "a.mkv", *lasting(0.14), "--set", "signal.data_pairs=64"))
+    run = call("receive", "a.mkv", "--json", "--settings", "low.toml", "--set", "signal.rate.high=0.4")
+    assert run.returncode == 0
+    assert run.stderr.startswith("heliograph: not as the film's note says: signal.rate.high=0.4 instead of 0.333")
+    assert run.stderr.count("\n") == 1
+    assert "signal.rate.low=0.5 instead of 0.333" in run.stderr
+    (array,) = json.loads(run.stdout)["arrays"]
+    assert {name: bool(tally["ok"]) for name, tally in array["layers"].items()} == {
+        "high": False, "middle": True, "low": False
+    }  # fmt: skip
+
+
+def test_what_is_no_packet_is_not_in_the_log(film: Path, tmp_path: Path, call: Call) -> None:
+    """Read with packets too long, every other one has no header and no right codeword."""
+    run = call("receive", film, "--output", "out", "--set", "signal.data_pairs=64")
+    assert run.returncode == 0
+    log = [json.loads(line) for line in (tmp_path / "out/packets.jsonl").read_text().splitlines()]
+    assert [row["status"] for row in log] == ["crc_fail", "crc_fail"]
+    assert "array 0: 2 packets" in run.stdout
+    (array,) = json.loads((tmp_path / "out/summary.json").read_text())["arrays"]
+    assert array["packets"] == 2
+
+
+@pytest.mark.parametrize("change", ["signal.rate.high=0.5", "signal.data_pairs=24"])
+def test_errors_are_not_counted_with_another_signal(change: str, film: Path, tmp_path: Path, call: Call) -> None:
+    text = failed(call("receive", film, "--truth", f"{film}.truth.npz", "--output", "out", "--set", change))
+    key, _, value = change.partition("=")
+    assert text.startswith(f"heliograph: {key} is {value}, but ")
+    assert names(tmp_path) == []
 
 
 @pytest.mark.parametrize("command", ["presets paper", "receive {film}"])

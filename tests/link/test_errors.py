@@ -119,7 +119,7 @@ def test_a_packet_handed_out_early_counts_once_it_is_filmed_whole() -> None:
     assert counter.total()["high"].codewords.trials == 1
 
 
-@pytest.mark.parametrize("what", ["identity", "early", "late", "twice"])
+@pytest.mark.parametrize("what", ["identity", "early", "late"])
 def test_a_packet_that_was_not_sent_is_false(what: str) -> None:
     counter = counter_of()
     watch(counter, range(200))
@@ -128,14 +128,54 @@ def test_a_packet_that_was_not_sent_is_false(what: str) -> None:
         packet = replace(packet, identity=5)
     elif what == "early":
         packet = replace(packet, start_time_s=-0.9)
-    elif what == "late":
-        packet = replace(packet, start_time_s=7.0)
     else:
-        counter.received(packet)
+        packet = replace(packet, start_time_s=7.0)
     before = list(sums(counter))
     counter.received(packet)
-    assert counter.false_codewords == 4
+    assert (counter.false_packets, counter.false_codewords, counter.duplicates) == (1, 4, 0)
     assert list(sums(counter)) == before, "a false packet is no packet sent"
+
+
+def test_a_false_packet_without_a_right_codeword_is_false_all_the_same() -> None:
+    counter = counter_of()
+    watch(counter, range(200))
+    packet = replace(perfect(SETTINGS, 1), identity=5)
+    for layer, word in (("high", 0), ("middle", 0), ("middle", 1), ("low", 0)):
+        packet = tampered(packet, layer, word, [1], status="crc_fail", block=None)
+    counter.received(packet)
+    assert (counter.false_packets, counter.false_codewords) == (1, 0)
+
+
+def test_the_same_packet_again_is_a_duplicate_and_nothing_false() -> None:
+    counter = counter_of()
+    watch(counter, range(200))
+    counter.received(perfect(SETTINGS, 1))
+    before = list(sums(counter))
+    counter.received(perfect(SETTINGS, 1))
+    assert (counter.duplicates, counter.false_packets, counter.false_codewords) == (1, 0, 0)
+    assert list(sums(counter)) == before
+
+
+@pytest.mark.parametrize("better_first", [True, False])
+def test_of_duplicates_the_better_counts(better_first: bool) -> None:
+    counter = counter_of()
+    watch(counter, range(100))
+    better = tampered(perfect(SETTINGS, 0), "low", 0, [3], status="crc_fail", block=None)
+    worse = tampered(better, "high", 0, [5, 6], status="crc_fail", block=None)
+    for packet in (better, worse) if better_first else (worse, better):
+        counter.received(packet)
+    assert (counter.duplicates, counter.false_codewords) == (1, 0)
+    assert [row[1:6:2] for row in sums(counter)] == [(K, 0, 0), (2 * K, 0, 0), (K, 0, 1)]
+    assert [row[2] for row in sums(counter)] == [0, 0, 1]
+
+
+def test_a_duplicate_with_false_content_is_false() -> None:
+    counter = counter_of()
+    watch(counter, range(100))
+    counter.received(perfect(SETTINGS, 0))
+    counter.received(tampered(perfect(SETTINGS, 0), "high", 0, [9]))
+    assert (counter.duplicates, counter.false_packets, counter.false_codewords) == (1, 0, 1)
+    assert next(sums(counter)) == ("high", K, 0, 0, 1, 0, 0), "the first is the better"
 
 
 def test_a_packet_of_another_moment_has_wrong_content() -> None:
@@ -143,7 +183,7 @@ def test_a_packet_of_another_moment_has_wrong_content() -> None:
     counter = counter_of()
     watch(counter, range(200))
     counter.received(replace(perfect(SETTINGS, 1), start_time_s=0.0))
-    assert counter.false_codewords == 4
+    assert (counter.false_packets, counter.false_codewords) == (0, 4)
 
 
 def test_errors_go_to_the_bin_of_the_packets_middle() -> None:

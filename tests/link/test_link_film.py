@@ -17,6 +17,8 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, Recordings, simulate
 from heliograph.link.truth import open_truth, truth_path
 from heliograph.media import create_film, open_film
+from heliograph.receive import Receiver
+from heliograph.receive.packets import Status
 from heliograph.signal.message import Message
 
 LONG = bytes(np.random.default_rng(5).integers(0, 256, 500, dtype=np.uint8))
@@ -34,7 +36,7 @@ def through(
 def read(path: Path, settings: LinkSettings, truth: bool = True) -> tuple[list[Message], Reception]:
     reception = Reception(open_truth(truth_path(path)) if truth else None)
     with open_film(path) as source:
-        signal = signal_of(source, settings, chosen=False)
+        signal, _ = signal_of(source, settings.signal)
         packets = list(receive_film(source, signal, settings, reception))
     return [message for _, whole in packets for message in whole], reception
 
@@ -211,21 +213,53 @@ def test_a_film_shorter_than_a_packet_is_told(tmp_path: Path) -> None:
 def test_the_truth_of_another_film_is_refused(tmp_path: Path) -> None:
     settings = small("channel.duration_s=0.01")
     write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
-    write_film(tmp_path / "b.mkv", settings, [{}], seed=2)
+    write_film(tmp_path / "b.mkv", settings, [{}], seed=1)  # its recordings may be others, though all else is the same
     truth = open_truth(tmp_path / "b.mkv.truth.npz")
     with open_film(tmp_path / "b.mkv") as film:
-        check_truth(film, truth)
+        check_truth(film, truth, settings.signal)
     with open_film(tmp_path / "a.mkv") as film, pytest.raises(MediaError, match="different simulations"):
-        check_truth(film, truth)
+        check_truth(film, truth, settings.signal)
     with open_film(tmp_path / "a.mkv") as film:
         film.metadata = {}  # copied by a tool that keeps no notes
-        check_truth(film, truth)
+        check_truth(film, truth, settings.signal)
         film.width = 320
         with pytest.raises(MediaError, match="160x120 pixels, the film of 320x120"):
-            check_truth(film, truth)
+            check_truth(film, truth, settings.signal)
         film.width, film.rate_hz = 160, 500.0
         with pytest.raises(MediaError, match="1000 frames/s, the film 500"):
-            check_truth(film, truth)
+            check_truth(film, truth, settings.signal)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["signal.data_pairs=24"], r"^signal\.data_pairs is 24, but .* says 48 was sent"),
+        (["signal.rate.high=0.5", "signal.rate.low=0.4"], r"^signal\.rate\.high is 0\.5, but .* says 0\.333"),
+        (["signal.slot_order=[1,0,2,3]"], r"^signal\.slot_order is \[1, 0, 2, 3\], but .* says \[0, 1, 2, 3\]"),
+    ],
+)
+def test_a_truth_of_another_signal_is_refused(tmp_path: Path, changes: list[str], said: str) -> None:
+    write_film(tmp_path / "a.mkv", small("channel.duration_s=0.001"), [{}], seed=1)
+    truth = open_truth(tmp_path / "a.mkv.truth.npz")
+    with open_film(tmp_path / "a.mkv") as film, pytest.raises(MediaError, match=said):
+        check_truth(film, truth, small(*changes).signal)
+
+
+def test_the_films_note_lies_over_the_preset_and_changes_over_it(tmp_path: Path) -> None:
+    settings = small("channel.duration_s=0.001", "signal.data_pairs=64", "signal.rate.low=0.5")
+    write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
+    preset = small("signal.header_pairs=3", "signal.rate.high=0.8").signal
+    with open_film(tmp_path / "a.mkv") as film:
+        assert signal_of(film, preset) == (settings.signal, "")
+        assert signal_of(film, preset, [{"data_pairs": 64}]) == (settings.signal, ""), "it says the same"
+        signal, departure = signal_of(film, preset, [{"rate": {"high": 0.6}, "header_pairs": 1}, {"header_pairs": 4}])
+        expected = small("signal.data_pairs=64", "signal.rate.low=0.5", "signal.rate.high=0.6", "signal.header_pairs=4")
+        assert signal == expected.signal
+        assert departure.startswith("not as the film's note says: signal.header_pairs=4 instead of 2, signal.rate.high")
+        film.metadata = {SIGNAL_TAG: '{"data_pairs": 32}'}
+        assert signal_of(film, preset)[0] == replace(preset, data_pairs=32), "what is not noted is the preset's"
+        film.metadata = {}
+        assert signal_of(film, preset, [{"side": 8}]) == (replace(preset, side=8), "")
 
 
 @pytest.mark.parametrize("note", ["", "{", "[1]", "null", '{"sied": 3}', '{"side": 3}'])
@@ -234,9 +268,9 @@ def test_an_unreadable_note_on_the_signal_is_told(tmp_path: Path, note: str) -> 
     with create_film(tmp_path / "a.mkv", width=160, height=120, rate_hz=1000, metadata={SIGNAL_TAG: note}) as film:
         film.write(next(iter(simulate(settings, [{}], 0)))[0])
     with open_film(tmp_path / "a.mkv") as source:
-        assert signal_of(source, settings, chosen=True) == settings.signal
+        assert signal_of(source, settings.signal, [{"side": 16}]) == (settings.signal, "")
         with pytest.raises(MediaError, match=r"note on its signal is unreadable"):
-            signal_of(source, settings, chosen=False)
+            signal_of(source, settings.signal)
 
 
 def test_a_film_out_of_step_is_told(tmp_path: Path) -> None:
@@ -275,3 +309,28 @@ def test_packets_of_nobody_are_not_counted(tmp_path: Path) -> None:
     reception = Reception()
     assert list(reception.add(replace(packet, identity=9, status="no_header"))) == []
     assert reception.arrays == {}
+
+
+@pytest.mark.parametrize("status", ["no_header", "no_array"])
+def test_what_is_no_packet_is_neither_handed_on_nor_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: Status
+) -> None:
+    """Also that of an array seen before; it was sent, so it is missed."""
+    settings = small("channel.duration_s=0.3")
+    write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
+    push = Receiver.push
+    monkeypatch.setattr(
+        Receiver,
+        "push",
+        lambda *a: [replace(p, status=status) if p.first_frame == 100 else p for p in push(*a)],
+    )
+    reception = Reception(open_truth(truth_path(tmp_path / "a.mkv")))
+    with open_film(tmp_path / "a.mkv") as source:
+        found = [packet.first_frame for packet, _ in receive_film(source, settings.signal, settings, reception)]
+    assert found == [0, 200]
+    assert reception.arrays[0].packets == 2
+    report = reception.report(1.0)
+    assert (report["false_packets"], report["false_codewords"]) == (0, 0)
+    assert reception.errors is not None
+    high = reception.errors.total()["high"]
+    assert (high.codewords.trials, high.missed) == (3, 1)

@@ -43,9 +43,10 @@ def settings_from(preset: str, file: Path | None, assignments: list[str] | None)
     return load_settings(preset, _toml(file) if file else None, assignments or ())
 
 
-def signal_chosen(file: Path | None, assignments: list[str]) -> bool:
-    """Whether file or assignments say anything of the signal."""
-    return any("signal" in change for change in [_toml(file) if file else {}, *map(parse_assignment, assignments)])
+def signal_changes(file: Path | None, assignments: list[str]) -> list[dict[str, Any]]:
+    """What TOML file and assignments say of the signal, in this order; to be asked for once they are checked."""
+    changes = [_toml(file) if file else {}, *map(parse_assignment, assignments)]
+    return [change["signal"] for change in changes if change.get("signal")]
 
 
 def read_messages(
@@ -72,7 +73,7 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
-def _toml(file: Path) -> dict[str, object]:
+def _toml(file: Path) -> dict[str, Any]:
     try:
         return parse_toml(file.read_text(encoding="utf-8"))
     except OSError as error:

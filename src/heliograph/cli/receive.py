@@ -31,7 +31,10 @@ def run_receive(
     assignments: list[str] | None,
     as_json: bool,
 ) -> None:
-    """Read a film; whatever ends it, what was decoded before is kept and shown."""
+    """Read a film; whatever ends it, what was decoded before is kept and shown.
+
+    What the film notes of its signal wins over the preset; file and assignments win over the note.
+    """
     from heliograph.link.film import check_truth, signal_of
     from heliograph.link.reception import Reception
     from heliograph.link.truth import open_truth
@@ -39,14 +42,16 @@ def run_receive(
 
     changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
     settings = options.settings_from(preset, file, changes)
-    chosen = options.signal_chosen(file, changes)
+    base, signal_changes = options.settings_from(preset, None, None), options.signal_changes(file, changes)
     known = open_truth(truth) if truth else None
     reception = Reception(known)
     began = time.perf_counter()
     with open_film(film) as source:
-        signal = signal_of(source, settings, chosen)
+        signal, departure = signal_of(source, base.signal, signal_changes)
         if known is not None:
-            check_truth(source, known)
+            check_truth(source, known, signal)
+        if departure:
+            console.complain(departure)
         with Folder(output) as folder:
             ending = _read(source, signal, settings, reception, folder)
             report = reception.report(time.perf_counter() - began)
@@ -163,6 +168,7 @@ def _show_errors(errors: "ErrorCounter") -> None:
     for start, layers in errors.bins().items():
         cells = "   ".join(_cell(e) for e in layers.values())
         console.say(f"{start:5.0f}-{start + BIN_M:<4.0f} m  {cells}")
+    console.say(f"packets that were not sent: {errors.false_packets}")
     console.say(f"codewords taken for right that were not sent: {errors.false_codewords}")
 
 

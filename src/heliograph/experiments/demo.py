@@ -235,7 +235,11 @@ def _show_errors(page: Report, reception: Reception) -> None:
         for start, layers in bins.items()
     ]
     page.table(head, rows)
-    page.text(f"Codewords taken for right that were not sent: {reception.errors.false_codewords}.", note=True)
+    page.text(
+        f"Packets that were not sent: {reception.errors.false_packets}. "
+        f"Codewords taken for right that were not sent: {reception.errors.false_codewords}.",
+        note=True,
+    )
 
 
 def _map_picture() -> bytes:

@@ -1,7 +1,6 @@
 """Error counting: packets received against packets sent, by layer and distance."""
 
-from collections.abc import Mapping, Sequence
-from copy import deepcopy
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, transmitters
 from heliograph.link.statistics import Count
-from heliograph.receive import Codeword, Packet
+from heliograph.receive import Packet
 from heliograph.receive.decode import ERASED
 from heliograph.signal.block import pack
 from heliograph.signal.settings import LAYERS
@@ -42,7 +41,7 @@ class LayerErrors:
     missed: int = 0
 
 
-_Bins = dict[int, dict[str, LayerErrors]]
+_Layers = dict[str, LayerErrors]
 
 
 @dataclass(slots=True)
@@ -54,9 +53,10 @@ class _Sent:
     distance_m: float = 0.0
     """At the frame nearest to its middle, which is `off_middle` of the packet away."""
     off_middle: float = 1.0
-    received: bool = False
-    early: _Bins = field(default_factory=dict)
-    """Errors of a packet handed out before its last frame was filmed."""
+    errors: _Layers = field(default_factory=dict)
+    """Of the best of what was received of it; empty if nothing was."""
+    right: int = 0
+    """Codewords read rightly in it."""
 
 
 class ErrorCounter:
@@ -68,15 +68,24 @@ class ErrorCounter:
         The link as simulated.
     messages
         What each array sent.
+
+    Attributes
+    ----------
+    false_packets
+        Packets of an array there is not, or of a time at which the array sent nothing.
+    false_codewords
+        Codewords passed as right whose content was not sent there and then: there must be none.
+    duplicates
+        Packets received again; the one with more right codewords counts, the first of equals.
     """
 
     def __init__(self, settings: LinkSettings, messages: Sequence[Messages]):
         self._settings = settings
         self._senders = transmitters(settings, messages)
         self._sent: list[dict[int, _Sent]] = [{} for _ in self._senders]
-        self._bins: _Bins = {}
+        self.false_packets = 0
         self.false_codewords = 0
-        """Codewords passed as right that were not sent so: there must be none."""
+        self.duplicates = 0
 
     def saw(self, time_s: float, distances_m: Sequence[float], visible: Sequence[bool]) -> None:
         """Take the truth of a frame: the time of its exposure and where the arrays were."""
@@ -98,29 +107,26 @@ class ErrorCounter:
         array = self._settings.transmit.identities.index(packet.identity)
         number, _ = self._packet_at(array, self._true_time(packet.start_time_s) + 0.5 * self._packet_s(array))
         sent = self._sent[array].get(number)
-        if sent is None or sent.received:
+        if sent is None:
             self._count_false(packet)
             return
-        sent.received = True
-        if not self._whole(array, sent):
-            sent.early = self._bins_of(array, number, sent, packet)
-            return
-        _merge(self._bins, self._bins_of(array, number, sent, packet))
+        errors, right = self._compare(self._senders[array], number, packet)
+        self.duplicates += bool(sent.errors)
+        if not sent.errors or right > sent.right:
+            sent.errors, sent.right = errors, right
 
-    def bins(self) -> dict[float, dict[str, LayerErrors]]:
+    def bins(self) -> dict[float, _Layers]:
         """Errors by the lower edge of the distance bin and by layer, near first; missed packets counted.
 
         A packet filmed whole and not received so far counts as missed, for now: it may still come. One cut off by the
         end of the film is left out, whatever was read of it.
         """
-        bins = deepcopy(self._bins)
+        bins: dict[int, list[_Layers]] = {}
         for array, packets in enumerate(self._sent):
             for sent in packets.values():
-                if sent.early and self._whole(array, sent):
-                    _merge(bins, sent.early)
-                if not sent.received and not sent.hidden and self._whole(array, sent):
-                    self._count_missed(bins, array, sent)
-        return {key * BIN_M: bins[key] for key in sorted(bins)}
+                if self._whole(array, sent) and (sent.errors or not sent.hidden):
+                    bins.setdefault(int(sent.distance_m // BIN_M), []).append(sent.errors or self._missed(array))
+        return {key * BIN_M: pooled(bins[key]) for key in sorted(bins)}
 
     def report(self) -> list[dict[str, Any]]:
         """The bins as plain values, for JSON."""
@@ -129,38 +135,37 @@ class ErrorCounter:
             rows.append({"from_m": start, "to_m": start + BIN_M, **{n: _plain(e) for n, e in layers.items()}})
         return rows
 
-    def total(self) -> dict[str, LayerErrors]:
+    def total(self) -> _Layers:
         """All bins together, by layer."""
         return pooled(self.bins().values())
 
-    def _compare(
-        self, sender: Transmitter, number: int, errors: LayerErrors, layer: str, words: Sequence[Codeword]
-    ) -> None:
-        code = sender.format.layers[layer].code
-        for word, block in zip(words, sender.blocks(number)[layer], strict=True):
-            sent = pack(block, code.k)
-            wrong = int(np.count_nonzero(word.bits != sent))
-            known = word.raw != ERASED
-            errors.raw.add(int(known.sum()), int(np.count_nonzero((word.raw != code.encode(sent)) & known)))
-            errors.bits.add(code.k, wrong)
-            errors.codewords.add(1, wrong > 0 or word.status != "ok")
-            self.false_codewords += word.status == "ok" and wrong > 0
+    def _compare(self, sender: Transmitter, number: int, packet: Packet) -> tuple[_Layers, int]:
+        """Errors of a packet, and how many of its codewords are right; false ones are counted."""
+        layers, right = _no_errors(), 0
+        for name, words in packet.layers.items():
+            code, errors = sender.format.layers[name].code, layers[name]
+            for word, block in zip(words, sender.blocks(number)[name], strict=True):
+                sent = pack(block, code.k)
+                wrong = int(np.count_nonzero(word.bits != sent))
+                known = word.raw != ERASED
+                errors.raw.add(int(known.sum()), int(np.count_nonzero((word.raw != code.encode(sent)) & known)))
+                errors.bits.add(code.k, wrong)
+                errors.codewords.add(1, wrong > 0 or word.status != "ok")
+                right += word.status == "ok" and wrong == 0
+                self.false_codewords += word.status == "ok" and wrong > 0
+        return layers, right
 
-    def _count_missed(self, bins: _Bins, array: int, sent: _Sent) -> None:
+    def _missed(self, array: int) -> _Layers:
+        """Errors of a packet of which nothing was received."""
+        layers = _no_errors()
         for name, layer in self._senders[array].format.layers.items():
-            errors = _errors(bins, sent, name)
-            errors.codewords.add(layer.codewords, layer.codewords)
-            errors.missed += layer.codewords
+            layers[name].codewords.add(layer.codewords, layer.codewords)
+            layers[name].missed = layer.codewords
+        return layers
 
     def _count_false(self, packet: Packet) -> None:
+        self.false_packets += 1
         self.false_codewords += sum(word.status == "ok" for words in packet.layers.values() for word in words)
-
-    def _bins_of(self, array: int, number: int, sent: _Sent, packet: Packet) -> _Bins:
-        """Errors of one packet."""
-        bins: _Bins = {}
-        for name, words in packet.layers.items():
-            self._compare(self._senders[array], number, _errors(bins, sent, name), name, words)
-        return bins
 
     def _whole(self, array: int, sent: _Sent) -> bool:
         """Whether the packet was filmed from its first pattern to its last."""
@@ -182,20 +187,13 @@ class ErrorCounter:
         return int(number), share
 
 
-def _merge(bins: _Bins, more: _Bins) -> None:
-    """Add errors to bins."""
-    for key, layers in more.items():
-        bins[key] = pooled([bins.get(key, {}), layers])
+def _no_errors() -> _Layers:
+    return {name: LayerErrors() for name in LAYERS}
 
 
-def _errors(bins: _Bins, sent: _Sent, layer: str) -> LayerErrors:
-    """Where the errors of a packet's layer are counted."""
-    return bins.setdefault(int(sent.distance_m // BIN_M), {name: LayerErrors() for name in LAYERS})[layer]
-
-
-def pooled(bins: Any) -> dict[str, LayerErrors]:
+def pooled(bins: Iterable[Mapping[str, LayerErrors]]) -> _Layers:
     """Sum of several bins, by layer."""
-    out = {name: LayerErrors() for name in LAYERS}
+    out = _no_errors()
     for layers in bins:
         for name, errors in layers.items():
             for kind in ("bits", "raw", "codewords"):

@@ -2,20 +2,21 @@
 
 import contextlib
 import json
+import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from heliograph.base.config import from_mapping, to_mapping
+from heliograph.base.config import from_mapping, keys_of, merge, to_mapping
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.channel import frame_count
-from heliograph.link.reception import Reception
+from heliograph.link.reception import Reception, is_packet
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
-from heliograph.link.truth import TruthFile, TruthWriter, fingerprint, truth_path
+from heliograph.link.truth import TruthFile, TruthWriter, truth_path
 from heliograph.media import FilmReader, create_film
-from heliograph.receive import Packet, Receiver
+from heliograph.receive import Packet, make_receiver
 from heliograph.receive.packets import Observer, ignore
 from heliograph.signal.message import Message
 from heliograph.signal.settings import SignalSettings
@@ -27,7 +28,7 @@ RATE_TOLERANCE = 1e-3
 """Departure of a film's rate from its truth's, as a share, that a container's rounding explains."""
 
 TRUTH_TAG = "heliograph_simulation"
-"""Metadata of a simulated film that tells which truth file is its own, and nothing of what is in it."""
+"""Metadata of a simulated film that tells which truth file is its own: a random id both have."""
 
 Progress = Callable[[int], None]
 
@@ -67,23 +68,20 @@ def write_film(
     MediaError
         The film or its truth cannot be written; nothing is left behind then, and what was there stays.
     """
-    camera = settings.channel.camera
+    camera, film_id = settings.channel.camera, uuid.uuid4().hex
     film = create_film(
         path,
         width=camera.width,
         height=camera.height,
         rate_hz=camera.fps,
         bits=settings.channel.sensor.bits,
-        metadata={
-            SIGNAL_TAG: json.dumps(to_mapping(settings.signal)),
-            TRUTH_TAG: fingerprint(settings, messages, seed),
-        },
+        metadata={SIGNAL_TAG: json.dumps(to_mapping(settings.signal)), TRUTH_TAG: film_id},
         **codec,
     )
     interrupted: KeyboardInterrupt | None = None
     with contextlib.ExitStack() as undo:
         undo.callback(film.abort)  # does nothing once the film is finished
-        truth = TruthWriter(truth_path(path), settings, messages, seed)
+        truth = TruthWriter(truth_path(path), settings, messages, seed, film_id)
         undo.callback(truth.abort)
         try:
             for frame, row in simulate(settings, messages, seed, recordings):
@@ -107,27 +105,99 @@ def frames_of(settings: LinkSettings) -> int:
     return frame_count(settings.channel)
 
 
-def signal_of(film: FilmReader, settings: LinkSettings, chosen: bool) -> SignalSettings:
-    """What the light of a film speaks: the settings' signal where it was chosen, else what the film says."""
+def noted_signal(film: FilmReader) -> dict[str, Any]:
+    """What a film notes of its signal, as nested mappings; empty where it notes nothing.
+
+    Raises
+    ------
+    MediaError
+        The note is unreadable.
+    """
     text = film.metadata.get(SIGNAL_TAG)
-    if chosen or text is None:
-        return settings.signal
+    if text is None:
+        return {}
     try:
-        return from_mapping(SignalSettings, json.loads(text))
+        note = json.loads(text)
+        from_mapping(SignalSettings, note)
     except ValueError as error:  # no JSON, or no settings
         raise MediaError(f"the film's note on its signal is unreadable ({error}); set signal.* yourself") from None
+    return dict(note)
 
 
-def check_truth(film: FilmReader, truth: TruthFile) -> None:
-    """Raise a MediaError where the truth is that of another film: counting against it would invent errors."""
+def signal_of(
+    film: FilmReader, preset: SignalSettings, changes: Sequence[Mapping[str, Any]] = ()
+) -> tuple[SignalSettings, str]:
+    """What the light of a film speaks: the preset's signal, over it the film's note, over it the changes.
+
+    Parameters
+    ----------
+    film
+        Its note wins over the preset. One that is unreadable is passed over where the changes say something.
+    preset
+        What is not noted.
+    changes
+        Nested mappings of signal settings, laid over the note key by key.
+
+    Returns
+    -------
+    The signal, and where the changes differ from the note: empty, or a line on it.
+
+    Raises
+    ------
+    MediaError
+        The film's note is unreadable.
+    """
+    try:
+        note = noted_signal(film)
+    except MediaError:
+        if not any(changes):
+            raise
+        note = {}
+    noted = merge(to_mapping(preset), note)
+    tree = noted
+    for change in changes:
+        tree = merge(tree, change)
+    signal = from_mapping(SignalSettings, tree)
+    departures = _differences(signal, from_mapping(SignalSettings, noted)) if note else []
+    listed = ", ".join(f"{key}={ours} instead of {theirs}" for key, ours, theirs in departures)
+    return signal, f"not as the film's note says: {listed}" if listed else ""
+
+
+def _differences(one: SignalSettings, other: SignalSettings) -> list[tuple[str, Any, Any]]:
+    """Dotted keys in which two signals differ, with both values."""
+    pairs = [(key, _value(one, key), _value(other, key)) for key in keys_of(SignalSettings)]
+    return [(f"signal.{key}", _shown(a), _shown(b)) for key, a, b in pairs if a != b]
+
+
+def _value(settings: Any, key: str) -> Any:
+    for part in key.split("."):
+        settings = getattr(settings, part)
+    return settings
+
+
+def _shown(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def check_truth(film: FilmReader, truth: TruthFile, signal: SignalSettings) -> None:
+    """Raise a MediaError where counting against a truth would invent errors.
+
+    It must be that of the film, and the signal the film is read with must be that sent.
+    """
     camera, own = truth.settings.channel.camera, film.metadata.get(TRUTH_TAG)
     size, rate = (camera.width, camera.height), camera.fps
-    if own and truth.fingerprint and own != truth.fingerprint:
+    if own and truth.film_id and own != truth.film_id:
         differs = "they come from different simulations"
     elif size != (film.width, film.height):
         differs = f"it has frames of {size[0]}x{size[1]} pixels, the film of {film.width}x{film.height}"
     elif abs(rate / film.rate_hz - 1) > RATE_TOLERANCE:
         differs = f"it has {rate:g} frames/s, the film {film.rate_hz:g}"
+    elif departures := _differences(signal, truth.settings.signal):
+        key, ours, sent = departures[0]
+        raise MediaError(
+            f"{key} is {ours}, but {truth.path} says {sent} was sent: errors cannot be counted; "
+            f"leave signal.* as the film notes it, or give no truth"
+        )
     else:
         return
     raise MediaError(f"{truth.path} is not the truth of {film.path}: {differs}; give the one written beside the film")
@@ -163,16 +233,16 @@ def receive_film(
     MediaError
         The film breaks off or is shorter than a packet; all packets before have been given.
     """
-    receiver = Receiver(signal, settings.receive, observe)
+    receiver = make_receiver(signal, settings.receive, observe)
     broken: MediaError | None = None
     try:
         for frame in _whole_film(film, reception, progress):
-            for packet in receiver.push(frame):
+            for packet in filter(is_packet, receiver.push(frame)):
                 yield packet, list(reception.add(packet))
             reception.detections = receiver.detections
     except MediaError as error:
         broken = error
-    for packet in receiver.finish():
+    for packet in filter(is_packet, receiver.finish()):
         yield packet, list(reception.add(packet))
     if broken is not None:
         raise broken

@@ -59,6 +59,14 @@ class ArrayTally:
                 tally.bytes += len(word.block.payload) if word.block else 0
 
 
+def is_packet(packet: Packet) -> bool:
+    """Whether what a receiver hands out is a packet: with neither header nor a right codeword it is none.
+
+    What is none is neither counted nor logged; if it was sent, it is missed.
+    """
+    return packet.status not in ("no_header", "no_array")
+
+
 class Reception:
     """Gathers packets to messages and counts.
 
@@ -89,11 +97,8 @@ class Reception:
                 break
 
     def add(self, packet: Packet) -> Iterator[Message]:
-        """Count a packet; yield the messages it completes.
-
-        A packet without a right codeword and without its header is no packet: it is not counted.
-        """
-        if packet.status in ("no_header", "no_array") and packet.identity not in self.arrays:
+        """Count a packet, if it is one; yield the messages it completes."""
+        if not is_packet(packet):
             return
         if self.errors is not None:
             self.errors.received(packet)
@@ -116,6 +121,7 @@ class Reception:
         }
         if self.errors is not None:
             out["errors"] = self.errors.report()
+            out["false_packets"] = self.errors.false_packets
             out["false_codewords"] = self.errors.false_codewords
         return out
 

@@ -4,7 +4,6 @@ Only error counting and pictures read it, never a receiver.
 """
 
 import contextlib
-import hashlib
 import json
 import tempfile
 import zipfile
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import MediaError
 from heliograph.base.files import clear_write_errors, whole_file
-from heliograph.channel import Truth
+from heliograph.channel import NoiseModel, Truth
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages
 from heliograph.signal.settings import LAYERS
@@ -36,8 +35,13 @@ ARRAY_FIELDS = [
     ("distance_m", "f4"),
     ("visible", "?"),
     ("pattern", "i4"),
+    ("last_pattern", "i4"),
+    ("homography", "f4", (3, 3)),
 ]
-"""An array in a frame: `ArrayTruth`, with the first pattern shown in it or -1."""
+"""An array in a frame: `ArrayTruth`, with the first and the last pattern shown in it, or -1 and -1."""
+
+NOISE_LEVEL = 0.5
+"""Mean level, as a share of full scale, of which the truth states the rms noise."""
 
 
 def row_type(arrays: int) -> np.dtype[Any]:
@@ -50,14 +54,6 @@ def truth_path(film: Path) -> Path:
     return film.with_name(film.name + ".truth.npz")
 
 
-def fingerprint(settings: LinkSettings, messages: Sequence[Messages], seed: int) -> str:
-    """Short text that tells one simulation from another, to know which truth is whose."""
-    digest = hashlib.sha256(json.dumps([to_mapping(settings), seed, _names(messages)]).encode())
-    for data in _contents(messages):
-        digest.update(hashlib.sha256(data).digest())
-    return digest.hexdigest()[:16]
-
-
 class TruthWriter:
     """Writes the truth of a film frame by frame; the file appears whole when finished.
 
@@ -67,10 +63,13 @@ class TruthWriter:
         The .npz file.
     settings, messages, seed
         What was simulated.
+    film_id
+        Id the film has as well, to know which truth is whose.
     """
 
-    def __init__(self, path: Path, settings: LinkSettings, messages: Sequence[Messages], seed: int):
-        self._path, self._settings, self._messages, self._seed = path, settings, messages, seed
+    def __init__(self, path: Path, settings: LinkSettings, messages: Sequence[Messages], seed: int, film_id: str = ""):
+        self._path, self._settings, self._messages = path, settings, messages
+        self._seed, self._film_id = seed, film_id
         self._type = row_type(len(settings.channel.arrays))
         if path.is_dir():
             raise MediaError(f"{path} is a folder: move it away, the film's truth goes there")
@@ -83,7 +82,7 @@ class TruthWriter:
         row = np.zeros(1, self._type)
         row["index"], row["time_s"] = truth.index, truth.time_s
         row["arrays"][0] = [
-            (a.x, a.y, a.pitch_px, a.roll_rad, a.distance_m, a.visible, a.patterns[0] if a.patterns else -1)
+            (a.x, a.y, a.pitch_px, a.roll_rad, a.distance_m, a.visible, *_ends(a.patterns), a.homography)
             for a in truth.arrays
         ]
         with clear_write_errors(self._path):
@@ -110,8 +109,14 @@ class TruthWriter:
 
     def _write(self, partial: Path) -> None:
         names = _names(self._messages)
-        about = {"settings": to_mapping(self._settings), "seed": self._seed, "messages": names}
-        about["fingerprint"] = fingerprint(self._settings, self._messages, self._seed)
+        sigma = float(NoiseModel(self._settings.channel.sensor).sigma(NOISE_LEVEL))
+        about = {
+            "settings": to_mapping(self._settings),
+            "seed": self._seed,
+            "messages": names,
+            "film_id": self._film_id,
+            "noise": {"level": NOISE_LEVEL, "sigma": sigma},  # both as shares of full scale
+        }
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
             archive.writestr("about.json", json.dumps(about))
             for name, data in zip(_flat(names), _contents(self._messages), strict=True):
@@ -136,15 +141,15 @@ class TruthFile:
         The file.
     settings, messages, seed
         What was simulated.
-    fingerprint
-        What the film has as well, see `fingerprint`; empty where unknown.
+    film_id
+        Id the film has as well; empty where unknown.
     """
 
     path: Path
     settings: LinkSettings
     messages: Sequence[Messages]
     seed: int
-    fingerprint: str = ""
+    film_id: str = ""
 
     def rows(self) -> Iterator[NDArray[Any]]:
         """Rows of `row_type`, one a frame."""
@@ -179,7 +184,7 @@ def open_truth(path: Path) -> TruthFile:
         settings = from_mapping(LinkSettings, about["settings"])
         if len(messages) != len(settings.channel.arrays):
             raise ValueError(f"messages of {len(messages)} arrays, not {len(settings.channel.arrays)}")
-        return TruthFile(path, settings, messages, int(about["seed"]), str(about.get("fingerprint", "")))
+        return TruthFile(path, settings, messages, int(about["seed"]), str(about.get("film_id", "")))
 
 
 _BROKEN = (
@@ -195,6 +200,10 @@ def _broken_is_clear(path: Path) -> Iterator[None]:
         yield
     except _BROKEN as error:
         raise MediaError(f"{path} is no truth file, or damaged ({error}); simulate the film again") from None
+
+
+def _ends(patterns: Sequence[int]) -> tuple[int, int]:
+    return (patterns[0], patterns[-1]) if patterns else (-1, -1)
 
 
 def _names(messages: Sequence[Messages]) -> list[dict[str, list[str]]]:

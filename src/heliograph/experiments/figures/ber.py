@@ -109,7 +109,7 @@ def film_packets(settings: LinkSettings, rng: np.random.Generator, recordings: R
     """Counts of each packet of a film by itself: errors within a packet are not independent."""
     seed = int(rng.integers(2**31))
     messages = random_messages(settings, seed)
-    counter, receiver = ErrorCounter(settings, messages), Receiver(settings.signal, settings.receive)
+    counter, receiver = ErrorCounter(settings, messages), make_receiver(settings.signal, settings.receive)
     times: list[float] = []
     distances: list[float] = []
     records: list[Record] = []
