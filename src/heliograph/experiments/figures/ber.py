@@ -19,7 +19,7 @@ from heliograph.link.recordings import load_imu
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, simulate
 from heliograph.link.statistics import Count
-from heliograph.receive import Packet, Receiver
+from heliograph.receive import Packet, make_receiver
 from heliograph.signal.settings import LAYERS
 
 Floats = NDArray[np.float64]
