@@ -15,7 +15,7 @@ import numpy as np
 from heliograph import __version__
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import SettingsError
-from heliograph.link.bench import BLOCK_PACKETS, BLOCK_PATTERNS, BlockCounts, LayerCounts, run_block, stands_still
+from heliograph.link.bench import BlockCounts, LayerCounts, run_block, stands_still
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings
@@ -84,7 +84,7 @@ class Point:
     @property
     def key(self) -> str:
         """What a store knows the point's blocks by: all that they depend on."""
-        about = [to_mapping(self.settings), self.seed, __version__, BLOCK_PACKETS, BLOCK_PATTERNS]
+        about = [to_mapping(self.settings), self.seed, __version__]
         return _digest([*about, {name: one.digest for name, one in sorted(self.recordings.items())}])
 
     def block_seed(self, block: int) -> int:

@@ -24,9 +24,6 @@ from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS
 
-BLOCK_PACKETS, BLOCK_PATTERNS = 10, 1000
-"""Packets of a static block: as many as fit into so many patterns, at most 10 and at least one."""
-
 MARGIN_PX = 12
 """Least margin of the window about the arrays: room for the tracker and for the motion within a header."""
 
@@ -134,10 +131,10 @@ def run_block(
     Parameters
     ----------
     settings
-        The link. Where nothing moves, the block is a film of about 10 packets, whatever ``channel.duration_s``; else
-        the whole drive.
+        The link. Where nothing moves, the block is a film of one packet, whatever ``channel.duration_s``, with the
+        arrays anywhere within a pixel of their places; else the whole drive.
     seed
-        Of messages, road, scene and noise.
+        Of messages, road, scene, noise and place.
     recordings
         Real background and motion.
     max_packets
@@ -148,7 +145,7 @@ def run_block(
     HeliographError
         Settings, recordings and receiver do not fit each other.
     """
-    settings = block_settings(settings, max_packets)
+    settings = dithered(block_settings(settings, max_packets), seed)
     live = _LiveFilm(settings, random_messages(settings, seed), seed, recordings)
     reception = Reception(cast(TruthFile, live))
     packets = receive_film(cast(FilmReader, live), settings.signal, settings, reception)
@@ -159,7 +156,7 @@ def run_block(
 def block_settings(settings: LinkSettings, max_packets: int | None = None) -> LinkSettings:
     """The settings with the length of film that `run_block` takes."""
     channel, signal = settings.channel, settings.signal
-    packets = min(max(1, min(BLOCK_PACKETS, BLOCK_PATTERNS // signal.packet_patterns)), max_packets or BLOCK_PACKETS)
+    packets = max_packets or 1
     slowest = 1 + 1e-6 * max(0.0, *(p.clock_ppm for p in channel.arrays))
     latest = max(channel.camera.start_s, *(p.start_s for p in channel.arrays))
     if stands_still(settings):
@@ -167,6 +164,19 @@ def block_settings(settings: LinkSettings, max_packets: int | None = None) -> Li
     if max_packets is None:
         return settings
     return _lasting(settings, latest + max_packets * signal.packet_s * slowest)
+
+
+def dithered(settings: LinkSettings, seed: int) -> LinkSettings:
+    """Where nothing moves, the arrays anywhere within a pixel: errors depend on where LEDs fall between pixels."""
+    if not stands_still(settings):
+        return settings
+    channel, rng = settings.channel, np.random.default_rng([seed, 2])
+    places = []
+    for place in channel.arrays:
+        pixel_m = (channel.distance_m + place.z_offset_m) / channel.camera.focal_px
+        x, y = np.array([place.x_m, place.y_m]) + rng.uniform(-0.5, 0.5, 2) * pixel_m
+        places.append(replace(place, x_m=float(x), y_m=float(y)))
+    return replace(settings, channel=replace(channel, arrays=tuple(places)))
 
 
 def stands_still(settings: LinkSettings) -> bool:

@@ -264,7 +264,7 @@ def _change(frames: list[NDArray[np.uint8] | NDArray[np.uint16]]) -> NDArray[np.
 
 
 def _blank(mean: NDArray[np.float32], pose: Pose, side: int, origin: tuple[int, int]) -> None:
-    x0, y0, width, height = window_around(pose, side, 2.0)
+    x0, y0, width, height = window_around(pose, side, BLOCK)
     i, j = max(0, (y0 - origin[1]) // BLOCK), max(0, (x0 - origin[0]) // BLOCK)
     mean[i : max(0, (y0 - origin[1] + height) // BLOCK + 1), j : max(0, (x0 - origin[0] + width) // BLOCK + 1)] = 0
 

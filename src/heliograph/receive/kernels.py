@@ -171,13 +171,17 @@ def alternation(f0, f1, f2, f3, out):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, fastmath=True)
 def block_means(image, size, out):  # type: ignore[no-untyped-def]
     """Mean magnitude over blocks of size x size pixels."""
+    columns = np.empty(out.shape[1] * size, np.float32)
     for bi in range(out.shape[0]):
+        columns[:] = 0.0
+        for i in range(bi * size, bi * size + size):
+            row = image[i]
+            for j in range(columns.shape[0]):
+                columns[j] += abs(row[j])
         for bj in range(out.shape[1]):
             total = np.float32(0.0)
-            for i in range(bi * size, bi * size + size):
-                row = image[i]
-                for j in range(bj * size, bj * size + size):
-                    total += abs(row[j])
+            for j in range(bj * size, bj * size + size):
+                total += columns[j]
             out[bi, bj] = total / np.float32(size * size)
 
 
