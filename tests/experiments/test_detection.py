@@ -12,6 +12,7 @@ from heliograph.experiments.candidates import WAYS, Probe, Scores
 from heliograph.experiments.chapter import Chapter, Context
 from heliograph.experiments.clutter import backdrops, shoot
 from heliograph.experiments.detection_trials import Effort, Measured
+from heliograph.experiments.detection_verdicts import compared, ingredients
 from heliograph.experiments.figures import detection
 from heliograph.experiments.identities import confusion
 from heliograph.experiments.lamps import FRAMES, SIZE, drawn_backdrop, lamp_backdrop
@@ -63,8 +64,24 @@ def test_films_are_counted_once_by_each_way(measured: Measured) -> None:
     for way in WAYS:
         assert measured.scores[way.name].all_false().size == 2 * trials.LAMP_FILMS + 2
         assert [measured.scores[way.name].all_true(z).size for z in trials.DISTANCES] == [2, 2, 2]
-    assert measured.receiver_false.trials == 8
+    assert {scene: count.trials for scene, count in measured.receiver_false.items()} == {"lamps": 6, "drawn scene": 2}
+    assert measured.set_false().trials == 8
+    assert [measured.set_found(z, ["lamps"]).trials for z in trials.DISTANCES] == [1, 1, 1]
     assert measured.example is not None
+
+
+def test_lamps_are_judged_apart_from_what_is_filmed() -> None:
+    scenes = {"clip": 40, "drawn scene": 40, "lamps": 120}
+    false = {scene: [0.0] * films for scene, films in scenes.items()}
+    true = {(scene, z): [0.99] for scene in scenes for z in trials.DISTANCES}
+    alarms = false | {"lamps": [0.95] * 60 + [0.0] * 60}
+    counts = Measured({way.name: Scores(alarms if way.detector == "all_on" else false, true) for way in WAYS})
+    claims = compared(counts)
+    assert [one.verdict for one in claims] == ["differs", "holds", "shown", "holds"]
+    assert "clip 0 of 40" in claims[0].ours
+    assert "lamps" not in claims[0].ours
+    assert "lamps 60 of 120" in claims[1].ours
+    assert not any("of 200" in one.ours for one in (*claims, ingredients(counts)))
 
 
 def test_films_are_repeatable_and_hold_what_they_say() -> None:

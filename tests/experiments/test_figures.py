@@ -50,6 +50,12 @@ def test_exposure_integrates_the_pulses(chapters: dict[str, Chapter]) -> None:
     assert [f.verdict for f in chapters["fig4"].findings] == ["holds", "differs"]
 
 
+def test_a_reason_is_given_only_where_half_an_exposure_differs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pwm, "filmed", lambda *_: np.linspace(0, 1, 5))
+    half = pwm.run(Context()).findings[1]
+    assert (half.verdict, half.why) == ("holds", "")
+
+
 def test_packets_hold_headers_and_inverses(chapters: dict[str, Chapter]) -> None:
     assert chapters["fig5"].findings[0].verdict == "holds"
     assert "6 of 6" in chapters["fig5"].findings[0].ours

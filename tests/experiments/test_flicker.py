@@ -1,5 +1,7 @@
 """Measures of flicker on waveforms whose values are known, and on the light of the transmitter."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -91,10 +93,23 @@ def test_all_on_headers_break_what_m_sequences_keep(waves: dict[str, NDArray[np.
     assert all_on.svm > 1
 
 
+def test_limits_are_judged_by_the_spread_of_the_stretches() -> None:
+    good = flicker.measure(square(1000), SLOT_S)
+    steady, bad = replace(good, limit_share=0.5, svm=0.1), replace(good, limit_share=0.5, svm=0.9)
+    for count, kept in ((0, True), (5, None), (10, False)):
+        assert chapter._kept(chapter.Stretches([bad] * count + [steady] * (10 - count))) is kept
+    assert chapter.Stretches([steady, bad]).text("svm", ".1f") == "0.5 (0.1-0.9)"
+
+
 def test_chapter_judges_by_its_numbers() -> None:
     done = chapter.run(Context())
     verdicts = [finding.verdict for finding in done.findings]
     numbers = done.data[chapter.PAIRS]
-    assert verdicts[1] == ("holds" if numbers["svm"] <= 0.4 and numbers["limit_share"] <= 1 else "differs")
-    assert "500 of 500 pairs" in done.findings[0].ours
+    assert len(numbers["svm"]) == chapter.STRETCHES
+    assert np.ptp(numbers["svm"]) > 0  # random data, no stretch like another
+    low, high = ([np.quantile(numbers[name], q) for name in ("svm", "limit_share")] for q in (0.05, 0.95))
+    kept, broken = high[0] <= 0.4 and high[1] <= 1, low[0] > 0.4 or low[1] > 1
+    assert verdicts[1] == ("holds" if kept else "differs" if broken else "shown")
+    assert "5000 of 5000 pairs" in done.findings[0].ours
+    assert all("bandwidth 1 Hz" in finding.ours for finding in done.findings)
     assert len(done.pictures) == 2

@@ -148,6 +148,26 @@ def test_verdicts_follow_the_numbers(start: str, change: dict[str, Score]) -> No
     assert other.why
 
 
+def test_a_part_of_the_drive_tells_nothing_against_fig_11() -> None:
+    (part,) = (f for f in findings(fake(day_none=GOOD), DAY, {"at night": [DARK]}, whole=False) if "Fig. 11" in f.claim)
+    assert part.verdict == "shown"
+    assert DAY in part.why
+
+
+@pytest.mark.parametrize(
+    ("drawn", "clip", "verdict"),
+    [(AWAY, AWAY, "holds"), (GOOD, GOOD, "differs"), (AWAY, GOOD, "shown"), (GOOD, AWAY, "shown")],
+)
+def test_night_is_judged_by_all_dark_films(drawn: Score, clip: Score, verdict: str) -> None:
+    table = fake(dark_back=drawn)
+    table["night-road"] = table[DARK] | {BACKGROUND: clip}
+    night = [DARK, *tracking.night_clips(["dashcam", "night-road"])]
+    (found,) = (f for f in findings(table, DAY, {"at night": night}) if f.claim.startswith("IV.B.2"))
+    assert found.verdict == verdict
+    assert "night-road: " in found.ours
+    assert ("night-road" in found.why) == (verdict != "holds")
+
+
 def test_the_claim_about_data_rate_hangs_on_the_leds_lost() -> None:
     by = {rate.method: rate.kb_s for rate in rates()}
     assert (by["inverted signals"], by["known pattern"]) == (128, 192)

@@ -3,9 +3,13 @@
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 from heliograph.base.files import clear_write_errors
 from heliograph.cli import console
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 def run_reproduce(
@@ -20,9 +24,17 @@ def run_reproduce(
         output.mkdir(parents=True, exist_ok=True)
     known = {"quick": quick, "seed": seed, "workers": workers or os.cpu_count() or 1, **recordings_in(data)}
     try:
-        with console.progress("reproducing", len(keys)) as advance:
-            context = Context(**known)
-            chapters = reproduce(keys, context, output, lambda key, _: advance(keys.index(key)))
+        with console.progress("reproducing", len(keys)) as bar:
+            advance = cast("Callable[[float], None]", bar)  # the bar takes parts of a chapter too
+            done = 0
+
+            def begin(key: str, _: object) -> None:
+                nonlocal done
+                done = keys.index(key)
+                advance(done)
+
+            context = Context(**known, progress=lambda _, share: advance(done + share))
+            chapters = reproduce(keys, context, output, begin)
     except KeyboardInterrupt:
         console.complain(f"interrupted; {output} holds the experiments done so far")
         sys.exit(console.INTERRUPTED)

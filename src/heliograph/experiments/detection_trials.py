@@ -1,6 +1,6 @@
 """Films with and without an array, and what each way of detecting and the receiver make of them."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +22,9 @@ FOUND = 0.95
 
 SCORE = ReceiveSettings().detect.score
 """The receiver's own threshold, by which the ways are compared first."""
+
+LAMPS = "lamps"
+"""The scene full of lamps, which move, flicker and turn; the others are footage and a drawn street at rest."""
 
 LAMP_FILMS = 3
 """Times as many films of the lamps as of the other scenes: there the false alarms are."""
@@ -53,16 +56,28 @@ class Measured:
     """Scores of the four ways, and counts of the receiver as it is set."""
 
     scores: dict[str, Scores] = field(default_factory=lambda: {way.name: Scores({}, {}) for way in WAYS})
-    receiver_false: Count = field(default_factory=Count)
-    receiver_found: dict[float, Count] = field(default_factory=dict)
+    receiver_false: dict[str, Count] = field(default_factory=dict)
+    receiver_found: dict[tuple[str, float], Count] = field(default_factory=dict)
     example: tuple[float, Film, Pose] | None = None
+
+    def set_false(self, scenes: Collection[str] | None = None) -> Count:
+        """False alarms of the receiver as it is set, in some scenes or all."""
+        return together(count for scene, count in self.receiver_false.items() if scenes is None or scene in scenes)
+
+    def set_found(self, distance_m: float, scenes: Collection[str] | None = None) -> Count:
+        """Arrays it finds at a distance, in some scenes or all."""
+        return together(
+            count
+            for (scene, z), count in self.receiver_found.items()
+            if z == distance_m and (scenes is None or scene in scenes)
+        )
 
 
 def measure(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None, context: Context) -> Measured:
     """Scores of all ways in all films."""
     out, probes = Measured(), {way.name: Probe(way) for way in WAYS}
     for place, (name, scene) in enumerate(scenes.items()):
-        films = effort.without * (LAMP_FILMS if name == "lamps" else 1)
+        films = effort.without * (LAMP_FILMS if name == LAMPS else 1)
         for trial in range(films):
             rng = np.random.default_rng([context.seed, place, trial, 0])
             _without(out, probes, name, shoot(scene(rng), rng, imu))
@@ -81,7 +96,7 @@ def _without(out: Measured, probes: Mapping[str, Probe], scene: str, film: Film)
         out.scores[name].false.setdefault(scene, []).append(score)
         if best and name == WAYS[0].name and (out.example is None or score > out.example[0]):
             out.example = score, film, best.pose
-    out.receiver_false.add(1, bool(detections(film)))
+    out.receiver_false.setdefault(scene, Count()).add(1, bool(detections(film)))
 
 
 def _with(
@@ -108,19 +123,25 @@ def _with(
     assert film.truth is not None
     truth = film.truth
     found = any(cand.same(one.fit.pose, truth) and one.identity == identity for one in detections(film))
-    out.receiver_found.setdefault(distance, Count()).add(1, found)
+    out.receiver_found.setdefault((scene, distance), Count()).add(1, found)
 
 
-def false_alarms(scores: Scores, threshold: float = SCORE) -> Count:
-    """Films without an array in which something exceeds a threshold."""
-    false = scores.all_false()
-    return Count(false.size, int((false > threshold).sum()))
+def together(counts: Iterable[Count]) -> Count:
+    """The sum of counts."""
+    every = list(counts)
+    return Count(sum(c.trials for c in every), sum(c.errors for c in every))
 
 
-def found_above(scores: Scores, threshold: float = SCORE) -> Count:
-    """Arrays at all distances that exceed a threshold."""
-    true = np.concatenate([scores.all_true(z) for z in DISTANCES])
-    return Count(true.size, int((true > threshold).sum()))
+def false_alarms(scores: Scores, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
+    """Films without an array, of some scenes or all, in which something exceeds a threshold."""
+    false = [s for scene, found in scores.false.items() if scenes is None or scene in scenes for s in found]
+    return Count(len(false), sum(s > threshold for s in false))
+
+
+def found_above(scores: Scores, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
+    """Arrays at all distances, in some scenes or all, that exceed a threshold."""
+    true = [s for (scene, _), found in scores.true.items() if scenes is None or scene in scenes for s in found]
+    return Count(len(true), sum(s > threshold for s in true))
 
 
 def threshold_of(scores: Scores) -> float:

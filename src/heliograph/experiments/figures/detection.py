@@ -39,13 +39,16 @@ TEXT = (
     "difference of two frames or in f0 - 3 f1 + 3 f2 - f3 of four. All use the receiver's search and fit, on the same "
     "scenes, shake and noise; candidates of three ranges of size are kept apart, since parts of a lit square are lit "
     "squares. The score is the correlation of pixels and fitted header. A false alarm is a film without an array in "
-    "which a candidate exceeds the threshold; as a receiver looks once a frame, it is stated by 1000 frames. An array "
+    "which a candidate exceeds the threshold. An array "
     "counts as found where a candidate at its place, of its size, and (M-sequence) of its identity exceeds the "
-    "threshold. Between frames of a clip the channel fades, so things that move by themselves change evenly there, "
+    "threshold. Arrays are looked for at their place only, false alarms in whole frames: a found array says that its "
+    "own candidate passes, not that nothing else in the frame scores higher. "
+    "Between frames of a clip the channel fades, so things that move by themselves change evenly there, "
     "which four frames cancel and two do not; the shake moves the whole scene frame by frame. Two thresholds: the "
     "receiver's own of 0.9, and the one that 95 % of these arrays exceed, which is as high as only clean, sharp, "
-    "unhidden arrays allow. Of the street full of lamps three times as many films are taken as of each other scene, "
-    "so false alarms of all scenes together mean this mixture; a table has them by scene. The receiver beside these "
+    "unhidden arrays allow. Footage and the still street are judged apart from the street full of lamps, which is "
+    "drawn to deceive. Of the lamps three times as many films are taken as of each other scene; the curves, and the "
+    "table of arrays found at equal false alarms, are of this mixture, which no road has. The receiver beside these "
     "has all its checks, also that the header's frames alternate in step. Intervals are Clopper-Pearson, 95 %."
 )
 
@@ -77,7 +80,7 @@ def run(context: Context, effort: Effort | None = None) -> Chapter:
 def _found_table(measured: Measured) -> Table:
     """Arrays found where at most 1 % of the films without one give an alarm; and as set."""
     rows = [[way.name, *(counted(found_at(measured.scores[way.name], z, 0.01)) for z in DISTANCES)] for way in WAYS]
-    rows.append(["receiver as set", *(counted(measured.receiver_found[z]) for z in DISTANCES)])
+    rows.append(["receiver as set", *(counted(measured.set_found(z)) for z in DISTANCES)])
     return Table(
         "Arrays found at no more than 10 false alarms in 1000 frames", ["way", *(f"{z:g} m" for z in DISTANCES)], rows
     )
@@ -151,7 +154,7 @@ def _roc(measured: Measured) -> "Figure":
             alarms, found = cand.curve(scores.all_false(), scores.all_true(distance))
             least = 0.5 / scores.all_false().size
             axes.step(1000 * np.maximum(alarms, least), found, where="post", color=colour, lw=1.6, label=way.name)
-        count, false = measured.receiver_found[distance], max(measured.receiver_false.rate, least)
+        count, false = measured.set_found(distance), max(measured.set_false().rate, least)
         axes.plot(1000 * false, count.rate, "*", color="#1d2126", ms=11, label="receiver as set")
         axes.set(
             xscale="log",
@@ -189,8 +192,8 @@ def _data(measured: Measured, told: Mapping[float, Confusion]) -> dict[str, Any]
     return {
         "scores": cand.plain(measured.scores),
         "receiver": {
-            "false": [measured.receiver_false.errors, measured.receiver_false.trials],
-            "found": {f"{z:g} m": [c.errors, c.trials] for z, c in measured.receiver_found.items()},
+            "false": {scene: [c.errors, c.trials] for scene, c in measured.receiver_false.items()},
+            "found": {f"{scene}, {z:g} m": [c.errors, c.trials] for (scene, z), c in measured.receiver_found.items()},
         },
         "identities": {f"{z:g} m": c.counts.tolist() for z, c in told.items()},
     }

@@ -53,7 +53,9 @@ def run(context: Context) -> Chapter:
                 f"With half of T_b, and slots lit from the first on, levels 0 to 4 give {_numbers(half.mean(0))}: "
                 f"{_alike(half.mean(0))} of 4 steps between levels are lost.",
                 "differs" if _alike(half.mean(0)) else "holds",
-                "An exposure must last the whole T_b for PWM, or the levels lit after its end look alike.",
+                "An exposure must last the whole T_b for PWM, or the levels lit after its end look alike."
+                if _alike(half.mean(0))
+                else "",
             ),
         ],
         pictures=[

@@ -62,7 +62,7 @@ def rates(lost: int | None = None) -> list[Rate]:
     ]
 
 
-def findings(table: Scores, day: str, dark: dict[str, list[str]]) -> list[Finding]:
+def findings(table: Scores, day: str, dark: dict[str, list[str]], *, whole: bool = True) -> list[Finding]:
     """All claims.
 
     Parameters
@@ -73,9 +73,11 @@ def findings(table: Scores, day: str, dark: dict[str, list[str]]) -> list[Findin
         The film in daylight that the dark ones are compared with.
     dark
         Films with little light, by what the paper calls them.
+    whole
+        Whether the films show the whole drive: in a part of it the array may stay where it was found.
     """
     return [
-        _without(table),
+        _without(table, whole),
         _with(table),
         *(_background(table, day, what, films) for what, films in dark.items()),
         _dark(table, [film for films in dark.values() for film in films]),
@@ -87,14 +89,16 @@ def findings(table: Scores, day: str, dark: dict[str, list[str]]) -> list[Findin
     ]
 
 
-def _without(table: Scores) -> Finding:
+def _without(table: Scores, whole: bool) -> Finding:
     parts = {film: row["none"] for film, row in table.items()}
     stays = [film for film, s in parts.items() if not s.lost]
     return Finding(
         "Fig. 11: without tracking, the array moves out of the cut-out.",
         _list({film: f"partly out in {s.lost} of {s.pairs} pairs" for film, s in parts.items()}),
-        _verdict(not stays),
-        f"It stays inside in: {', '.join(stays)}." if stays else "",
+        _verdict(not stays) if whole or not stays else "shown",
+        f"It stays inside in: {', '.join(stays)}.{'' if whole else ' The films are a part of the drive.'}"
+        if stays
+        else "",
     )
 
 
@@ -117,7 +121,8 @@ def _background(table: Scores, day: str, what: str, films: list[str]) -> Finding
     works = [film for film in films if film not in failed]
     why = "" if by_day else "It does not track by day either. "
     if works:
-        why += f"It still takes out more than half of the vibration in: {', '.join(works)}."
+        why += f"It still takes out more than half of the vibration in: {', '.join(works)}; "
+        why += f"it fails in: {', '.join(failed)}." if failed else "it fails in none."
     texts = {
         film: f"{table[film][BACKGROUND].shake_px:.3f} of {table[film]['none'].shake_px:.3f} px vibration left "
         f"({share:.0%}), {table[film][BACKGROUND].pairs} pairs"
@@ -126,7 +131,7 @@ def _background(table: Scores, day: str, what: str, films: list[str]) -> Finding
     return Finding(
         f"IV.B.2: the motion vector of the background cannot track {what}, as there is no background light.",
         _list(texts),
-        _verdict(by_day and not works),
+        "shown" if by_day and works and failed else _verdict(by_day and not works),
         why.strip(),
     )
 
