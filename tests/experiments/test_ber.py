@@ -6,14 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from heliograph.base.frames import Frame
 from heliograph.experiments.chapter import Context
 from heliograph.experiments.figures import ber
 from heliograph.link.bench import LayerCounts, random_messages, run_block
 from heliograph.link.errors import ErrorCounter
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import simulate
-from heliograph.receive import Receiver
+from heliograph.link.statistics import Count
+from heliograph.receive import Packet, Receiver
 from heliograph.signal.settings import LAYERS
+
+NONE_LOST = Count(200, 0), Count(200, 0)
 
 
 def records(rate: float, count: int, rng: np.random.Generator) -> list[ber.Record]:
@@ -31,7 +35,7 @@ def test_equal_rates_are_alike() -> None:
     found = ber.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
     assert {c.bin_m for c in found} == {52.5, 57.5, None}
     assert [c.verdict for c in found] == ["alike"] * 9
-    assert ber._alike(found).verdict == "holds"
+    assert ber._alike(found, *NONE_LOST).verdict == "holds"
 
 
 def test_a_faked_difference_is_found() -> None:
@@ -39,7 +43,7 @@ def test_a_faked_difference_is_found() -> None:
     found = ber.compare(records(0.02 * 1.9, 120, rng), records(0.02, 120, rng), rng)
     assert {c.verdict for c in found} == {"apart"}
     assert all(1.6 < c.ratio < 2.3 for c in found)
-    assert ber._alike(found).verdict == "differs"
+    assert ber._alike(found, *NONE_LOST).verdict == "differs"
 
 
 def test_few_packets_decide_nothing() -> None:
@@ -47,7 +51,7 @@ def test_few_packets_decide_nothing() -> None:
     found = ber.compare(records(0.03, 4, rng), records(0.02, 4, rng), rng)
     assert all(c.verdict != "apart" for c in found)
     assert ber.compare([], [], rng) == []
-    assert ber._alike([]).verdict == "shown"
+    assert ber._alike([], *NONE_LOST).verdict == "shown"
 
 
 def test_false_alarms_are_rare() -> None:
@@ -59,6 +63,76 @@ def test_false_alarms_are_rare() -> None:
         for c in ber.compare(records(0.01, 20, rng), records(0.01, 20, rng), rng)
     ]
     assert np.mean(alarms) < 0.02
+
+
+def test_lost_packets_count() -> None:
+    rng = np.random.default_rng(0)
+    found = ber.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
+    worse = ber._alike(found, Count(200, 20), Count(200, 2))
+    assert worse.verdict == "differs"
+    assert "20 of 200 driving, 2 of 200 at rest" in worse.ours
+    assert "lost" in worse.why
+    assert ber._alike(found, Count(200, 2), Count(200, 20)).verdict == "holds"
+    assert ber._alike(found, Count(20, 1), Count(20, 0)).verdict == "shown"
+    assert ber._alike(found, Count(), Count()).verdict == "shown"
+
+
+def test_drives_that_differ_widen_the_interval() -> None:
+    rng = np.random.default_rng(4)
+    drives = [k % 4 for k in range(200)]
+    one, other = records(0.02, 200, rng), records(0.02, 200, rng)
+    for k, record in zip(drives, one, strict=True):
+        for counts in record.layers.values():
+            counts.raw_errors = counts.raw_errors * (k + 1) // 2
+    plain, by_drive = (ber.compare(one, other, np.random.default_rng(5), drives=d)[-1] for d in ((), drives))
+    assert by_drive.ratio == plain.ratio
+    assert by_drive.high - by_drive.low > 2 * (plain.high - plain.low)
+
+
+def test_layers_of_which_nothing_was_read_are_not_compared() -> None:
+    rng = np.random.default_rng(6)
+    one, other = records(0.02, 50, rng), records(0.02, 50, rng)
+    other[0].layers["low"].raw_bits = other[0].layers["low"].raw_errors = 0
+    pairs = {c.layer: c.pairs for c in ber.compare(one, other, rng) if c.bin_m is None}
+    assert pairs == {"high": 50, "middle": 50, "low": 49}
+
+
+@pytest.mark.parametrize(
+    ("counts", "verdict", "why"),
+    [
+        (LayerCounts(codewords=1000), "holds", ""),
+        (LayerCounts(codewords=100), "shown", "Too few"),
+        (LayerCounts(raw_bits=1000, raw_errors=20, codewords=100, codeword_errors=5), "differs", ""),
+        (LayerCounts(raw_bits=1000, raw_errors=200, codewords=100, codeword_errors=5), "differs", "too much"),
+        (LayerCounts(0, 0, 1000, 200, 100, 5, 5), "differs", "5 of the 5 wrong codewords are of packets not received."),
+        (LayerCounts(0, 0, 1000, 200, 100, 5, 2), "differs", "2 of the 5 wrong"),
+        (LayerCounts(), "shown", "Too few"),
+    ],
+)
+def test_reasons_of_wrong_codewords(counts: LayerCounts, verdict: str, why: str) -> None:
+    finding = next(ber._error_free(ber.Sums({77.5: dict.fromkeys(LAYERS, counts)})))
+    assert finding.verdict == verdict
+    assert why in finding.why
+    assert bool(finding.why) == bool(why)
+    assert ("too much" in finding.why) == (counts.raw_errors == 200 and counts.missed < counts.codeword_errors)
+
+
+class Deaf:
+    """A receiver that passes on each packet twice, or none."""
+
+    def __init__(self, receiver: Receiver, times: int):
+        self.receiver, self.times = receiver, times
+
+    def push(self, frame: Frame) -> list[Packet]:
+        return [packet for packet in self.receiver.push(frame) for _ in range(self.times)]
+
+
+@pytest.mark.parametrize(("times", "packets", "lost"), [(0, 0, 1), (2, 1, 0)])
+def test_lost_and_repeated_packets(monkeypatch: pytest.MonkeyPatch, times: int, packets: int, lost: int) -> None:
+    monkeypatch.setattr(ber, "make_receiver", lambda *args: Deaf(Receiver(*args), times))
+    one = ber.measure(ber.Task(35.0, "haar", (7,)))
+    assert (len(one.packets), list(one.lost)) == (packets, [37.5] * lost)
+    assert ber._lost([one, one]) == Count(2, 2 * lost)
 
 
 def test_holm() -> None:
@@ -128,6 +202,7 @@ def test_chapter(monkeypatch: pytest.MonkeyPatch) -> None:
     assert data["driving"]
     assert data["false_codewords"] == 0
     assert all(np.isfinite([c["ratio"], c["p"]]).all() for c in data["comparison"])
-    assert [f.verdict for f in chapter.findings][1] == "holds"
+    assert [f.verdict for f in chapter.findings][1] == "shown"
+    assert data["lost"]["driving"]["trials"] == data["lost"]["static"]["trials"] > 0
     assert len(chapter.pictures) == 2
     assert all(len(row) == len(t.head) for t in chapter.tables for row in t.rows)

@@ -82,10 +82,7 @@ def measure(flux: ArrayLike, slot_s: float) -> Flicker:
 
 
 def spectrum(flux: ArrayLike, slot_s: float, top_hz: float = SVM_TOP_HZ) -> Spectrum:
-    """Fourier components of a light that holds each value for a slot and then repeats, without its mean.
-
-    Lines of a light that is random lie as close as the given stretch is long; their height falls with its root.
-    """
+    """Fourier components of a light that holds each value for a slot and then repeats, without its mean."""
     f = np.asarray(flux, float)
     hz = np.arange(1, int(top_hz * f.size * slot_s + 1e-9) + 1) / (f.size * slot_s)
     lines = np.fft.fft(f) / f.size

@@ -20,6 +20,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, simulate
 from heliograph.link.statistics import Count
 from heliograph.receive import Packet, make_receiver
+from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS
 
 Floats = NDArray[np.float64]
@@ -42,6 +43,15 @@ FEWEST = 30
 
 RESAMPLES = 4000
 
+LOST_MARGIN = 0.05
+"""Difference of the shares of packets lost up to which driving and static are taken for alike."""
+
+RARE = 1e-2
+"""Bound of the rate of wrong codewords below which none wrong is taken for free of error."""
+
+TOO_MUCH = 0.13
+"""Raw error rate from which on the code may be the reason of wrong codewords; rate 1/3 stands about 0.15."""
+
 
 @dataclass(frozen=True, slots=True)
 class Record:
@@ -61,12 +71,15 @@ class Filmed:
         Those received.
     missed
         Codewords of the others by distance bin and layer.
+    lost
+        The packets filmed whole of which nothing was received, each by the middle of its distance bin.
     false_codewords
         Codewords taken for right that were not sent.
     """
 
     packets: Sequence[Record]
     missed: Mapping[float, Mapping[str, int]]
+    lost: Sequence[float] = ()
     false_codewords: int = 0
 
 
@@ -121,18 +134,23 @@ def film_packets(settings: LinkSettings, rng: np.random.Generator, recordings: R
         for packet in receiver.push(frame):
             if packet.status not in ("no_header", "no_array"):
                 middle = packet.start_time_s + settings.signal.packet_s / 2
-                records.append(_counted(counter, packet, float(np.interp(middle, times, distances))))
+                record = _counted(counter, packet, float(np.interp(middle, times, distances)))
+                records += [record] if record else []
     missed = {start: {n: e.missed for n, e in layers.items() if e.missed} for start, layers in counter.bins().items()}
-    return Filmed(records, {start: layers for start, layers in missed.items() if layers}, counter.false_codewords)
+    missed = {start: layers for start, layers in missed.items() if layers}
+    words = PacketFormat(settings.signal).layers["high"].codewords
+    lost = [start + BIN_M / 2 for start, layers in missed.items() for _ in range(layers["high"] // words)]
+    return Filmed(records, missed, lost, counter.false_codewords)
 
 
-def _counted(counter: ErrorCounter, packet: Packet, distance_m: float) -> Record:
-    """What a packet adds to the counts."""
+def _counted(counter: ErrorCounter, packet: Packet, distance_m: float) -> Record | None:
+    """What a packet adds to the counts; None if it is none of its own: cut by the film's end, or received before."""
     before = {name: LayerCounts.of(errors) for name, errors in counter.total().items()}
     counter.received(packet)
     after = {name: LayerCounts.of(errors) for name, errors in counter.total().items()}
     counts = {name: _more(after[name], before[name]) for name in LAYERS}
-    return Record(distance_m, counts)
+    own = all(one.codewords > 0 and min(asdict(one).values()) >= 0 for one in counts.values())
+    return Record(distance_m, counts) if own and any(one.raw_bits for one in counts.values()) else None
 
 
 def _more(after: LayerCounts, before: LayerCounts) -> LayerCounts:
@@ -183,7 +201,7 @@ class Comparison:
     driving, static
         Raw error rates.
     ratio, low, high
-        Driving over static, with a 95 % interval over packets.
+        Driving over static, with a 95 % interval over packets or drives, whichever is wider.
     p
         Of equality, adjusted by Holm.
     verdict
@@ -207,13 +225,17 @@ _Paired = tuple[str, float | None, tuple[float, ...]]
 
 
 def compare(
-    driving: Sequence[Record], static: Sequence[Record], rng: np.random.Generator, margin: float = MARGIN
+    driving: Sequence[Record],
+    static: Sequence[Record],
+    rng: np.random.Generator,
+    margin: float = MARGIN,
+    drives: Sequence[int] = (),
 ) -> list[Comparison]:
     """Whether packets of a drive have the raw error rates of packets at rest at the same distances.
 
     Equality is tested by turning the signs of the pairs' differences, with Holm's correction over all layers and bins,
     and over the layers where all bins are taken together. The interval of the ratio is a bootstrap over pairs, so that
-    errors of a packet may depend on each other.
+    errors of a packet may depend on each other, or one over drives, so that packets of a drive may, if it is wider.
 
     Parameters
     ----------
@@ -223,19 +245,24 @@ def compare(
         Of the resampling.
     margin
         Factor up to which they are taken for alike.
+    drives
+        Which drive each packet is of; none given: all of one, and the bootstrap is over pairs only.
 
     Returns
     -------
     By layer and bin where there are errors enough to compare, and by layer with all bins together.
     """
     bins = np.array([bin_of(record.distance_m) for record in driving])
+    films = np.array(drives or [0] * len(driving))
     found: list[_Paired] = []
     for layer in LAYERS:
         for place in (*np.unique(bins), None):
-            here = np.flatnonzero(np.ones(len(bins), bool) if place is None else bins == place)
+            here = np.flatnonzero(_read(driving, static, layer) & ((bins == place) | (place is None)))
             one, other = (_rates([side[int(i)] for i in here], layer) for side in (driving, static))
             if len(here) >= 3 and one[1] + other[1] >= FEWEST:
-                found.append((layer, None if place is None else float(place), _paired(one[0], other[0], rng)))
+                found.append(
+                    (layer, None if place is None else float(place), _paired(one[0], other[0], films[here], rng))
+                )
     return [_comparison(*one, p, margin) for one, p in zip(found, _adjusted(found), strict=True)]
 
 
@@ -248,6 +275,12 @@ def _adjusted(found: Sequence[_Paired]) -> list[float]:
     return [adjusted[k] for k in range(len(found))]
 
 
+def _read(driving: Sequence[Record], static: Sequence[Record], layer: str) -> NDArray[np.bool_]:
+    """In which pairs bits of the layer were read, of both."""
+    both = zip(driving, static, strict=True)
+    return np.array([min(a.layers[layer].raw_bits, b.layers[layer].raw_bits) > 0 for a, b in both], dtype=bool)
+
+
 def _rates(records: Sequence[Record], layer: str) -> tuple[Floats, int]:
     """Raw error rate of each packet, and their errors in all."""
     counts = [record.layers[layer] for record in records]
@@ -255,12 +288,17 @@ def _rates(records: Sequence[Record], layer: str) -> tuple[Floats, int]:
     return rates, sum(c.raw_errors for c in counts)
 
 
-def _paired(a: Floats, b: Floats, rng: np.random.Generator) -> tuple[float, ...]:
-    """(pairs, mean a, mean b, ratio, low, high, p) of paired rates."""
+def _paired(a: Floats, b: Floats, drives: NDArray[np.int_], rng: np.random.Generator) -> tuple[float, ...]:
+    """(pairs, mean a, mean b, ratio, low, high, p) of paired rates, and of which drive each pair is."""
     tiny = 1e-9
-    draws = rng.integers(0, len(a), (RESAMPLES, len(a)))
-    ratios = (a[draws].sum(1) + tiny) / (b[draws].sum(1) + tiny)
-    low, high = np.quantile(ratios, (RISK / 2, 1 - RISK / 2))
+    names, film = np.unique(drives, return_inverse=True)
+    spans = []
+    for one, other in ((a, b), (np.bincount(film, a), np.bincount(film, b))):
+        draws = rng.integers(0, len(one), (RESAMPLES, len(one)))
+        ratios = (one[draws].sum(1) + tiny) / (other[draws].sum(1) + tiny)
+        spans.append(np.quantile(ratios, (RISK / 2, 1 - RISK / 2)))
+    # a single drive says nothing of how drives differ
+    low, high = (min(spans[0][0], spans[1][0]), max(spans[0][1], spans[1][1])) if len(names) > 1 else spans[0]
     signs = rng.choice((-1.0, 1.0), (RESAMPLES, len(a)))
     difference = a - b
     more = np.abs(signs @ difference) >= abs(difference.sum()) * (1 - 1e-12)
@@ -283,7 +321,7 @@ def _comparison(layer: str, place: float | None, v: Sequence[float], p: float, m
     verdict: Literal["alike", "apart", "open"] = "open"
     if 1 / margin <= low and high <= margin:
         verdict = "alike"
-    elif p < RISK and not 1 / margin <= ratio <= margin:
+    elif p < RISK and not low <= 1 <= high and not 1 / margin <= ratio <= margin:
         verdict = "apart"
     return Comparison(layer, place, int(pairs), driving, static, ratio, low, high, p, verdict)
 
@@ -301,20 +339,38 @@ def chapter(context: Context, places: Sequence[float], films: int, drives: int) 
     still = _static(context, places, films, "haar", (0.4, 0.55))
     keyed = _static(context, places, films, "ook", (0.55, 0.7))
     packets = [record for one in driven for record in one.packets]
-    twins = each(context, "the same at rest", measure, _twins(context, packets), (0.7, 1.0))
-    pairs = [(a, b.packets[0]) for a, b in zip(packets, twins, strict=True) if b.packets]
+    drive = [k for k, one in enumerate(driven) for _ in one.packets]
+    wanted = [record.distance_m for record in packets] + [z for one in driven for z in one.lost]
+    twins = each(context, "the same at rest", measure, _twins(context, wanted), (0.7, 1.0))
+    # those of lost packets, the last ones, only tell whether they are lost at rest as well
+    pairs = [(a, b.packets[0], k) for a, b, k in zip(packets, twins, drive, strict=False) if b.packets]
     false = sum(one.false_codewords for one in (*driven, *twins))
-    found = compare([a for a, _ in pairs], [b for _, b in pairs], np.random.default_rng([context.seed, 9]))
+    found = compare(
+        [a for a, _, _ in pairs],
+        [b for _, b, _ in pairs],
+        np.random.default_rng([context.seed, 9]),
+        drives=[k for _, _, k in pairs],
+    )
+    lost = {"driving": _lost(driven), "static": _lost(twins)}
     moving = _binned(driven)
     return Chapter(
         key="fig13",
         title="Bit error rate by distance, static and driving (Fig. 13)",
         text=_text(films, drives, context),
-        findings=[_alike(found), *_error_free(moving), _keyed(still, keyed)],
+        findings=[_alike(found, lost["driving"], lost["static"]), *_error_free(moving), _keyed(still, keyed)],
         pictures=_pictures(still, moving, keyed, found),
         tables=[_rates_table(still, moving, keyed), _comparison_table(found)],
-        data={**_data(still, moving, keyed, found), "false_codewords": false},
+        data={
+            **_data(still, moving, keyed, found),
+            "lost": {name: asdict(count) for name, count in lost.items()},
+            "false_codewords": false,
+        },
     )
+
+
+def _lost(films: Sequence[Filmed]) -> Count:
+    """Packets filmed whole, and those of them of which nothing was received."""
+    return Count(sum(len(one.packets) + len(one.lost) for one in films), sum(len(one.lost) for one in films))
 
 
 def _drives(context: Context, count: int) -> list[Task]:
@@ -322,9 +378,9 @@ def _drives(context: Context, count: int) -> list[Task]:
     return [Task(None, "haar", (context.seed, 1, k), context.imu if k % 2 else None) for k in range(count)]
 
 
-def _twins(context: Context, packets: Sequence[Record]) -> list[Task]:
+def _twins(context: Context, distances: Sequence[float]) -> list[Task]:
     """For each packet of the drives one at rest at the same distance."""
-    return [Task(record.distance_m, "haar", (context.seed, 2, k)) for k, record in enumerate(packets)]
+    return [Task(z, "haar", (context.seed, 2, k)) for k, z in enumerate(distances)]
 
 
 def _static(
@@ -367,12 +423,14 @@ def _text(films: int, drives: int, context: Context) -> str:
         "in all layers, 256 bits a pattern at rest and driving (the paper drove at an eighth of its static rate). To "
         "compare, each packet of the drives has a twin at rest at the distance of its middle; packets, not bits, are "
         "what is compared, since errors of one packet depend on its place on the pixel grid, most of all at "
-        "58 m, where LEDs lie as close as pixels. Intervals of single rates "
-        "take bits as independent."
+        "58 m, where LEDs lie as close as pixels. Intervals of ratios are a bootstrap over packets or over drives, "
+        "whichever is wider; tests of equality take the packets of a drive as independent, and so does that of the "
+        "packets lost. A lost packet of a drive has its twin in the middle of its distance bin. Intervals of single "
+        "bit error rates take bits as independent and are too narrow; those of codewords are the ones to compare by."
     )
 
 
-def _alike(found: Sequence[Comparison]) -> Finding:
+def _alike(found: Sequence[Comparison], driving: Count, static: Count) -> Finding:
     """Driving shows tendencies similar to the static ones."""
     single, pooled = ([c for c in found if (c.bin_m is None) == whole] for whole in (False, True))
     count = {name: sum(c.verdict == name for c in single) for name in ("alike", "apart", "open")}
@@ -381,17 +439,37 @@ def _alike(found: Sequence[Comparison]) -> Finding:
     ours = (
         f"Raw errors driving over static, by packets at the same distances: {ratios or 'too few errors'}. "
         f"Of {len(single)} bins by layer {count['alike']} are alike within a factor {MARGIN:g}, "
-        f"{count['apart']} apart, {count['open']} open{': ' + apart if apart else ''}."
+        f"{count['apart']} apart, {count['open']} open{': ' + apart if apart else ''}. "
+        f"Packets lost: {driving.errors} of {driving.trials} driving, {static.errors} of {static.trials} at rest."
     )
     claim = "The driving field trial shows tendencies similar to the static case."
-    return Finding(claim, ours, *_judged(single, pooled))
+    return Finding(claim, ours, *_judged(single, pooled, _loss(driving, static)))
 
 
-def _judged(single: Sequence[Comparison], pooled: Sequence[Comparison]) -> tuple[Verdict, str]:
-    """Apart anywhere: it differs. Alike in each layer as a whole: it holds. Else it is not decided."""
+def _loss(driving: Count, static: Count) -> Literal["alike", "apart", "open"]:
+    """Whether more packets are lost driving, by Fisher's exact test; alike: surely not more by the margin."""
+    from scipy.stats import fisher_exact
+
+    if not driving.trials or not static.trials:
+        return "open"
+    table = [[one.errors, one.trials - one.errors] for one in (driving, static)]
+    if fisher_exact(table, alternative="greater").pvalue < RISK:
+        return "apart"
+    # bound of the difference: Newcombe 1998
+    up, down = driving.interval()[1] - driving.rate, static.rate - static.interval()[0]
+    return "alike" if driving.rate - static.rate + float(np.hypot(up, down)) < LOST_MARGIN else "open"
+
+
+def _judged(single: Sequence[Comparison], pooled: Sequence[Comparison], loss: str) -> tuple[Verdict, str]:
+    """Apart anywhere: it differs. Alike in each layer as a whole and in loss: it holds. Else it is not decided."""
+    reasons = []
     if any(c.verdict == "apart" for c in (*single, *pooled)):
-        return "differs", f"They differ significantly (Holm, {RISK:g}) and by more than the margin."
-    if pooled and all(c.verdict == "alike" for c in pooled):
+        reasons.append(f"They differ significantly (Holm, {RISK:g}) and by more than the margin.")
+    if loss == "apart":
+        reasons.append(f"Significantly more packets are lost driving (Fisher, one-sided, {RISK:g}).")
+    if reasons:
+        return "differs", " ".join(reasons)
+    if pooled and all(c.verdict == "alike" for c in pooled) and loss == "alike":
         return "holds", ""
     return "shown", "Too few packets to decide."
 
@@ -399,17 +477,31 @@ def _judged(single: Sequence[Comparison], pooled: Sequence[Comparison]) -> tuple
 def _error_free(moving: Sums) -> Iterator[Finding]:
     """Error-free communication from 25 m to 80 m with a code of rate one-third, for each layer."""
     for name in LAYERS:
-        words = Count()
+        words, missed = Count(), 0
         first: tuple[float, Count] | None = None
         for place, layers in sorted(moving.places.items()):
-            words.add(layers[name].codewords, layers[name].codeword_errors)
-            if first is None and layers[name].codeword_errors:
-                first = place - BIN_M / 2, _count(layers[name], "raw")
+            here = layers[name]
+            words.add(here.codewords, here.codeword_errors)
+            missed += here.missed
+            if first is None and here.codeword_errors:
+                first = place - BIN_M / 2, _count(here, "raw")
         ours = f"{words.errors} of {words.trials} codewords wrong while driving ({words.text()})"
         ours += "." if first is None else f", none of them nearer than {first[0]:g} m."
-        why = "" if first is None else f"The raw error rate is {first[1].text()} from there on, too much for rate 1/3."
         claim = f"With a turbo code of rate one-third 25 m to 80 m are free of error while driving: {name} layer."
-        yield Finding(claim, ours, "holds" if words.trials and first is None else "differs", why)
+        if first is not None:
+            yield Finding(claim, ours, "differs", _reasons(words.errors, missed, first[1]))
+        elif words.interval()[1] < RARE:
+            yield Finding(claim, ours, "holds")
+        else:
+            yield Finding(claim, ours, "shown", f"Too few codewords to bound the rate of wrong ones below {RARE:g}.")
+
+
+def _reasons(wrong: int, missed: int, raw: Count) -> str:
+    """Why codewords are wrong: their packets were missed; too many raw errors where the first of them are."""
+    reasons = [f"{missed} of the {wrong} wrong codewords are of packets not received."] if missed else []
+    if missed < wrong and raw.rate > TOO_MUCH:
+        reasons.append(f"The raw error rate is {raw.text()} where the first are wrong, too much for rate 1/3.")
+    return " ".join(reasons)
 
 
 def _keyed(still: Sums, keyed: Sums) -> Finding:
@@ -497,7 +589,8 @@ def _pictures(still: Sums, moving: Sums, keyed: Sums, found: Sequence[Comparison
         "any code (gray). Layers are drawn half a metre aside. 95 % intervals; an arrow is a bound (3/n), no error met."
     )
     ratio = (
-        f"Raw errors driving over static at the same distances, 95 % over packets; gray: alike, a factor {MARGIN:g}."
+        "Raw errors driving over static at the same distances, 95 % over packets or drives; "
+        f"gray: alike, a factor {MARGIN:g}."
     )
     return [(_rates_picture(still, moving, keyed), rates), (_ratio_picture(found), ratio)]
 
