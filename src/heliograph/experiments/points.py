@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +84,7 @@ class Point:
     @property
     def key(self) -> str:
         """What a store knows the point's blocks by: all that they depend on."""
-        about = [to_mapping(self.settings), self.seed, __version__]
+        about = [to_mapping(self.settings), self.seed, build()]
         return _digest([*about, {name: one.digest for name, one in sorted(self.recordings.items())}])
 
     def block_seed(self, block: int) -> int:
@@ -102,6 +102,19 @@ class Point:
     def text(self) -> str:
         """What tells the point from others, as a line."""
         return ", ".join(f"{key}={value}" for key, value in self.choice.items()) or "the point"
+
+
+def build() -> str:
+    """Version and a digest of the package's code: results depend on it as they do on settings and seed."""
+    return f"{__version__}+{_code_digest()}"
+
+
+@cache
+def _code_digest() -> str:
+    root, code = Path(__file__).parents[1], hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        code.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return code.hexdigest()[:12]
 
 
 class Tally:
@@ -192,7 +205,7 @@ def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
     settings = from_mapping(LinkSettings, work["settings"])
     began = time.perf_counter()
     counts = run_block(settings, work["seed"], Recordings(**recordings))
-    return {"counts": counts.to_plain(), "seconds": time.perf_counter() - began, "version": __version__}
+    return {"counts": counts.to_plain(), "seconds": time.perf_counter() - began, "version": build()}
 
 
 def layer_report(counts: LayerCounts) -> dict[str, Any]:

@@ -8,12 +8,11 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from heliograph import __version__
 from heliograph.base.errors import HeliographError
 from heliograph.base.files import write_whole
 from heliograph.experiments.executors import Workers, open_workers
 from heliograph.experiments.plan import laid_over, plan
-from heliograph.experiments.points import StopRule, Tally, run_job
+from heliograph.experiments.points import StopRule, Tally, build, run_job
 from heliograph.experiments.store import Store
 from heliograph.link.bench import BlockCounts
 
@@ -220,10 +219,8 @@ def _take(future: Future[dict[str, Any]], tally: Tally, block: int, store: Store
     except Exception as error:  # of a worker anywhere: no memory, no heliograph, killed once too often
         reason = " ".join(str(error).split())[:200]
         raise HeliographError(f"{tally.point.text}: a worker failed with {type(error).__name__}: {reason}") from error
-    if result["version"] != __version__:
-        raise HeliographError(
-            f"a worker has heliograph {result['version']}, not {__version__}; install the same on all"
-        )
+    if result["version"] != build():
+        raise HeliographError(f"a worker has heliograph {result['version']}, not {build()}; install the same on all")
     counts = BlockCounts.from_plain(result["counts"])
     store.add(tally.point, block, counts, result["seconds"])
     tally.add(block, counts, result["seconds"])
