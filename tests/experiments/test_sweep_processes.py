@@ -18,8 +18,8 @@ from heliograph.experiments.store import NAME
 
 BIN = Path(sys.executable).parent
 POINTS = ("--vary", "channel.distance_m=60:70:10", "--set", "signal.data_pairs=8", "--max-codewords", "80")
-BLOCKS = 2 * 8
-"""Blocks of 10 packets that the points take: hardly any codeword of high priority is wrong."""
+BLOCKS = 2 * 80
+"""Blocks of a packet that the points take: hardly any codeword of high priority is wrong."""
 
 
 def command(*more: str) -> list[str]:
