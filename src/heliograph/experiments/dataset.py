@@ -52,7 +52,7 @@ RATES = {
 def need_xarray() -> None:
     """Raise a HeliographError where the extra is not installed."""
     try:
-        import xarray  # noqa: F401
+        import xarray  # noqa: F401 - only whether it is there
     except ImportError:
         raise HeliographError("a Dataset needs xarray: install heliograph[analysis]") from None
 

@@ -132,7 +132,15 @@ def message_name(message: Message) -> str:
     return f"array-{message.identity}-{message.layer}-{message.stream}.{suffix}"
 
 
-def _write_report(path, settings, truth, watch, reception, counts, messages) -> None:  # type: ignore[no-untyped-def]
+def _write_report(
+    path: Path,
+    settings: LinkSettings,
+    truth: TruthFile,
+    watch: _Watch,
+    reception: Reception,
+    counts: Mapping[str, Any],
+    messages: list[Message],
+) -> None:
     page = Report("Heliograph: a drive past an LED array")
     channel = settings.channel
     side = settings.signal.side

@@ -157,19 +157,19 @@ class Cluster:
         if not re.fullmatch(r"\w+://.+:\d+", address):
             raise HeliographError(f"'{address}' is no address of a scheduler; write one such as tcp://127.0.0.1:8786")
         try:
-            self._client = Client(address, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+            self._client = Client(address, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]  # dask has no types
         except (OSError, ValueError, TypeError) as error:  # a timeout is an OSError
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise HeliographError(
                 f"no Dask scheduler at {address} ({reason}); start one with 'dask scheduler'"
             ) from None
-        self._executor = self._client.get_executor(retries=2, pure=False)  # type: ignore[no-untyped-call]
+        self._executor = self._client.get_executor(retries=2, pure=False)  # type: ignore[no-untyped-call]  # dask has no types
 
     @property
     def slots(self) -> int:
         """Threads of all workers there are now; one job waits if there are none."""
         try:
-            return max(1, sum(self._client.nthreads().values()))  # type: ignore[no-untyped-call]
+            return max(1, sum(self._client.nthreads().values()))  # type: ignore[no-untyped-call]  # dask has no types
         except OSError as error:
             raise HeliographError(f"the connection to the Dask scheduler was lost ({error})") from None
 
@@ -183,7 +183,7 @@ class Cluster:
     def close(self) -> None:
         """Drop what is not finished and leave; the cluster stays."""
         self._executor.shutdown(wait=False)
-        self._client.close()  # type: ignore[no-untyped-call]
+        self._client.close()  # type: ignore[no-untyped-call]  # dask has no types
 
 
 @contextlib.contextmanager

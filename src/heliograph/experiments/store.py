@@ -61,7 +61,7 @@ class Store:
             self._db = sqlite3.connect(self.path or ":memory:", timeout=PATIENCE_S, isolation_level=None)
             try:
                 self._open()
-            except BaseException:
+            except BaseException:  # Ctrl-C too must not leave the file open
                 self._db.close()
                 raise
 
@@ -118,7 +118,7 @@ class Store:
         self._db.execute("BEGIN IMMEDIATE")
         try:
             yield
-        except BaseException:
+        except BaseException:  # Ctrl-C too must not leave half a block
             self._db.execute("ROLLBACK")
             raise
         self._db.execute("COMMIT")

@@ -77,7 +77,7 @@ UNSAID = (
 STATIC_KB_S, DRIVING_KB_S = 128.0, 16.0
 
 
-def run(context: Context) -> Chapter:  # noqa: ARG001
+def run(context: Context) -> Chapter:  # noqa: ARG001 - every experiment takes a context
     """Compare."""
     link = load_settings("paper")
     rate = net_kb_s(link)

@@ -35,7 +35,7 @@ class Still:
 
     sized = False
 
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002
+    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
         """Keep the pose."""
         self._pose = found.fit.pose
 
