@@ -57,12 +57,7 @@ def test_bench_and_films_give_the_same(preset: str, changes: tuple[str, ...], tm
     film = by_film(settings, 2, tmp_path / "film.h5")
     counts = run_block(settings, 2)
     assert film.errors is not None
-    for name, errors in film.errors.total().items():
-        seen, wanted = counts.layers[name], LayerCounts.of(errors)
-        # windows start the detector's search elsewhere: poses differ in the last digits, and with them bits in doubt
-        assert seen.raw_errors == pytest.approx(wanted.raw_errors, abs=3 + 0.002 * wanted.raw_bits)
-        assert seen.bit_errors == pytest.approx(wanted.bit_errors, abs=0.01 * wanted.bits)
-        assert replace(seen, raw_errors=0, bit_errors=0) == replace(wanted, raw_errors=0, bit_errors=0)
+    assert counts.layers == {name: LayerCounts.of(errors) for name, errors in film.errors.total().items()}
     payload = {n: sum(8 * a.layers[n].bytes for a in film.arrays.values()) for n in counts.layers}
     assert counts.payload_bits == payload
     assert sum(payload.values())

@@ -123,7 +123,7 @@ def test_search_finds_what_the_reference_finds(seed: int, pixels: int, sides: tu
     busy[0] = False
     total, square = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     best = np.zeros((count, 5))
-    found = kernels.search(total, square, busy, 8.0, cells, np.array(sides), 3.0, 0.35, best)
+    found = kernels.search(total, square, busy, 8.0, cells, np.array(sides), 3.0, 0.35, np.zeros(2), best)
     want = reference.search(image.astype(float), busy, 8, cells, np.array(sides), 3.0, 0.35, count)
     assert found == count
     assert best == pytest.approx(np.array(want), rel=1e-6)
@@ -138,8 +138,11 @@ def test_search_keeps_out_of_quiet_blocks() -> None:
     cells, best = all_header_cells().reshape(-1, 16).astype(float), np.zeros((5, 5))
     for busy, dim in ((False, 1.0), (True, 200.0)):
         blocks = np.full((5, 6), busy)
-        assert kernels.search(total, square, blocks, 8.0, cells, np.array([12.0]), dim, 0.0, best) == 0
-    assert kernels.search(total, square, np.full((5, 6), True), 8.0, cells, np.array([12.0]), 1.0, 0.0, best) == 5
+        assert kernels.search(total, square, blocks, 8.0, cells, np.array([12.0]), dim, 0.0, np.zeros(2), best) == 0
+    assert (
+        kernels.search(total, square, np.full((5, 6), True), 8.0, cells, np.array([12.0]), 1.0, 0.0, np.zeros(2), best)
+        == 5
+    )
 
 
 def test_cubic_samples() -> None:

@@ -119,7 +119,7 @@ class Detector:
         busy = self._busy(change, origin, taken, frames[0].full_scale)
         if not busy.any():
             return []
-        found = [self._refine(frames, change, row, taken) for row in self._coarse(change, busy, frames[0].full_scale)]
+        found = [self._refine(frames, change, row, taken) for row in self._coarse(change, busy, frames[0])]
         return _distinct([d for d in found if d is not None], self._side)
 
     def _busy(
@@ -139,16 +139,17 @@ class Detector:
         least = max(0.25 * self._settings.detect.min_contrast * full_scale, floor)
         return np.asarray(cv2.dilate((mean > least).astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
 
-    def _coarse(self, change: NDArray[np.float32], busy: NDArray[np.bool_], full_scale: int) -> NDArray[np.float64]:
+    def _coarse(self, change: NDArray[np.float32], busy: NDArray[np.bool_], frame: Frame) -> NDArray[np.float64]:
         """Best candidates (score, x, y, side, identity) of the window, best first."""
         from heliograph.receive import kernels
 
         total, square = cv2.integral2(change, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
         best = np.zeros((self._settings.detect.candidates, 5))
         detect = self._settings.detect
-        contrast = 0.5 * detect.min_contrast * full_scale
+        contrast = 0.5 * detect.min_contrast * frame.full_scale
+        corner = np.array(frame.origin, np.float64)
         count = kernels.search(
-            total, square, busy, float(BLOCK), self._cells, self._sides, contrast, detect.coarse_score, best
+            total, square, busy, float(BLOCK), self._cells, self._sides, contrast, detect.coarse_score, corner, best
         )
         return best[:count]
 

@@ -121,13 +121,13 @@ def fit_array(
         linear = linear + step[5:]
         scene.place(vector)
     covariance = np.linalg.inv(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3))[:5, :5]
-    fitted: Floats = np.tensordot(linear, scene.columns, 1)
+    residual = scene.residual(linear)
     return Fit(
         vector,
         np.asarray(covariance, np.float64),
         float(linear[0]),
-        _correlation(image, fitted),
-        _spread_of(image - fitted),
+        _correlation(image, image - residual),
+        _spread_of(residual),
     )
 
 
@@ -142,7 +142,8 @@ class _Scene:
         self._margins = PANEL_MARGINS if panel else ()
         shaped = 1 + len(self._margins)
         self._shapes = np.empty((shaped, 6, *image.shape))
-        self.columns = np.concatenate([np.empty((shaped, *image.shape)), _plane(*image.shape)])
+        self._plane = _plane(*image.shape)
+        self._residual = np.empty(image.shape)
 
     def place(self, vector: Floats) -> None:
         """Work the images out at a pose."""
@@ -154,11 +155,11 @@ class _Scene:
             self._kernels.render_box(vector, half, x0, y0, self._shapes[0])
         for shape, margin in zip(self._shapes[1:], self._margins, strict=True):
             self._kernels.render_box(vector, half + margin, x0, y0, shape)
-        self.columns[: len(self._shapes)] = self._shapes[:, 0]
 
     def coefficients(self, gain: float) -> Floats:
         """Least squares coefficients of the images, near an expected gain if there is one."""
-        a = self.columns.reshape(len(self.columns), -1)
+        columns = np.concatenate([self._shapes[:, 0], self._plane])
+        a = columns.reshape(len(columns), -1)
         matrix, rhs = a @ a.T, a @ self._image.ravel()
         if gain:
             weight = 1e3 * matrix[0, 0]
@@ -168,16 +169,17 @@ class _Scene:
 
     def equations(self, linear: Floats) -> tuple[Floats, Floats]:
         """Normal equations of steps in pose and coefficients, in units of the noise found."""
-        shaped = len(self._shapes)
-        slopes = np.tensordot(linear[:shaped], self._shapes[:, 1:], 1)
-        residual = self._image - np.tensordot(linear, self.columns, 1)
         size = 5 + len(linear)
         matrix, rhs = np.empty((size, size)), np.empty(size)
-        mass, loss = self._kernels.normal_equations(
-            self._image, slopes, self.columns, linear, BIWEIGHT * _spread_of(residual), matrix, rhs
-        )
+        rough = BIWEIGHT * _spread_of(self.residual(linear))
+        mass, loss = self._kernels.normal_equations(self._image, self._shapes, self._plane, linear, rough, matrix, rhs)
         noise = max(loss / max(mass - size, 1.0), 0.08)
         return matrix / noise, rhs / noise
+
+    def residual(self, linear: Floats) -> Floats:
+        """Pixels less the images, (rows, columns); overwritten by the next call."""
+        self._kernels.residuals(self._image, self._shapes, self._plane, linear, self._residual)
+        return self._residual
 
 
 def window_around(pose: Pose, side: int, margin: float) -> tuple[int, int, int, int]:
@@ -196,7 +198,8 @@ def _plane(rows: int, cols: int) -> Floats:
 
 def _spread_of(residual: Floats) -> float:
     """Standard deviation by the median magnitude, at least half a gray level."""
-    return max(1.4826 * float(np.median(np.abs(residual))), 0.5)
+    middle = residual.size // 2
+    return max(1.4826 * float(np.partition(np.abs(residual).ravel(), middle)[middle]), 0.5)
 
 
 def _step_limits(vector: Floats) -> tuple[Floats, Floats]:

@@ -118,42 +118,66 @@ def render_box(pose, half_leds, x0, y0, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def normal_equations(image, slopes, columns, linear, rough, matrix, vector):  # type: ignore[no-untyped-def]
-    """Gauss-Newton normal equations of image = linear . columns(pose), weights by Tukey's biweight of scale `rough`.
+def normal_equations(image, shapes, plane, linear, rough, matrix, vector):  # type: ignore[no-untyped-def]
+    """Gauss-Newton normal equations of image = linear . (shapes(pose), plane), weights by Tukey's biweight.
 
-    slopes (5, rows, columns): derivatives by the pose; columns (m, rows, columns) with coefficients linear (m,).
-    matrix (5 + m, 5 + m) and vector (5 + m,) are overwritten. Returns the sum of weights and that of the
-    weighted squared residuals.
+    shapes (m, 6, rows, columns): images and their derivatives by the pose; plane (3, rows, columns); coefficients
+    linear (m + 3,); `rough` is the biweight's scale. matrix (8 + m, 8 + m) and vector (8 + m,) are overwritten.
+    Returns the sum of weights and that of the weighted squared residuals.
     """
     rows, cols = image.shape
-    m = columns.shape[0]
+    m = shapes.shape[0]
+    size = 8 + m
     matrix[:] = 0.0
     vector[:] = 0.0
-    row = np.empty(5 + m)
+    row = np.empty(size)
     mass, loss = 0.0, 0.0
     for i in range(rows):
         for j in range(cols):
-            r = image[i, j]
-            for k in range(m):
-                row[5 + k] = columns[k, i, j]
-                r -= linear[k] * row[5 + k]
+            r = _residual(image, shapes, plane, linear, i, j)
             q = r / rough
             if abs(q) >= 1.0:
                 continue
             w = (1.0 - q * q) ** 2
             for k in range(5):
-                row[k] = slopes[k, i, j]
+                slope = 0.0
+                for n in range(m):
+                    slope += linear[n] * shapes[n, k + 1, i, j]
+                row[k] = slope
+            for n in range(m):
+                row[5 + n] = shapes[n, 0, i, j]
+            for n in range(3):
+                row[5 + m + n] = plane[n, i, j]
             mass += w
             loss += w * r * r
-            for k in range(5 + m):
+            for k in range(size):
                 wk = w * row[k]
                 vector[k] += wk * r
                 for n in range(k + 1):
                     matrix[k, n] += wk * row[n]
-    for k in range(5 + m):
+    for k in range(size):
         for n in range(k):
             matrix[n, k] = matrix[k, n]
     return mass, loss
+
+
+@njit(cache=True, nogil=True)
+def residuals(image, shapes, plane, linear, out):  # type: ignore[no-untyped-def]
+    """image - linear . (shapes(pose), plane), as for `normal_equations`; out (rows, columns) is overwritten."""
+    for i in range(image.shape[0]):
+        for j in range(image.shape[1]):
+            out[i, j] = _residual(image, shapes, plane, linear, i, j)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _residual(image, shapes, plane, linear, i, j):  # type: ignore[no-untyped-def]
+    m = shapes.shape[0]
+    r = image[i, j]
+    for n in range(m):
+        r -= linear[n] * shapes[n, 0, i, j]
+    for n in range(3):
+        r -= linear[m + n] * plane[n, i, j]
+    return r
 
 
 @njit(cache=True, nogil=True)
@@ -206,11 +230,18 @@ def _box(integral, y, x, height, width):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def search(total, square, busy, block, cells, sides, contrast, threshold, best):  # type: ignore[no-untyped-def]
+def _to_grid(start, step):  # type: ignore[no-untyped-def]
+    """How far the next multiple of a step is from a start."""
+    return math.ceil(start / step - 1e-9) * step - start
+
+
+@njit(cache=True, nogil=True)
+def search(total, square, busy, block, cells, sides, contrast, threshold, corner, best):  # type: ignore[no-untyped-def]
     """Correlate the alternation with all headers over scale and position.
 
     total, square: integral images (rows + 1, columns + 1) of the alternation and of its square; busy: coarse map of
-    blocks in which something alternates; cells (identities, 16) of +-1. Writes into best (count, 5) the best rows
+    blocks in which something alternates; cells (identities, 16) of +-1; corner (2,): x, y on the sensor of the first
+    pixel, for the places looked at are the same on the sensor whatever its window. Writes into best (count, 5) the best rows
     (score, x, y, side, identity), score signed, sorted from the best; overlapping ones are merged. Returns how many.
     """
     rows, cols = total.shape[0] - 1, total.shape[1] - 1
@@ -221,9 +252,9 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, best):
         step = max(1.0, side / 10.0)
         ring = 0.12 * side
         cell = side / 4.0
-        y = ring
+        y = ring + _to_grid(corner[1], step)
         while y + side + ring < rows - 1:
-            x = ring
+            x = ring + _to_grid(corner[0], step)
             while x + side + ring < cols - 1:
                 if not busy[int((y + 0.5 * side) / block), int((x + 0.5 * side) / block)]:
                     x += step
