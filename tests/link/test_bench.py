@@ -1,7 +1,6 @@
 """The bench counts what films give, and depends on settings and seed alone."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np

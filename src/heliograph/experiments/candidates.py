@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.frames import Frame
 from heliograph.experiments.clutter import Film
 from heliograph.receive import Pose
 from heliograph.receive.detect import BLOCK, COMB, Detector, _change, _fit_window
@@ -77,18 +78,18 @@ class Probe(Detector):
             busy &= _around(film.truth, busy.shape)
         if not busy.any():
             return []
-        rows = self._coarse_by_size(change, busy, full_scale)
+        rows = self._coarse_by_size(change, busy, window[0])
         found = [self._fitted(change, row, full_scale) for row in rows]
         return [one for one in found if one is not None]
 
     def _coarse_by_size(
-        self, change: NDArray[np.float32], busy: NDArray[np.bool_], full_scale: int
+        self, change: NDArray[np.float32], busy: NDArray[np.bool_], frame: Frame
     ) -> NDArray[np.float64]:
         """Candidates of each range of sizes: a square's parts are like it, and would be kept in place of it."""
         parts = []
         for sides in self._bands:
             self._sides = sides
-            parts.append(self._coarse(change, busy, full_scale))
+            parts.append(self._coarse(change, busy, frame))
         return np.concatenate(parts)
 
     def _fitted(self, change: NDArray[np.float32], row: NDArray[np.float64], full_scale: int) -> Candidate | None:

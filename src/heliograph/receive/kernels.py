@@ -163,7 +163,7 @@ def normal_equations(image, shapes, plane, linear, rough, matrix, vector):  # ty
 
 @njit(cache=True, nogil=True)
 def residuals(image, shapes, plane, linear, out):  # type: ignore[no-untyped-def]
-    """image - linear . (shapes(pose), plane), as for `normal_equations`; out (rows, columns) is overwritten."""
+    """Image - linear . (shapes(pose), plane), as for `normal_equations`; out (rows, columns) is overwritten."""
     for i in range(image.shape[0]):
         for j in range(image.shape[1]):
             out[i, j] = _residual(image, shapes, plane, linear, i, j)
@@ -241,8 +241,9 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, corner
 
     total, square: integral images (rows + 1, columns + 1) of the alternation and of its square; busy: coarse map of
     blocks in which something alternates; cells (identities, 16) of +-1; corner (2,): x, y on the sensor of the first
-    pixel, for the places looked at are the same on the sensor whatever its window. Writes into best (count, 5) the best rows
-    (score, x, y, side, identity), score signed, sorted from the best; overlapping ones are merged. Returns how many.
+    pixel, for the places looked at are the same on the sensor whatever its window. Writes into best (count, 5) the best
+    rows (score, x, y, side, identity), score signed, sorted from the best; overlapping ones are merged. Returns how
+    many.
     """
     rows, cols = total.shape[0] - 1, total.shape[1] - 1
     sums = np.empty(16)
