@@ -139,6 +139,28 @@ def test_the_report_has_counts_rates_and_intervals() -> None:
     assert tally.report()["net_bits_per_second"] == 700.0
 
 
+def test_the_report_tells_bounds_and_bits_that_fail_together() -> None:
+    (point,) = plan({}, "static", SMALL)
+    tally = Tally(point, StopRule())
+    nothing = tally.report()["layers"]["high"]
+    assert (nothing["ber_is_bound"], nothing["fer_is_bound"]) == (False, False)
+    counts = fake_counts(200, 0)
+    counts.false_packets, counts.duplicates = 2, 5
+    for layer in counts.layers.values():
+        layer.bits, layer.packets = 200 * 512, 200
+    bad = counts.layers["low"]
+    bad.bit_errors, bad.bit_squares, bad.codeword_errors = 10 * 50, 10 * 50**2, 10
+    tally.add(0, counts, 1.0)
+    report = json.loads(json.dumps(tally.report()))
+    assert (report["false_packets"], report["duplicates"]) == (2, 5)
+    high, low = report["layers"]["high"], report["layers"]["low"]
+    assert (high["ber_is_bound"], high["fer_is_bound"]) == (True, True)
+    assert high["ber_ci"] == pytest.approx([0, clopper_pearson(0, 200)[1]])
+    assert (low["ber_is_bound"], low["fer_is_bound"]) == (False, False)
+    # ten bad packets of 200: about as uncertain as their number is
+    assert low["ber_ci"][0] < 0.6 * low["ber"] < 1.6 * low["ber"] < low["ber_ci"][1]
+
+
 @pytest.mark.parametrize("bad", [{"min_errors": 0}, {"max_codewords": 0}, {"max_seconds": 0.0}])
 def test_stop_rules_are_checked(bad: Mapping[str, Any]) -> None:
     with pytest.raises(SettingsError, match=next(iter(bad))):
@@ -304,6 +326,8 @@ def test_a_dataset_has_dimensions_units_and_provenance(tmp_path: Path) -> None:
         layer = found.sel({"channel.distance_m": at, "receiver": "plain", "layer": "low"})
         assert int(layer.codewords) == report["layers"]["low"]["codewords"]
         assert float(layer.fer_high) == report["layers"]["low"]["fer_ci"][1]
+        assert bool(layer.fer_is_bound) == report["layers"]["low"]["fer_is_bound"] == (at == 40)
+        assert int(found.duplicates.sel({"channel.distance_m": at, "receiver": "plain"})) == report["duplicates"]
     assert np.all(found.ber_low.values <= found.ber_high.values)
     found.to_netcdf(tmp_path / "sweep.nc", engine="h5netcdf")
 

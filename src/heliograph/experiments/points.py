@@ -19,7 +19,6 @@ from heliograph.link.bench import BlockCounts, LayerCounts, run_block, stands_st
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings
-from heliograph.link.statistics import clopper_pearson
 
 EMPTY_BLOCKS = 3
 """Blocks without any codeword after which a point is given up: its films hold no whole packet."""
@@ -173,14 +172,22 @@ class Tally:
         counted = min(map(self._share, self.total.layers.values()))
         return max(counted, self.seconds / self.rule.max_seconds if self.rule.max_seconds else 0.0)
 
+    @property
+    def net_bits_per_second(self) -> float | None:
+        """Payload of the codewords read by time of film; None without films."""
+        total = self.total
+        return sum(total.payload_bits.values()) / total.film_s if total.film_s else None
+
     def report(self) -> dict[str, Any]:
         """The point as plain values, for JSON."""
         total = self.total
         out: dict[str, Any] = {
             "settings": dict(self.point.choice),
             "layers": {name: layer_report(layer) for name, layer in total.layers.items()},
-            "net_bits_per_second": sum(total.payload_bits.values()) / total.film_s if total.film_s else None,
+            "net_bits_per_second": self.net_bits_per_second,
             "false_codewords": total.false_codewords,
+            "false_packets": total.false_packets,
+            "duplicates": total.duplicates,
             "film_seconds": round(total.film_s, 9),
             "blocks": self.blocks,
             "stopped_by": self.ending,
@@ -209,19 +216,18 @@ def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def layer_report(counts: LayerCounts) -> dict[str, Any]:
-    """Counts of a layer with their rates and 95 % Clopper-Pearson intervals; None where nothing was counted.
+    """Counts of a layer with their rates and 95 % intervals; None where nothing was counted.
 
-    The interval of the bit error rate takes bits as independent, which those of a codeword are not: mind the
-    codewords' one.
+    Intervals are Clopper-Pearson's, of the bit error rate at the effective number of bits, since bits of a packet fail
+    together (see `Clustered`). "ber_is_bound" and "fer_is_bound" tell where no error was met: the rate 0 then means no
+    more than that it is below the interval's upper end.
     """
-    bits, words = counts.bits, counts.codewords
-    return {
-        **asdict(counts),
-        "ber": counts.bit_errors / bits if bits else None,
-        "ber_ci": list(clopper_pearson(counts.bit_errors, bits)),
-        "fer": counts.codeword_errors / words if words else None,
-        "fer_ci": list(clopper_pearson(counts.codeword_errors, words)),
-    }
+    out: dict[str, Any] = asdict(counts)
+    for name, count in (("ber", counts.decoded), ("fer", counts.words)):
+        out[name] = count.rate if count.trials else None
+        out[f"{name}_ci"] = list(count.interval())
+        out[f"{name}_is_bound"] = count.trials > 0 and not count.errors
+    return out
 
 
 @lru_cache(maxsize=4)

@@ -18,7 +18,7 @@ from heliograph.link.errors import BIN_M, ErrorCounter
 from heliograph.link.recordings import load_imu
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, simulate
-from heliograph.link.statistics import Count
+from heliograph.link.statistics import Clustered, Count
 from heliograph.receive import Packet, make_receiver
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS
@@ -162,6 +162,9 @@ def _more(after: LayerCounts, before: LayerCounts) -> LayerCounts:
         after.raw_errors - before.raw_errors,
         (after.codewords - after.missed) - (before.codewords - before.missed),
         (after.codeword_errors - after.missed) - (before.codeword_errors - before.missed),
+        packets=after.packets - before.packets,
+        bit_squares=after.bit_squares - before.bit_squares,
+        raw_squares=after.raw_squares - before.raw_squares,
     )
 
 
@@ -425,8 +428,9 @@ def _text(films: int, drives: int, context: Context) -> str:
         "what is compared, since errors of one packet depend on its place on the pixel grid, most of all at "
         "58 m, where LEDs lie as close as pixels. Intervals of ratios are a bootstrap over packets or over drives, "
         "whichever is wider; tests of equality take the packets of a drive as independent, and so does that of the "
-        "packets lost. A lost packet of a drive has its twin in the middle of its distance bin. Intervals of single "
-        "bit error rates take bits as independent and are too narrow; those of codewords are the ones to compare by."
+        "packets lost. A lost packet of a drive has its twin in the middle of its distance bin. Intervals of bit error "
+        "rates allow for bits of a packet that fail together; with no error met after the code, packets are counted "
+        "for the bound."
     )
 
 
@@ -521,17 +525,21 @@ def _keyed(still: Sums, keyed: Sums) -> Finding:
     )
 
 
-def _count(counts: LayerCounts, kind: str) -> Count:
-    return Count(counts.raw_bits, counts.raw_errors) if kind == "raw" else Count(counts.bits, counts.bit_errors)
+def _count(counts: LayerCounts, kind: str) -> Clustered:
+    return counts.raw if kind == "raw" else counts.decoded
 
 
-def _of(layer: str, kind: str, layers: Mapping[str, LayerCounts]) -> Count:
+def _of(layer: str, kind: str, layers: Mapping[str, LayerCounts]) -> Clustered:
     return _count(layers[layer], kind)
 
 
-def _pooled(layers: Mapping[str, LayerCounts]) -> Count:
-    """Raw errors of all layers."""
-    return Count(sum(c.raw_bits for c in layers.values()), sum(c.raw_errors for c in layers.values()))
+def _pooled(layers: Mapping[str, LayerCounts]) -> Clustered:
+    """Raw errors of all layers, by packet."""
+    parts = [counts.raw for counts in layers.values()]
+    # squares of packets' sums are not kept: at most this by Minkowski, if layers fail in step
+    squares = round(sum(np.sqrt(part.squares) for part in parts) ** 2)
+    trials, errors = sum(part.trials for part in parts), sum(part.errors for part in parts)
+    return Clustered(trials, errors, max(part.clusters for part in parts), squares, scattered=True)
 
 
 def _rates_table(still: Sums, moving: Sums, keyed: Sums) -> Table:
@@ -542,7 +550,9 @@ def _rates_table(still: Sums, moving: Sums, keyed: Sums) -> Table:
         _rates_row(f"driving {z - BIN_M / 2:g}-{z + BIN_M / 2:g} m", layers, None)
         for z, layers in sorted(moving.places.items())
     ]
-    return Table("Bit error rates; no error among n is written < 3/n", head, rows)
+    return Table(
+        "Bit error rates; no error among n raw bits, or after the code n packets, is written < 3/n", head, rows
+    )
 
 
 def _rates_row(name: str, layers: Mapping[str, LayerCounts], keyed: Mapping[str, LayerCounts] | None) -> list[str]:
@@ -586,7 +596,8 @@ def _data(still: Sums, moving: Sums, keyed: Sums, found: Sequence[Comparison]) -
 def _pictures(still: Sums, moving: Sums, keyed: Sums, found: Sequence[Comparison]) -> list[tuple[Figure, str]]:
     rates = (
         "Bit error rate before and after the turbo code: static (lines), driving (open squares), on-off keying before "
-        "any code (gray). Layers are drawn half a metre aside. 95 % intervals; an arrow is a bound (3/n), no error met."
+        "any code (gray). Layers are drawn half a metre aside. 95 % intervals; an arrow is a bound (3/n), no error met "
+        "in n bits before the code, in n packets after it."
     )
     ratio = (
         "Raw errors driving over static at the same distances, 95 % over packets or drives; "
@@ -631,7 +642,7 @@ def _draw(
     if met:
         z, rate, low, high = np.array(met).T
         axes.errorbar(z, rate, (rate - low, high - rate), label=label, **style)
-    free = [(z, 3 / c.trials) for z, c in counts if c.trials and not c.errors]
+    free = [(z, c.bound) for z, c in counts if c.trials and not c.errors]
     if free:
         z, bound = np.array(free).T
         label = "" if met else label
