@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 SCALE = 1000
 """Parts of a point in the progress bar."""
 
+SPEED_PERIOD_S = 3600.0
+"""Time over which the speed is taken that the time left is told by."""
+
 
 def run_sweep(
     vary: list[str] | None,
@@ -97,7 +100,9 @@ def _progress(points: int) -> "Iterator[Progress]":
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    # a block may take longer than Rich's half a minute, without which it knows no speed
+    screen = Console(stderr=True)
+    with Progress(*columns, console=screen, transient=True, speed_estimate_period=SPEED_PERIOD_S) as bar:
         task = bar.add_task("sweeping", total=SCALE * points)
 
         def show(tallies: "Sequence[Tally]") -> None:
