@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from heliograph.base.config import merge
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.experiments import dataset, executors, sweep
+from heliograph.experiments import points as points_module
 from heliograph.experiments.plan import plan
-from heliograph.experiments.points import StopRule, Tally, run_job
+from heliograph.experiments.points import Point, StopRule, Tally, run_job
 from heliograph.experiments.store import NAME, Store
 from heliograph.experiments.vary import grid, parse_vary, varied
 from heliograph.link.bench import BlockCounts
@@ -297,6 +299,28 @@ def test_a_worker_of_another_version_is_refused(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(sweep, "run_job", lambda work: {**run_job(work), "version": "0.0.0"})
     with pytest.raises(HeliographError, match="install the same"):
         sweep.count([Tally(points()[0], StopRule())], workers=1)
+
+
+def imu_point(path: Path, rate: float) -> Point:
+    rows = [f"{t / 100},{rate},0,0,10" for t in range(200)]
+    path.write_text("\n".join(["t_s,gyro_fwd_rad_s,gyro_right,gyro_down,speed_m_s", *rows]), encoding="utf-8")
+    (point,) = plan({}, "paper", merge(SMALL, {"channel": {"duration_s": 0.1}}), imu=path)
+    return point
+
+
+def test_a_recording_that_is_not_the_one_planned_with_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "car.csv"
+    work = json.loads(json.dumps(imu_point(path, 0.0).job(0)))
+    assert run_job(work)["counts"]["frames"] == 100
+    other = imu_point(path, 0.1)
+    assert run_job(other.job(0))["counts"]["frames"] == 100, "same path, other content: not taken from the cache"
+    points_module._load.cache_clear()  # another worker
+    with pytest.raises(MediaError, match="not the one the sweep was planned with") as caught:
+        run_job(work)
+    assert "\n" not in str(caught.value)
+    path.unlink()
+    with pytest.raises(MediaError, match="cannot read the recording"):
+        run_job(work)
 
 
 def test_workers_are_checked() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from heliograph import __version__
 from heliograph.base.config import from_mapping, to_mapping
-from heliograph.base.errors import SettingsError
+from heliograph.base.errors import MediaError, SettingsError
 from heliograph.link.bench import BlockCounts, LayerCounts, run_block, stands_still
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
@@ -58,6 +58,15 @@ class Recorded:
     path: str
     digest: str
 
+    @classmethod
+    def of(cls, path: Path) -> "Recorded":
+        """The recording in a file, as it is now; a MediaError where it cannot be read."""
+        try:
+            with path.open("rb") as file:
+                return cls(str(path.resolve()), hashlib.file_digest(file, "sha256").hexdigest()[:32])
+        except OSError as error:
+            raise MediaError(f"cannot read the recording {path}: {error.strerror or error}") from None
+
 
 @dataclass(frozen=True)
 class Point:
@@ -94,8 +103,8 @@ class Point:
 
     def job(self, block: int) -> dict[str, Any]:
         """A block's work as plain values, for a worker anywhere."""
-        paths = {name: one.path for name, one in self.recordings.items()}
-        return {"settings": to_mapping(self.settings), "seed": self.block_seed(block), "recordings": paths}
+        recordings = {name: asdict(one) for name, one in self.recordings.items()}
+        return {"settings": to_mapping(self.settings), "seed": self.block_seed(block), "recordings": recordings}
 
     @property
     def text(self) -> str:
@@ -207,8 +216,14 @@ class Tally:
 
 
 def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
-    """Do the work of `Point.job`: a block's counts as plain values, its computing time, and by which version."""
-    recordings = {name: _load(name, path) for name, path in work["recordings"].items()}
+    """Do the work of `Point.job`: a block's counts as plain values, its computing time, and by which version.
+
+    Raises
+    ------
+    HeliographError
+        A recording is not here what it is where the sweep was planned, or the block cannot be computed.
+    """
+    recordings = {name: _load(name, Recorded(**one)) for name, one in work["recordings"].items()}
     settings = from_mapping(LinkSettings, work["settings"])
     began = time.perf_counter()
     counts = run_block(settings, work["seed"], Recordings(**recordings))
@@ -231,8 +246,14 @@ def layer_report(counts: LayerCounts) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4)
-def _load(kind: str, path: str) -> Any:
-    return load_footage(Path(path)) if kind == "footage" else load_imu(Path(path))
+def _load(kind: str, recorded: Recorded) -> Any:
+    """A recording, if its content is that the results are kept under; machines of a cluster may have others."""
+    path = Path(recorded.path)
+    if Recorded.of(path).digest != recorded.digest:
+        raise MediaError(
+            f"the recording {path} is not the one the sweep was planned with; give all workers the same file"
+        )
+    return load_footage(path) if kind == "footage" else load_imu(path)
 
 
 def _digest(value: Any) -> str:
