@@ -11,7 +11,7 @@
 import json
 import sys
 
-from heliograph.experiments.sweep import sweep
+from heliograph import sweep
 
 FEW = "--few" in sys.argv  # a shorter run, to see that all works
 
