@@ -11,7 +11,7 @@
 import json
 import sys
 
-from heliograph.experiments.sweep import sweep
+from heliograph import sweep
 
 FEW = "--few" in sys.argv  # a shorter run, to see that all works
 
@@ -36,8 +36,9 @@ print(data)
 # %% [markdown]
 # ## Rates with their intervals
 #
-# Every number comes with a 95 % Clopper-Pearson interval. Where no error was met, its upper end is the result: the
-# rate is below about 3 / n.
+# Every number comes with a 95 % Clopper-Pearson interval, that of the bit error rate at the effective number of bits,
+# since bits of a packet fail together. Where no error was met (`fer_is_bound`), its upper end is the result: the rate
+# is below about 3 / n.
 
 # %%
 for distance in data["channel.distance_m"].values:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from heliograph.base.errors import HeliographError, MediaError, SettingsError
     from heliograph.base.frames import Frame
+    from heliograph.experiments.sweep import sweep
     from heliograph.link.codec import decode, encode
     from heliograph.link.settings import LinkSettings, load_settings
     from heliograph.link.simulate import simulate
@@ -36,6 +37,7 @@ _HOMES = {
     "open_film": "media",
     "receive_frames": "receive",
     "simulate": "link.simulate",
+    "sweep": "experiments.sweep",
 }
 
 __all__ = [
@@ -55,6 +57,7 @@ __all__ = [
     "open_film",
     "receive_frames",
     "simulate",
+    "sweep",
 ]
 
 

@@ -49,6 +49,13 @@ def test_public_names_mean_the_same_the_second_time() -> None:
     assert out.returncode == 0, out.stderr.splitlines()[-1]
 
 
+def test_sweep_is_there_without_the_extra() -> None:
+    code = "import sys; sys.modules['xarray'] = None\nimport heliograph as h\n"
+    code += "try: h.sweep({})\nexcept h.HeliographError as error: print(error)"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert out.stdout.strip() == "a Dataset needs xarray: install heliograph[analysis]"
+
+
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="nonsense"):
         _ = heliograph.nonsense

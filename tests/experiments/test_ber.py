@@ -8,6 +8,7 @@ import pytest
 
 from heliograph.base.frames import Frame
 from heliograph.experiments.chapter import Context
+from heliograph.experiments.error_rates import comparison, films, verdicts
 from heliograph.experiments.figures import ber
 from heliograph.link.bench import LayerCounts, random_messages, run_block
 from heliograph.link.errors import ErrorCounter
@@ -20,38 +21,38 @@ from heliograph.signal.settings import LAYERS
 NONE_LOST = Count(200, 0), Count(200, 0)
 
 
-def records(rate: float, count: int, rng: np.random.Generator) -> list[ber.Record]:
+def records(rate: float, count: int, rng: np.random.Generator) -> list[films.Record]:
     """Packets at 50 m to 60 m whose error rates vary from packet to packet more than bits do."""
     out = []
     for z in np.linspace(50.1, 59.9, count):
         errors = rng.binomial(3072, min(rate * rng.lognormal(0, 0.3), 0.5), 3)
         layers = {n: LayerCounts(raw_bits=3072, raw_errors=int(e)) for n, e in zip(LAYERS, errors, strict=True)}
-        out.append(ber.Record(float(z), layers))
+        out.append(films.Record(float(z), layers))
     return out
 
 
 def test_equal_rates_are_alike() -> None:
     rng = np.random.default_rng(0)
-    found = ber.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
+    found = comparison.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
     assert {c.bin_m for c in found} == {52.5, 57.5, None}
     assert [c.verdict for c in found] == ["alike"] * 9
-    assert ber._alike(found, *NONE_LOST).verdict == "holds"
+    assert verdicts.alike(found, *NONE_LOST).verdict == "holds"
 
 
 def test_a_faked_difference_is_found() -> None:
     rng = np.random.default_rng(1)
-    found = ber.compare(records(0.02 * 1.9, 120, rng), records(0.02, 120, rng), rng)
+    found = comparison.compare(records(0.02 * 1.9, 120, rng), records(0.02, 120, rng), rng)
     assert {c.verdict for c in found} == {"apart"}
     assert all(1.6 < c.ratio < 2.3 for c in found)
-    assert ber._alike(found, *NONE_LOST).verdict == "differs"
+    assert verdicts.alike(found, *NONE_LOST).verdict == "differs"
 
 
 def test_few_packets_decide_nothing() -> None:
     rng = np.random.default_rng(2)
-    found = ber.compare(records(0.03, 4, rng), records(0.02, 4, rng), rng)
+    found = comparison.compare(records(0.03, 4, rng), records(0.02, 4, rng), rng)
     assert all(c.verdict != "apart" for c in found)
-    assert ber.compare([], [], rng) == []
-    assert ber._alike([], *NONE_LOST).verdict == "shown"
+    assert comparison.compare([], [], rng) == []
+    assert verdicts.alike([], *NONE_LOST).verdict == "shown"
 
 
 def test_false_alarms_are_rare() -> None:
@@ -60,21 +61,21 @@ def test_false_alarms_are_rare() -> None:
     alarms = [
         c.verdict == "apart"
         for _ in range(20)
-        for c in ber.compare(records(0.01, 20, rng), records(0.01, 20, rng), rng)
+        for c in comparison.compare(records(0.01, 20, rng), records(0.01, 20, rng), rng)
     ]
     assert np.mean(alarms) < 0.02
 
 
 def test_lost_packets_count() -> None:
     rng = np.random.default_rng(0)
-    found = ber.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
-    worse = ber._alike(found, Count(200, 20), Count(200, 2))
+    found = comparison.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
+    worse = verdicts.alike(found, Count(200, 20), Count(200, 2))
     assert worse.verdict == "differs"
     assert "20 of 200 driving, 2 of 200 at rest" in worse.ours
     assert "lost" in worse.why
-    assert ber._alike(found, Count(200, 2), Count(200, 20)).verdict == "holds"
-    assert ber._alike(found, Count(20, 1), Count(20, 0)).verdict == "shown"
-    assert ber._alike(found, Count(), Count()).verdict == "shown"
+    assert verdicts.alike(found, Count(200, 2), Count(200, 20)).verdict == "holds"
+    assert verdicts.alike(found, Count(20, 1), Count(20, 0)).verdict == "shown"
+    assert verdicts.alike(found, Count(), Count()).verdict == "shown"
 
 
 def test_drives_that_differ_widen_the_interval() -> None:
@@ -84,7 +85,7 @@ def test_drives_that_differ_widen_the_interval() -> None:
     for k, record in zip(drives, one, strict=True):
         for counts in record.layers.values():
             counts.raw_errors = counts.raw_errors * (k + 1) // 2
-    plain, by_drive = (ber.compare(one, other, np.random.default_rng(5), drives=d)[-1] for d in ((), drives))
+    plain, by_drive = (comparison.compare(one, other, np.random.default_rng(5), drives=d)[-1] for d in ((), drives))
     assert by_drive.ratio == plain.ratio
     assert by_drive.high - by_drive.low > 2 * (plain.high - plain.low)
 
@@ -93,7 +94,7 @@ def test_layers_of_which_nothing_was_read_are_not_compared() -> None:
     rng = np.random.default_rng(6)
     one, other = records(0.02, 50, rng), records(0.02, 50, rng)
     other[0].layers["low"].raw_bits = other[0].layers["low"].raw_errors = 0
-    pairs = {c.layer: c.pairs for c in ber.compare(one, other, rng) if c.bin_m is None}
+    pairs = {c.layer: c.pairs for c in comparison.compare(one, other, rng) if c.bin_m is None}
     assert pairs == {"high": 50, "middle": 50, "low": 49}
 
 
@@ -110,7 +111,7 @@ def test_layers_of_which_nothing_was_read_are_not_compared() -> None:
     ],
 )
 def test_reasons_of_wrong_codewords(counts: LayerCounts, verdict: str, why: str) -> None:
-    finding = next(ber._error_free(ber.Sums({77.5: dict.fromkeys(LAYERS, counts)})))
+    finding = next(verdicts.error_free(films.Sums({77.5: dict.fromkeys(LAYERS, counts)})))
     assert finding.verdict == verdict
     assert why in finding.why
     assert bool(finding.why) == bool(why)
@@ -129,21 +130,21 @@ class Deaf:
 
 @pytest.mark.parametrize(("times", "packets", "lost"), [(0, 0, 1), (2, 1, 0)])
 def test_lost_and_repeated_packets(monkeypatch: pytest.MonkeyPatch, times: int, packets: int, lost: int) -> None:
-    monkeypatch.setattr(ber, "make_receiver", lambda *args: Deaf(Receiver(*args), times))
-    one = ber.measure(ber.Task(35.0, "haar", (7,)))
+    monkeypatch.setattr(films, "make_receiver", lambda *args: Deaf(Receiver(*args), times))
+    one = films.measure(films.Task(35.0, "haar", (7,)))
     assert (len(one.packets), list(one.lost)) == (packets, [37.5] * lost)
-    assert ber._lost([one, one]) == Count(2, 2 * lost)
+    assert films.lost_packets([one, one]) == Count(2, 2 * lost)
 
 
 def test_holm() -> None:
-    assert ber.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-    assert ber.holm([0.5, 0.9]) == [1.0, 1.0]
-    assert ber.holm([]) == []
+    assert comparison.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert comparison.holm([0.5, 0.9]) == [1.0, 1.0]
+    assert comparison.holm([]) == []
 
 
 def test_packets_of_a_drive_by_themselves_are_the_whole_count() -> None:
     settings = load_settings("paper", {"channel": {"distance_m": 62.0, "duration_s": 0.35}})
-    one = ber.film_packets(settings, np.random.default_rng(4))
+    one = films.film_packets(settings, np.random.default_rng(4))
     assert len(one.packets) == 3
     assert one.false_codewords == 0
     assert all(55 < record.distance_m < 62 for record in one.packets)
@@ -179,7 +180,7 @@ def test_on_off_keying_end_to_end() -> None:
 
 
 def test_on_off_keying_errors_are_alike_in_all_layers() -> None:
-    one = ber.measure(ber.Task(60.0, "ook", (6,)))
+    one = films.measure(films.Task(60.0, "ook", (6,)))
     rates = [one.packets[0].layers[name].raw_errors / one.packets[0].layers[name].raw_bits for name in LAYERS]
     assert min(rates) > 0.03
     assert max(rates) < 0.2
@@ -187,7 +188,7 @@ def test_on_off_keying_errors_are_alike_in_all_layers() -> None:
 
 def test_chapter(monkeypatch: pytest.MonkeyPatch) -> None:
     short = load_settings("paper", {"channel": {"distance_m": 66.0, "duration_s": 0.72}})
-    monkeypatch.setattr(ber, "load_settings", lambda *_: short)
+    monkeypatch.setattr(films, "load_settings", lambda *_: short)
     done: list[float] = []
     context = Context(progress=lambda _, share: done.append(share))
     chapter = ber.chapter(context, [30.0, 60.0], films=1, drives=1)

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from heliograph.base.config import merge
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.experiments import dataset, executors, sweep
+from heliograph.experiments import points as points_module
 from heliograph.experiments.plan import plan
-from heliograph.experiments.points import StopRule, Tally, run_job
+from heliograph.experiments.points import Point, StopRule, Tally, run_job
 from heliograph.experiments.store import NAME, Store
 from heliograph.experiments.vary import grid, parse_vary, varied
 from heliograph.link.bench import BlockCounts
@@ -137,6 +139,28 @@ def test_the_report_has_counts_rates_and_intervals() -> None:
     assert layer["fer_ci"] == pytest.approx([0, clopper_pearson(0, 100)[1]])
     assert layer["fer_ci"][1] == pytest.approx(3 / 100, rel=0.02)
     assert tally.report()["net_bits_per_second"] == 700.0
+
+
+def test_the_report_tells_bounds_and_bits_that_fail_together() -> None:
+    (point,) = plan({}, "static", SMALL)
+    tally = Tally(point, StopRule())
+    nothing = tally.report()["layers"]["high"]
+    assert (nothing["ber_is_bound"], nothing["fer_is_bound"]) == (False, False)
+    counts = fake_counts(200, 0)
+    counts.false_packets, counts.duplicates = 2, 5
+    for layer in counts.layers.values():
+        layer.bits, layer.packets = 200 * 512, 200
+    bad = counts.layers["low"]
+    bad.bit_errors, bad.bit_squares, bad.codeword_errors = 10 * 50, 10 * 50**2, 10
+    tally.add(0, counts, 1.0)
+    report = json.loads(json.dumps(tally.report()))
+    assert (report["false_packets"], report["duplicates"]) == (2, 5)
+    high, low = report["layers"]["high"], report["layers"]["low"]
+    assert (high["ber_is_bound"], high["fer_is_bound"]) == (True, True)
+    assert high["ber_ci"] == pytest.approx([0, clopper_pearson(0, 200)[1]])
+    assert (low["ber_is_bound"], low["fer_is_bound"]) == (False, False)
+    # ten bad packets of 200: about as uncertain as their number is
+    assert low["ber_ci"][0] < 0.6 * low["ber"] < 1.6 * low["ber"] < low["ber_ci"][1]
 
 
 @pytest.mark.parametrize("bad", [{"min_errors": 0}, {"max_codewords": 0}, {"max_seconds": 0.0}])
@@ -277,6 +301,28 @@ def test_a_worker_of_another_version_is_refused(monkeypatch: pytest.MonkeyPatch)
         sweep.count([Tally(points()[0], StopRule())], workers=1)
 
 
+def imu_point(path: Path, rate: float) -> Point:
+    rows = [f"{t / 100},{rate},0,0,10" for t in range(200)]
+    path.write_text("\n".join(["t_s,gyro_fwd_rad_s,gyro_right,gyro_down,speed_m_s", *rows]), encoding="utf-8")
+    (point,) = plan({}, "paper", merge(SMALL, {"channel": {"duration_s": 0.1}}), imu=path)
+    return point
+
+
+def test_a_recording_that_is_not_the_one_planned_with_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "car.csv"
+    work = json.loads(json.dumps(imu_point(path, 0.0).job(0)))
+    assert run_job(work)["counts"]["frames"] == 100
+    other = imu_point(path, 0.1)
+    assert run_job(other.job(0))["counts"]["frames"] == 100, "same path, other content: not taken from the cache"
+    points_module._load.cache_clear()  # another worker
+    with pytest.raises(MediaError, match="not the one the sweep was planned with") as caught:
+        run_job(work)
+    assert "\n" not in str(caught.value)
+    path.unlink()
+    with pytest.raises(MediaError, match="cannot read the recording"):
+        run_job(work)
+
+
 def test_workers_are_checked() -> None:
     with pytest.raises(HeliographError, match="at least 1 worker"):
         executors.open_workers(0)
@@ -304,6 +350,8 @@ def test_a_dataset_has_dimensions_units_and_provenance(tmp_path: Path) -> None:
         layer = found.sel({"channel.distance_m": at, "receiver": "plain", "layer": "low"})
         assert int(layer.codewords) == report["layers"]["low"]["codewords"]
         assert float(layer.fer_high) == report["layers"]["low"]["fer_ci"][1]
+        assert bool(layer.fer_is_bound) == report["layers"]["low"]["fer_is_bound"] == (at == 40)
+        assert int(found.duplicates.sel({"channel.distance_m": at, "receiver": "plain"})) == report["duplicates"]
     assert np.all(found.ber_low.values <= found.ber_high.values)
     found.to_netcdf(tmp_path / "sweep.nc", engine="h5netcdf")
 

@@ -72,6 +72,8 @@ def test_a_clean_block_is_equal_to_the_film_in_every_count(tmp_path: Path) -> No
     assert counts.layers == {name: LayerCounts.of(errors) for name, errors in film.errors.total().items()}
     assert counts.layers["high"].codewords == 1
     assert counts.layers["high"].codeword_errors == 0
+    assert counts.layers["high"].packets == 1
+    assert (counts.false_packets, counts.duplicates) == (film.errors.false_packets, film.errors.duplicates) == (0, 0)
 
 
 def test_the_result_depends_on_settings_and_seed_alone() -> None:
@@ -91,6 +93,9 @@ def test_counts_survive_json_and_add_up() -> None:
     assert total.layers["low"].codewords == 2 * one.layers["low"].codewords
     assert total.bins[70.0]["high"].bits == 2 * one.layers["high"].bits
     assert total.film_s == pytest.approx(2 * one.film_s)
+    low = one.layers["low"]
+    assert (total.layers["low"].packets, total.layers["low"].raw_squares) == (2, 2 * low.raw_errors**2)
+    assert low.raw_errors > 0
 
 
 def test_no_codeword_is_sent_twice() -> None:

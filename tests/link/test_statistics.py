@@ -2,10 +2,12 @@
 
 import math
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.stats import beta, binomtest
 
-from heliograph.link.statistics import Count, clopper_pearson
+from heliograph.link.statistics import Clustered, Count, clopper_pearson
 
 
 @pytest.mark.parametrize(("errors", "trials"), [(1, 10), (5, 10), (9, 10), (1, 10**6), (37, 12345), (999, 1000)])
@@ -61,3 +63,68 @@ def test_a_count_adds_up_and_shows_its_rate() -> None:
 def test_impossible_counts_are_refused(errors: int, trials: int) -> None:
     with pytest.raises(ValueError, match=f"0 to {trials}"):
         clopper_pearson(errors, trials)
+
+
+def clustered(errors: NDArray[np.int64], size: int, scattered: bool = False) -> Clustered:
+    count = Clustered(scattered=scattered)
+    for wrong in errors:
+        count.add(size, int(wrong))
+    return count
+
+
+@pytest.mark.parametrize("packets", [10, 100, 1000])
+@pytest.mark.parametrize("bad", [0.01, 0.1, 1.0])
+def test_the_interval_of_bits_that_fail_together_covers_the_rate(packets: int, bad: float) -> None:
+    """Bad packets have 5 % to 20 % of their bits wrong, the others none; the binomial interval is far too narrow."""
+    rng = np.random.default_rng([packets, round(100 * bad)])
+    size, runs, true = 512, 600, bad * 0.125
+    hits = binomial_hits = 0
+    for _ in range(runs):
+        share = np.where(rng.random(packets) < bad, rng.uniform(0.05, 0.2, packets), 0.0)
+        count = clustered(rng.binomial(size, share), size)
+        for scope, (low, high) in enumerate((count.interval(), Count(count.trials, count.errors).interval())):
+            hits += scope == 0 and low <= true <= high
+            binomial_hits += scope == 1 and low <= true <= high
+    assert hits >= 0.93 * runs
+    assert binomial_hits <= 0.6 * runs
+
+
+def test_independent_bits_keep_about_the_binomial_interval() -> None:
+    count = clustered(np.random.default_rng(1).binomial(1000, 0.02, 200), 1000)
+    low, high = count.interval()
+    plain = Count(count.trials, count.errors).interval()
+    assert count.design_effect < 1.3
+    assert 1 <= (high - low) / (plain[1] - plain[0]) < 1.15
+
+
+def test_packets_all_right_or_all_wrong_count_as_one_trial_each() -> None:
+    count = clustered(np.array([256] * 10 + [0] * 90), 256)
+    assert count.design_effect == pytest.approx(256)
+    assert count.interval() == pytest.approx(clopper_pearson(10, 100))
+
+
+def test_a_single_packet_tells_nothing_of_others() -> None:
+    assert clustered(np.array([30]), 1000).interval() == pytest.approx(clopper_pearson(0.03, 1))
+    assert clustered(np.array([0]), 1000).interval() == pytest.approx(clopper_pearson(0, 1))
+
+
+def test_without_errors_packets_are_the_trials_unless_errors_scatter() -> None:
+    none = np.zeros(100, np.int64)
+    together, scattered = clustered(none, 512), clustered(none, 512, scattered=True)
+    assert together.interval() == pytest.approx(clopper_pearson(0, 100))
+    assert together.text() == "< 3.0e-02"
+    assert scattered.interval() == pytest.approx(clopper_pearson(0, 51200))
+    assert scattered.text() == "< 5.9e-05"
+    assert Clustered().interval() == (0, 1)
+    assert Clustered().text() == "no data"
+
+
+def test_clusters_add_up() -> None:
+    errors = np.array([0, 3, 40, 0, 7])
+    whole, one, other = (clustered(errors[part], 100) for part in (slice(None), slice(2), slice(2, None)))
+    one.include(other)
+    assert one == whole
+    assert (whole.clusters, whole.squares) == (5, 9 + 1600 + 49)
+    whole.add(0, 0)
+    assert whole.clusters == 5
+    assert whole.design_effect == pytest.approx(np.var(errors, ddof=1) / (100 * 0.1 * 0.9))

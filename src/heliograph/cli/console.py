@@ -26,13 +26,13 @@ def say_json(value: Any) -> None:
     say(json.dumps(value))
 
 
-def _quiet(done: int, /) -> None:
+def _quiet(done: float, /) -> None:
     """Show no progress."""
 
 
 @contextlib.contextmanager
-def progress(title: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    """A progress bar on a terminal, nothing in a pipe; call it with the number done."""
+def progress(title: str, total: int | None) -> Iterator[Callable[[float], None]]:
+    """A progress bar on a terminal, nothing in a pipe; call it with the number done, parts included."""
     if not sys.stderr.isatty():
         yield _quiet
         return

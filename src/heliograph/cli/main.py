@@ -86,7 +86,11 @@ def receive(
     assignments: options.Assignments = None,
     as_json: Json = False,
 ) -> None:
-    """Find arrays in a film and read what they send."""
+    """Find arrays in a film and read what they send.
+
+    What a film notes of its signal (those of 'simulate' do) wins over the preset; --settings and --set win over the
+    note, and a line tells where they differ.
+    """
     from heliograph.cli.receive import run_receive
 
     run_receive(film, receiver, output, truth, preset, settings, assignments, as_json)

@@ -3,13 +3,9 @@
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
 
 from heliograph.base.files import clear_write_errors
 from heliograph.cli import console
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 def run_reproduce(
@@ -24,8 +20,7 @@ def run_reproduce(
         output.mkdir(parents=True, exist_ok=True)
     known = {"quick": quick, "seed": seed, "workers": workers or os.cpu_count() or 1, **recordings_in(data)}
     try:
-        with console.progress("reproducing", len(keys)) as bar:
-            advance = cast("Callable[[float], None]", bar)  # the bar takes parts of a chapter too
+        with console.progress("reproducing", len(keys)) as advance:
             done = 0
 
             def begin(key: str, _: object) -> None:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from heliograph.base.config import merge, parse_assignment
 from heliograph.base.errors import HeliographError, SettingsError
 from heliograph.cli import console, options
-from heliograph.link.statistics import Count
 
 if TYPE_CHECKING:
     from heliograph.experiments.points import Tally
@@ -19,6 +18,9 @@ if TYPE_CHECKING:
 
 SCALE = 1000
 """Parts of a point in the progress bar."""
+
+SPEED_PERIOD_S = 3600.0
+"""Time over which the speed is taken that the time left is told by."""
 
 
 def run_sweep(
@@ -46,8 +48,7 @@ def run_sweep(
     ending = _run(tallies, output, crew)
     if isinstance(ending, Exception) and not any(tally.blocks for tally in tallies):
         raise ending
-    reports = [tally.report() for tally in tallies]
-    console.say_json(reports) if as_json else _show(reports)
+    console.say_json([tally.report() for tally in tallies]) if as_json else _show(tallies)
     if isinstance(ending, KeyboardInterrupt):
         kept = f"; {output} holds the results so far" if output else ""
         console.complain(f"interrupted with {sum(t.done for t in tallies)} of {len(tallies)} points complete{kept}")
@@ -99,7 +100,9 @@ def _progress(points: int) -> "Iterator[Progress]":
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    # a block may take longer than Rich's half a minute, without which it knows no speed
+    screen = Console(stderr=True)
+    with Progress(*columns, console=screen, transient=True, speed_estimate_period=SPEED_PERIOD_S) as bar:
         task = bar.add_task("sweeping", total=SCALE * points)
 
         def show(tallies: "Sequence[Tally]") -> None:
@@ -109,21 +112,17 @@ def _progress(points: int) -> "Iterator[Progress]":
         yield show
 
 
-def _show(reports: list[dict[str, Any]]) -> None:
+def _show(tallies: "Sequence[Tally]") -> None:
     """A line a point: bit and codeword error rate by layer, bounds where no error was met, and the net rate."""
-    rows = [_row(report) for report in reports]
-    keys, layers = reports[0]["settings"], reports[0]["layers"]
+    rows = [_row(tally) for tally in tallies]
+    keys, layers = tallies[0].point.choice, tallies[0].total.layers
     head = [*keys, *(f"{layer} {what}" for layer in layers for what in ("BER", "FER")), "net bit/s"]
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
     for cells in [head, *rows]:
         console.say("  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
 
 
-def _row(report: dict[str, Any]) -> list[str]:
-    rates = [
-        Count(layer[trials], layer[errors]).text()
-        for layer in report["layers"].values()
-        for trials, errors in (("bits", "bit_errors"), ("codewords", "codeword_errors"))
-    ]
-    net = report["net_bits_per_second"]
-    return [*map(str, report["settings"].values()), *rates, "no data" if net is None else f"{net:.0f}"]
+def _row(tally: "Tally") -> list[str]:
+    rates = [count.text() for layer in tally.total.layers.values() for count in (layer.decoded, layer.words)]
+    net = tally.net_bits_per_second
+    return [*map(str, tally.point.choice.values()), *rates, "no data" if net is None else f"{net:.0f}"]

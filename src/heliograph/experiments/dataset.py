@@ -41,11 +41,19 @@ COUNTS = {
     "codewords": "codewords sent",
     "codeword_errors": "codewords not read rightly, missed ones included",
     "missed": "codewords of packets not received at all",
+    "packets": "packets received",
+    "bit_squares": "sum of the squares of the bit errors of a packet",
+    "raw_squares": "sum of the squares of the raw errors of a packet",
 }
 
 RATES = {
     "ber": "bit error rate after the turbo decoder",
     "fer": "codeword error rate",
+}
+
+METHODS = {
+    "ber": "Clopper-Pearson at the effective number of bits, as bits of a packet fail together",
+    "fer": "Clopper-Pearson",
 }
 
 
@@ -84,6 +92,8 @@ _PLAIN = (
     ("net_bits_per_second", "bit/s", "payload of codewords read, by time of film"),
     ("film_seconds", "s", "length of the films"),
     ("false_codewords", "1", "codewords taken for right that were not sent"),
+    ("false_packets", "1", "packets received that were not sent"),
+    ("duplicates", "1", "packets received again"),
     ("blocks", "1", "films counted"),
 )
 """Variables of a point: name, unit and meaning."""
@@ -101,7 +111,9 @@ def _by_layer(rows: Sequence[Sequence[Mapping[str, Any]]]) -> list[tuple[str, An
         found.append((name, rate, "1", text))
         for place, end in enumerate(("low", "high")):
             bound = table(lambda r, n=name, p=place: r[f"{n}_ci"][p])
-            found.append((f"{name}_{end}", bound, "1", f"{text}, {end} end of its 95 % Clopper-Pearson interval"))
+            found.append((f"{name}_{end}", bound, "1", f"{text}, {end} end of its 95 % interval ({METHODS[name]})"))
+        no_error = f"whether no error was met, so that {name}_high is an upper bound"
+        found.append((f"{name}_is_bound", table(lambda r, n=name: r[f"{n}_is_bound"]), "1", no_error))
     return found
 
 

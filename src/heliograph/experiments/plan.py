@@ -1,6 +1,5 @@
 """The points of a sweep from what varies and what does not, checked before anything is computed."""
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -88,6 +87,5 @@ def _recordings(background: Path | None, imu: Path | None) -> dict[str, Recorded
     for name, path, load in (("footage", background, load_footage), ("imu", imu, load_imu)):
         if path is not None:
             load(path)
-            with path.open("rb") as file:
-                found[name] = Recorded(str(path.resolve()), hashlib.file_digest(file, "sha256").hexdigest()[:32])
+            found[name] = Recorded.of(path)
     return found

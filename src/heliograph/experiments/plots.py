@@ -90,7 +90,7 @@ def _error_line(axes: Any, counts: Sequence[tuple[float, Any]], name: str) -> No
     if seen:
         z, rate, low, high = np.array(seen).T
         axes.errorbar(z, rate, (rate - low, high - rate), color=colour, marker="o", ms=4, lw=1.2, capsize=2, label=name)
-    free = [(z, 3 / c.trials) for z, c in counts if not c.errors]
+    free = [(z, c.bound) for z, c in counts if not c.errors]
     if free:
         z, bound = np.array(free).T
         label = None if seen else name

@@ -14,12 +14,11 @@ import numpy as np
 
 from heliograph import __version__
 from heliograph.base.config import from_mapping, to_mapping
-from heliograph.base.errors import SettingsError
+from heliograph.base.errors import MediaError, SettingsError
 from heliograph.link.bench import BlockCounts, LayerCounts, run_block, stands_still
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings
-from heliograph.link.statistics import clopper_pearson
 
 EMPTY_BLOCKS = 3
 """Blocks without any codeword after which a point is given up: its films hold no whole packet."""
@@ -59,6 +58,15 @@ class Recorded:
     path: str
     digest: str
 
+    @classmethod
+    def of(cls, path: Path) -> "Recorded":
+        """The recording in a file, as it is now; a MediaError where it cannot be read."""
+        try:
+            with path.open("rb") as file:
+                return cls(str(path.resolve()), hashlib.file_digest(file, "sha256").hexdigest()[:32])
+        except OSError as error:
+            raise MediaError(f"cannot read the recording {path}: {error.strerror or error}") from None
+
 
 @dataclass(frozen=True)
 class Point:
@@ -95,8 +103,8 @@ class Point:
 
     def job(self, block: int) -> dict[str, Any]:
         """A block's work as plain values, for a worker anywhere."""
-        paths = {name: one.path for name, one in self.recordings.items()}
-        return {"settings": to_mapping(self.settings), "seed": self.block_seed(block), "recordings": paths}
+        recordings = {name: asdict(one) for name, one in self.recordings.items()}
+        return {"settings": to_mapping(self.settings), "seed": self.block_seed(block), "recordings": recordings}
 
     @property
     def text(self) -> str:
@@ -173,14 +181,22 @@ class Tally:
         counted = min(map(self._share, self.total.layers.values()))
         return max(counted, self.seconds / self.rule.max_seconds if self.rule.max_seconds else 0.0)
 
+    @property
+    def net_bits_per_second(self) -> float | None:
+        """Payload of the codewords read by time of film; None without films."""
+        total = self.total
+        return sum(total.payload_bits.values()) / total.film_s if total.film_s else None
+
     def report(self) -> dict[str, Any]:
         """The point as plain values, for JSON."""
         total = self.total
         out: dict[str, Any] = {
             "settings": dict(self.point.choice),
             "layers": {name: layer_report(layer) for name, layer in total.layers.items()},
-            "net_bits_per_second": sum(total.payload_bits.values()) / total.film_s if total.film_s else None,
+            "net_bits_per_second": self.net_bits_per_second,
             "false_codewords": total.false_codewords,
+            "false_packets": total.false_packets,
+            "duplicates": total.duplicates,
             "film_seconds": round(total.film_s, 9),
             "blocks": self.blocks,
             "stopped_by": self.ending,
@@ -200,8 +216,14 @@ class Tally:
 
 
 def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
-    """Do the work of `Point.job`: a block's counts as plain values, its computing time, and by which version."""
-    recordings = {name: _load(name, path) for name, path in work["recordings"].items()}
+    """Do the work of `Point.job`: a block's counts as plain values, its computing time, and by which version.
+
+    Raises
+    ------
+    HeliographError
+        A recording is not here what it is where the sweep was planned, or the block cannot be computed.
+    """
+    recordings = {name: _load(name, Recorded(**one)) for name, one in work["recordings"].items()}
     settings = from_mapping(LinkSettings, work["settings"])
     began = time.perf_counter()
     counts = run_block(settings, work["seed"], Recordings(**recordings))
@@ -209,24 +231,29 @@ def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def layer_report(counts: LayerCounts) -> dict[str, Any]:
-    """Counts of a layer with their rates and 95 % Clopper-Pearson intervals; None where nothing was counted.
+    """Counts of a layer with their rates and 95 % intervals; None where nothing was counted.
 
-    The interval of the bit error rate takes bits as independent, which those of a codeword are not: mind the
-    codewords' one.
+    Intervals are Clopper-Pearson's, of the bit error rate at the effective number of bits, since bits of a packet fail
+    together (see `Clustered`). "ber_is_bound" and "fer_is_bound" tell where no error was met: the rate 0 then means no
+    more than that it is below the interval's upper end.
     """
-    bits, words = counts.bits, counts.codewords
-    return {
-        **asdict(counts),
-        "ber": counts.bit_errors / bits if bits else None,
-        "ber_ci": list(clopper_pearson(counts.bit_errors, bits)),
-        "fer": counts.codeword_errors / words if words else None,
-        "fer_ci": list(clopper_pearson(counts.codeword_errors, words)),
-    }
+    out: dict[str, Any] = asdict(counts)
+    for name, count in (("ber", counts.decoded), ("fer", counts.words)):
+        out[name] = count.rate if count.trials else None
+        out[f"{name}_ci"] = list(count.interval())
+        out[f"{name}_is_bound"] = count.trials > 0 and not count.errors
+    return out
 
 
 @lru_cache(maxsize=4)
-def _load(kind: str, path: str) -> Any:
-    return load_footage(Path(path)) if kind == "footage" else load_imu(Path(path))
+def _load(kind: str, recorded: Recorded) -> Any:
+    """A recording, if its content is that the results are kept under; machines of a cluster may have others."""
+    path = Path(recorded.path)
+    if Recorded.of(path).digest != recorded.digest:
+        raise MediaError(
+            f"the recording {path} is not the one the sweep was planned with; give all workers the same file"
+        )
+    return load_footage(path) if kind == "footage" else load_imu(path)
 
 
 def _digest(value: Any) -> str:

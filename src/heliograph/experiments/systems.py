@@ -18,7 +18,7 @@ from heliograph.channel import ArrayTruth, film
 from heliograph.experiments.chapter import Context
 from heliograph.link.bench import window_margin_px
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.statistics import Count
+from heliograph.link.statistics import Clustered, Count
 from heliograph.receive import Pose, Receiver
 from heliograph.receive.extract import pair_luminances
 from heliograph.signal import haar, ook
@@ -103,15 +103,15 @@ SCHEMES = {scheme.key: scheme for scheme in _schemes()}
 
 @dataclass(slots=True)
 class Heard:
-    """Bits counted at a distance, by (reading, part); films, and those in which the array was found."""
+    """Bits counted at a distance, by (reading, part) and film; films, and those in which the array was found."""
 
-    counts: dict[tuple[Reading, str], Count] = field(default_factory=dict)
+    counts: dict[tuple[Reading, str], Clustered] = field(default_factory=dict)
     films: int = 0
     found: int = 0
 
     def add(self, reading: Reading, part: str, trials: int, errors: int) -> None:
-        """Count bits."""
-        self.counts.setdefault((reading, part), Count()).add(trials, errors)
+        """Count the bits of a film."""
+        self.counts.setdefault((reading, part), Clustered(scattered=True)).add(trials, errors)
 
     def settled(self, target: int) -> bool:
         """Whether every count has its bits, or its errors."""
@@ -160,12 +160,12 @@ def _listen_once(
     pairs, header = settings.signal.data_pairs, settings.signal.header_pairs
     bits = rng.integers(0, 2, (pairs, scheme.bits), dtype=np.uint8)
     truths: list[ArrayTruth] = []
-    before = {key: count.trials for key, count in heard.counts.items()}
+    counts: dict[tuple[Reading, str], Count] = {}
 
     def observe(stage: str, data: Mapping[str, Any], /) -> None:
         place = data["frames"][0].index // 2 - header if stage == "extract" else -1
         if 0 <= place < pairs:
-            _count(scheme, readings, data, truths, settings, bits[place], heard)
+            _count(scheme, readings, data, truths, settings, bits[place], counts)
 
     longer = replace(settings.signal, data_pairs=pairs + 1)
     # down to 5 px: the high layer is read from further than the default search reaches
@@ -176,7 +176,9 @@ def _listen_once(
         for _ in receiver.push(frame):
             pass
     heard.films += 1
-    heard.found += {key: count.trials for key, count in heard.counts.items()} != before
+    heard.found += bool(counts)
+    for (reading, part), count in counts.items():
+        heard.add(reading, part, count.trials, count.errors)
 
 
 def _shown(
@@ -197,7 +199,7 @@ def _count(
     truths: Sequence[ArrayTruth],
     settings: LinkSettings,
     bits: NDArray[np.uint8],
-    heard: Heard,
+    counts: dict[tuple[Reading, str], Count],
 ) -> None:
     pattern, inverted = data["frames"]
     for reading in readings:
@@ -208,7 +210,8 @@ def _count(
         gain = settings.channel.emitter.all_on * pattern.full_scale  # a scale: signs do not depend on it
         wrong = (scheme.decode(pair_luminances(pattern, inverted, poses, gain, SIDE, equaliser)) < 0) != bits
         for name, part in scheme.parts.items():
-            heard.add(reading, name, part.stop - part.start, int(np.count_nonzero(wrong[part])))
+            count = counts.setdefault((reading, name), Count())
+            count.add(part.stop - part.start, int(np.count_nonzero(wrong[part])))
 
 
 def true_pose(truth: ArrayTruth, settings: LinkSettings) -> Pose:

@@ -18,6 +18,7 @@ from heliograph.link.film import frames_of, receive_film
 from heliograph.link.reception import Reception
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
+from heliograph.link.statistics import Clustered, Count
 from heliograph.link.truth import TruthFile
 from heliograph.media import FilmReader
 from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS
@@ -40,6 +41,10 @@ class LayerCounts:
         Coded bits before it, of received packets.
     codewords, codeword_errors, missed
         Codewords sent; those wrong, and of them those of packets not received at all.
+    packets
+        Packets received.
+    bit_squares, raw_squares
+        Sums of the squares of their `bit_errors` and `raw_errors`: how much errors come together.
     """
 
     bits: int = 0
@@ -49,12 +54,41 @@ class LayerCounts:
     codewords: int = 0
     codeword_errors: int = 0
     missed: int = 0
+    packets: int = 0
+    bit_squares: int = 0
+    raw_squares: int = 0
 
     @classmethod
     def of(cls, errors: LayerErrors) -> "LayerCounts":
         """The counts of an `ErrorCounter`."""
         bits, raw, words = errors.bits, errors.raw, errors.codewords
-        return cls(bits.trials, bits.errors, raw.trials, raw.errors, words.trials, words.errors, errors.missed)
+        return cls(
+            bits.trials,
+            bits.errors,
+            raw.trials,
+            raw.errors,
+            words.trials,
+            words.errors,
+            errors.missed,
+            bits.clusters,
+            bits.squares,
+            raw.squares,
+        )
+
+    @property
+    def decoded(self) -> Clustered:
+        """Information bits after the turbo decoder, by packet."""
+        return Clustered(self.bits, self.bit_errors, self.packets, self.bit_squares)
+
+    @property
+    def raw(self) -> Clustered:
+        """Coded bits before it, by packet."""
+        return Clustered(self.raw_bits, self.raw_errors, self.packets, self.raw_squares, scattered=True)
+
+    @property
+    def words(self) -> Count:
+        """Codewords sent."""
+        return Count(self.codewords, self.codeword_errors)
 
     def add(self, other: "LayerCounts") -> None:
         """Count another's as well."""
@@ -83,6 +117,8 @@ class BlockCounts:
         Payload of the codewords read, by layer.
     false_codewords
         Codewords taken for right that were not sent.
+    false_packets, duplicates
+        Packets received that were not sent, and those received again.
     film_s
         Length of the film.
     frames
@@ -93,6 +129,8 @@ class BlockCounts:
     bins: dict[float, Layers] = field(default_factory=dict)
     payload_bits: dict[str, int] = field(default_factory=lambda: dict.fromkeys(LAYERS, 0))
     false_codewords: int = 0
+    false_packets: int = 0
+    duplicates: int = 0
     film_s: float = 0.0
     frames: int = 0
 
@@ -109,6 +147,8 @@ class BlockCounts:
         for name, bits in other.payload_bits.items():
             self.payload_bits[name] += bits
         self.false_codewords += other.false_codewords
+        self.false_packets += other.false_packets
+        self.duplicates += other.duplicates
         self.film_s += other.film_s
         self.frames += other.frames
 
@@ -237,6 +277,8 @@ def _counts(reception: Reception, settings: LinkSettings) -> BlockCounts:
     total = BlockCounts(
         bins=bins,
         false_codewords=reception.errors.false_codewords,
+        false_packets=reception.errors.false_packets,
+        duplicates=reception.errors.duplicates,
         film_s=reception.frames * settings.channel.camera.frame_period_s,
         frames=reception.frames,
     )

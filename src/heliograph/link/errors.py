@@ -2,13 +2,14 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, transmitters
-from heliograph.link.statistics import Count
+from heliograph.link.statistics import Clustered, Count
 from heliograph.receive import Packet
 from heliograph.receive.decode import ERASED
 from heliograph.signal.block import pack
@@ -26,17 +27,18 @@ class LayerErrors:
     Attributes
     ----------
     bits
-        Information bits after the turbo decoder, of received packets.
+        Information bits after the turbo decoder, of received packets, by packet. None wrong of n bits is told as
+        below 3 / n beside n: too few packets come from one place for a bound by packets to say anything.
     raw
-        Coded bits before it, of received packets.
+        Coded bits before it, of received packets, by packet.
     codewords
         Codewords sent; an error is one not read rightly, missed ones included.
     missed
         Codewords of packets that were not received at all.
     """
 
-    bits: Count = field(default_factory=Count)
-    raw: Count = field(default_factory=Count)
+    bits: Clustered = field(default_factory=partial(Clustered, scattered=True))
+    raw: Clustered = field(default_factory=partial(Clustered, scattered=True))
     codewords: Count = field(default_factory=Count)
     missed: int = 0
 
@@ -144,15 +146,18 @@ class ErrorCounter:
         layers, right = _no_errors(), 0
         for name, words in packet.layers.items():
             code, errors = sender.format.layers[name].code, layers[name]
+            bits, raw = Count(), Count()
             for word, block in zip(words, sender.blocks(number)[name], strict=True):
                 sent = pack(block, code.k)
                 wrong = int(np.count_nonzero(word.bits != sent))
                 known = word.raw != ERASED
-                errors.raw.add(int(known.sum()), int(np.count_nonzero((word.raw != code.encode(sent)) & known)))
-                errors.bits.add(code.k, wrong)
+                raw.add(int(known.sum()), int(np.count_nonzero((word.raw != code.encode(sent)) & known)))
+                bits.add(code.k, wrong)
                 errors.codewords.add(1, wrong > 0 or word.status != "ok")
                 right += word.status == "ok" and wrong == 0
                 self.false_codewords += word.status == "ok" and wrong > 0
+            errors.bits.add(bits.trials, bits.errors)
+            errors.raw.add(raw.trials, raw.errors)
         return layers, right
 
     def _missed(self, array: int) -> _Layers:
@@ -196,9 +201,9 @@ def pooled(bins: Iterable[Mapping[str, LayerErrors]]) -> _Layers:
     out = _no_errors()
     for layers in bins:
         for name, errors in layers.items():
-            for kind in ("bits", "raw", "codewords"):
-                count = getattr(errors, kind)
-                getattr(out[name], kind).add(count.trials, count.errors)
+            out[name].bits.include(errors.bits)
+            out[name].raw.include(errors.raw)
+            out[name].codewords.include(errors.codewords)
             out[name].missed += errors.missed
     return out
 

@@ -1,6 +1,7 @@
 """Counted errors and their confidence intervals."""
 
 from dataclasses import dataclass
+from typing import Self
 
 
 @dataclass(slots=True)
@@ -21,10 +22,20 @@ class Count:
         self.trials += int(trials)
         self.errors += int(errors)
 
+    def include(self, other: Self) -> None:
+        """Count another's as well."""
+        self.trials += other.trials
+        self.errors += other.errors
+
     @property
     def rate(self) -> float:
         """Errors by trial; NaN without trials."""
         return self.errors / self.trials if self.trials else float("nan")
+
+    @property
+    def bound(self) -> float:
+        """Upper bound of the rate at 95 % where no error was counted: 3 / n, at most 1."""
+        return 3 / max(self.trials, 3)
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
         """Clopper-Pearson interval of the rate."""
@@ -34,16 +45,93 @@ class Count:
         """The rate as text: '1.2e-03', or an upper bound, 3 / n at 95 %, where no error was counted."""
         if not self.trials:
             return "no data"
-        return f"{self.rate:.1e}" if self.errors else f"< {3 / self.trials:.1e}"
+        return f"{self.rate:.1e}" if self.errors else f"< {self.bound:.1e}"
 
 
-def clopper_pearson(errors: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+@dataclass(slots=True)
+class Clustered(Count):
+    """Errors among trials that may fail together, as the bits of a packet do.
+
+    Attributes
+    ----------
+    clusters
+        Packets, or whatever else fails together; of about equal numbers of trials.
+    squares
+        Sum of the squares of the clusters' errors.
+    scattered
+        How to bound the rate where no error was met, for then nothing tells whether errors come together. True: as if
+        they came singly, by 3 / trials, as the raw errors of single LEDs do. False: as if a cluster failed as a whole,
+        by 3 / clusters, as a turbo decoder's codewords do.
+    """
+
+    clusters: int = 0
+    squares: int = 0
+    scattered: bool = False
+
+    def add(self, trials: int, errors: int) -> None:
+        """Count a cluster; one without trials is none."""
+        self.trials += int(trials)
+        self.errors += int(errors)
+        self.clusters += trials > 0
+        self.squares += int(errors) ** 2
+
+    def include(self, other: Self) -> None:
+        """Count another's clusters as well."""
+        self.trials += other.trials
+        self.errors += other.errors
+        self.clusters += other.clusters
+        self.squares += other.squares
+
+    @property
+    def bound(self) -> float:
+        """Upper bound of the rate at 95 % where no error was counted: 3 / n, at most 1, n as `scattered` says."""
+        return 3 / max(self.trials if self.scattered else self.clusters, 3)
+
+    @property
+    def design_effect(self) -> float:
+        """Variance of the clusters' errors over that of independent trials (Kish 1965).
+
+        1, independent, to the trials of a cluster, all alike; the latter where it cannot be told, of one cluster or
+        without errors.
+        """
+        clusters, rate = max(self.clusters, 1), self.rate
+        size = self.trials / clusters
+        if clusters == 1 or self.errors in (0, self.trials):
+            return max(size, 1.0)
+        seen = (self.squares - self.errors**2 / clusters) / (clusters - 1)
+        return min(max(seen / (size * rate * (1 - rate)), 1.0), size)
+
+    def interval(self, confidence: float = 0.95) -> tuple[float, float]:
+        """Clopper-Pearson interval of the rate at the effective number of trials (Korn and Graubard 1998).
+
+        That is trials / `design_effect`, and less for few clusters, from which the design effect is hardly known; never
+        less than the clusters.
+        """
+        if self.scattered and not self.errors:
+            return clopper_pearson(0, self.trials, confidence)
+        if not self.trials:
+            return 0.0, 1.0
+        effective = self._effective_trials(confidence)
+        return clopper_pearson(self.rate * effective, effective, confidence)
+
+    def _effective_trials(self, confidence: float) -> float:
+        from scipy.special import stdtrit
+
+        clusters = float(max(self.clusters, 1))
+        known = self.trials / self.design_effect
+        if clusters > 1:
+            tail = (1 - confidence) / 2
+            known *= float((stdtrit(self.trials - 1, tail) / stdtrit(clusters - 1, tail)) ** 2)
+        return max(known, clusters)
+
+
+def clopper_pearson(errors: float, trials: float, confidence: float = 0.95) -> tuple[float, float]:
     """Exact confidence interval of a binomial rate (Clopper and Pearson 1934).
 
     Parameters
     ----------
     errors, trials
-        Counts, 0 <= errors <= trials.
+        Counts, 0 <= errors <= trials; effective ones need not be whole.
     confidence
         Coverage of the two-sided interval; with no errors the whole risk lies above, so the bound is about 3 / n.
     """

@@ -118,7 +118,7 @@ def run(context: Context) -> Chapter:
             "tracked by the plain receiver. Each film is one packet with the array at its own place on the pixel grid. "
             "The inverse undoes the blur of all LEDs by least squares with the pose and blur the receiver has "
             "estimated, or, as in the field trial, with the channel known beforehand. Repetition shows each bit on a "
-            "square of LEDs and adds their luminances. Intervals take bits as independent; errors of one film are not."
+            "square of LEDs and adds their luminances. Intervals allow for errors of one film that come together."
         ),
         findings=_findings(points),
         pictures=[(_picture(points), CAPTION)],
@@ -289,7 +289,7 @@ def _draw(axes: Any, line: Line, points: Points) -> None:
         z, rate, low, high = np.array(met).T
         bars = (rate - low, high - rate)
         axes.errorbar(z, rate, bars, color=line.colour, ls=line.dashes, marker="o", ms=3, lw=1.2, label=line.name)
-    free = [(z, 3 / c.trials) for z, c in points if c.trials and not c.errors]
+    free = [(z, c.bound) for z, c in points if c.trials and not c.errors]
     if free:
         z, bound = np.array(free).T
         label = None if met else line.name

@@ -1,0 +1,171 @@
+"""Films at rest and drives, received and counted packet by packet."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from heliograph.experiments.systems import static_link
+from heliograph.link.bench import LayerCounts, random_messages, window_margin_px
+from heliograph.link.errors import BIN_M, ErrorCounter
+from heliograph.link.recordings import load_imu
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import Recordings, simulate
+from heliograph.link.statistics import Clustered, Count
+from heliograph.receive import Packet, make_receiver
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import LAYERS
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A packet received: the true distance at its middle, and its counts by layer."""
+
+    distance_m: float
+    layers: Mapping[str, LayerCounts]
+
+
+@dataclass(frozen=True, slots=True)
+class Filmed:
+    """What came of a film.
+
+    Attributes
+    ----------
+    packets
+        Those received.
+    missed
+        Codewords of the others by distance bin and layer.
+    lost
+        The packets filmed whole of which nothing was received, each by the middle of its distance bin.
+    false_codewords
+        Codewords taken for right that were not sent.
+    """
+
+    packets: Sequence[Record]
+    missed: Mapping[float, Mapping[str, int]]
+    lost: Sequence[float] = ()
+    false_codewords: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A film to be received: at rest at a distance, or a drive.
+
+    Attributes
+    ----------
+    distance_m
+        Distance at rest; None: a drive from 80 m to 25 m at 30 km/h.
+    modulation
+        See `SignalSettings`.
+    seed
+        Of messages, place, motion and noise.
+    imu
+        Recorded motion of the drive; None: a road.
+    """
+
+    distance_m: float | None
+    modulation: Literal["haar", "ook"]
+    seed: tuple[int, ...]
+    imu: Path | None = None
+
+
+def measure(task: Task) -> Filmed:
+    """Film, receive, count."""
+    rng = np.random.default_rng(task.seed)
+    signal = {"modulation": task.modulation}
+    if task.distance_m is not None:
+        return film_packets(static_link(task.distance_m, rng, signal=signal), rng)
+    if task.imu is None:
+        return film_packets(load_settings("paper", {"signal": signal}), rng)
+    trace = load_imu(task.imu)
+    shake = {"shake": "imu", "imu_start_s": float(rng.uniform(0, trace.t_s[-1]))}
+    return film_packets(load_settings("paper", {"signal": signal, "channel": shake}), rng, Recordings(imu=trace))
+
+
+def film_packets(settings: LinkSettings, rng: np.random.Generator, recordings: Recordings | None = None) -> Filmed:
+    """Counts of each packet of a film by itself: errors within a packet are not independent."""
+    seed = int(rng.integers(2**31))
+    messages = random_messages(settings, seed)
+    counter, receiver = ErrorCounter(settings, messages), make_receiver(settings.signal, settings.receive)
+    times: list[float] = []
+    distances: list[float] = []
+    records: list[Record] = []
+    for frame, truth in simulate(settings, messages, seed, recordings, window_margin_px(settings)):
+        array = truth.arrays[0]
+        counter.saw(truth.time_s, [array.distance_m], [array.visible])
+        times.append(truth.time_s)
+        distances.append(array.distance_m)
+        for packet in receiver.push(frame):
+            if packet.status not in ("no_header", "no_array"):
+                middle = packet.start_time_s + settings.signal.packet_s / 2
+                record = _counted(counter, packet, float(np.interp(middle, times, distances)))
+                records += [record] if record else []
+    missed = {start: {n: e.missed for n, e in layers.items() if e.missed} for start, layers in counter.bins().items()}
+    missed = {start: layers for start, layers in missed.items() if layers}
+    words = PacketFormat(settings.signal).layers["high"].codewords
+    lost = [start + BIN_M / 2 for start, layers in missed.items() for _ in range(layers["high"] // words)]
+    return Filmed(records, missed, lost, counter.false_codewords)
+
+
+def _counted(counter: ErrorCounter, packet: Packet, distance_m: float) -> Record | None:
+    """What a packet adds to the counts; None if it is none of its own: cut by the film's end, or received before."""
+    before = {name: LayerCounts.of(errors) for name, errors in counter.total().items()}
+    counter.received(packet)
+    after = {name: LayerCounts.of(errors) for name, errors in counter.total().items()}
+    counts = {name: _more(after[name], before[name]) for name in LAYERS}
+    own = all(one.codewords > 0 and min(asdict(one).values()) >= 0 for one in counts.values())
+    return Record(distance_m, counts) if own and any(one.raw_bits for one in counts.values()) else None
+
+
+def _more(after: LayerCounts, before: LayerCounts) -> LayerCounts:
+    """What was counted since, without the packets that are missed so far."""
+    return LayerCounts(
+        after.bits - before.bits,
+        after.bit_errors - before.bit_errors,
+        after.raw_bits - before.raw_bits,
+        after.raw_errors - before.raw_errors,
+        (after.codewords - after.missed) - (before.codewords - before.missed),
+        (after.codeword_errors - after.missed) - (before.codeword_errors - before.missed),
+        packets=after.packets - before.packets,
+        bit_squares=after.bit_squares - before.bit_squares,
+        raw_squares=after.raw_squares - before.raw_squares,
+    )
+
+
+@dataclass(slots=True)
+class Sums:
+    """Counts of several packets, by distance and layer."""
+
+    places: dict[float, dict[str, LayerCounts]] = field(default_factory=dict)
+
+    def add(self, place: float, record: Record) -> None:
+        """Count a packet."""
+        here = self.places.setdefault(place, {name: LayerCounts() for name in LAYERS})
+        for name, counts in record.layers.items():
+            here[name].add(counts)
+
+    def miss(self, place: float, layer: str, codewords: int) -> None:
+        """Count codewords that were not received."""
+        here = self.places.setdefault(place, {name: LayerCounts() for name in LAYERS})
+        here[layer].add(LayerCounts(codewords=codewords, codeword_errors=codewords, missed=codewords))
+
+
+def bin_of(distance_m: float) -> float:
+    """Middle of the distance bin."""
+    return float(distance_m // BIN_M * BIN_M + BIN_M / 2)
+
+
+def lost_packets(films: Sequence[Filmed]) -> Count:
+    """Packets filmed whole, and those of them of which nothing was received."""
+    return Count(sum(len(one.packets) + len(one.lost) for one in films), sum(len(one.lost) for one in films))
+
+
+def all_layers(layers: Mapping[str, LayerCounts]) -> Clustered:
+    """Raw errors of all layers, by packet."""
+    parts = [counts.raw for counts in layers.values()]
+    # squares of packets' sums are not kept: at most this by Minkowski, if layers fail in step
+    squares = round(sum(np.sqrt(part.squares) for part in parts) ** 2)
+    trials, errors = sum(part.trials for part in parts), sum(part.errors for part in parts)
+    return Clustered(trials, errors, max(part.clusters for part in parts), squares, scattered=True)

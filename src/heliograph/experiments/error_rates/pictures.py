@@ -1,0 +1,106 @@
+"""Pictures of error rates by distance, and of driving over static."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from heliograph.experiments.error_rates.comparison import MARGIN, Comparison
+from heliograph.experiments.error_rates.films import Sums, all_layers
+from heliograph.experiments.plots import COLOURS
+from heliograph.link.bench import LayerCounts
+from heliograph.link.statistics import Clustered, Count
+from heliograph.signal.settings import LAYERS
+
+
+def pictures(still: Sums, moving: Sums, keyed: Sums, found: Sequence[Comparison]) -> list[tuple[Figure, str]]:
+    """Rates by distance, and driving over static; each with its caption."""
+    rates = (
+        "Bit error rate before and after the turbo code: static (lines), driving (open squares), on-off keying before "
+        "any code (gray). Layers are drawn half a metre aside. 95 % intervals; an arrow is a bound (3/n), no error met "
+        "in n bits before the code, in n packets after it."
+    )
+    ratio = (
+        "Raw errors driving over static at the same distances, 95 % over packets or drives; "
+        f"gray: alike, a factor {MARGIN:g}."
+    )
+    return [(_rates_picture(still, moving, keyed), rates), (_ratio_picture(found), ratio)]
+
+
+def _rates_picture(still: Sums, moving: Sums, keyed: Sums) -> Figure:
+    figure = Figure(figsize=(12, 4.8))
+    for axes, kind, title in zip(figure.subplots(1, 2), ("raw", "decoded"), ("before", "after"), strict=True):
+        for k, name in enumerate(LAYERS):
+            count = partial(_of, name, kind)
+            _draw(axes, still, count, COLOURS[name], f"{name}, static", "-", 0.5 * (k - 1))
+            _draw(axes, moving, count, COLOURS[name], f"{name}, driving", "none", 0.5 * (k - 1))
+        if kind == "raw":
+            _draw(axes, keyed, all_layers, "#4a5056", "on-off keying, static", "--")
+        axes.set_title(f"{title} the turbo code", fontsize=10)
+        axes.set_yscale("log")
+        axes.set_ylim(1e-6, 1)
+        axes.set_xlabel("distance (m)")
+        axes.set_ylabel("bit error rate")
+        axes.legend(frameon=False, fontsize=8, loc="upper left")
+        _clean(axes)
+    figure.tight_layout()
+    return figure
+
+
+def _draw(
+    axes: Any,
+    sums: Sums,
+    count: Callable[[Mapping[str, LayerCounts]], Count],
+    colour: str,
+    label: str,
+    dashes: str,
+    aside_m: float = 0.0,
+) -> None:
+    counts = [(z + aside_m, count(layers)) for z, layers in sorted(sums.places.items())]
+    met = [(z, c.rate, *c.interval()) for z, c in counts if c.errors]
+    style = {"color": colour, "ls": dashes, "lw": 1.2, "capsize": 2}
+    style |= {"marker": "s", "mfc": "none", "ms": 6} if dashes == "none" else {"marker": "o", "ms": 3}
+    if met:
+        z, rate, low, high = np.array(met).T
+        axes.errorbar(z, rate, (rate - low, high - rate), label=label, **style)
+    free = [(z, c.bound) for z, c in counts if c.trials and not c.errors]
+    if free:
+        z, bound = np.array(free).T
+        label = "" if met else label
+        axes.plot(z, bound, color=colour, marker=r"$\downarrow$", ms=8, ls="none", alpha=0.6, label=label or None)
+
+
+def _ratio_picture(found: Sequence[Comparison]) -> Figure:
+    figure = Figure(figsize=(9, 3.6))
+    axes = figure.subplots()
+    axes.axhspan(1 / MARGIN, MARGIN, color="#eef0f2", zorder=0)
+    axes.axhline(1, color="#c9ced6", lw=1, zorder=1)
+    for k, name in enumerate(LAYERS):
+        rows = [(c.bin_m + k - 1, c.ratio, c.low, c.high) for c in found if c.layer == name and c.bin_m is not None]
+        if rows:
+            z, ratio, low, high = np.array(rows).T
+            high = np.minimum(high, 1e3)
+            bars = (ratio - np.minimum(low, ratio), np.maximum(high, ratio) - ratio)
+            axes.errorbar(z, ratio, bars, color=COLOURS[name], marker="o", ms=4, ls="none", capsize=2, label=name)
+    axes.set_yscale("log")
+    axes.set_ylim(0.2, 5)
+    axes.set_yticks((0.2, 0.5, 1, 2, 5), ("0.2", "0.5", "1", "2", "5"))
+    axes.minorticks_off()
+    axes.set_xlabel("distance (m)")
+    axes.set_ylabel("driving / static")
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, ncols=3)
+    _clean(axes)
+    figure.tight_layout()
+    return figure
+
+
+def _clean(axes: Any) -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.25, lw=0.6)
+
+
+def _of(layer: str, kind: str, layers: Mapping[str, LayerCounts]) -> Clustered:
+    return layers[layer].raw if kind == "raw" else layers[layer].decoded
