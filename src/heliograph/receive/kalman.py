@@ -8,8 +8,15 @@ from numpy.typing import NDArray
 from heliograph.receive.pose import Pose
 from heliograph.receive.settings import TrackSettings
 
-SHOWN = 5
-"""The state begins with the pose vector (x, y, ln pitch, roll, ln blur); the rates of its first three follow."""
+SHOWN, RATES, STATES = 5, slice(5, 8), 10
+"""The state: the pose vector (x, y, ln pitch, roll, ln blur); the rates of its first three; and the systematic errors of
+ln pitch and ln blur in sums, where the panel's rim looks like another size of the array."""
+
+SUM_ERROR = np.array([0.05, 0.5])
+"""Standard deviations of those errors at first."""
+
+SUM_WALK = np.array([0.02, 0.2])
+"""Their random walks per square root of a second: what is behind the array changes."""
 
 ROLL_WALK = 0.03
 BLUR_WALK = 0.1
@@ -20,8 +27,40 @@ START_RATES = np.array([900.0, 900.0, 0.15])
 
 
 @dataclass(frozen=True, slots=True)
+class View:
+    """What a kind of look shows of the state.
+
+    Attributes
+    ----------
+    shows
+        (5, 10): H, the state to what a look shows.
+    error
+        (5,) variances of systematic errors that differ from look to look.
+    """
+
+    shows: NDArray[np.float64]
+    error: NDArray[np.float64]
+
+
+def _sums() -> NDArray[np.float64]:
+    shows = np.eye(SHOWN, STATES)
+    shows[2, 8] = shows[4, 9] = 1.0
+    return shows
+
+
+SUM = View(_sums(), np.array([0.0, 0.0, 0.002, 0.0, 0.02]) ** 2)
+"""The sum of a pattern and its inverse."""
+
+DIFFERENCE = View(np.eye(SHOWN, STATES), np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2)
+"""A header minus its inverse: the background cancels, but it moves between the two, hence x and y."""
+
+PLAIN = View(np.eye(SHOWN, STATES), np.zeros(SHOWN))
+"""The pose itself."""
+
+
+@dataclass(frozen=True, slots=True)
 class PoseState:
-    """Mean (8,) and covariance (8, 8) of pose and rates at a time in seconds."""
+    """Mean (10,) and covariance (10, 10) of pose, rates and the sums' errors at a time in seconds."""
 
     time_s: float
     mean: NDArray[np.float64]
@@ -29,37 +68,34 @@ class PoseState:
 
     @staticmethod
     def start(time_s: float, vector: NDArray[np.float64], covariance: NDArray[np.float64]) -> "PoseState":
-        """State of a pose just found, its rates unknown."""
-        mean, full = np.zeros(8), np.zeros((8, 8))
+        """State of a pose just found, its rates and the sums' errors unknown."""
+        mean, full = np.zeros(STATES), np.zeros((STATES, STATES))
         mean[:SHOWN], full[:SHOWN, :SHOWN] = vector, covariance
-        full[SHOWN:, SHOWN:] = np.diag(START_RATES**2)
+        full[SHOWN:, SHOWN:] = np.diag(np.concatenate([START_RATES, SUM_ERROR]) ** 2)
         return PoseState(time_s, mean, full)
 
     def predict(self, time_s: float, settings: TrackSettings) -> "PoseState":
         """The state at a later time: x = F x, P = F P F^T + Q."""
         dt = time_s - self.time_s
-        f = np.eye(8)
-        f[:3, SHOWN:] = dt * np.eye(3)
+        f = np.eye(STATES)
+        f[:3, RATES] = dt * np.eye(3)
         return PoseState(time_s, f @ self.mean, f @ self.covariance @ f.T + _process_noise(dt, settings))
 
-    def expected(self, bias: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Covariance (5, 5) of a look's pose: this state's, and the look's own systematic errors of variance `bias`."""
-        return self.covariance[:SHOWN, :SHOWN] + np.diag(bias)
+    def expected(self, view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean (5,) and covariance (5, 5) of what a look will show."""
+        return view.shows @ self.mean, view.shows @ self.covariance @ view.shows.T + np.diag(view.error)
 
-    def condition(
-        self, vector: NDArray[np.float64], covariance: NDArray[np.float64], bias: NDArray[np.float64]
-    ) -> "PoseState":
-        """The state once a look's pose is known to be `vector` with `covariance`.
+    def condition(self, vector: NDArray[np.float64], covariance: NDArray[np.float64], view: View) -> "PoseState":
+        """The state once what a look shows is known to be `vector` with `covariance`.
 
-        The fit took `expected(bias)` as its prior, so its result is the posterior of the look's pose (an iterated
-        Kalman update); the state follows by regression on it.
+        The fit took `expected(view)` as its prior, so its result is the posterior of what is shown (an iterated Kalman
+        update); the state follows by regression on it.
         """
-        # S = P_ss + B, G = P_:s S^-1; x += G (z - x_s); P += G (C - S) G^T
-        shown = self.expected(bias)
-        gain = np.linalg.solve(shown, self.covariance[:SHOWN]).T
-        mean = self.mean + gain @ (vector - self.mean[:SHOWN])
+        # S = H P H^T + B, G = P H^T S^-1; x += G (z - H x); P += G (C - S) G^T
+        mean, shown = self.expected(view)
+        gain = np.linalg.solve(shown, view.shows @ self.covariance).T
         full = self.covariance + gain @ (covariance - shown) @ gain.T
-        return PoseState(self.time_s, mean, 0.5 * (full + full.T))
+        return PoseState(self.time_s, self.mean + gain @ (vector - mean), 0.5 * (full + full.T))
 
     @property
     def pose(self) -> Pose:
@@ -69,16 +105,17 @@ class PoseState:
     def pose_at(self, time_s: float) -> Pose:
         """The pose a little earlier or later, at constant rates."""
         vector = self.mean[:SHOWN].copy()
-        vector[:3] += (time_s - self.time_s) * self.mean[SHOWN:]
+        vector[:3] += (time_s - self.time_s) * self.mean[RATES]
         return Pose.of(vector)
 
 
 def _process_noise(dt: float, settings: TrackSettings) -> NDArray[np.float64]:
     """Q of a white acceleration of density q = 2 a^2 tau: q [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]]."""
     q = 2 * settings.acceleration_s * np.array([settings.acceleration_px_s2**2] * 2 + [settings.expansion_s2**2])
-    noise = np.zeros((8, 8))
+    noise = np.zeros((STATES, STATES))
     noise[[0, 1, 2], [0, 1, 2]] = q * dt**3 / 3
     noise[[0, 1, 2], [5, 6, 7]] = noise[[5, 6, 7], [0, 1, 2]] = q * dt**2 / 2
     noise[[5, 6, 7], [5, 6, 7]] = q * dt
     noise[3, 3], noise[4, 4] = ROLL_WALK**2 * dt, BLUR_WALK**2 * dt
+    noise[[8, 9], [8, 9]] = SUM_WALK**2 * dt
     return noise

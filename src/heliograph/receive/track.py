@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.detect import Detection, cut_out
 from heliograph.receive.fit import Fit, Prior, fit_array, window_around
-from heliograph.receive.kalman import PoseState
+from heliograph.receive.kalman import DIFFERENCE, SUM, PoseState
 from heliograph.receive.pose import Pose
 from heliograph.receive.settings import TrackSettings
 
@@ -17,13 +17,6 @@ Floats = NDArray[np.float64]
 
 MARGIN_PITCHES, MARGIN_PX = 1.5, 1.5
 """Width of the array's surroundings that are fitted too: they hold its edge, the panel's and the background."""
-
-
-SUM_BIAS = np.array([0.0, 0.0, 0.05, 0.0, 0.5]) ** 2
-"""Systematic errors of ln pitch and ln blur in a sum: the panel's rim looks like another size of the array."""
-
-HEADER_BIAS = np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2
-"""Of x and y in a header minus its inverse, in px: motion between the two. The background cancels there."""
 
 
 RESOLVED_PX = 1.0
@@ -70,13 +63,14 @@ class Tracker:
         self.state = PoseState.start(detection.time_s, fit.vector, _widened(fit.covariance))
         self.last_seen_s = detection.time_s
         self.gain = fit.gain
+        self.data_gain = fit.gain
 
     def follow(self, pattern: Frame, inverted: Frame) -> TrackedPair:
         """Find the array in the sum of a pair and move the filter on; coast where it is not seen."""
         predicted = self._predict(0.5 * (pattern.time_s + inverted.time_s))
         corner, up, down = self._cut(pattern, inverted, predicted)
         # (pattern) + (inverse) = every LED on, Fig. 9
-        prior = Prior(predicted.mean[:5], predicted.expected(SUM_BIAS), self.gain)
+        prior = Prior(*predicted.expected(SUM), self.gain)
         total = up + down
         start = self._unresolved(total, corner, prior) if self._unsure(predicted) else None
         # a start of its own saves a step
@@ -84,7 +78,7 @@ class Tracker:
         fit = fit_array(total, corner, prior, self._ones, steps, panel=True, start=start)
         seen = self._inside(fit, pattern) and self._active(up - down, fit.pose, corner)
         if seen:
-            predicted = predicted.condition(fit.vector, fit.covariance, SUM_BIAS)
+            predicted = predicted.condition(fit.vector, fit.covariance, SUM)
             self.last_seen_s = predicted.time_s
             self.gain += 0.1 * (fit.gain - self.gain)
         self.state = predicted
@@ -93,10 +87,11 @@ class Tracker:
     def refine(self, pattern: Frame, inverted: Frame, weights: NDArray[np.float64]) -> None:
         """Sharpen pitch, rotation and blur by a header of known `weights`, after its sum was followed."""
         corner, up, down = self._cut(pattern, inverted, self.state)
-        prior = Prior(self.state.mean[:5], self.state.expected(HEADER_BIAS))
+        prior = Prior(*self.state.expected(DIFFERENCE))
         fit = fit_array(up - down, corner, prior, weights, self._settings.iterations)
         if fit.score >= self._settings.score:
-            self.state = self.state.condition(fit.vector, fit.covariance, HEADER_BIAS)
+            self.state = self.state.condition(fit.vector, fit.covariance, DIFFERENCE)
+            self.data_gain = fit.gain
 
     def _predict(self, time_s: float) -> PoseState:
         """The state at a time; pairs seen before the detection's own time take it as it is."""

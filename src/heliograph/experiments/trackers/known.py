@@ -15,7 +15,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
 from heliograph.receive.detect import Detection, cut_out
 from heliograph.receive.fit import PANEL_MARGINS, window_around
-from heliograph.receive.kalman import PoseState
+from heliograph.receive.kalman import PLAIN, PoseState
 from heliograph.signal import haar
 from heliograph.signal.header import header_levels
 from heliograph.signal.pwm import SLOTS
@@ -85,7 +85,7 @@ class KnownPattern:
             self._state = self._state.predict(frame.time_s, self._settings.receive.track)
         mean, data = self._expected[self._kind(frame.time_s - self._start_s)]
         vector, covariance = self._fit(frame, mean, data)
-        self._state = self._state.condition(vector, covariance, np.zeros(5))
+        self._state = self._state.condition(vector, covariance, PLAIN)
         return self._state.mean[:5].copy()
 
     def _kind(self, since_s: float) -> int:
