@@ -6,13 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from heliograph.base.frames import Frame
 from heliograph.experiments.chapter import Finding
 from heliograph.experiments.figures import tracking
-from heliograph.experiments.trackers.known import SPREAD, known_leds, known_light
+from heliograph.experiments.trackers.known import GROWTH, SPREAD, KnownPattern, known_leds, known_light
 from heliograph.experiments.trackers.race import KNOWN, TRACKERS, Film, Run, race
 from heliograph.experiments.trackers.score import Score, score, scores
 from heliograph.experiments.trackers.verdicts import BACKGROUND, OURS, findings, rate_finding, rates
 from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.receive import Pose
+from heliograph.receive.detect import Detection
+from heliograph.receive.fit import Fit
 
 DAY, DARK = "day", "dark"
 
@@ -94,6 +98,18 @@ def test_known_light_keeps_its_leds_lit_and_is_not_inverted() -> None:
     assert not (patterns[4:-1:2] + patterns[5::2] == 4).all((1, 2)).any()
     # the spread that the fit assumes of data
     assert patterns[4:, ~known].std() / 4 == pytest.approx(SPREAD, rel=0.05)
+
+
+def test_a_known_pattern_that_is_lost_stays_and_looks_at_no_more_than_before() -> None:
+    link = settings({"kind": "synthetic"})
+    tracker, rng = KnownPattern(link), np.random.default_rng(0)
+    pose = Pose(128.0, 96.0, 1.2, 0.0, 0.8)
+    fit = Fit(pose.vector(), np.diag([0.01, 0.01, 1e-4, 1e-4, 1e-2]), 150.0, 0.99, 1.0)
+    frames = [Frame(k, 1e-3 * k, rng.integers(0, 255, (192, 256), dtype=np.uint8), 8) for k in range(800)]
+    tracker.start(Detection(0, 0.0, fit, 0.0015, 0.99, 1.0), *frames[2:4])
+    found = [tracker.update(one, other) for one, other in zip(frames[4::2], frames[5::2], strict=True)]
+    assert all(GROWTH[0] <= p.pitch / pose.pitch <= GROWTH[1] for p in found)
+    assert all(0 <= p.x < 256 and 0 <= p.y < 192 for p in found)
 
 
 def test_scores_of_known_errors() -> None:
