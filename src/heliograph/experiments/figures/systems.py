@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from heliograph.experiments.chapter import Chapter, Context, Finding, Table
 from heliograph.experiments.plots import COLOURS
-from heliograph.experiments.systems import SCHEMES, Heard, Reading, each, listen
+from heliograph.experiments.systems import SCHEMES, Heard, Reading, listen
 from heliograph.link.statistics import Count
 
 QUICK_BITS, FULL_BITS = 20_000, 100_000
@@ -108,7 +108,7 @@ def tasks(context: Context) -> list[Task]:
 def run(context: Context) -> Chapter:
     """Error rates before any code of all systems, by distance; their ranges."""
     todo = tasks(context)
-    heard = each(context, "other systems", measure, todo, (0.0, 1.0))
+    heard = context.each("other systems", measure, todo)
     points = {line.name: _points(line, todo, heard) for line in LINES}
     return Chapter(
         key="systems",

@@ -1,16 +1,11 @@
 """Fig. 11 and 12: the array cut out without and with tracking, and five ways of tracking on the same films."""
 
-import multiprocessing
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 
-from heliograph.channel import frame_count
 from heliograph.experiments import plots
 from heliograph.experiments.chapter import Chapter, Context, Table
 from heliograph.experiments.trackers.race import TRACKERS, Film, Run, race
@@ -38,7 +33,8 @@ TEXT = (
     "signals: the receiver's own tracker; PWM lights the first part of T_b, so a sum shows the array some 0.2 ms "
     "before the middle of the exposures, where the truth is taken, and this error grows with the image's speed. Known "
     "pattern: four blocks of 4 x 4 LEDs in the corners always lit, random data elsewhere, no inverse, each frame "
-    "fitted with the same motion model; its light differs, its headers do not. "
+    "fitted with the same motion model; its light differs, its headers do not; where its fit runs away it counts as "
+    "lost, and stays. "
     "Background: Lucas-Kanade on features around the array, their median way from a key pair, the ways added up; it "
     "sees neither the array's size nor its own drift, nor that the array, being nearer, moves otherwise than what is "
     "behind it. General: of OpenCV 5 only TrackerMIL needs no trained model; its boxes have whole pixels; sub-pixel "
@@ -54,7 +50,7 @@ TEXT = (
 
 def run(context: Context) -> Chapter:
     """Run all trackers on all films."""
-    runs = _race(_films(context), context)
+    runs = context.each("tracking", race, _films(context))
     table = scores(runs)
     dark = {"at a small aperture": list(APERTURE), "at night": [NIGHT, *night_clips(context.clips)]}
     return Chapter(
@@ -103,33 +99,6 @@ def _film(
         clip=context.clips[clip] if clip else None,
         imu=context.imu,
     )
-
-
-def _race(films: Sequence[Film], context: Context) -> list[Run]:
-    """All films, in several processes if there may be."""
-    total = sum(frame_count(film.settings.channel) for film in films)
-    if context.workers > 1:
-        return _race_apart(films, context)
-    runs: list[Run] = []
-    done = 0
-    for film in films:
-        runs.append(race(film, partial(_report, context, film.name, done, total)))
-        done += frame_count(film.settings.channel)
-    return runs
-
-
-def _report(context: Context, name: str, done: int, total: int, frame: float) -> None:
-    context.progress(f"tracking, {name}", (done + frame) / total)
-
-
-def _race_apart(films: Sequence[Film], context: Context) -> list[Run]:
-    fresh = multiprocessing.get_context("spawn")
-    single = (1,)  # thread of OpenCV in each process
-    with ProcessPoolExecutor(min(context.workers, len(films)), fresh, cv2.setNumThreads, single) as pool:
-        jobs = [pool.submit(race, film) for film in films]
-        for done, _ in enumerate(as_completed(jobs), 1):
-            context.progress("tracking", done / len(jobs))
-        return [job.result() for job in jobs]
 
 
 def tables(table: Scores) -> list[Table]:
