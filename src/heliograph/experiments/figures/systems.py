@@ -117,8 +117,10 @@ def run(context: Context) -> Chapter:
             "Static camera, reference link, no error-correcting code: random bits in pattern and inverse, detected and "
             "tracked by the plain receiver. Each film is one packet with the array at its own place on the pixel grid. "
             "The inverse undoes the blur of all LEDs by least squares with the pose and blur the receiver has "
-            "estimated, or, as in the field trial, with the channel known beforehand. Repetition shows each bit on a "
-            "square of LEDs and adds their luminances. Intervals take bits as independent; errors of one film are not."
+            "estimated, or, as in the field trial, with the channel known beforehand. Repetition "
+            "of low frequencies is on-off keying on squares of 2 x 2 or 4 x 4 LEDs, nothing more: all LEDs of a square "
+            "show the same bit, and their luminances are added; a pattern then carries 64 or 16 bits in place of 256, "
+            "and nothing is sent at the fine scale. Intervals take bits as independent; errors of one film are not."
         ),
         findings=_findings(points),
         pictures=[(_picture(points), CAPTION)],
