@@ -141,7 +141,7 @@ def fake(**changes: Score) -> dict[str, dict[str, Score]]:
 
 
 def told(table: dict[str, dict[str, Score]], start: str) -> Finding:
-    (found,) = (f for f in findings(table, DAY, {"at night": [DARK]}) if f.claim.startswith(start))
+    (found,) = (f for f in findings(table, {"at night": {DARK: [DAY]}}) if f.claim.startswith(start))
     return found
 
 
@@ -152,7 +152,6 @@ def told(table: dict[str, dict[str, Score]], start: str) -> Finding:
         ("Fig. 12", {"day_ours": replace(GOOD, q999_px=1.5)}),
         ("Fig. 12", {"dark_ours": replace(GOOD, lost=1)}),
         ("IV.B.2", {"dark_back": GOOD}),
-        ("IV.B.2", {"day_back": AWAY}),
         ("IV.B: inverted signals solve", {"dark_ours": replace(GOOD, near=99)}),
     ],
 )
@@ -165,7 +164,9 @@ def test_verdicts_follow_the_numbers(start: str, change: dict[str, Score]) -> No
 
 
 def test_a_part_of_the_drive_tells_nothing_against_fig_11() -> None:
-    (part,) = (f for f in findings(fake(day_none=GOOD), DAY, {"at night": [DARK]}, whole=False) if "Fig. 11" in f.claim)
+    (part,) = (
+        f for f in findings(fake(day_none=GOOD), {"at night": {DARK: [DAY]}}, whole=False) if "Fig. 11" in f.claim
+    )
     assert part.verdict == "shown"
     assert DAY in part.why
 
@@ -175,13 +176,29 @@ def test_a_part_of_the_drive_tells_nothing_against_fig_11() -> None:
     [(AWAY, AWAY, "holds"), (GOOD, GOOD, "differs"), (AWAY, GOOD, "shown"), (GOOD, AWAY, "shown")],
 )
 def test_night_is_judged_by_all_dark_films(drawn: Score, clip: Score, verdict: str) -> None:
-    table = fake(dark_back=drawn)
-    table["night-road"] = table[DARK] | {BACKGROUND: clip}
-    night = [DARK, *tracking.night_clips(["dashcam", "night-road"])]
-    (found,) = (f for f in findings(table, DAY, {"at night": night}) if f.claim.startswith("IV.B.2"))
+    found = night(drawn, clip, by_day=GOOD)
     assert found.verdict == verdict
     assert "night-road: " in found.ours
     assert ("night-road" in found.why) == (verdict != "holds")
+
+
+def night(drawn: Score, clip: Score, by_day: Score) -> Finding:
+    """Judged by the background tracker's scores in a drawn film and a clip at night, and in a clip by day."""
+    table = fake(dark_back=drawn)
+    for name, one in (("night-road", clip), ("dashcam", by_day)):
+        table[name] = table[DARK] | {BACKGROUND: one}
+    films = {DARK: [DAY], **tracking.night_clips(["dashcam", "night-road"])}
+    (found,) = (f for f in findings(table, {"at night": films}) if f.claim.startswith("IV.B.2"))
+    return found
+
+
+def test_a_dark_film_tells_nothing_where_the_background_fails_by_day_too() -> None:
+    for clip in (GOOD, AWAY):
+        by_drawn_alone = night(AWAY, clip, by_day=AWAY)
+        assert by_drawn_alone.verdict == "holds"
+        assert "Not judged: night-road" in by_drawn_alone.why
+    (none,) = (f for f in findings(fake(day_back=AWAY), {"at night": {DARK: [DAY]}}) if f.claim.startswith("IV.B.2"))
+    assert none.verdict == "shown"
 
 
 def test_the_claim_about_data_rate_hangs_on_the_leds_lost() -> None:
