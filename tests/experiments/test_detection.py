@@ -73,6 +73,13 @@ def test_films_are_counted_once_by_each_way(measured: Measured) -> None:
     assert measured.example is not None
 
 
+def test_results_do_not_depend_on_how_films_are_handed_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes, effort = {"drawn scene": drawn_backdrop}, Effort(2, 0, 4, 1)
+    whole = trials.measure(scenes, effort, None, Context())
+    monkeypatch.setattr(trials, "BATCH", 1)
+    assert trials.measure(scenes, effort, None, Context(workers=2)).scores == whole.scores
+
+
 def test_lamps_are_judged_apart_from_what_is_filmed() -> None:
     scenes = {"clip": 40, "drawn scene": 40, "lamps": 120}
     false = {scene: [0.0] * films for scene, films in scenes.items()}
