@@ -1,11 +1,13 @@
 """False detections: thresholds and curves on made-up scores, the four ways on a few films."""
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from heliograph.channel import Placement
 from heliograph.experiments import candidates as cand
 from heliograph.experiments import detection_trials as trials
 from heliograph.experiments.candidates import WAYS, Probe, Scores
@@ -14,9 +16,10 @@ from heliograph.experiments.clutter import backdrops, shoot
 from heliograph.experiments.detection_trials import Effort, Measured
 from heliograph.experiments.detection_verdicts import compared, ingredients
 from heliograph.experiments.figures import detection
-from heliograph.experiments.identities import confusion
+from heliograph.experiments.identities import confusion, small_camera, taken_for
 from heliograph.experiments.lamps import FRAMES, SIZE, drawn_backdrop, lamp_backdrop
 from heliograph.link.statistics import Count
+from heliograph.signal.header import IDENTITIES
 
 
 def test_curve_rises_from_nothing_to_all() -> None:
@@ -70,6 +73,13 @@ def test_films_are_counted_once_by_each_way(measured: Measured) -> None:
     assert measured.example is not None
 
 
+def test_results_do_not_depend_on_how_films_are_handed_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes, effort = {"drawn scene": drawn_backdrop}, Effort(2, 0, 4, 1)
+    whole = trials.measure(scenes, effort, None, Context())
+    monkeypatch.setattr(trials, "BATCH", 1)
+    assert trials.measure(scenes, effort, None, Context(workers=2)).scores == whole.scores
+
+
 def test_lamps_are_judged_apart_from_what_is_filmed() -> None:
     scenes = {"clip": 40, "drawn scene": 40, "lamps": 120}
     false = {scene: [0.0] * films for scene, films in scenes.items()}
@@ -109,12 +119,27 @@ def test_lamps_change_between_frames() -> None:
     assert any(np.abs(a.astype(int) - b).max() > 50 for a, b in pairwise(images))
 
 
-def test_identities_are_told_apart() -> None:
-    told = confusion((50.0, 150.0), {"drawn scene": drawn_backdrop}, 1, None, 0, lambda _: None, (0, 6, 28))
+@pytest.mark.parametrize("beside", [False, True])
+def test_identities_are_told_apart(beside: bool) -> None:
+    scenes = {"drawn scene": drawn_backdrop}
+    told = confusion((50.0, 150.0), scenes, 1, None, Context(), (0, 1), (0, 6, 28), beside=beside)
     for one in told.values():
-        assert one.counts.sum() == one.right.trials == 3
-        assert one.right.errors == 3
+        assert one.counts.sum() == one.right.trials == (6 if beside else 3)
+        assert one.right.errors == one.right.trials
         assert one.wrong.errors == one.missed.errors == 0
+        # those that were asked for, and others beside them
+        assert (one.counts.sum(1)[[0, 6, 28]] >= 1).all()
+
+
+def test_two_arrays_in_one_view_are_counted_each_at_its_place() -> None:
+    places = [Placement(x_m=-0.4, y_m=0.0), Placement(x_m=0.4, y_m=0.1)]
+    rng = np.random.default_rng(2)
+    film = shoot(drawn_backdrop(rng), rng, None, 50.0, "m_sequence", (3, 17), small_camera(places))
+    assert taken_for(film) == [3, 17]
+    left, right = film.truths
+    assert right.x - left.x == pytest.approx(0.8 * 2917 / 50, abs=0.5)
+    # where there is no array it is missed, and its neighbour is not taken for it
+    assert taken_for(replace(film, truths=(left.moved(0, 60), right))) == [IDENTITIES, 17]
 
 
 def test_best_of_nothing() -> None:

@@ -2,7 +2,7 @@
 
 import json
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -15,6 +15,7 @@ from heliograph.base.config import merge
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.experiments import dataset, executors, sweep
 from heliograph.experiments import points as points_module
+from heliograph.experiments.executors import Result, Work
 from heliograph.experiments.plan import plan
 from heliograph.experiments.points import Point, StopRule, Tally, run_job
 from heliograph.experiments.store import NAME, Store
@@ -256,8 +257,8 @@ class Fragile:
     def __init__(self, losses: int):
         self.losses, self.restarts = losses, 0
 
-    def submit(self, job: executors.Job, work: dict[str, Any]) -> "Future[dict[str, Any]]":
-        future: Future[dict[str, Any]] = Future()
+    def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
+        future: Future[Result] = Future()
         if self.restarts < self.losses:
             future.set_exception(BrokenProcessPool("a process died"))
         else:

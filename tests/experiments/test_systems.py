@@ -5,7 +5,7 @@ import pytest
 
 from heliograph.experiments.chapter import Context
 from heliograph.experiments.figures import systems as figure
-from heliograph.experiments.systems import ENOUGH, SCHEMES, SIDE, Heard, each, listen
+from heliograph.experiments.systems import ENOUGH, SCHEMES, SIDE, Heard, listen
 from heliograph.link.statistics import Count
 
 
@@ -64,10 +64,6 @@ def test_ranges() -> None:
     assert figure.range_m(points, 5e-3) == pytest.approx(55)
     assert figure.range_m(points, 0.4) is None
     assert figure.error_free_m(points[2:]) is None
-
-
-def test_jobs_keep_their_order() -> None:
-    assert each(Context(), "title", abs, [-1, 2, -3], (0, 1)) == [1, 2, 3]
 
 
 def test_chapter(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,13 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from heliograph.base.frames import Frame
 from heliograph.experiments.chapter import Finding
 from heliograph.experiments.figures import tracking
-from heliograph.experiments.trackers.known import SPREAD, known_leds, known_light
+from heliograph.experiments.trackers.known import GROWTH, SPREAD, KnownPattern, known_leds, known_light
 from heliograph.experiments.trackers.race import KNOWN, TRACKERS, Film, Run, race
 from heliograph.experiments.trackers.score import Score, score, scores
 from heliograph.experiments.trackers.verdicts import BACKGROUND, OURS, findings, rate_finding, rates
 from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.receive import Pose
+from heliograph.receive.detect import Detection
+from heliograph.receive.fit import Fit
 
 DAY, DARK = "day", "dark"
 
@@ -96,6 +100,18 @@ def test_known_light_keeps_its_leds_lit_and_is_not_inverted() -> None:
     assert patterns[4:, ~known].std() / 4 == pytest.approx(SPREAD, rel=0.05)
 
 
+def test_a_known_pattern_that_is_lost_stays_and_looks_at_no_more_than_before() -> None:
+    link = settings({"kind": "synthetic"})
+    tracker, rng = KnownPattern(link), np.random.default_rng(0)
+    pose = Pose(128.0, 96.0, 1.2, 0.0, 0.8)
+    fit = Fit(pose.vector(), np.diag([0.01, 0.01, 1e-4, 1e-4, 1e-2]), 150.0, 0.99, 1.0)
+    frames = [Frame(k, 1e-3 * k, rng.integers(0, 255, (192, 256), dtype=np.uint8), 8) for k in range(800)]
+    tracker.start(Detection(0, 0.0, fit, 0.0015, 0.99, 1.0), *frames[2:4])
+    found = [tracker.update(one, other) for one, other in zip(frames[4::2], frames[5::2], strict=True)]
+    assert all(GROWTH[0] <= p.pitch / pose.pitch <= GROWTH[1] for p in found)
+    assert all(0 <= p.x < 256 and 0 <= p.y < 192 for p in found)
+
+
 def test_scores_of_known_errors() -> None:
     n = 200
     errors = np.column_stack([np.full(n, 0.3), np.full(n, 0.4), np.full(n, np.nan)])
@@ -125,7 +141,7 @@ def fake(**changes: Score) -> dict[str, dict[str, Score]]:
 
 
 def told(table: dict[str, dict[str, Score]], start: str) -> Finding:
-    (found,) = (f for f in findings(table, DAY, {"at night": [DARK]}) if f.claim.startswith(start))
+    (found,) = (f for f in findings(table, {"at night": {DARK: [DAY]}}) if f.claim.startswith(start))
     return found
 
 
@@ -136,7 +152,6 @@ def told(table: dict[str, dict[str, Score]], start: str) -> Finding:
         ("Fig. 12", {"day_ours": replace(GOOD, q999_px=1.5)}),
         ("Fig. 12", {"dark_ours": replace(GOOD, lost=1)}),
         ("IV.B.2", {"dark_back": GOOD}),
-        ("IV.B.2", {"day_back": AWAY}),
         ("IV.B: inverted signals solve", {"dark_ours": replace(GOOD, near=99)}),
     ],
 )
@@ -149,7 +164,9 @@ def test_verdicts_follow_the_numbers(start: str, change: dict[str, Score]) -> No
 
 
 def test_a_part_of_the_drive_tells_nothing_against_fig_11() -> None:
-    (part,) = (f for f in findings(fake(day_none=GOOD), DAY, {"at night": [DARK]}, whole=False) if "Fig. 11" in f.claim)
+    (part,) = (
+        f for f in findings(fake(day_none=GOOD), {"at night": {DARK: [DAY]}}, whole=False) if "Fig. 11" in f.claim
+    )
     assert part.verdict == "shown"
     assert DAY in part.why
 
@@ -159,13 +176,29 @@ def test_a_part_of_the_drive_tells_nothing_against_fig_11() -> None:
     [(AWAY, AWAY, "holds"), (GOOD, GOOD, "differs"), (AWAY, GOOD, "shown"), (GOOD, AWAY, "shown")],
 )
 def test_night_is_judged_by_all_dark_films(drawn: Score, clip: Score, verdict: str) -> None:
-    table = fake(dark_back=drawn)
-    table["night-road"] = table[DARK] | {BACKGROUND: clip}
-    night = [DARK, *tracking.night_clips(["dashcam", "night-road"])]
-    (found,) = (f for f in findings(table, DAY, {"at night": night}) if f.claim.startswith("IV.B.2"))
+    found = night(drawn, clip, by_day=GOOD)
     assert found.verdict == verdict
     assert "night-road: " in found.ours
     assert ("night-road" in found.why) == (verdict != "holds")
+
+
+def night(drawn: Score, clip: Score, by_day: Score) -> Finding:
+    """Judged by the background tracker's scores in a drawn film and a clip at night, and in a clip by day."""
+    table = fake(dark_back=drawn)
+    for name, one in (("night-road", clip), ("dashcam", by_day)):
+        table[name] = table[DARK] | {BACKGROUND: one}
+    films = {DARK: [DAY], **tracking.night_clips(["dashcam", "night-road"])}
+    (found,) = (f for f in findings(table, {"at night": films}) if f.claim.startswith("IV.B.2"))
+    return found
+
+
+def test_a_dark_film_tells_nothing_where_the_background_fails_by_day_too() -> None:
+    for clip in (GOOD, AWAY):
+        by_drawn_alone = night(AWAY, clip, by_day=AWAY)
+        assert by_drawn_alone.verdict == "holds"
+        assert "Not judged: night-road" in by_drawn_alone.why
+    (none,) = (f for f in findings(fake(day_back=AWAY), {"at night": {DARK: [DAY]}}) if f.claim.startswith("IV.B.2"))
+    assert none.verdict == "shown"
 
 
 def test_the_claim_about_data_rate_hangs_on_the_leds_lost() -> None:

@@ -1,6 +1,5 @@
 """heliograph reproduce."""
 
-import os
 import sys
 from pathlib import Path
 
@@ -13,12 +12,13 @@ def run_reproduce(
 ) -> None:
     """Run the paper's experiments and write their report."""
     from heliograph.experiments.chapter import Context
+    from heliograph.experiments.executors import cores
     from heliograph.experiments.reproduce import chosen, recordings_in, reproduce
 
     keys = chosen(figures)
     with clear_write_errors(output):
         output.mkdir(parents=True, exist_ok=True)
-    known = {"quick": quick, "seed": seed, "workers": workers or os.cpu_count() or 1, **recordings_in(data)}
+    known = {"quick": quick, "seed": seed, "workers": workers or cores(), **recordings_in(data)}
     try:
         with console.progress("reproducing", len(keys)) as advance:
             done = 0

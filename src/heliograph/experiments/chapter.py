@@ -1,9 +1,11 @@
 """What an experiment leaves: pictures, tables, data, and each claim of the paper beside what was measured."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+
+from heliograph.experiments.executors import Result, Work, each
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -102,3 +104,24 @@ class Context:
     imu: Path | None = None
     workers: int = 1
     progress: Callable[[str, float], None] = quiet
+
+    def each(
+        self,
+        title: str,
+        job: Callable[[Work], Result],
+        works: Iterable[Work],
+        span: tuple[float, float] = (0.0, 1.0),
+    ) -> list[Result]:
+        """Results of a job for each of some works by the workers; see `executors.each`.
+
+        Parameters
+        ----------
+        title
+            For the progress.
+        job, works
+            What is done, and with what.
+        span
+            Shares of the experiment done before and after.
+        """
+        start, end = span
+        return each(self.workers, job, works, lambda share: self.progress(title, start + (end - start) * share))

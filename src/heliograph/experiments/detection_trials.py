@@ -1,6 +1,6 @@
 """Films with and without an array, and what each way of detecting and the receiver make of them."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,6 +25,9 @@ SCORE = ReceiveSettings().detect.score
 
 LAMPS = "lamps"
 """The scene full of lamps, which move, flicker and turn; the others are footage and a drawn street at rest."""
+
+BATCH = 15
+"""Films of a scene that a worker takes at a time."""
 
 LAMP_FILMS = 3
 """Times as many films of the lamps as of the other scenes: there the false alarms are."""
@@ -60,6 +63,20 @@ class Measured:
     receiver_found: dict[tuple[str, float], Count] = field(default_factory=dict)
     example: tuple[float, Film, Pose] | None = None
 
+    def add(self, more: "Measured") -> None:
+        """Take the films of another batch."""
+        for name, scores in more.scores.items():
+            for scene, false in scores.false.items():
+                self.scores[name].false.setdefault(scene, []).extend(false)
+            for where, true in scores.true.items():
+                self.scores[name].true.setdefault(where, []).extend(true)
+        for scene, count in more.receiver_false.items():
+            self.receiver_false.setdefault(scene, Count()).add(count.trials, count.errors)
+        for where, count in more.receiver_found.items():
+            self.receiver_found.setdefault(where, Count()).add(count.trials, count.errors)
+        if more.example and (self.example is None or more.example[0] > self.example[0]):
+            self.example = more.example
+
     def set_false(self, scenes: Collection[str] | None = None) -> Count:
         """False alarms of the receiver as it is set, in some scenes or all."""
         return together(count for scene, count in self.receiver_false.items() if scenes is None or scene in scenes)
@@ -73,19 +90,46 @@ class Measured:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Films of a scene: which, with an array at a distance (None: without one), and what they are drawn from."""
+
+    scene: str
+    backdrop: Backdrop
+    place: int
+    distance_m: float | None
+    trials: range
+    imu: ImuTrace | None
+    seed: int
+
+
 def measure(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None, context: Context) -> Measured:
     """Scores of all ways in all films."""
-    out, probes = Measured(), {way.name: Probe(way) for way in WAYS}
+    out = Measured()
+    for one in context.each("detection", film_batch, _batches(scenes, effort, imu, context.seed), (0.0, 0.7)):
+        out.add(one)
+    return out
+
+
+def _batches(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None, seed: int) -> Iterator[Batch]:
     for place, (name, scene) in enumerate(scenes.items()):
-        films = effort.without * (LAMP_FILMS if name == LAMPS else 1)
-        for trial in range(films):
-            rng = np.random.default_rng([context.seed, place, trial, 0])
-            _without(out, probes, name, shoot(scene(rng), rng, imu))
-            context.progress("detection", 0.7 * (place + 0.5 * trial / films) / len(scenes))
-        for distance in DISTANCES:
-            for trial in range(effort.with_array):
-                _with(out, probes, name, scene, distance, (context.seed, place, trial, round(distance)), imu)
-        context.progress("detection", 0.7 * (place + 1) / len(scenes))
+        for distance in (None, *DISTANCES):
+            bare = effort.without * (LAMP_FILMS if name == LAMPS else 1)
+            films = range(bare if distance is None else effort.with_array)
+            for start in films[::BATCH]:
+                yield Batch(name, scene, place, distance, films[start : start + BATCH], imu, seed)
+
+
+def film_batch(batch: Batch) -> Measured:
+    """Film and search."""
+    out, probes = Measured(), {way.name: Probe(way) for way in WAYS}
+    for trial in batch.trials:
+        if batch.distance_m is None:
+            rng = np.random.default_rng([batch.seed, batch.place, trial, 0])
+            _without(out, probes, batch.scene, shoot(batch.backdrop(rng), rng, batch.imu))
+        else:
+            seed = (batch.seed, batch.place, trial, round(batch.distance_m))
+            _with(out, probes, batch.scene, batch.backdrop, batch.distance_m, seed, batch.imu)
     return out
 
 
@@ -114,7 +158,7 @@ def _with(
         if way.detector not in films:
             rng = np.random.default_rng(seed)
             identity = int(rng.integers(30))
-            films[way.detector] = shoot(backdrop(rng), rng, imu, distance, way.detector, identity)
+            films[way.detector] = shoot(backdrop(rng), rng, imu, distance, way.detector, (identity,))
         film, wanted = films[way.detector], identity if way.detector == "m_sequence" else None
         assert film.truth is not None
         score = cand.score_of_array(probes[way.name].candidates(film), film.truth, wanted)

@@ -75,14 +75,14 @@ def _by_scene(scores: Scores, scenes: Collection[str], threshold: float = SCORE)
     return ", ".join(f"{scene} {counted(false_alarms(scores, threshold, [scene]))}" for scene in scenes)
 
 
-def told_apart(told: Mapping[float, Confusion]) -> Finding:
-    """Several arrays by their M-sequences."""
+def told_apart(told: Mapping[float, Confusion], *, beside: bool = False) -> Finding:
+    """Several arrays by their M-sequences, each alone or two in one view."""
     near = [one for z, one in told.items() if z in DISTANCES]
     wrong = Count(sum(c.wrong.trials for c in near), sum(c.wrong.errors for c in near))
     right = Count(sum(c.right.trials for c in near), sum(c.right.errors for c in near))
     far = told[FAR_M]
     return Finding(
-        "Section IV-A: arrays with different M-sequences are told apart.",
+        f"Section IV-A: arrays with different M-sequences are told apart: {'two in one view' if beside else 'alone'}.",
         f"At 25 m to 80 m: right {right.errors} of {right.trials} ({_range(right)}), taken for another "
         f"{wrong.errors} of {wrong.trials} ({_range(wrong)}); at {FAR_M:g} m right {far.right.errors} of "
         f"{far.right.trials}, taken for another {far.wrong.errors} of {far.wrong.trials}.",

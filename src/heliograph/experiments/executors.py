@@ -11,14 +11,15 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from heliograph.base.errors import HeliographError
 
-Job = Callable[[dict[str, Any]], dict[str, Any]]
+Work = TypeVar("Work")
+Result = TypeVar("Result")
 
 _LIBRARIES = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM", "NUMBA_NUM", "NUMEXPR_NUM")
 
@@ -36,7 +37,7 @@ class Workers(Protocol):
     def slots(self) -> int:
         """Jobs worked on at a time."""
 
-    def submit(self, job: Job, work: dict[str, Any]) -> "Future[dict[str, Any]]":
+    def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
         """Hand a job in."""
 
     def restart(self) -> None:
@@ -72,6 +73,46 @@ def open_workers(count: int | None = None, scheduler: str | None = None) -> Work
     return Here() if count == 1 else Pool(count)
 
 
+def each(
+    count: int, job: Callable[[Work], Result], works: Iterable[Work], done: Callable[[float], None] = lambda _: None
+) -> list[Result]:
+    """Results of a job for each of some works, in their order.
+
+    Parameters
+    ----------
+    count
+        Worker processes at most; 1 computes in this process.
+    job
+        A function of a module, so that a process can find it.
+    works
+        Its arguments; those that take longest first.
+    done
+        Called with the share done, 0 to 1, after each.
+
+    Raises
+    ------
+    HeliographError
+        A worker process was lost. What a job raises is raised here, and the rest is dropped.
+    """
+    todo = list(works)
+    if min(count, len(todo)) <= 1:
+        return list(_reported((job(work) for work in todo), len(todo), done))
+    with contextlib.closing(Pool(min(count, len(todo)))) as pool:
+        futures = [pool.submit(job, work) for work in todo]
+        try:
+            for _ in _reported((future.result() for future in as_completed(futures)), len(todo), done):
+                pass
+        except BrokenProcessPool:
+            raise HeliographError("a worker process was lost; there may be too little memory: take fewer") from None
+        return [future.result() for future in futures]
+
+
+def _reported(results: Iterator[Result], count: int, done: Callable[[float], None]) -> Iterator[Result]:
+    for number, result in enumerate(results, 1):
+        done(number / count)
+        yield result
+
+
 def cores() -> int:
     """Cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -82,9 +123,9 @@ class Here:
 
     slots = 1
 
-    def submit(self, job: Job, work: dict[str, Any]) -> "Future[dict[str, Any]]":
+    def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
         """Do a job."""
-        future: Future[dict[str, Any]] = Future()
+        future: Future[Result] = Future()
         try:
             future.set_result(job(work))
         except Exception as error:
@@ -111,13 +152,13 @@ class Pool:
         self.slots = count
         self._executor = self._start()
 
-    def submit(self, job: Job, work: dict[str, Any]) -> "Future[dict[str, Any]]":
+    def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
         """Hand a job in; the first one starts the processes."""
         try:
             with _worker_environment():
                 return self._executor.submit(job, work)
         except BrokenProcessPool as error:
-            future: Future[dict[str, Any]] = Future()
+            future: Future[Result] = Future()
             future.set_exception(error)
             return future
 
@@ -173,7 +214,7 @@ class Cluster:
         except OSError as error:
             raise HeliographError(f"the connection to the Dask scheduler was lost ({error})") from None
 
-    def submit(self, job: Job, work: dict[str, Any]) -> "Future[dict[str, Any]]":
+    def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
         """Hand a job in."""
         return self._executor.submit(_limited, job, work)
 
@@ -224,7 +265,7 @@ def limit_threads() -> None:
     numba.set_num_threads(1)
 
 
-def _limited(job: Job, work: dict[str, Any]) -> dict[str, Any]:
+def _limited(job: Callable[[Work], Result], work: Work) -> Result:
     """A job in a worker that others set up."""
     limit_threads()
     return job(work)

@@ -1,14 +1,15 @@
 """Arrays told apart: each identity filmed, and what the receiver's detector takes it for."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.channel import ImuTrace
+from heliograph.channel import ImuTrace, Placement
 from heliograph.channel.settings import ChannelSettings
 from heliograph.experiments.candidates import same
+from heliograph.experiments.chapter import Context
 from heliograph.experiments.clutter import Film, shoot
 from heliograph.experiments.lamps import Backdrop
 from heliograph.link.settings import load_settings
@@ -21,10 +22,13 @@ from heliograph.signal.settings import SignalSettings
 SMALLEST_PX = 5.0
 """Least side looked for: an array 150 m away has 6.2 px, less than the receiver's default of 8."""
 
+BESIDE_M = (0.5, 1.2)
+"""Distance between the centres of two arrays in one view, whose panels are 0.36 m wide."""
+
 
 @dataclass(frozen=True, slots=True)
 class Confusion:
-    """Films by identity shown (row) and found (column, the last: missed), (30, 31) counts."""
+    """Arrays filmed by identity shown (row) and found (column, the last: missed), (30, 31) counts."""
 
     counts: NDArray[np.int64]
 
@@ -45,40 +49,90 @@ class Confusion:
         return Count(int(self.counts.sum()), int(self.counts[:, -1].sum()))
 
 
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Films of an identity at a distance, alone or beside another one, before each scene in turn."""
+
+    distance_m: float
+    shown: int
+    beside: bool
+    repeats: int
+    scenes: Sequence[Backdrop]
+    imu: ImuTrace | None
+    seed: int
+
+
 def confusion(
     distances: Sequence[float],
     scenes: Mapping[str, Backdrop],
     repeats: int,
     imu: ImuTrace | None,
-    seed: int,
-    done: Callable[[float], None],
+    context: Context,
+    span: tuple[float, float],
     identities: Sequence[int] = range(IDENTITIES),
+    *,
+    beside: bool = False,
 ) -> dict[float, Confusion]:
-    """Film every identity at every distance, the car at rest with its shake, before each scene in turn."""
-    result, backs = {}, list(scenes.values())
-    for place, distance in enumerate(distances):
-        counts = np.zeros((IDENTITIES, IDENTITIES + 1), dtype=np.int64)
-        for shown in identities:
-            for repeat in range(repeats):
-                rng = np.random.default_rng([seed, round(10 * distance), shown, repeat])
-                stretch = backs[(shown + repeat) % len(backs)](rng)
-                film = shoot(stretch, rng, imu, distance, "m_sequence", shown, small_camera())
-                counts[shown, taken_for(film)] += 1
-            done((place + (shown + 1) / IDENTITIES) / len(distances))
-        result[distance] = Confusion(counts)
-    return result
+    """Film every identity at every distance, the car at rest with its shake.
+
+    Parameters
+    ----------
+    distances, scenes
+        Where the arrays are, and before what, in turn.
+    repeats
+        Films of each identity at each distance.
+    imu
+        Recorded motion; None: a road.
+    context, span
+        Seed, workers, progress, and the share of the experiment done before and after.
+    identities
+        Those that are filmed.
+    beside
+        Whether another array, of any other identity, stands in the same view; both are counted then.
+    """
+    backs = tuple(scenes.values())
+    batches = [Batch(z, one, beside, repeats, backs, imu, context.seed) for z in distances for one in identities]
+    title = "identities, two in view" if beside else "identities"
+    counts = {z: np.zeros((IDENTITIES, IDENTITIES + 1), dtype=np.int64) for z in distances}
+    for batch, pairs in zip(batches, context.each(title, film_batch, batches, span), strict=True):
+        for shown, found in pairs:
+            counts[batch.distance_m][shown, found] += 1
+    return {z: Confusion(one) for z, one in counts.items()}
 
 
-def small_camera() -> ChannelSettings:
-    """The reference link at rest, with a part of its sensor about the array."""
-    return load_settings("paper", {"channel": {"speed_m_s": 0.0, "camera": {"width": 256, "height": 192}}}).channel
+def film_batch(batch: Batch) -> list[tuple[int, int]]:
+    """Identity shown and identity found of each array in the films."""
+    pairs: list[tuple[int, int]] = []
+    for repeat in range(batch.repeats):
+        kind = [1] if batch.beside else []
+        rng = np.random.default_rng([batch.seed, round(10 * batch.distance_m), batch.shown, repeat, *kind])
+        shown, places = [batch.shown], [Placement(x_m=0.0, y_m=0.0)]
+        if batch.beside:
+            shown.append(int((batch.shown + rng.integers(1, IDENTITIES)) % IDENTITIES))
+            places = _side_by_side(rng)
+        scene = batch.scenes[(batch.shown + repeat) % len(batch.scenes)](rng)
+        film = shoot(scene, rng, batch.imu, batch.distance_m, "m_sequence", shown, small_camera(places))
+        pairs += zip(shown, taken_for(film), strict=True)
+    return pairs
 
 
-def taken_for(film: Film) -> int:
-    """Identity that the detector gives the film's array; 30 where it misses it."""
-    assert film.truth is not None
-    found = [one for one in detections(film, SMALLEST_PX) if same(one.fit.pose, film.truth)]
-    return max(found, key=lambda one: one.score).identity if found else IDENTITIES
+def _side_by_side(rng: np.random.Generator) -> list[Placement]:
+    """Two places about the optical axis, `BESIDE_M` apart in a row, in any order, at heights of their own."""
+    half = 0.5 * float(rng.choice([-1, 1]) * rng.uniform(*BESIDE_M))
+    return [Placement(x_m=x, y_m=float(rng.uniform(-0.2, 0.2))) for x in (-half, half)]
+
+
+def small_camera(places: Sequence[Placement]) -> ChannelSettings:
+    """The reference link at rest, with a part of its sensor about the arrays."""
+    channel = load_settings("paper", {"channel": {"speed_m_s": 0.0, "camera": {"width": 256, "height": 192}}}).channel
+    return replace(channel, arrays=tuple(places))
+
+
+def taken_for(film: Film) -> list[int]:
+    """Identity that the detector gives each of the film's arrays; 30 where it misses one."""
+    every = detections(film, SMALLEST_PX)
+    near = ([one for one in every if same(one.fit.pose, truth)] for truth in film.truths)
+    return [max(found, key=lambda one: one.score).identity if found else IDENTITIES for found in near]
 
 
 def detections(film: Film, smallest_px: float | None = None) -> list[Detection]:

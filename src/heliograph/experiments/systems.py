@@ -4,18 +4,15 @@ Each scheme sends the paper's header and then pairs of pattern and inverse, so t
 the plain receiver. Only what the LEDs' luminances mean differs.
 """
 
-import multiprocessing
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.channel import ArrayTruth, film
-from heliograph.experiments.chapter import Context
 from heliograph.link.bench import window_margin_px
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.statistics import Clustered, Count
@@ -39,9 +36,6 @@ SILENT = 4
 
 Reading = Literal["plain", "inverse", "known"]
 """The luminance at each LED's position; the blur undone; the blur undone with the true pose and blur."""
-
-Job = TypeVar("Job")
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -219,37 +213,3 @@ def true_pose(truth: ArrayTruth, settings: LinkSettings) -> Pose:
     camera, emitter = settings.channel.camera, settings.channel.emitter
     radius = 0.5 * emitter.diameter_m * camera.focal_px / truth.distance_m
     return Pose(truth.x, truth.y, truth.pitch_px, truth.roll_rad, float(np.hypot(camera.blur_px, radius / 2)))
-
-
-def each(
-    context: Context, title: str, work: Callable[[Job], Result], jobs: Iterable[Job], span: tuple[float, float]
-) -> list[Result]:
-    """Results of jobs in their order, in as many processes as the context allows.
-
-    Parameters
-    ----------
-    context
-        Workers and progress.
-    title
-        For the progress.
-    work
-        A function of a module, so that a process can find it.
-    jobs
-        Its arguments.
-    span
-        Share of the experiment done before and after.
-    """
-    todo = list(jobs)
-    if context.workers <= 1:
-        return list(_watched(context, title, map(work, todo), len(todo), span))
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(context.workers, mp_context=spawn) as pool:
-        return list(_watched(context, title, pool.map(work, todo), len(todo), span))
-
-
-def _watched(
-    context: Context, title: str, results: Iterator[Result], count: int, span: tuple[float, float]
-) -> Iterator[Result]:
-    for done, result in enumerate(results, 1):
-        context.progress(title, span[0] + (span[1] - span[0]) * done / count)
-        yield result

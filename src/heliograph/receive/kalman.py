@@ -9,8 +9,8 @@ from heliograph.receive.pose import Pose
 from heliograph.receive.settings import TrackSettings
 
 SHOWN, RATES, STATES = 5, slice(5, 8), 10
-"""The state: the pose vector (x, y, ln pitch, roll, ln blur); the rates of its first three; and the systematic errors of
-ln pitch and ln blur in sums, where the panel's rim looks like another size of the array."""
+"""The state: the pose vector (x, y, ln pitch, roll, ln blur); the rates of its first three; and the systematic errors
+of ln pitch and ln blur in sums, where the panel's rim looks like another size of the array."""
 
 SUM_ERROR = np.array([0.05, 0.5])
 """Standard deviations of those errors at first."""

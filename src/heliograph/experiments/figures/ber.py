@@ -12,7 +12,6 @@ from heliograph.experiments.error_rates.films import Filmed, Sums, Task, bin_of,
 from heliograph.experiments.error_rates.pictures import pictures
 from heliograph.experiments.error_rates.tables import comparison_table, plain_values, rates_table
 from heliograph.experiments.error_rates.verdicts import alike, error_free, keying
-from heliograph.experiments.systems import each
 from heliograph.link.errors import BIN_M
 
 QUICK_M, FULL_M = (25, 35, 45, 50, 55, 60, 70, 80), tuple(range(25, 85, 5))
@@ -32,13 +31,13 @@ def run(context: Context) -> Chapter:
 
 def chapter(context: Context, places: Sequence[float], films: int, drives: int) -> Chapter:
     """Fig. 13 with as many static places, films a place and drives as given."""
-    driven = each(context, "drives", measure, _drives(context, drives), (0.0, 0.4))
+    driven = context.each("drives", measure, _drives(context, drives), (0.0, 0.4))
     still = _static(context, places, films, "haar", (0.4, 0.55))
     keyed = _static(context, places, films, "ook", (0.55, 0.7))
     packets = [record for one in driven for record in one.packets]
     drive = [k for k, one in enumerate(driven) for _ in one.packets]
     wanted = [record.distance_m for record in packets] + [z for one in driven for z in one.lost]
-    twins = each(context, "the same at rest", measure, _twins(context, wanted), (0.7, 1.0))
+    twins = context.each("the same at rest", measure, _twins(context, wanted), (0.7, 1.0))
     # those of lost packets, the last ones, only tell whether they are lost at rest as well
     pairs = [(a, b.packets[0], k) for a, b, k in zip(packets, twins, drive, strict=False) if b.packets]
     false = sum(one.false_codewords for one in (*driven, *twins))
@@ -85,7 +84,7 @@ def _static(
     todo = [Task(z, modulation, (context.seed, 3, len(modulation), k, round(z))) for z in places for k in range(films)]
     title = "static" if modulation == "haar" else "on-off keying"
     sums = Sums()
-    for task, one in zip(todo, each(context, title, measure, todo, span), strict=True):
+    for task, one in zip(todo, context.each(title, measure, todo, span), strict=True):
         assert task.distance_m is not None  # static
         for record in one.packets:
             sums.add(task.distance_m, record)

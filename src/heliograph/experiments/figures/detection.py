@@ -20,7 +20,7 @@ from heliograph.experiments.detection_trials import (
     threshold_of,
 )
 from heliograph.experiments.detection_verdicts import FAR_M, as_set, compared, counted, ingredients, told_apart
-from heliograph.experiments.identities import Confusion, confusion
+from heliograph.experiments.identities import BESIDE_M, Confusion, confusion
 from heliograph.link.recordings import load_imu
 from heliograph.link.statistics import Count
 from heliograph.receive import Pose
@@ -49,7 +49,9 @@ TEXT = (
     "unhidden arrays allow. Footage and the still street are judged apart from the street full of lamps, which is "
     "drawn to deceive. Of the lamps three times as many films are taken as of each other scene; the curves, and the "
     "table of arrays found at equal false alarms, are of this mixture, which no road has. The receiver beside these "
-    "has all its checks, also that the header's frames alternate in step. Intervals are Clopper-Pearson, 95 %."
+    "has all its checks, also that the header's frames alternate in step. Identities: each filmed alone, and with an "
+    f"array of another identity {BESIDE_M[0]:g} m to {BESIDE_M[1]:g} m beside it in the same view, their packets not "
+    "in step; each array is found, or missed, at its own place. Intervals are Clopper-Pearson, 95 %."
 )
 
 
@@ -62,18 +64,25 @@ def run(context: Context, effort: Effort | None = None) -> Chapter:
     imu = load_imu(context.imu) if context.imu else None
     scenes = backdrops(context.clips, effort.reach)
     measured = measure(scenes, effort, imu, context)
-    told = confusion(
-        (*DISTANCES, FAR_M), scenes, effort.repeats, imu, context.seed,
-        lambda share: context.progress("identities", 0.7 + 0.3 * share), range(0, IDENTITIES, effort.step),
-    )  # fmt: skip
+    places, shown = (*DISTANCES, FAR_M), range(0, IDENTITIES, effort.step)
+    told = confusion(places, scenes, effort.repeats, imu, context, (0.7, 0.9), shown)
+    # each film counts two
+    films = -(-effort.repeats // 2)
+    beside = confusion(places, scenes, films, imu, context, (0.9, 1.0), shown, beside=True)
     return Chapter(
         key="fig6",
         title="Fig. 6: false detections, and identities told apart",
         text=TEXT,
-        findings=[*compared(measured), told_apart(told), ingredients(measured), as_set(measured)],
-        pictures=_pictures(measured, told),
-        tables=[_found_table(measured), *_scene_tables(measured), _identity_table(told)],
-        data=_data(measured, told),
+        findings=[
+            *compared(measured),
+            told_apart(told),
+            told_apart(beside, beside=True),
+            ingredients(measured),
+            as_set(measured),
+        ],
+        pictures=_pictures(measured, told, beside),
+        tables=[_found_table(measured), *_scene_tables(measured), _identity_table(told, beside)],
+        data=_data(measured, told, beside),
     )
 
 
@@ -107,15 +116,22 @@ def _scene_table(measured: Measured, thresholds: Mapping[str, float], title: str
     return Table(title, ["way", "threshold", *measured.scores[WAYS[0].name].false], rows)
 
 
-def _identity_table(told: Mapping[float, Confusion]) -> Table:
-    rows = [[f"{z:g} m", counted(c.right), counted(c.wrong), counted(c.missed)] for z, c in told.items()]
+def _identity_table(told: Mapping[float, Confusion], beside: Mapping[float, Confusion]) -> Table:
+    rows = [
+        [f"{z:g} m, {what}", counted(c.right), counted(c.wrong), counted(c.missed)]
+        for what, by in (("alone", told), ("two in view", beside))
+        for z, c in by.items()
+    ]
     return Table("Identities", ["distance", "right", "taken for another (of those found)", "missed"], rows)
 
 
-def _pictures(measured: Measured, told: Mapping[float, Confusion]) -> list[tuple["Figure", str]]:
+def _pictures(
+    measured: Measured, told: Mapping[float, Confusion], beside: Mapping[float, Confusion]
+) -> list[tuple["Figure", str]]:
     pictures = [
         (_roc(measured), "Arrays found against false alarms as the threshold falls, all scenes together; left: none."),
-        (_matrices(told), "Identity shown (down) and found (across; last column: missed)."),
+        (_matrices(told), "Identity shown (down) and found (across; last column: missed), one array in view."),
+        (_matrices(beside), "The same, two arrays of different identities in one view, both counted."),
     ]
     if measured.example:
         caption = "Fig. 6: a false detection of the all-on detector; frame, and difference of two frames."
@@ -188,7 +204,7 @@ def _matrices(told: Mapping[float, Confusion]) -> "Figure":
     return figure
 
 
-def _data(measured: Measured, told: Mapping[float, Confusion]) -> dict[str, Any]:
+def _data(measured: Measured, told: Mapping[float, Confusion], beside: Mapping[float, Confusion]) -> dict[str, Any]:
     return {
         "scores": cand.plain(measured.scores),
         "receiver": {
@@ -196,4 +212,5 @@ def _data(measured: Measured, told: Mapping[float, Confusion]) -> dict[str, Any]
             "found": {f"{scene}, {z:g} m": [c.errors, c.trials] for (scene, z), c in measured.receiver_found.items()},
         },
         "identities": {f"{z:g} m": c.counts.tolist() for z, c in told.items()},
+        "identities_two_in_view": {f"{z:g} m": c.counts.tolist() for z, c in beside.items()},
     }

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from heliograph.experiments.chapter import Chapter, Context, Finding, Table
 from heliograph.experiments.plots import COLOURS
-from heliograph.experiments.systems import SCHEMES, Heard, Reading, each, listen
+from heliograph.experiments.systems import SCHEMES, Heard, Reading, listen
 from heliograph.link.statistics import Count
 
 QUICK_BITS, FULL_BITS = 20_000, 100_000
@@ -108,7 +108,7 @@ def tasks(context: Context) -> list[Task]:
 def run(context: Context) -> Chapter:
     """Error rates before any code of all systems, by distance; their ranges."""
     todo = tasks(context)
-    heard = each(context, "other systems", measure, todo, (0.0, 1.0))
+    heard = context.each("other systems", measure, todo)
     points = {line.name: _points(line, todo, heard) for line in LINES}
     return Chapter(
         key="systems",
@@ -117,8 +117,10 @@ def run(context: Context) -> Chapter:
             "Static camera, reference link, no error-correcting code: random bits in pattern and inverse, detected and "
             "tracked by the plain receiver. Each film is one packet with the array at its own place on the pixel grid. "
             "The inverse undoes the blur of all LEDs by least squares with the pose and blur the receiver has "
-            "estimated, or, as in the field trial, with the channel known beforehand. Repetition shows each bit on a "
-            "square of LEDs and adds their luminances. Intervals allow for errors of one film that come together."
+            "estimated, or, as in the field trial, with the channel known beforehand. Repetition "
+            "of low frequencies is on-off keying on squares of 2 x 2 or 4 x 4 LEDs, nothing more: all LEDs of a square "
+            "show the same bit, and their luminances are added; a pattern then carries 64 or 16 bits in place of 256, "
+            "and nothing is sent at the fine scale. Intervals allow for errors of one film that come together."
         ),
         findings=_findings(points),
         pictures=[(_picture(points), CAPTION)],

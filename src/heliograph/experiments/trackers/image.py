@@ -80,6 +80,7 @@ class MultipleInstance:
     """OpenCV's TrackerMIL on the sums: the only general tracker of OpenCV 5 that needs no trained model.
 
     It learns a box of twice the array's side and gives boxes of whole pixels and of one size.
+    Its features come from a generator of OpenCV's that goes on through a process and has no seed.
     """
 
     sized = False

@@ -28,6 +28,9 @@ BLOCK = 4
 SPREAD = 0.25
 """Rms of a data LED's luminance about its mean, 1/2: levels 0 to 4 with probabilities 1, 4, 6, 4, 1 of 16."""
 
+GROWTH = (0.5, 5.0)
+"""Pitches, as shares of the one found, beyond which the array is lost; a drive makes it grow by less than 4."""
+
 MARGIN_PX = 3.0
 STEPS = 3
 
@@ -54,6 +57,9 @@ def known_light(settings: LinkSettings, identity: int, seed: int) -> Iterator[ND
 class KnownPattern:
     """Fits the expected image to each frame: known LEDs lit, data LEDs at their mean and trusted little.
 
+    Once its fit has left the frame, or has a size the array cannot have, it is lost and stays where it was: nothing
+    but a header brings it back, and what it looks at, as large as its array, would grow without end.
+
     Parameters
     ----------
     settings
@@ -71,6 +77,7 @@ class KnownPattern:
         wider = found.fit.covariance + np.diag([1.0, 1.0, 1e-3, 1e-4, 1e-2])
         self._state = PoseState.start(found.time_s, found.fit.vector, wider)
         self._start_s, self._gain = found.start_time_s, found.fit.gain
+        self._pitch, self._lost = found.fit.pose.pitch, False
         known, header = known_leds(self._side), header_levels(found.identity, self._side) / SLOTS
         none = np.zeros(known.shape)
         self._expected = [(header, none), (1 - header, none), (np.where(known, 1.0, 0.5), np.where(known, 0.0, 1.0))]
@@ -81,12 +88,24 @@ class KnownPattern:
         return Pose.of(0.5 * (first + second))
 
     def _look(self, frame: Frame) -> Floats:
-        if frame.time_s > self._state.time_s:
-            self._state = self._state.predict(frame.time_s, self._settings.receive.track)
+        if not self._lost:
+            self._follow(frame)
+        return self._state.mean[:5].copy()
+
+    def _follow(self, frame: Frame) -> None:
+        before = self._state
+        if frame.time_s > before.time_s:
+            self._state = before.predict(frame.time_s, self._settings.receive.track)
         mean, data = self._expected[self._kind(frame.time_s - self._start_s)]
         vector, covariance = self._fit(frame, mean, data)
-        self._state = self._state.condition(vector, covariance, PLAIN)
-        return self._state.mean[:5].copy()
+        self._lost = not self._possible(frame, Pose.of(vector))
+        self._state = before if self._lost else self._state.condition(vector, covariance, PLAIN)
+
+    def _possible(self, frame: Frame, pose: Pose) -> bool:
+        """Whether the array may be there: its centre in the frame, its size about what it was."""
+        rows, cols = frame.pixels.shape
+        inside = 0 <= pose.x - frame.origin[0] < cols and 0 <= pose.y - frame.origin[1] < rows
+        return bool(inside and GROWTH[0] <= pose.pitch / self._pitch <= GROWTH[1])
 
     def _kind(self, since_s: float) -> int:
         signal = self._settings.signal

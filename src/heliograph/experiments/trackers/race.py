@@ -35,7 +35,8 @@ TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {
 
 CUTS = 8
 ROI_PX = 24
-"""Pixels kept around the array for the known pattern: its window needs no more, and a window's pixels are the same."""
+"""Pixels kept around the array for the known pattern: its window needs no more while it is not lost, and a window's
+pixels are the same."""
 
 HELD = 16
 """Pairs kept until the array is found: more than its header and what the detector waits for."""
@@ -93,7 +94,7 @@ class Run:
     cuts: list[tuple[float, tuple[Floats, Floats]]] = field(default_factory=list)
 
 
-def race(job: Film, advance: Callable[[float], None] = lambda _: None) -> Run:
+def race(job: Film) -> Run:
     """Run all trackers on a film.
 
     Raises
@@ -107,13 +108,11 @@ def race(job: Film, advance: Callable[[float], None] = lambda _: None) -> Run:
     lane = _Lane(job.settings, [name for name in TRACKERS if name != KNOWN])
     frames = simulate(job.settings, default_messages(job.settings), job.seed, recordings)
     moments = _moments(job.settings)
-    for number, pair in enumerate(_pairs(frames)):
+    for pair in _pairs(frames):
         lane.push(pair)
         if moments and lane.found and pair[0].index >= moments[0]:
             moments.pop(0)
             lane.cut(pair)
-        if number % 50 == 0:
-            advance(pair[0].index)
     if lane.found is None:
         raise HeliographError(f"the array was not found in the film '{job.name}'")
     other = _Lane(job.settings, [KNOWN], lane.found)

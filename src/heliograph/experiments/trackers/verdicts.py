@@ -1,5 +1,6 @@
 """The paper's claims about tracking beside what was measured."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from heliograph.experiments.chapter import Finding, Verdict
@@ -62,24 +63,23 @@ def rates(lost: int | None = None) -> list[Rate]:
     ]
 
 
-def findings(table: Scores, day: str, dark: dict[str, list[str]], *, whole: bool = True) -> list[Finding]:
+def findings(table: Scores, dark: Mapping[str, Mapping[str, Sequence[str]]], *, whole: bool = True) -> list[Finding]:
     """All claims.
 
     Parameters
     ----------
     table
         Scores by film and tracker.
-    day
-        The film in daylight that the dark ones are compared with.
     dark
-        Films with little light, by what the paper calls them.
+        Films with little light by what the paper calls them, each with the films of its kind in daylight: that the
+        background's motion fails in the dark tells something only where it works by day.
     whole
         Whether the films show the whole drive: in a part of it the array may stay where it was found.
     """
     return [
         _without(table, whole),
         _with(table),
-        *(_background(table, day, what, films) for what, films in dark.items()),
+        *(_background(table, what, films) for what, films in dark.items()),
         _dark(table, [film for films in dark.values() for film in films]),
         rate_finding(rates()),
         _shown(table, BACKGROUND, "The background's motion alone, not helped by later headers."),
@@ -114,15 +114,17 @@ def _with(table: Scores) -> Finding:
     )
 
 
-def _background(table: Scores, day: str, what: str, films: list[str]) -> Finding:
+def _background(table: Scores, what: str, films: Mapping[str, Sequence[str]]) -> Finding:
     """IV.B.2: the motion vector of the background fails where there is no background light."""
-    kept = {film: _left(table, film) for film in (day, *films)}
-    by_day, failed = kept[day] < LEFT, [film for film in films if kept[film] >= LEFT]
-    works = [film for film in films if film not in failed]
-    why = "" if by_day else "It does not track by day either. "
+    days = dict.fromkeys(day for by_day in films.values() for day in by_day)
+    kept = {film: _left(table, film) for film in (*days, *films)}
+    judged = [film for film, by_day in films.items() if any(kept[day] < LEFT for day in by_day)]
+    failed = [film for film in judged if kept[film] >= LEFT]
+    works = [film for film in judged if film not in failed]
+    why = [f"Not judged: {film}, as it works in none of its kind by day." for film in films if film not in judged]
     if works:
-        why += f"It still takes out more than half of the vibration in: {', '.join(works)}; "
-        why += f"it fails in: {', '.join(failed)}." if failed else "it fails in none."
+        rest = f"it fails in: {', '.join(failed)}." if failed else "it fails in none."
+        why.append(f"It still takes out more than half of the vibration in: {', '.join(works)}; {rest}")
     texts = {
         film: f"{table[film][BACKGROUND].shake_px:.3f} of {table[film]['none'].shake_px:.3f} px vibration left "
         f"({share:.0%}), {table[film][BACKGROUND].pairs} pairs"
@@ -131,8 +133,8 @@ def _background(table: Scores, day: str, what: str, films: list[str]) -> Finding
     return Finding(
         f"IV.B.2: the motion vector of the background cannot track {what}, as there is no background light.",
         _list(texts),
-        "shown" if by_day and works and failed else _verdict(by_day and not works),
-        why.strip(),
+        "shown" if not judged or (works and failed) else _verdict(not works),
+        " ".join(why),
     )
 
 
