@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.decode import decode_packet
 from heliograph.receive.detect import Detection, project
-from heliograph.receive.extract import pair_luminances
 from heliograph.receive.packets import Codeword, Observer, Packet, Status
 from heliograph.receive.pose import Pose
+from heliograph.receive.reading import MakeReading, Reading
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.header import header_levels
@@ -25,7 +24,7 @@ HEADER_SEEN = 0.5
 class _Gathered:
     """What has been read of the current packet."""
 
-    luminances: NDArray[np.float64]
+    reading: Reading
     seen: NDArray[np.bool_]
     frames: list[int] = field(default_factory=list)
     scores: list[float] = field(default_factory=list)
@@ -46,9 +45,19 @@ class ArrayReceiver:
         The receiver's.
     observe
         Gets what each stage produces.
+    reading
+        Makes what reads the data of a packet.
     """
 
-    def __init__(self, detection: Detection, form: PacketFormat, settings: ReceiveSettings, observe: Observer):
+    def __init__(
+        self,
+        detection: Detection,
+        form: PacketFormat,
+        settings: ReceiveSettings,
+        observe: Observer,
+        reading: MakeReading,
+    ):
+        self._make_reading = reading
         self.identity = detection.identity
         self.tracker = Tracker(detection, form.settings.side, settings.track)
         self._start_s = detection.start_time_s
@@ -119,17 +128,8 @@ class ArrayReceiver:
             if tracked.seen:
                 self.tracker.refine(pattern, inverted, self._header_weights)
         elif tracked.seen:
-            packet.luminances[place] = self._luminances(pattern, inverted, tracked)
+            packet.reading.take(place, pattern, inverted, tracked, self.tracker)
             packet.seen[place] = True
-
-    def _luminances(self, pattern: Frame, inverted: Frame, tracked: TrackedPair) -> NDArray[np.float64]:
-        poses = (tracked.state.pose_at(pattern.time_s), tracked.state.pose_at(inverted.time_s))
-        side, equaliser = self._form.settings.side, self._settings.equaliser
-        x = pair_luminances(pattern, inverted, poses, self.tracker.gain, side, equaliser)
-        self._observe(
-            "extract", {"identity": self.identity, "frames": (pattern, inverted), "poses": poses, "luminances": x}
-        )
-        return x
 
     def _alternation(self, pattern: Frame, inverted: Frame, tracked: TrackedPair) -> float:
         """How much of the header the pair shows, as a share of the array's luminance."""
@@ -140,13 +140,13 @@ class ArrayReceiver:
     def _finish(self) -> Packet:
         """Decode what was gathered and begin the next packet."""
         packet, self._packet = self._packet, self._empty()
-        layers = decode_packet(packet.luminances, packet.seen, self._form, self.identity, self._settings.decode)
+        layers = packet.reading.decode()
         header = float(np.mean(packet.header)) if packet.header else 0.0
         status = _status(layers, header, float(packet.seen.mean()))
         # neither header nor a right codeword: no array, or out of step; it is found anew by its next header
         self._failed = status in ("no_header", "no_array")
         result = self._packet_value(packet, status, layers, header)
-        self._observe("decode", {"identity": self.identity, "packet": result, "luminances": packet.luminances})
+        self._observe("decode", {"identity": self.identity, "packet": result, **packet.reading.shown()})
         return result
 
     def _packet_value(
@@ -171,8 +171,8 @@ class ArrayReceiver:
         )
 
     def _empty(self) -> _Gathered:
-        pairs, side = self._form.settings.data_pairs, self._form.settings.side
-        return _Gathered(np.zeros((pairs, side, side)), np.zeros(pairs, dtype=bool))
+        reading = self._make_reading(self.identity, self._form, self._settings, self._observe)
+        return _Gathered(reading, np.zeros(self._form.settings.data_pairs, dtype=bool))
 
 
 def _status(layers: dict[str, tuple[Codeword, ...]], header: float, seen: float) -> Status:

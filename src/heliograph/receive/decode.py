@@ -51,7 +51,7 @@ def decode_packet(
     received = {name: form.layers[name].deinterleave(values) for name, values in llrs.items()}
     decoded = _decode_alike(received, form, settings)
     return {
-        name: tuple(_codeword(decoded[name, i], llr, identity, name) for i, llr in enumerate(rows))
+        name: tuple(codeword_of(decoded[name, i], llr, identity, name) for i, llr in enumerate(rows))
         for name, rows in received.items()
     }
 
@@ -103,7 +103,8 @@ def _decode_group(
     return [(result.bits[i], int(result.iterations[i]), float(margins[i])) for i in range(len(keys))]
 
 
-def _codeword(decoded: Decoded, llr: NDArray[np.float64], identity: int, layer: str) -> Codeword:
+def codeword_of(decoded: Decoded, llr: NDArray[np.float64], identity: int, layer: str) -> Codeword:
+    """A codeword of an array and layer as the turbo decoder left it, with the LLRs (E,) it began from."""
     bits, iterations, margin = decoded
     block = unpack(bits)
     raw = np.where(llr == 0, ERASED, llr < 0).astype(np.uint8)

@@ -7,6 +7,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.detect import Detection, Detector
 from heliograph.receive.packets import Observer, Packet, ignore
+from heliograph.receive.reading import MakeReading, PlainReading
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
@@ -30,6 +31,8 @@ class Receiver:
     observe
         Gets (stage, data) of each stage.
     """
+
+    reading: MakeReading = PlainReading
 
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings | None = None, observe: Observer = ignore):
         self._settings = settings or ReceiveSettings()
@@ -62,7 +65,7 @@ class Receiver:
         """Begin to follow an array, its header's frames first."""
         self.detections += 1
         self._observe("detect", {"detection": detection, "frames": tuple(self._detector.recent)})
-        array = ArrayReceiver(detection, self._form, self._settings, self._observe)
+        array = ArrayReceiver(detection, self._form, self._settings, self._observe, type(self).reading)
         self._arrays.append(array)
         for frame in self._detector.recent:
             yield from array.push(frame)

@@ -1,6 +1,6 @@
 """All receivers by name. One algorithm has three entrances: the class, the generator below, and a list of it."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from heliograph.base.frames import Frame
 from heliograph.receive.packets import FrameReceiver, Observer, Packet, ignore
@@ -8,7 +8,14 @@ from heliograph.receive.receiver import Receiver
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
-RECEIVERS = {"plain": Receiver}
+
+def _soft() -> type[Receiver]:
+    from heliograph.receive.soft.receiver import SoftReceiver  # SciPy and Numba are slow to import
+
+    return SoftReceiver
+
+
+RECEIVERS: Mapping[str, Callable[[], type[Receiver]]] = {"plain": lambda: Receiver, "soft": _soft}
 """Receivers by the name of the setting `receive.receiver`."""
 
 
@@ -17,7 +24,7 @@ def make_receiver(
 ) -> FrameReceiver:
     """Make the receiver that the settings name, before its first frame."""
     settings = settings or ReceiveSettings()
-    return RECEIVERS[settings.receiver](signal, settings, observe)
+    return RECEIVERS[settings.receiver]()(signal, settings, observe)
 
 
 def receive_frames(

@@ -58,7 +58,7 @@ class DetectSettings:
     """
 
     detector: Literal["m_sequence", "all_on"] = "m_sequence"
-    min_side_px: Annotated[float, Field(ge=5)] = 8.0
+    min_side_px: Annotated[float, Field(ge=3)] = 8.0
     max_side_px: Annotated[float, Field(ge=6, le=400)] = 64.0
     min_contrast: Share = 0.03
     coarse_score: Share = 0.5
@@ -121,21 +121,41 @@ class DecodeSettings:
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
+class SoftSettings:
+    """What the receiver "soft" has beside.
+
+    Attributes
+    ----------
+    min_side_px
+        Smallest array looked for, in place of ``detect.min_side_px``: it reads farther.
+    rounds
+        Most rounds between equaliser and turbo decoder.
+    algorithm
+        Of the turbo decoder, in place of ``decode.algorithm``: what is fed back softly should be no guess.
+    """
+
+    min_side_px: Annotated[float, Field(ge=3)] = 4.0
+    rounds: Annotated[int, Field(ge=1, le=100)] = 16
+    algorithm: Literal["max-log", "log-map"] = "log-map"
+
+
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
 class ReceiveSettings:
     """The receiver.
 
     Attributes
     ----------
     receiver
-        Its name: "plain" is the paper's own.
+        Its name: "plain" is the paper's own, "soft" reads as far as the channel allows.
     equaliser
         How the LEDs are read: "none", the luminance at each one's position, as in the paper, or "inverse", all by
         least squares with the blur known, as Kasashima et al. 2013 did.
     """
 
-    receiver: Literal["plain"] = "plain"
+    receiver: Literal["plain", "soft"] = "plain"
     equaliser: Equaliser = "none"
     calibration: CalibrationSettings = CalibrationSettings()
     detect: DetectSettings = DetectSettings()
     track: TrackSettings = TrackSettings()
     decode: DecodeSettings = DecodeSettings()
+    soft: SoftSettings = SoftSettings()

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +14,8 @@ from heliograph.signal.block import MIN_BITS, Block, pack, payload_bytes, whiten
 from heliograph.signal.header import all_on_levels, header_levels
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
 from heliograph.signal.turbo import QPP_SIZES, TurboCode
+
+Value = TypeVar("Value", bound=np.generic)
 
 CELL_STEP = 23
 """Cells by which consecutive pairs are turned, so that no part of the array holds one part of a codeword."""
@@ -63,8 +66,8 @@ class LayerFormat:
         """Whitening of the layer's codewords, (codewords, E) uint8."""
         return np.stack([whitening(self.code.length, self.name, i) for i in range(self.codewords)])
 
-    def interleave(self, coded: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """(codewords, E) coded bits to (pairs, cells)."""
+    def interleave(self, coded: NDArray[Value]) -> NDArray[Value]:
+        """(codewords, E) coded bits, or values of theirs, to (pairs, cells)."""
         out = np.empty(self.pairs * self.cells, dtype=coded.dtype)
         out[self.places] = coded.reshape(-1)
         return out.reshape(self.pairs, self.cells)

@@ -1,5 +1,6 @@
 """Pulse width modulation: a level as the number of lit slots of a pattern period, Fig. 4 of Nagura et al."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -50,3 +51,19 @@ def waveform(levels: ArrayLike, order: Sequence[int] = tuple(range(SLOTS))) -> N
     (patterns * 4,) float64 in 0 to 1.
     """
     return lit_slots(levels, order).mean((-2, -1)).reshape(-1)
+
+
+def light_centroids(order: Sequence[int] = tuple(range(SLOTS))) -> tuple[float, float]:
+    """When the light of random data is on, as shares of the pattern period.
+
+    Levels come as 0 to 4 heads of 4 coins, as the Haar transform of random data gives them.
+
+    Returns
+    -------
+    The centroid of the mean light, and that of the light's change by level: cov(lit, level) in place of the mean.
+    """
+    levels = np.repeat(np.arange(SLOTS + 1), [math.comb(SLOTS, k) for k in range(SLOTS + 1)])
+    lit = lit_slots(levels[:, None, None], order)[:, :, 0, 0].astype(np.float64)
+    middle = (np.arange(SLOTS) + 0.5) / SLOTS
+    mean, change = lit.mean(0), (levels - levels.mean()) @ lit
+    return float(mean @ middle / mean.sum()), float(change @ middle / change.sum())

@@ -1,0 +1,59 @@
+"""Reading of a packet's data: what is done with each of its pairs, and at its end."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from heliograph.base.frames import Frame
+from heliograph.receive.decode import decode_packet
+from heliograph.receive.extract import pair_luminances
+from heliograph.receive.packets import Codeword, Observer
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.track import TrackedPair, Tracker
+from heliograph.signal.packet import PacketFormat
+
+
+class Reading(Protocol):
+    """Reads the data of one packet."""
+
+    def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
+        """Take data pair `place` of the packet, in which the array was seen."""
+
+    def decode(self) -> dict[str, tuple[Codeword, ...]]:
+        """Codewords by layer."""
+
+    def shown(self) -> Mapping[str, Any]:
+        """What an observer of the stage "decode" gets beside the packet."""
+
+
+MakeReading = Callable[[int, PacketFormat, ReceiveSettings, Observer], Reading]
+"""Identity, format, settings, observer -> the reading of a packet that begins."""
+
+
+class PlainReading:
+    """The paper's own: the luminance at each LED's image position, FHWT, turbo decoder."""
+
+    def __init__(self, identity: int, form: PacketFormat, settings: ReceiveSettings, observe: Observer):
+        self._identity, self._form, self._settings, self._observe = identity, form, settings, observe
+        pairs, side = form.settings.data_pairs, form.settings.side
+        self._luminances = np.zeros((pairs, side, side))
+        self._seen = np.zeros(pairs, dtype=bool)
+
+    def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
+        """Read the luminances of a pair."""
+        poses = (tracked.state.pose_at(pattern.time_s), tracked.state.pose_at(inverted.time_s))
+        side, equaliser = self._form.settings.side, self._settings.equaliser
+        x = pair_luminances(pattern, inverted, poses, tracker.gain, side, equaliser)
+        self._luminances[place], self._seen[place] = x, True
+        self._observe(
+            "extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": poses, "luminances": x}
+        )
+
+    def decode(self) -> dict[str, tuple[Codeword, ...]]:
+        """Decode what was read."""
+        return decode_packet(self._luminances, self._seen, self._form, self._identity, self._settings.decode)
+
+    def shown(self) -> Mapping[str, Any]:
+        """The luminances, (pairs, n, n)."""
+        return {"luminances": self._luminances}

@@ -1,0 +1,1 @@
+"""The receiver "soft": equaliser, cancellation and turbo decoder over whole packets."""

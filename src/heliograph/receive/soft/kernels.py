@@ -1,0 +1,144 @@
+"""Hot loops of the soft receiver, compiled by Numba; `reference.py` says the same with whole matrices.
+
+Everything is counted in data cells, the order in which `PacketFormat.split` hands them out: the quarters D11, D12, D21
+and D22 of the data matrix, row by row. The four cells of equal place in their quarters are the Haar transform of one
+square of 2 x 2 LEDs, so that the transform of a matrix of LEDs goes square by square.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from heliograph.receive.kernels import _axis
+
+REACH = 3.7
+"""Standard deviations after which an LED's light is taken for nothing (2e-4 of it)."""
+
+
+def support(sigma: float) -> int:
+    """Pixels across which an LED of a blur is counted."""
+    return 2 * math.ceil(REACH * sigma + 0.5) + 1
+
+
+@njit(cache=True, nogil=True)
+def place(pose, rows, cols, across, down, first):  # type: ignore[no-untyped-def]
+    """Light of each LED on the columns and rows of a window's pixels about it.
+
+    pose (6,): x, y in the window, pitch, roll, sigma along x, sigma along y; LEDs in the order of the cells:
+    square by square, in each (0, 0), (0, 1), (1, 0), (1, 1). across, down (n n, width) and first (n n, 2) int64, the
+    first column and row, are overwritten. A wide array with all LEDs on has the image 1.
+    """
+    count, width = across.shape
+    side = round(math.sqrt(count))
+    half = side // 2
+    pitch, c, s = pose[2], math.cos(pose[3]), math.sin(pose[3])
+    g, dg, ds = np.empty(width), np.empty(width), np.empty(width)
+    reach = (width - 1) // 2
+    for k in range(count):
+        square, corner = k // 4, k % 4
+        a = (2 * (square % half) + corner % 2 - (side - 1) / 2.0) * pitch
+        b = (2 * (square // half) + corner // 2 - (side - 1) / 2.0) * pitch
+        x, y = pose[0] + c * a - s * b, pose[1] + s * a + c * b
+        first[k, 0], first[k, 1] = math.floor(x + 0.5) - reach, math.floor(y + 0.5) - reach
+        _axis(x, pose[4], first[k, 0], width, g, dg, ds)
+        for i in range(width):
+            across[k, i] = pitch * g[i] if 0 <= first[k, 0] + i < cols else 0.0
+        _axis(y, pose[5], first[k, 1], width, g, dg, ds)
+        for i in range(width):
+            down[k, i] = pitch * g[i] if 0 <= first[k, 1] + i < rows else 0.0
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _haar(a, b, c, d):  # type: ignore[no-untyped-def]
+    """A square of LEDs (0, 0), (0, 1), (1, 0), (1, 1) to its four cells: 1/4 H t H^T."""
+    return 0.25 * (a + b + c + d), 0.25 * (a - b + c - d), 0.25 * (a + b - c - d), 0.25 * (a - b - c + d)
+
+
+@njit(cache=True, nogil=True)
+def seen_by_cells(image, across, down, first, out):  # type: ignore[no-untyped-def]
+    """B^T image: the image's correlation with that of each cell; image (rows, columns), out (n n,)."""
+    squares, width = across.shape[0] // 4, across.shape[1]
+    rows, cols = image.shape
+    led = np.empty(4)
+    for q in range(squares):
+        for k in range(4):
+            n = 4 * q + k
+            x, y, total = first[n, 0], first[n, 1], 0.0
+            for i in range(max(0, -y), min(width, rows - y)):
+                line = 0.0
+                for j in range(max(0, -x), min(width, cols - x)):
+                    line += image[y + i, x + j] * across[n, j]
+                total += line * down[n, i]
+            led[k] = total
+        out[q], out[squares + q], out[2 * squares + q], out[3 * squares + q] = _haar(led[0], led[1], led[2], led[3])
+
+
+@njit(cache=True, nogil=True)
+def leds(cells):  # type: ignore[no-untyped-def]
+    """Levels about their mean of LEDs in the order of `place`, t = 1/4 H^T D H, of cells (n n,)."""
+    squares = cells.shape[0] // 4
+    out = np.empty(4 * squares)
+    for q in range(squares):
+        a, b, c, d = cells[q], cells[squares + q], cells[2 * squares + q], cells[3 * squares + q]
+        out[4 * q], out[4 * q + 1], out[4 * q + 2], out[4 * q + 3] = _haar(a, b, c, d)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def shine(leds, across, down, first, out):  # type: ignore[no-untyped-def]
+    """Add the image of LEDs of given weights (n n,), in the order of `place`, to out (rows, columns)."""
+    width = across.shape[1]
+    rows, cols = out.shape
+    for n in range(leds.shape[0]):
+        x, y = first[n, 0], first[n, 1]
+        for i in range(max(0, -y), min(width, rows - y)):
+            w = leds[n] * down[n, i]
+            for j in range(max(0, -x), min(width, cols - x)):
+                out[y + i, x + j] += w * across[n, j]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _overlap(a, b, shift, width):  # type: ignore[no-untyped-def]
+    """Sum of a[i + shift] b[i]."""
+    total = 0.0
+    for i in range(max(0, -shift), min(width, width - shift)):
+        total += a[i + shift] * b[i]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def gram(across, down, first, out):  # type: ignore[no-untyped-def]
+    """B^T B of the cells, out (n n, n n) float32.
+
+    <led_i, led_j> = <across_i, across_j> <down_i, down_j>, then the Haar transform on both sides.
+    """
+    squares, width = across.shape[0] // 4, across.shape[1]
+    block = np.empty((4, 4))
+    for q in range(squares):
+        for p in range(q + 1):
+            near = False
+            for k in range(4):
+                for m in range(4):
+                    i, j = 4 * q + k, 4 * p + m
+                    dx, dy = first[j, 0] - first[i, 0], first[j, 1] - first[i, 1]
+                    value = 0.0
+                    if -width < dx < width and -width < dy < width:
+                        near = True
+                        value = _overlap(across[i], across[j], dx, width) * _overlap(down[i], down[j], dy, width)
+                    block[k, m] = value
+            if near:
+                for k in range(4):
+                    block[k, 0], block[k, 1], block[k, 2], block[k, 3] = _haar(
+                        block[k, 0], block[k, 1], block[k, 2], block[k, 3]
+                    )
+                for m in range(4):
+                    block[0, m], block[1, m], block[2, m], block[3, m] = _haar(
+                        block[0, m], block[1, m], block[2, m], block[3, m]
+                    )
+            else:
+                block[:] = 0.0
+            for k in range(4):
+                for m in range(4):
+                    out[k * squares + q, m * squares + p] = block[k, m]
+                    out[m * squares + p, k * squares + q] = block[k, m]
