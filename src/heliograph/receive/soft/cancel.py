@@ -151,9 +151,13 @@ def _decode_layer(layer: _Layer, name: str, identity: int, settings: ReceiveSett
             words.append(layer.words[i])
             continue
         result = code.decode(
-            llr[None], algorithm=settings.soft.algorithm, iterations=settings.decode.iterations, stop="crc", check=check,
+            llr[None],
+            algorithm=settings.soft.algorithm,
+            iterations=settings.decode.iterations,
+            stop="crc",
+            check=check,
             coded_output=True,
-        )  # fmt: skip
+        )
         assert result.coded_llr is not None  # it was asked for
         margin = float(np.abs(result.llr).mean())
         word = codeword_of((result.bits[0], int(result.iterations[0]), margin), llr, identity, name)
