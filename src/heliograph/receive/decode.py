@@ -107,9 +107,14 @@ def codeword_of(decoded: Decoded, llr: NDArray[np.float64], identity: int, layer
     """A codeword of an array and layer as the turbo decoder left it, with the LLRs (E,) it began from."""
     bits, iterations, margin = decoded
     block = unpack(bits)
-    raw = np.where(llr == 0, ERASED, llr < 0).astype(np.uint8)
+    raw = hard(llr)
     if block is None:
         return Codeword("crc_fail", None, bits, raw, iterations, margin)
     if (block.identity, block.layer) != (identity, layer):
         return Codeword("mismatch", None, bits, raw, iterations, margin)
     return Codeword("ok", block, bits, raw, iterations, margin)
+
+
+def hard(llr: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Decisions on LLRs, `ERASED` where nothing is known."""
+    return np.where(llr == 0, ERASED, llr < 0).astype(np.uint8)

@@ -32,8 +32,6 @@ class Receiver:
         Gets (stage, data) of each stage.
     """
 
-    reading: MakeReading = PlainReading
-
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings | None = None, observe: Observer = ignore):
         self._settings = settings or ReceiveSettings()
         self._form = PacketFormat(signal)
@@ -65,10 +63,14 @@ class Receiver:
         """Begin to follow an array, its header's frames first."""
         self.detections += 1
         self._observe("detect", {"detection": detection, "frames": tuple(self._detector.recent)})
-        array = ArrayReceiver(detection, self._form, self._settings, self._observe, type(self).reading)
+        array = ArrayReceiver(detection, self._form, self._settings, self._observe, self._reading(detection.identity))
         self._arrays.append(array)
         for frame in self._detector.recent:
             yield from array.push(frame)
+
+    def _reading(self, identity: int) -> MakeReading:  # noqa: ARG002 - others keep something for each array
+        """How the packets of an array are read."""
+        return PlainReading
 
     def _drop(self, array: ArrayReceiver) -> Iterator[Packet]:
         yield from array.flush()

@@ -1,18 +1,20 @@
 """From looks to codewords: what is decoded is subtracted, what is not is fed back softly, until nothing changes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.receive.decode import LARGEST_LLR, codeword_of
+from heliograph.receive.decode import LARGEST_LLR, codeword_of, hard
 from heliograph.receive.packets import Codeword
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
 from heliograph.receive.soft.look import Look
+from heliograph.receive.soft.memory import Memory, faithful
 from heliograph.signal.block import check
 from heliograph.signal.packet import LayerFormat, PacketFormat
+from heliograph.signal.turbo import TurboCode
 
 Floats = NDArray[np.float64]
 
@@ -57,6 +59,8 @@ class _Layer:
         (codewords, E) mean of each coded bit, 1 for 0 and -1 for 1.
     variance
         (codewords, E) variance of each.
+    recalled
+        LLRs (E,) of earlier looks at each codeword.
     words
         The codewords by the last decoding.
     """
@@ -65,12 +69,13 @@ class _Layer:
     llr: Floats
     soft: Floats
     variance: Floats
+    recalled: list[Floats]
     words: list[Codeword]
 
     @classmethod
     def unknown(cls, form: LayerFormat) -> "_Layer":
         shape = form.codewords, form.code.length
-        return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), [])
+        return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), [], [])
 
     def mean(self) -> Floats:
         """(pairs, cells) mean of each cell."""
@@ -82,7 +87,12 @@ class _Layer:
 
 
 def decode_looks(
-    looks: Sequence[Look | None], light: Light, form: PacketFormat, identity: int, settings: ReceiveSettings
+    looks: Sequence[Look | None],
+    light: Light,
+    form: PacketFormat,
+    identity: int,
+    settings: ReceiveSettings,
+    memory: Memory,
 ) -> dict[str, tuple[Codeword, ...]]:
     """Decode all layers of a packet.
 
@@ -98,6 +108,8 @@ def decode_looks(
         The array's; a block of another array is a mismatch.
     settings
         The receiver's.
+    memory
+        Earlier looks at codewords of this array; what cannot be decoded is kept there.
 
     Returns
     -------
@@ -108,10 +120,21 @@ def decode_looks(
         before = _open(layers)
         _equalise_all(looks, light, layers)
         for name, layer in layers.items():
+            if not layer.recalled:
+                layer.recalled = [memory.recall(name, llr) for llr in layer.llr]
             _decode_layer(layer, name, identity, settings)
         if not _open(layers).any() or (before - _open(layers)).max() < PROGRESS:
             break
+    for name, layer in layers.items():
+        _remember(layer, name, memory)
     return {name: tuple(layer.words) for name, layer in layers.items()}
+
+
+def _remember(layer: _Layer, name: str, memory: Memory) -> None:
+    """Keep what is known of the codewords that this look alone did not give."""
+    for word, llr, recalled in zip(layer.words, layer.llr, layer.recalled, strict=True):
+        if word.status == "crc_fail" or recalled.any():
+            memory.keep(name, llr, recalled)
 
 
 def _open(layers: dict[str, _Layer]) -> Floats:
@@ -150,21 +173,39 @@ def _decode_layer(layer: _Layer, name: str, identity: int, settings: ReceiveSett
         if layer.words and layer.words[i].status != "crc_fail":
             words.append(layer.words[i])
             continue
-        result = code.decode(
-            llr[None],
-            algorithm=settings.soft.algorithm,
-            iterations=settings.decode.iterations,
-            stop="crc",
-            check=check,
-            coded_output=True,
-        )
-        assert result.coded_llr is not None  # it was asked for
-        margin = float(np.abs(result.llr).mean())
-        word = codeword_of((result.bits[0], int(result.iterations[0]), margin), llr, identity, name)
-        words.append(word)
+        recalled = layer.recalled[i]
+        word, after = _decode(code, llr + recalled, identity, name, settings)
+        if recalled.any() and word.status != "crc_fail" and not faithful(llr, _signs(code, word)):
+            # another codeword, like the one recalled
+            layer.recalled[i] = np.zeros_like(llr)
+            word, after = _decode(code, llr, identity, name, settings)
+        words.append(replace(word, raw=hard(llr)))
         if word.status == "crc_fail":
-            layer.soft[i] = np.tanh(0.5 * np.clip(result.coded_llr[0], -LARGEST_LLR, LARGEST_LLR))
+            layer.soft[i] = np.tanh(0.5 * after)
             layer.variance[i] = np.maximum(1 - layer.soft[i] ** 2, 2 * KNOWN)
         else:
-            layer.soft[i], layer.variance[i] = 1.0 - 2.0 * code.encode(word.bits), 0.0
+            layer.soft[i], layer.variance[i] = _signs(code, word), 0.0
     layer.words = words
+
+
+def _signs(code: TurboCode, word: Codeword) -> Floats:
+    """Coded bits (E,) of a codeword, 1 for 0 and -1 for 1."""
+    return np.asarray(1.0 - 2.0 * code.encode(word.bits))
+
+
+def _decode(
+    code: TurboCode, llr: Floats, identity: int, name: str, settings: ReceiveSettings
+) -> tuple[Codeword, Floats]:
+    """The codeword of LLRs (E,), and the LLRs of its coded bits after decoding."""
+    result = code.decode(
+        llr[None],
+        algorithm=settings.soft.algorithm,
+        iterations=settings.decode.iterations,
+        stop="crc",
+        check=check,
+        coded_output=True,
+    )
+    assert result.coded_llr is not None  # it was asked for
+    decoded = result.bits[0], int(result.iterations[0]), float(np.abs(result.llr).mean())
+    after = np.clip(result.coded_llr[0].astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
+    return codeword_of(decoded, llr, identity, name), after

@@ -8,15 +8,17 @@ from heliograph.receive.packets import Codeword, Observer
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.cancel import Light, decode_looks
 from heliograph.receive.soft.look import Glance, measure_noise, take_glance, take_look
+from heliograph.receive.soft.memory import Memory
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
 
 
 class SoftReading:
-    """Equalises, cancels and decodes."""
+    """Equalises, cancels and decodes; `memory` holds earlier looks at the array's codewords."""
 
-    def __init__(self, identity: int, form: PacketFormat, settings: ReceiveSettings, observe: Observer):
+    def __init__(self, memory: Memory, identity: int, form: PacketFormat, settings: ReceiveSettings, observe: Observer):
+        self._memory = memory
         self._identity, self._form, self._settings, self._observe = identity, form, settings, observe
         self._glances: list[Glance | None] = [None] * form.settings.data_pairs
         self._gain = 0.0
@@ -38,7 +40,7 @@ class SoftReading:
         noise = measure_noise(seen, side)
         looks = [None if glance is None else take_look(glance, noise, side) for glance in self._glances]
         light = Light(self._gain, noise.lit)
-        return decode_looks(looks, light, self._form, self._identity, self._settings)
+        return decode_looks(looks, light, self._form, self._identity, self._settings, self._memory)
 
     def shown(self) -> Mapping[str, Any]:
         """The pairs as they were kept."""

@@ -1,11 +1,15 @@
 """The receiver "soft": as far as the channel allows."""
 
+from collections import defaultdict
 from dataclasses import replace
+from functools import partial
 
 from heliograph.base.errors import SettingsError
 from heliograph.receive.packets import Observer, ignore
+from heliograph.receive.reading import MakeReading
 from heliograph.receive.receiver import Receiver
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.soft.memory import Memory
 from heliograph.receive.soft.reading import SoftReading
 from heliograph.signal.settings import SignalSettings
 
@@ -28,8 +32,6 @@ class SoftReceiver(Receiver):
         The light does not speak the hierarchical code.
     """
 
-    reading = SoftReading
-
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings | None = None, observe: Observer = ignore):
         if signal.modulation != "haar":
             raise SettingsError(
@@ -39,3 +41,8 @@ class SoftReceiver(Receiver):
         settings = settings or ReceiveSettings(receiver="soft")
         smallest = min(settings.detect.min_side_px, settings.soft.min_side_px)
         super().__init__(signal, replace(settings, detect=replace(settings.detect, min_side_px=smallest)), observe)
+        # by identity, not by array: one lost and found again goes on with its carousel
+        self._memories: dict[int, Memory] = defaultdict(Memory)
+
+    def _reading(self, identity: int) -> MakeReading:
+        return partial(SoftReading, self._memories[identity])
