@@ -77,6 +77,10 @@ class _Layer:
         shape = form.codewords, form.code.length
         return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), [], [])
 
+    def unsure(self, number: int) -> bool:
+        """Whether a codeword is not decoded, or only with the help of earlier looks."""
+        return self.words[number].status == "crc_fail" or bool(self.recalled[number].any())
+
     def mean(self) -> Floats:
         """(pairs, cells) mean of each cell."""
         return self.form.interleave(self.soft * (1.0 - 2.0 * self.form.chips))
@@ -125,16 +129,27 @@ def decode_looks(
             _decode_layer(layer, name, identity, settings)
         if not _open(layers).any() or (before - _open(layers)).max() < PROGRESS:
             break
-    for name, layer in layers.items():
-        _remember(layer, name, memory)
+    _remember(looks, light, layers, memory)
     return {name: tuple(layer.words) for name, layer in layers.items()}
 
 
-def _remember(layer: _Layer, name: str, memory: Memory) -> None:
-    """Keep what is known of the codewords that this look alone did not give."""
-    for word, llr, recalled in zip(layer.words, layer.llr, layer.recalled, strict=True):
-        if word.status == "crc_fail" or recalled.any():
-            memory.keep(name, llr, recalled)
+def _remember(looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer], memory: Memory) -> None:
+    """Keep what this look says of the codewords that it alone did not give.
+
+    The looks are equalised anew with the decoded codewords known and no guess of the others: a guess fed back would be
+    counted as often as its codeword is seen.
+    """
+    wanted = {name: [i for i in range(len(layer.words)) if layer.unsure(i)] for name, layer in layers.items()}
+    if not any(wanted.values()):
+        return
+    for layer in layers.values():
+        for i, word in enumerate(layer.words):
+            if word.status == "crc_fail":
+                layer.soft[i], layer.variance[i] = 0.0, 1.0
+    _equalise_all(looks, light, layers)
+    for name, numbers in wanted.items():
+        for i in numbers:
+            memory.keep(name, layers[name].llr[i], layers[name].recalled[i])
 
 
 def _open(layers: dict[str, _Layer]) -> Floats:
