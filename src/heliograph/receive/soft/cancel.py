@@ -1,6 +1,6 @@
 """From looks to codewords: what is decoded is subtracted, what is not is fed back softly, until nothing changes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,6 +43,10 @@ class Light:
         if norm > 0:
             # g = <d, B m + o> / E|B c + o|^2
             self.gain = match / norm
+
+
+LookAgain = Callable[[Floats, Floats, Light], Sequence[Look | None]]
+"""Mean and variance of the cells (pairs, cells) and the light -> looks with better poses; the light's noise is set."""
 
 
 @dataclass(slots=True)
@@ -97,6 +101,7 @@ def decode_looks(
     identity: int,
     settings: ReceiveSettings,
     memory: Memory,
+    again: LookAgain,
 ) -> dict[str, tuple[Codeword, ...]]:
     """Decode all layers of a packet.
 
@@ -114,6 +119,8 @@ def decode_looks(
         The receiver's.
     memory
         Earlier looks at codewords of this array; what cannot be decoded is kept there.
+    again
+        Looks anew once something is decoded.
 
     Returns
     -------
@@ -127,8 +134,11 @@ def decode_looks(
             if not layer.recalled:
                 layer.recalled = [memory.recall(name, llr) for llr in layer.llr]
             _decode_layer(layer, name, identity, settings)
-        if not _open(layers).any() or (before - _open(layers)).max() < PROGRESS:
+        now = _open(layers)
+        if not now.any() or (before - now).max() < PROGRESS:
             break
+        if np.count_nonzero(now) < np.count_nonzero(before):
+            looks = again(*_known(layers), light)
     _remember(looks, light, layers, memory)
     return {name: tuple(layer.words) for name, layer in layers.items()}
 
@@ -157,10 +167,15 @@ def _open(layers: dict[str, _Layer]) -> Floats:
     return np.concatenate([layer.variance.mean(1) for layer in layers.values()])
 
 
+def _known(layers: dict[str, _Layer]) -> tuple[Floats, Floats]:
+    """Mean and variance of all cells, (pairs, cells)."""
+    mean = np.concatenate([layer.mean() for layer in layers.values()], axis=1)
+    return mean, np.concatenate([layer.variances() for layer in layers.values()], axis=1)
+
+
 def _equalise_all(looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer]) -> None:
     """Equalise every look with what is known now; then the gain by expectation and maximisation."""
-    mean = np.concatenate([layer.mean() for layer in layers.values()], axis=1)
-    variance = np.concatenate([layer.variances() for layer in layers.values()], axis=1)
+    mean, variance = _known(layers)
     llr, moments = np.zeros_like(mean), np.zeros(2)
     for number, look in enumerate(looks):
         if look is not None:
