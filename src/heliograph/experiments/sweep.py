@@ -14,6 +14,7 @@ from heliograph.experiments.executors import Workers, open_workers
 from heliograph.experiments.plan import laid_over, plan
 from heliograph.experiments.points import StopRule, Tally, build, run_job
 from heliograph.experiments.store import Store
+from heliograph.experiments.vary import listed
 from heliograph.link.bench import BlockCounts
 
 if TYPE_CHECKING:
@@ -120,6 +121,7 @@ def sweep(
 
     need_xarray()
     rule = StopRule(min_errors=min_errors, max_codewords=max_codewords, max_seconds=max_seconds)
+    vary = listed(vary)
     points = plan(vary, preset, laid_over(set), seed, _path(background), _path(imu))
     tallies = [Tally(point, rule) for point in points]
     count(tallies, _path(output), None if scheduler and workers == 1 else workers, scheduler)
