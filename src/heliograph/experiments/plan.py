@@ -1,6 +1,6 @@
 """The points of a sweep from what varies and what does not, checked before anything is computed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Integral
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from heliograph.link.simulate import transmitters
 
 
 def plan(
-    vary: Mapping[str, Sequence[Any]],
+    vary: Mapping[str, Iterable[Any]],
     preset: str = "static",
     over: Mapping[str, Any] | None = None,
     seed: int = 0,
