@@ -18,7 +18,7 @@ from heliograph.signal.turbo import TurboCode
 
 Floats = NDArray[np.float64]
 
-PROGRESS = 0.003
+PROGRESS = 0.001
 """A round that lowers the variance of no open codeword by more is the last."""
 
 
@@ -237,5 +237,5 @@ def _decode(
     )
     assert result.coded_llr is not None  # it was asked for
     decoded = result.bits[0], int(result.iterations[0]), float(np.abs(result.llr).mean())
-    after = np.clip(result.coded_llr[0].astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
+    after = np.clip(result.coded_extrinsic[0].astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
     return codeword_of(decoded, llr, identity, name), after
