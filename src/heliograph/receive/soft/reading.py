@@ -37,7 +37,7 @@ class SoftReading:
         """Decode all pairs."""
         side = self._form.settings.side
         seen = [glance for glance in self._glances if glance is not None]
-        noise = measure_noise(seen, side)
+        noise = measure_noise(seen, self._gain, side)
         looks = [None if glance is None else take_look(glance, noise, side) for glance in self._glances]
         light = Light(self._gain, noise.lit)
         return decode_looks(looks, light, self._form, self._identity, self._settings, self._memory)
