@@ -58,7 +58,7 @@ reach = {
     layer: [
         int(d) for d in data["channel.distance_m"].values if right.sel({"channel.distance_m": d, "layer": layer}) > 0
     ]
-    for layer in data.layer.values
+    for layer in map(str, data.layer.values)
 }
 print(reach)
 assert set(reach["low"]) <= set(reach["high"])

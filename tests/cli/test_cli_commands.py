@@ -7,11 +7,13 @@ import subprocess
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cli_runs import COMMAND, Run, called, failed, heliograph, lasting, names, succeeded
 
+from heliograph.cli import console
 from heliograph.link.settings import PRESETS
 from heliograph.media import open_film
 
@@ -243,3 +245,31 @@ def test_a_closed_pipe_is_no_fault(command: str, film: Path, tmp_path: Path) -> 
     run = subprocess.run(line, shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
     assert run.stderr == ""
     assert run.stdout.count("\n") == 1
+
+
+def test_a_log_gets_a_line_of_progress_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = [0.0, 1.0, 59.0, 61.0, 90.0, 121.0]
+    monkeypatch.setattr(console, "time", SimpleNamespace(monotonic=lambda: clock.pop(0)))
+    lines = console.Lines("sweeping, points", 12)
+    for done in (4.0, 4.5, 5.0, 6.0, 6.0):
+        lines(done)
+    # 4 of 12 were done before: 60 s for one point, 120 s for two
+    assert capsys.readouterr().err.splitlines() == [
+        "sweeping, points: 5.0 of 12, about 7 min left",
+        "sweeping, points: 6.0 of 12, about 6 min left",
+    ]
+
+
+def test_a_sweep_shows_counts_and_intervals(call: Call) -> None:
+    vary = ("--vary", "channel.distance_m=40,70", "--set", "signal.data_pairs=8", "--max-codewords", "4")
+    lines = succeeded(call("sweep", *vary, "--workers", "1")).splitlines()
+    assert lines[0].split()[:4] == ["channel.distance_m", "layer", "wrong", "of"]
+    assert [line.split()[:4] for line in lines[1:4]] == [
+        ["40", "high", "0", "4"], ["40", "middle", "0", "8"], ["40", "low", "0", "4"]
+    ]  # fmt: skip
+    assert "< 7.5e-01" in lines[1]
+    assert " to " not in lines[1]
+    assert lines[6].split()[:4] == ["70", "low", "4", "4"]
+    assert "1.0e+00 (4.7e-01 to 1.0e+00)" in lines[6]

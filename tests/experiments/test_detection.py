@@ -89,6 +89,7 @@ def test_lamps_are_judged_apart_from_what_is_filmed() -> None:
     claims = compared(counts)
     assert [one.verdict for one in claims] == ["differs", "holds", "shown", "holds"]
     assert "clip 0 of 40" in claims[0].ours
+    assert "none had a candidate" in claims[0].why
     assert "lamps" not in claims[0].ours
     assert "lamps 60 of 120" in claims[1].ours
     assert not any("of 200" in one.ours for one in (*claims, ingredients(counts)))

@@ -15,7 +15,7 @@ from heliograph.experiments.chapter import Chapter, Context, Finding
 
 def test_all_experiments_by_default_and_each_once() -> None:
     assert book.chosen([]) == list(book.EXPERIMENTS)
-    assert book.chosen(["fig12", "fig11", "fig3"]) == ["fig11", "fig3"]
+    assert book.chosen(["fig12", "Fig11", "fig3"]) == ["fig11", "fig3"]
 
 
 def test_unknown_figure_names_the_nearest() -> None:

@@ -71,6 +71,37 @@ def test_a_grid_has_all_combinations_the_last_key_fastest() -> None:
         grid({"a": range(200), "b": range(200)})
 
 
+def test_values_may_be_an_array_of_numbers() -> None:
+    found = plan({"signal.data_pairs": np.array([8, 16]), "channel.distance_m": np.linspace(40, 50, 2)})
+    assert json.loads(json.dumps([dict(point.choice) for point in found]))[1] == {
+        "signal.data_pairs": 8, "channel.distance_m": 50.0
+    }  # fmt: skip
+    assert plan({"signal.data_pairs": [np.int64(8)]})[0].choice == {"signal.data_pairs": 8}
+
+
+@pytest.mark.parametrize("values", [5, "5", [], np.array([]), np.array(5), {"a": 1}, [1, np.float64(1)]])
+def test_what_is_no_list_of_values_is_told(values: Any) -> None:
+    with pytest.raises(SettingsError, match=r"channel\.distance_m"):
+        plan({"channel.distance_m": values})
+
+
+def test_a_setting_varies_under_one_name() -> None:
+    with pytest.raises(SettingsError, match="short for"):
+        plan({"receiver": ["plain"], "receive.receiver": ["plain"]})
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, "a", 1.5])
+def test_a_seed_is_what_the_store_can_hold(seed: Any) -> None:
+    with pytest.raises(SettingsError, match="seed"):
+        plan({}, seed=seed)
+
+
+def test_a_seed_of_numpy_is_one() -> None:
+    seed: Any = np.int64(3)
+    (point,) = plan({}, seed=seed)
+    assert json.dumps(point.seed) == "3"
+
+
 def test_presets_and_receivers_vary() -> None:
     night = varied("paper", {"channel": {"distance_m": 60.0}}, {"preset": "night", "receiver": "plain"})
     assert night.channel.background.level == 0.0
@@ -216,7 +247,7 @@ def test_seed_settings_and_version_are_new_keys(tmp_path: Path, monkeypatch: pyt
     with sqlite3.connect(tmp_path / NAME) as db:
         version, seed, settings = db.execute("SELECT version, seed, settings FROM points").fetchone()
     db.close()
-    assert version
+    assert version == points_module.build()
     assert seed == 0
     assert json.loads(settings)["signal"]["data_pairs"] == 8
 
@@ -335,7 +366,7 @@ def test_workers_are_checked() -> None:
 
 def test_a_dataset_has_dimensions_units_and_provenance(tmp_path: Path) -> None:
     found = sweep.sweep(
-        {"channel.distance_m": [40, 70], "receiver": ["plain"]},
+        {"channel.distance_m": np.array([40, 70]), "receiver": ["plain"]},
         set={"signal.data_pairs": 8, "channel.camera": {"width": 480, "height": 288}},
         min_errors=5, max_codewords=20, seed=0, output=tmp_path,
     )  # fmt: skip

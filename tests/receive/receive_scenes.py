@@ -12,6 +12,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose
+from heliograph.signal.pwm import lit_slots
 
 Floats = NDArray[np.float64]
 
@@ -71,15 +72,16 @@ def drawn_film(
 ) -> list[Frame]:
     """A film of an array whose centre goes along a path: time in s (n,) -> (x, y) of shape (n, 2).
 
-    Each exposure is the mean of four moments. Gain 0.8, background 0.1, panel left out, the reference noise.
+    Each exposure is the mean of four moments, the slots of PWM. Gain 0.8, background 0.1, no panel, reference noise.
     """
     rng, out = np.random.default_rng(seed), []
     for index, pattern in zip(range(frames), levels(settings), strict=False):
         light = np.full((size, size), 0.1)
         if not any(index in gap for gap in hidden):
-            for x, y in path((index + (np.arange(4) + 0.5) / 4) * 1e-3):
+            moments = path((index + (np.arange(4) + 0.5) / 4) * 1e-3)
+            for (x, y), lit in zip(moments, lit_slots(pattern), strict=True):
                 pose = Pose(float(x), float(y), pitch_at(distance_m), 0.0, 0.52)
-                light += 0.25 * 0.8 * draw(pose, pattern / 4.0, (0, 0), light.shape)
+                light += 0.25 * 0.8 * draw(pose, lit.astype(float), (0, 0), light.shape)
         out.append(frame_of(light, index, rng))
     return out
 

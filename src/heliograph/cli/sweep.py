@@ -15,6 +15,7 @@ from heliograph.cli import console, options
 if TYPE_CHECKING:
     from heliograph.experiments.points import Tally
     from heliograph.experiments.sweep import Progress
+    from heliograph.link.statistics import Count
 
 SCALE = 1000
 """Parts of a point in the progress bar."""
@@ -90,11 +91,10 @@ def _over(file: Path | None, assignments: list[str] | None) -> Any:
 
 @contextlib.contextmanager
 def _progress(points: int) -> "Iterator[Progress]":
-    """A bar with the time left on a terminal, nothing in a pipe."""
-    from heliograph.experiments.sweep import silent
-
+    """A bar with the time left on a terminal, a line now and then in a log."""
     if not sys.stderr.isatty():
-        yield silent
+        lines = console.Lines("sweeping, points", points)
+        yield lambda tallies: lines(sum(tally.share for tally in tallies))
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -113,16 +113,26 @@ def _progress(points: int) -> "Iterator[Progress]":
 
 
 def _show(tallies: "Sequence[Tally]") -> None:
-    """A line a point: bit and codeword error rate by layer, bounds where no error was met, and the net rate."""
-    rows = [_row(tally) for tally in tallies]
-    keys, layers = tallies[0].point.choice, tallies[0].total.layers
-    head = [*keys, *(f"{layer} {what}" for layer in layers for what in ("BER", "FER")), "net bit/s"]
+    """A line a point and layer: codewords wrong, error rates with intervals, or bounds where no error was met."""
+    rows = [row for tally in tallies for row in _rows(tally)]
+    head = [*tallies[0].point.choice, "layer", "wrong", "of", "FER (95 %)", "BER (95 %)", "net bit/s"]
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
     for cells in [head, *rows]:
         console.say("  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
 
 
-def _row(tally: "Tally") -> list[str]:
-    rates = [count.text() for layer in tally.total.layers.values() for count in (layer.decoded, layer.words)]
+def _rows(tally: "Tally") -> "Iterator[list[str]]":
+    """The net rate, which is of all layers, stands beside the first."""
     net = tally.net_bits_per_second
-    return [*map(str, tally.point.choice.values()), *rates, "no data" if net is None else f"{net:.0f}"]
+    rate = "no data" if net is None else f"{net:.0f}"
+    for name, layer in tally.total.layers.items():
+        counts = [str(layer.codeword_errors), str(layer.codewords), _text(layer.words), _text(layer.decoded)]
+        yield [*map(str, tally.point.choice.values()), name, *counts, rate]
+        rate = ""
+
+
+def _text(count: "Count") -> str:
+    if not count.errors:
+        return count.text()
+    low, high = count.interval()
+    return f"{count.text()} ({low:.1e} to {high:.1e})"

@@ -48,7 +48,17 @@ def _taken(measured: Measured, kind: str, scenes: list[str]) -> Finding:
         f"Fig. 6: with all LEDs on, what is left of the background can be taken for the array: {kind}.",
         f"All on, 2 frames, score above {SCORE}, films with a false alarm: {_by_scene(all_on, scenes)}.",
         "holds" if alarms.errors else "differs",
-        "" if alarms.errors else f"In none of these {alarms.trials} films was anything.",
+        "" if alarms.errors else _nothing(all_on, alarms, scenes),
+    )
+
+
+def _nothing(scores: Scores, alarms: Count, scenes: list[str]) -> str:
+    """Why nothing was taken for the array: how near to it the background came."""
+    highest = max((score for scene in scenes for score in scores.false[scene]), default=0.0)
+    best = f"the best candidate in any scored {highest:.2f}" if highest else "none had a candidate"
+    return (
+        f"In none of these {alarms.trials} films was anything: {best}. What the shake leaves of them is edges; "
+        "the round and rectangular lights that the paper speaks of are among the lamps."
     )
 
 

@@ -1,6 +1,7 @@
 """The points of a sweep from what varies and what does not, checked before anything is computed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from heliograph.link.simulate import transmitters
 
 
 def plan(
-    vary: Mapping[str, Sequence[Any]],
+    vary: Mapping[str, Iterable[Any]],
     preset: str = "static",
     over: Mapping[str, Any] | None = None,
     seed: int = 0,
@@ -30,22 +31,24 @@ def plan(
     preset, over
         What does not vary: a preset and nested settings laid on it.
     seed
-        Of all that is random.
+        Of all that is random, 0 to 2^63 - 1, which the store can hold.
     background, imu
         Recordings, which are then used.
 
     Raises
     ------
     SettingsError
-        A key is unknown, a value wrong, or a recording lacks.
+        A key is unknown, a value wrong, the seed out of range, or a recording lacks.
     MediaError
         A recording cannot be read.
     """
+    if not isinstance(seed, Integral) or not 0 <= seed < 2**63:
+        raise SettingsError(f"the seed is a whole number from 0 to 2^63 - 1, not {seed!r}")
     recordings = _recordings(background, imu)
     use: dict[str, Any] = {"channel": {"background": {"kind": "footage"}}} if background else {}
     use = merge(use, {"channel": {"shake": "imu"}} if imu else {})
     tree = merge(use, over or {})
-    return [_point(choice, _settings(choice, preset, tree), seed, recordings) for choice in grid(vary)]
+    return [_point(choice, _settings(choice, preset, tree), int(seed), recordings) for choice in grid(vary)]
 
 
 def laid_over(changes: Mapping[str, Any] | Sequence[str]) -> Mapping[str, Any]:

@@ -43,7 +43,7 @@ def chosen(names: Sequence[str]) -> list[str]:
     SettingsError
         There is no experiment of a name; the message names the nearest.
     """
-    keys = [ALIASES.get(name, name) for name in names]
+    keys = [ALIASES.get(name, name) for name in map(str.lower, names)]
     for key in keys:
         if key not in EXPERIMENTS:
             close = get_close_matches(key, [*EXPERIMENTS, *ALIASES], 1)

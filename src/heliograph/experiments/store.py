@@ -10,10 +10,9 @@ import sqlite3
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from heliograph import __version__
 from heliograph.base.config import to_mapping
 from heliograph.base.errors import MediaError
-from heliograph.experiments.points import Point
+from heliograph.experiments.points import Point, build
 from heliograph.link.bench import BlockCounts
 
 NAME = "results.sqlite"
@@ -91,7 +90,7 @@ class Store:
         """Write down what a point is."""
         about = (
             point.key,
-            __version__,
+            build(),
             point.seed,
             json.dumps(dict(point.choice)),
             json.dumps(to_mapping(point.settings)),

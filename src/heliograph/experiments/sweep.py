@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from heliograph.experiments.executors import Workers, open_workers
 from heliograph.experiments.plan import laid_over, plan
 from heliograph.experiments.points import StopRule, Tally, build, run_job
 from heliograph.experiments.store import Store
+from heliograph.experiments.vary import listed
 from heliograph.link.bench import BlockCounts
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def run(tallies: Sequence[Tally], store: Store, workers: Workers, progress: Prog
 
 
 def sweep(
-    vary: Mapping[str, Sequence[Any]],
+    vary: Mapping[str, Iterable[Any]],
     preset: str = "static",
     set: Mapping[str, Any] | Sequence[str] = (),
     seed: int = 0,
@@ -120,10 +121,11 @@ def sweep(
 
     need_xarray()
     rule = StopRule(min_errors=min_errors, max_codewords=max_codewords, max_seconds=max_seconds)
-    points = plan(vary, preset, laid_over(set), seed, _path(background), _path(imu))
+    grid = listed(vary)
+    points = plan(grid, preset, laid_over(set), seed, _path(background), _path(imu))
     tallies = [Tally(point, rule) for point in points]
     count(tallies, _path(output), None if scheduler and workers == 1 else workers, scheduler)
-    return to_dataset(vary, tallies)
+    return to_dataset(grid, tallies)
 
 
 def count(

@@ -1,9 +1,10 @@
 """What a sweep varies: ``key=1,2,3`` and ``key=25:120:5`` to values, and their grid to settings."""
 
 import itertools
+import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from decimal import Decimal
 from typing import Any
 
@@ -35,21 +36,32 @@ def parse_vary(text: str) -> tuple[str, list[Any]]:
     return key.strip(), [value for part in _parts(values) for value in _values(part, text)]
 
 
-def grid(vary: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+def grid(vary: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
     """All combinations of the values of each key, the last key fastest; one empty one where nothing varies.
 
     Raises
     ------
     SettingsError
-        A key has no values or one twice, or there are too many combinations.
+        A key has no values or one twice or is given twice, or there are too many combinations.
     """
-    size = 1
-    for key, values in vary.items():
-        _check_values(key, values)
-        size *= len(values)
-        if size > MOST:
-            raise SettingsError(f"a sweep has at most {MOST} points; take a larger step or fewer keys")
-    return [dict(zip(vary, values, strict=True)) for values in itertools.product(*vary.values())]
+    plain = listed(vary)
+    if math.prod(map(len, plain.values())) > MOST:
+        raise SettingsError(f"a sweep has at most {MOST} points; take a larger step or fewer keys")
+    return [dict(zip(plain, values, strict=True)) for values in itertools.product(*plain.values())]
+
+
+def listed(vary: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
+    """Values of each key as a list, those of NumPy as Python's, which settings and JSON know.
+
+    Raises
+    ------
+    SettingsError
+        A key has no values or one twice or is given twice.
+    """
+    doubled = [short for short, key in SHORT.items() if short in vary and key in vary]
+    if doubled:
+        raise SettingsError(f"'{doubled[0]}' is short for '{SHORT[doubled[0]]}', which varies as well")
+    return {key: _plain(key, values) for key, values in vary.items()}
 
 
 def varied(preset: str, over: Mapping[str, Any], choice: Mapping[str, Any]) -> LinkSettings:
@@ -75,12 +87,18 @@ def nested(key: str, value: Any) -> Any:
     return value
 
 
-def _check_values(key: str, values: Sequence[Any]) -> None:
-    if isinstance(values, str) or not len(values):
+def _plain(key: str, values: Any) -> list[Any]:
+    if hasattr(values, "tolist"):
+        values = values.tolist()
+    if isinstance(values, (str, bytes, Mapping)) or not isinstance(values, Iterable):
         raise SettingsError(f"'{key}' varies over a list of values, not {values!r}")
-    doubled = [value for i, value in enumerate(values) if value in list(values)[:i]]
+    plain = [value.tolist() if hasattr(value, "tolist") else value for value in values]
+    if not plain:
+        raise SettingsError(f"'{key}' varies over a list of values, not an empty one")
+    doubled = [value for i, value in enumerate(plain) if value in plain[:i]]
     if doubled:
         raise SettingsError(f"'{key}' has the value {doubled[0]!r} twice")
+    return plain
 
 
 def _parts(text: str) -> Iterator[str]:

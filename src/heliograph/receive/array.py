@@ -15,6 +15,7 @@ from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.header import header_levels
 from heliograph.signal.packet import PacketFormat
+from heliograph.signal.pwm import light_centroids
 
 HEADER_SEEN = 0.5
 """Least alternation of a header, as a share of the array's luminance."""
@@ -63,6 +64,8 @@ class ArrayReceiver:
         self._start_s = detection.start_time_s
         self._form, self._settings, self._observe = form, settings, observe
         self._header_weights = header_levels(self.identity, form.settings.side) / 2.0 - 1.0
+        mean, _ = light_centroids(form.settings.slot_order)
+        self._sum_late_s = (mean - 0.5) * form.settings.pattern_period_s
         self._held: Frame | None = None
         self._pair = 0
         self._packet = self._empty()
@@ -117,8 +120,8 @@ class ArrayReceiver:
 
     def _read(self, pattern: Frame, inverted: Frame) -> None:
         """Track a pair, then read its data or its header."""
-        tracked = self.tracker.follow(pattern, inverted)
         packet, place = self._packet, self._pair_in_packet(self._pair) - self._form.settings.header_pairs
+        tracked = self.tracker.follow(pattern, inverted, self._sum_late_s if place >= 0 else 0.0)
         packet.frames += [pattern.index, inverted.index]
         packet.scores.append(tracked.fit.score)
         packet.poses.append(tracked.state.pose)

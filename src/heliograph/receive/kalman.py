@@ -42,14 +42,17 @@ class View:
     error: NDArray[np.float64]
 
 
-def _sums() -> NDArray[np.float64]:
+SUM_SPREAD = np.array([0.0, 0.0, 0.002, 0.0, 0.02])
+"""Standard deviations of the errors of sums that differ from one to the next."""
+
+
+def sum_view(late_s: float) -> View:
+    """What the sum of a pattern and its inverse shows, its light on average `late_s` after the state's time."""
     shows = np.eye(SHOWN, STATES)
+    shows[:3, RATES] = late_s * np.eye(3)
     shows[2, 8] = shows[4, 9] = 1.0
-    return shows
+    return View(shows, SUM_SPREAD**2)
 
-
-SUM = View(_sums(), np.array([0.0, 0.0, 0.002, 0.0, 0.02]) ** 2)
-"""The sum of a pattern and its inverse."""
 
 DIFFERENCE = View(np.eye(SHOWN, STATES), np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2)
 """A header minus its inverse: the background cancels, but it moves between the two, hence x and y."""

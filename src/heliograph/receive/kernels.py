@@ -99,10 +99,18 @@ def render_box(pose, half_leds, x0, y0, out):  # type: ignore[no-untyped-def]
     half = half_leds * math.exp(pose[2])
     sigma = math.sqrt(math.exp(2.0 * pose[4]) + 1.0 / 12.0)
     c, s = math.cos(pose[3]), math.sin(pose[3])
+    reach = REACH * sigma
+    out[:] = 0.0
     for i in range(rows):
         for j in range(cols):
             dx, dy = x0 + j - pose[0], y0 + i - pose[1]
             x, y = c * dx + s * dy, c * dy - s * dx
+            inside = half - max(abs(x), abs(y))
+            if inside < -reach:  # no light, no slope
+                continue
+            if inside > reach:  # full light, no slope: most of a near array
+                out[0, i, j] = 1.0
+                continue
             right, right_slope = _edge(half - x, sigma)
             left, left_slope = _edge(half + x, sigma)
             low, low_slope = _edge(half - y, sigma)
@@ -114,7 +122,6 @@ def render_box(pose, half_leds, x0, y0, out):  # type: ignore[no-untyped-def]
             out[2, i, j] = -s * by_x - c * by_y
             out[3, i, j] = half * ((left_slope + right_slope) * by + (top_slope + low_slope) * bx)
             out[4, i, j] = y * by_x - x * by_y
-            out[5, i, j] = 0.0
 
 
 @njit(cache=True, nogil=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.detect import Detection, cut_out
 from heliograph.receive.fit import Fit, Prior, fit_array, window_around
-from heliograph.receive.kalman import DIFFERENCE, SUM, PoseState
+from heliograph.receive.kalman import DIFFERENCE, PoseState, sum_view
 from heliograph.receive.pose import Pose
 from heliograph.receive.settings import TrackSettings
 
@@ -65,12 +65,21 @@ class Tracker:
         self.gain = fit.gain
         self.data_gain = fit.gain
 
-    def follow(self, pattern: Frame, inverted: Frame) -> TrackedPair:
-        """Find the array in the sum of a pair and move the filter on; coast where it is not seen."""
+    def follow(self, pattern: Frame, inverted: Frame, late_s: float = 0.0) -> TrackedPair:
+        """Find the array in the sum of a pair and move the filter on; coast where it is not seen.
+
+        Parameters
+        ----------
+        pattern, inverted
+            The two frames.
+        late_s
+            By how much the light of their sum comes after the middle of the exposures: PWM lights the first slots more.
+        """
         predicted = self._predict(0.5 * (pattern.time_s + inverted.time_s))
         corner, up, down = self._cut(pattern, inverted, predicted)
         # (pattern) + (inverse) = every LED on, Fig. 9
-        prior = Prior(*predicted.expected(SUM), self.gain)
+        view = sum_view(late_s)
+        prior = Prior(*predicted.expected(view), self.gain)
         total = up + down
         start = self._unresolved(total, corner, prior) if self._unsure(predicted) else None
         # a start of its own saves a step
@@ -78,7 +87,7 @@ class Tracker:
         fit = fit_array(total, corner, prior, self._ones, steps, panel=True, start=start)
         seen = self._inside(fit, pattern) and self._active(up - down, fit.pose, corner)
         if seen:
-            predicted = predicted.condition(fit.vector, fit.covariance, SUM)
+            predicted = predicted.condition(fit.vector, fit.covariance, view)
             self.last_seen_s = predicted.time_s
             self.gain += 0.1 * (fit.gain - self.gain)
         self.state = predicted

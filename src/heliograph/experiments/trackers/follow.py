@@ -8,6 +8,7 @@ from heliograph.receive import Pose
 from heliograph.receive.detect import Detection
 from heliograph.receive.track import Tracker
 from heliograph.signal.header import header_levels
+from heliograph.signal.pwm import light_centroids
 
 
 class Follower(Protocol):
@@ -67,8 +68,11 @@ class InvertedSignals:
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
         """Follow a pair; a header's pair sharpens the pose for the next."""
-        tracked = self._tracker.follow(pattern, inverted)
-        if tracked.seen and in_header(self._settings, pattern.time_s - self._start_s):
+        signal = self._settings.signal
+        header = in_header(self._settings, pattern.time_s - self._start_s)
+        late = 0.0 if header else (light_centroids(signal.slot_order)[0] - 0.5) * signal.pattern_period_s
+        tracked = self._tracker.follow(pattern, inverted, late)
+        if tracked.seen and header:
             self._tracker.refine(pattern, inverted, self._weights)
         return tracked.state.pose
 

@@ -150,8 +150,12 @@ def _dark(table: Scores, films: list[str]) -> Finding:
         "IV.B: inverted signals solve this problem: they need no background.",
         _list({film: f"{s.near} of {s.pairs} pairs within {NEAR_PX:g} px" for film, s in parts.items()}),
         _verdict(not bad),
-        f"Not all pairs in: {', '.join(bad)}." if bad else "",
+        f"Not all pairs in: {', '.join(f'{film} ({_left_over(parts[film])})' for film in bad)}." if bad else "",
     )
+
+
+def _left_over(s: Score) -> str:
+    return f"99.9 % within {s.q999_px:.3f} px, {s.lost} lost"
 
 
 def rate_finding(table: list[Rate]) -> Finding:

@@ -1,6 +1,6 @@
 """From looks to codewords: what is decoded is subtracted, what is not is fed back softly, until nothing changes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,6 +45,10 @@ class Light:
             self.gain = match / norm
 
 
+LookAgain = Callable[[Floats, Floats, Light], Sequence[Look | None]]
+"""Mean and variance of the cells (pairs, cells) and the light -> looks with better poses; the light's noise is set."""
+
+
 @dataclass(slots=True)
 class _Layer:
     """What is known of a layer's codewords.
@@ -77,6 +81,10 @@ class _Layer:
         shape = form.codewords, form.code.length
         return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), [], [])
 
+    def unsure(self, number: int) -> bool:
+        """Whether a codeword is not decoded, or only with the help of earlier looks."""
+        return self.words[number].status == "crc_fail" or bool(self.recalled[number].any())
+
     def mean(self) -> Floats:
         """(pairs, cells) mean of each cell."""
         return self.form.interleave(self.soft * (1.0 - 2.0 * self.form.chips))
@@ -93,6 +101,7 @@ def decode_looks(
     identity: int,
     settings: ReceiveSettings,
     memory: Memory,
+    again: LookAgain,
 ) -> dict[str, tuple[Codeword, ...]]:
     """Decode all layers of a packet.
 
@@ -110,6 +119,8 @@ def decode_looks(
         The receiver's.
     memory
         Earlier looks at codewords of this array; what cannot be decoded is kept there.
+    again
+        Looks anew once something is decoded.
 
     Returns
     -------
@@ -123,18 +134,32 @@ def decode_looks(
             if not layer.recalled:
                 layer.recalled = [memory.recall(name, llr) for llr in layer.llr]
             _decode_layer(layer, name, identity, settings)
-        if not _open(layers).any() or (before - _open(layers)).max() < PROGRESS:
+        now = _open(layers)
+        if not now.any() or (before - now).max() < PROGRESS:
             break
-    for name, layer in layers.items():
-        _remember(layer, name, memory)
+        if np.count_nonzero(now) < np.count_nonzero(before):
+            looks = again(*_known(layers), light)
+    _remember(looks, light, layers, memory)
     return {name: tuple(layer.words) for name, layer in layers.items()}
 
 
-def _remember(layer: _Layer, name: str, memory: Memory) -> None:
-    """Keep what is known of the codewords that this look alone did not give."""
-    for word, llr, recalled in zip(layer.words, layer.llr, layer.recalled, strict=True):
-        if word.status == "crc_fail" or recalled.any():
-            memory.keep(name, llr, recalled)
+def _remember(looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer], memory: Memory) -> None:
+    """Keep what this look says of the codewords that it alone did not give.
+
+    The looks are equalised anew with the decoded codewords known and no guess of the others: a guess fed back would be
+    counted as often as its codeword is seen.
+    """
+    wanted = {name: [i for i in range(len(layer.words)) if layer.unsure(i)] for name, layer in layers.items()}
+    if not any(wanted.values()):
+        return
+    for layer in layers.values():
+        for i, word in enumerate(layer.words):
+            if word.status == "crc_fail":
+                layer.soft[i], layer.variance[i] = 0.0, 1.0
+    _equalise_all(looks, light, layers)
+    for name, numbers in wanted.items():
+        for i in numbers:
+            memory.keep(name, layers[name].llr[i], layers[name].recalled[i])
 
 
 def _open(layers: dict[str, _Layer]) -> Floats:
@@ -142,10 +167,15 @@ def _open(layers: dict[str, _Layer]) -> Floats:
     return np.concatenate([layer.variance.mean(1) for layer in layers.values()])
 
 
+def _known(layers: dict[str, _Layer]) -> tuple[Floats, Floats]:
+    """Mean and variance of all cells, (pairs, cells)."""
+    mean = np.concatenate([layer.mean() for layer in layers.values()], axis=1)
+    return mean, np.concatenate([layer.variances() for layer in layers.values()], axis=1)
+
+
 def _equalise_all(looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer]) -> None:
     """Equalise every look with what is known now; then the gain by expectation and maximisation."""
-    mean = np.concatenate([layer.mean() for layer in layers.values()], axis=1)
-    variance = np.concatenate([layer.variances() for layer in layers.values()], axis=1)
+    mean, variance = _known(layers)
     llr, moments = np.zeros_like(mean), np.zeros(2)
     for number, look in enumerate(looks):
         if look is not None:

@@ -24,12 +24,16 @@ class Estimate:
         (cells,) extrinsic LLR = ln P(c=+1)/P(c=-1): what the look adds to what was known; 0 for known cells.
     mean
         (cells,) posterior mean.
+    unknown, covariance
+        Numbers of the cells that were estimated, and their posterior covariance, float32.
     trace
-        Trace of B^T B times the posterior covariance.
+        Trace of B^T W B times that covariance.
     """
 
     llr: Floats
     mean: Floats
+    unknown: NDArray[np.intp]
+    covariance: NDArray[np.float32]
     trace: float
 
 
@@ -54,7 +58,7 @@ def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floa
     unknown = np.flatnonzero(variance >= KNOWN)
     m = mean.copy()
     if not unknown.size:
-        return Estimate(np.zeros_like(m), m, 0.0)
+        return Estimate(np.zeros_like(m), m, unknown, np.zeros((0, 0), np.float32), 0.0)
     ratio = gain / noise
     known_too = look.gram @ mean.astype(np.float32)
     rhs = ratio * (look.seen - gain * (look.offset + known_too))[unknown]
@@ -69,7 +73,7 @@ def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floa
     # extrinsic: what of the posterior is not the prior; LLR = 2 mean / variance
     llr = np.zeros_like(m)
     llr[unknown] = 2 * (m[unknown] / spread - mean[unknown] / variance[unknown])
-    return Estimate(llr, m, float(np.vdot(gram, covariance)))
+    return Estimate(llr, m, unknown, covariance, float(np.vdot(gram, covariance)))
 
 
 def _inverse(matrix: NDArray[np.float32]) -> NDArray[np.float32]:

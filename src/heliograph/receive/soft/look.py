@@ -147,19 +147,61 @@ def take_look(glance: Glance, noise: Noise, side: int) -> Look:
     The noise of a pixel follows its light: s^2 = dark + (lit - dark) f(x) f(y), f the profile of the array from 0 to 1.
     W is taken as a product of a function of x and one of y, so that LEDs weighted by its root are such products too.
     """
-    shape = glance.change.shape
-    middle = glance.middle
-    motion = 0.5 * (glance.poses[1].x - glance.poses[0].x), 0.5 * (glance.poses[1].y - glance.poses[0].y)
-    # B^T W B at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2
-    between = _placed(middle, glance.corner, shape, side, motion)
-    weights = _weights(between, noise, shape, side)
+    weighted = weigh(glance, noise, side)
     gram = np.empty((side * side, side * side), np.float32)
-    kernels.gram(*_weighted(between, weights), gram)
+    kernels.gram(*weighted.between, gram)
+    d, o = weighted.change, weighted.still
+    return Look(gram, weighted.correlated(d), weighted.correlated(o), float((d * o).sum()), float((o * o).sum()))
+
+
+@dataclass(frozen=True, slots=True)
+class Weighted:
+    """A glance whose pixels are weighted by their noise, white with the variance of those inside the array.
+
+    Attributes
+    ----------
+    root
+        Roots of the weights, (rows, columns).
+    change, still
+        W^(1/2) d and W^(1/2) o.
+    shares
+        Light of the LEDs in the two frames, weighted alike.
+    between
+        The same at the pose between the two, its blur wider by the motion.
+    """
+
+    root: Floats
+    change: Floats
+    still: Floats
+    shares: tuple[Shares, Shares]
+    between: Shares
+
+    def correlated(self, image: Floats) -> Floats:
+        """B^T W^(1/2) image, (cells,)."""
+        parts = np.empty((2, len(self.shares[0][0])))
+        for share, part in zip(self.shares, parts, strict=True):
+            kernels.seen_by_cells(image, *share, part)
+        return np.asarray(parts.mean(0))
+
+    def residual(self, gain: float, cells: Floats) -> Floats:
+        """W^(1/2) (d - g (B c + o)), (rows, columns)."""
+        light = np.zeros_like(self.change)
+        for share in self.shares:
+            kernels.shine(0.5 * kernels.leds(cells), *share, light)
+        return self.change - gain * (light + self.still)
+
+
+def weigh(glance: Glance, noise: Noise, side: int) -> Weighted:
+    """Weight a glance's pixels, and the light that LEDs give them, by the pixels' noise."""
+    shape = glance.change.shape
+    # B^T W B is taken at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2
+    motion = 0.5 * (glance.poses[1].x - glance.poses[0].x), 0.5 * (glance.poses[1].y - glance.poses[0].y)
+    between = _placed(glance.middle, glance.corner, shape, side, motion)
+    weights = _weights(between, noise, shape, side)
     root = weights[1][:, None] * weights[0]
-    shares = [_weighted(_placed(pose, glance.corner, shape, side), weights) for pose in glance.poses]
-    first, second = (_all_on(share, shape) for share in shares)
-    d, o = root * glance.change, 0.5 * (first - second)
-    return Look(gram, _correlated(d, shares), _correlated(o, shares), float((d * o).sum()), float((o * o).sum()))
+    first, second = (_weighted(_placed(pose, glance.corner, shape, side), weights) for pose in glance.poses)
+    still = 0.5 * (_all_on(first, shape) - _all_on(second, shape))
+    return Weighted(root, root * glance.change, still, (first, second), _weighted(between, weights))
 
 
 def _weights(share: Shares, noise: Noise, shape: tuple[int, int], side: int) -> tuple[Floats, Floats]:
@@ -208,14 +250,6 @@ def _all_on(share: Shares, shape: tuple[int, int]) -> Floats:
     image = np.zeros(shape)
     kernels.shine(np.ones(len(share[0])), *share, image)
     return image
-
-
-def _correlated(image: Floats, shares: Sequence[Shares]) -> Floats:
-    """B^T image, (cells,)."""
-    parts = np.empty((2, len(shares[0][0])))
-    for share, part in zip(shares, parts, strict=True):
-        kernels.seen_by_cells(image, *share, part)
-    return np.asarray(parts.mean(0))
 
 
 def _placed(

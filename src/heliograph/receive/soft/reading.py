@@ -7,8 +7,9 @@ from heliograph.base.frames import Frame
 from heliograph.receive.packets import Codeword, Observer
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.cancel import Light, decode_looks
-from heliograph.receive.soft.look import Glance, measure_noise, take_glance, take_look
+from heliograph.receive.soft.look import LEAST_NOISE, Floats, Glance, Look, Noise, measure_noise, take_glance, take_look
 from heliograph.receive.soft.memory import Memory
+from heliograph.receive.soft.sharpen import sharpen
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
@@ -21,10 +22,12 @@ class SoftReading:
         self._memory = memory
         self._identity, self._form, self._settings, self._observe = identity, form, settings, observe
         self._glances: list[Glance | None] = [None] * form.settings.data_pairs
+        self._looks: list[Look | None] = []
+        self._noise = Noise(LEAST_NOISE, LEAST_NOISE)
         self._gain = 0.0
-        mean, data = light_centroids(form.settings.slot_order)
-        # a sum shows where the mean light was, a difference where the data's was, which is later
-        self._later_s = (data - mean) * form.settings.pattern_period_s
+        _, data = light_centroids(form.settings.slot_order)
+        # where the light of the data was: in the middle of the exposure, or about it
+        self._later_s = (data - 0.5) * form.settings.pattern_period_s
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Keep a pair."""
@@ -35,12 +38,25 @@ class SoftReading:
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode all pairs."""
-        side = self._form.settings.side
+        self._measure()
+        light, looks = Light(self._gain, self._noise.lit), self._look()
+        return decode_looks(looks, light, self._form, self._identity, self._settings, self._memory, self._look_again)
+
+    def _look_again(self, mean: Floats, variance: Floats, light: Light) -> list[Look | None]:
+        """Looks with the poses sharpened by what is decoded."""
+        self._glances = sharpen(self._glances, self._looks, (light.gain, self._noise), mean, variance, self._form)
+        self._measure()
+        light.noise = self._noise.lit
+        return self._look()
+
+    def _measure(self) -> None:
         seen = [glance for glance in self._glances if glance is not None]
-        noise = measure_noise(seen, self._gain, side)
-        looks = [None if glance is None else take_look(glance, noise, side) for glance in self._glances]
-        light = Light(self._gain, noise.lit)
-        return decode_looks(looks, light, self._form, self._identity, self._settings, self._memory)
+        self._noise = measure_noise(seen, self._gain, self._form.settings.side)
+
+    def _look(self) -> list[Look | None]:
+        side = self._form.settings.side
+        self._looks = [None if glance is None else take_look(glance, self._noise, side) for glance in self._glances]
+        return self._looks
 
     def shown(self) -> Mapping[str, Any]:
         """The pairs as they were kept."""
