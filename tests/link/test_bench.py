@@ -48,6 +48,8 @@ def by_film(settings: LinkSettings, seed: int, path: Path) -> Reception:
         ("static", ("channel.distance_m=40",)),
         ("static", ("channel.distance_m=70",)),
         ("paper", ("channel.distance_m=60", "channel.duration_s=0.4")),
+        ("static", ("channel.distance_m=100", "receive.receiver=soft")),
+        ("motorway", ("channel.distance_m=90", "channel.duration_s=0.1", "receive.receiver=soft")),
         ("two-arrays", ("channel.distance_m=45", "channel.duration_s=0.16", "channel.arrays.1.start_s=0.02")),
     ],
 )

@@ -142,3 +142,15 @@ def gram(across, down, first, out):  # type: ignore[no-untyped-def]
                 for m in range(4):
                     out[k * squares + q, m * squares + p] = block[k, m]
                     out[m * squares + p, k * squares + q] = block[k, m]
+
+
+@njit(cache=True, nogil=True)
+def difference(across_1, down_1, first_1, across_2, down_2, first_2):  # type: ignore[no-untyped-def]
+    """|A_1 - A_2|^2, the sum of squares over all LEDs and pixels; both of the same width."""
+    width, total = across_1.shape[1], 0.0
+    for k in range(across_1.shape[0]):
+        dx, dy = first_2[k, 0] - first_1[k, 0], first_2[k, 1] - first_1[k, 1]
+        total += _overlap(across_1[k], across_1[k], 0, width) * _overlap(down_1[k], down_1[k], 0, width)
+        total += _overlap(across_2[k], across_2[k], 0, width) * _overlap(down_2[k], down_2[k], 0, width)
+        total -= 2 * _overlap(across_1[k], across_2[k], dx, width) * _overlap(down_1[k], down_2[k], dy, width)
+    return total

@@ -120,13 +120,22 @@ def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side:
     return Glance(up + down, up - down, (x0, y0), poses)
 
 
-def measure_noise(glances: Sequence[Glance], side: int) -> Noise:
+def measure_noise(glances: Sequence[Glance], gain: float, side: int) -> Noise:
     """Noise of a packet's glances.
 
-    Inside the array the sum of a pair is even but for noise, which is that of the difference. Beside the array the
-    difference is noise and what has changed there.
+    Inside the array the sum of a pair is even but for noise, which is that of the difference, and for what motion
+    between the two frames leaves of the data. Beside the array the difference is noise and what has changed there.
+
+    Parameters
+    ----------
+    glances
+        Of the packet.
+    gain
+        Gray levels of a wide array with all LEDs on.
+    side
+        LEDs in a row.
     """
-    parts = np.array([_unevenness(glance, side) for glance in glances]).sum(0)
+    parts = np.array([_unevenness(glance, gain, side) for glance in glances]).sum(0)
     lit = max(parts[0] / max(parts[1], 1.0), LEAST_NOISE)
     dark = max(parts[2] / max(parts[3], 1.0), LEAST_NOISE)
     return Noise(float(lit), float(dark))
@@ -219,7 +228,7 @@ def _weighted(share: Shares, weights: tuple[Floats, Floats]) -> Shares:
     return parts[0], parts[1], share[2]
 
 
-def _unevenness(glance: Glance, side: int) -> tuple[float, float, float, float]:
+def _unevenness(glance: Glance, gain: float, side: int) -> tuple[float, float, float, float]:
     """Squared residuals of a sum inside the array and their degrees of freedom; squares beside it and their number."""
     shares = [_placed(pose, glance.corner, glance.change.shape, side) for pose in glance.poses]
     first, second = (_all_on(share, glance.change.shape) for share in shares)
@@ -230,7 +239,10 @@ def _unevenness(glance: Glance, side: int) -> tuple[float, float, float, float]:
     fitted = columns @ np.linalg.lstsq(columns, glance.total[inside], rcond=1e-6)[0]
     beside = glance.change[lit < 1e-3]
     freedom = max(len(x) - columns.shape[1], 0)
-    return float(((glance.total[inside] - fitted) ** 2).sum()), freedom, float((beside**2).sum()), beside.size
+    # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
+    moved = gain**2 / 16 * kernels.difference(*shares[0], *shares[1]) / (side * glance.middle.pitch) ** 2
+    uneven = float(((glance.total[inside] - fitted) ** 2).sum()) - freedom * moved
+    return uneven, freedom, float((beside**2).sum()), beside.size
 
 
 def _all_on(share: Shares, shape: tuple[int, int]) -> Floats:

@@ -50,9 +50,8 @@ class SoftReading:
         return self._look()
 
     def _measure(self) -> None:
-        self._noise = measure_noise(
-            [glance for glance in self._glances if glance is not None], self._form.settings.side
-        )
+        seen = [glance for glance in self._glances if glance is not None]
+        self._noise = measure_noise(seen, self._gain, self._form.settings.side)
 
     def _look(self) -> list[Look | None]:
         side = self._form.settings.side

@@ -1,0 +1,50 @@
+"""The soft receiver as a whole."""
+
+from dataclasses import replace
+
+import pytest
+
+from heliograph.base.errors import SettingsError
+from heliograph.link.bench import run_block
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.receive import ReceiveSettings, make_receiver
+from heliograph.receive.soft.receiver import SoftReceiver
+
+
+def link(preset: str, receiver: str, *changes: str) -> LinkSettings:
+    return load_settings(preset, None, [f"receive.receiver={receiver}", *changes])
+
+
+def wrong(settings: LinkSettings, seed: int = 1) -> dict[str, int]:
+    counts = run_block(settings, seed)
+    assert counts.false_codewords == counts.false_packets == 0
+    return {name: layer.codeword_errors for name, layer in counts.layers.items()}
+
+
+def test_all_layers_are_read_at_100_m_where_the_plain_receiver_reads_none_but_the_high() -> None:
+    assert wrong(link("static", "soft", "channel.distance_m=100")) == {"high": 0, "middle": 0, "low": 0}
+    plain = wrong(link("static", "plain", "channel.distance_m=100", "receive.detect.min_side_px=4"))
+    assert (plain["middle"], plain["low"]) == (2, 1)
+
+
+def test_it_reads_while_driving() -> None:
+    settings = link("motorway", "soft", "channel.distance_m=90", "channel.duration_s=0.3")
+    assert run_block(settings, 1).layers["high"].codewords == 3
+    assert wrong(settings) == {"high": 0, "middle": 0, "low": 0}
+
+
+def test_near_it_reads_as_the_plain_receiver_does() -> None:
+    for receiver in ("plain", "soft"):
+        assert wrong(link("static", receiver, "channel.distance_m=25")) == {"high": 0, "middle": 0, "low": 0}
+
+
+def test_it_is_chosen_by_its_name() -> None:
+    assert isinstance(make_receiver(load_settings().signal, ReceiveSettings(receiver="soft")), SoftReceiver)
+    assert not isinstance(make_receiver(load_settings().signal), SoftReceiver)
+
+
+def test_another_modulation_is_refused_in_one_line() -> None:
+    signal = replace(load_settings().signal, modulation="ook")
+    with pytest.raises(SettingsError, match=r'reads signal\.modulation = "haar", not "ook"') as caught:
+        make_receiver(signal, ReceiveSettings(receiver="soft"))
+    assert "\n" not in str(caught.value)
