@@ -226,7 +226,7 @@ def _signs(code: TurboCode, word: Codeword) -> Floats:
 def _decode(
     code: TurboCode, llr: Floats, identity: int, name: str, settings: ReceiveSettings
 ) -> tuple[Codeword, Floats]:
-    """The codeword of LLRs (E,), and the LLRs of its coded bits after decoding."""
+    """The codeword of LLRs (E,), and what the code adds to the LLRs of its coded bits."""
     result = code.decode(
         llr[None],
         algorithm=settings.soft.algorithm,
@@ -235,7 +235,7 @@ def _decode(
         check=check,
         coded_output=True,
     )
-    assert result.coded_llr is not None  # it was asked for
+    assert result.coded_extrinsic is not None  # it was asked for
     decoded = result.bits[0], int(result.iterations[0]), float(np.abs(result.llr).mean())
     after = np.clip(result.coded_extrinsic[0].astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
     return codeword_of(decoded, llr, identity, name), after
