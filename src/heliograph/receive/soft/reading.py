@@ -8,7 +8,9 @@ from heliograph.receive.packets import Codeword, Observer
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.cancel import Light, decode_looks
 from heliograph.receive.soft.look import Glance, measure_noise, take_glance, take_look
+from heliograph.receive.soft.naming import NameReader
 from heliograph.receive.track import TrackedPair, Tracker
+from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
 
@@ -20,9 +22,22 @@ class SoftReading:
         self._identity, self._form, self._settings, self._observe = identity, form, settings, observe
         self._glances: list[Glance | None] = [None] * form.settings.data_pairs
         self._gain = 0.0
+        self._name = NameReader(identity, form.settings.side)
         mean, data = light_centroids(form.settings.slot_order)
         # a sum shows where the mean light was, a difference where the data's was, which is later
         self._later_s = (data - mean) * form.settings.pattern_period_s
+
+    @property
+    def named(self) -> Format:
+        """What the header names."""
+        return self._name.named(self._gain)
+
+    def take_header(self, pair: int, pattern: Frame, inverted: Frame, tracker: Tracker) -> None:
+        """Read what the header names."""
+        state = tracker.state  # as the pairs before have refined it
+        poses = (state.pose_at(pattern.time_s), state.pose_at(inverted.time_s))
+        self._name.take(pair, pattern, inverted, poses)
+        self._gain = tracker.data_gain
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Keep a pair."""
@@ -38,7 +53,8 @@ class SoftReading:
         noise = measure_noise(seen, side)
         looks = [None if glance is None else take_look(glance, noise, side) for glance in self._glances]
         light = Light(self._gain, noise.lit)
-        return decode_looks(looks, light, self._form, self._identity, self._settings)
+        form = PacketFormat(self._form.settings, self.named)
+        return decode_looks(looks, light, form, self._identity, self._settings)
 
     def shown(self) -> Mapping[str, Any]:
         """The pairs as they were kept."""
