@@ -132,7 +132,7 @@ def decode_looks(
         _equalise_all(looks, light, layers)
         for name, layer in layers.items():
             if not layer.recalled:
-                layer.recalled = [memory.recall(name, llr) for llr in layer.llr]
+                layer.recalled = [memory.recall((name, layer.form.code), llr) for llr in layer.llr]
             _decode_layer(layer, name, identity, settings)
         now = _open(layers)
         if not now.any() or (before - now).max() < PROGRESS:
@@ -159,7 +159,7 @@ def _remember(looks: Sequence[Look | None], light: Light, layers: dict[str, _Lay
     _equalise_all(looks, light, layers)
     for name, numbers in wanted.items():
         for i in numbers:
-            memory.keep(name, layers[name].llr[i], layers[name].recalled[i])
+            memory.keep((name, layers[name].form.code), layers[name].llr[i], layers[name].recalled[i])
 
 
 def _open(layers: dict[str, _Layer]) -> Floats:
