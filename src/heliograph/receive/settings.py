@@ -132,11 +132,21 @@ class SoftSettings:
         Most rounds between equaliser and turbo decoder.
     algorithm
         Of the turbo decoder, in place of ``decode.algorithm``: what is fed back softly should be no guess.
+    feedback
+        What the equaliser gets back from the turbo decoder: "none", the "decoded" codewords, whose light is
+        subtracted, or "soft" values of the others too.
+    sharpen
+        Whether poses are sharpened by what is decoded.
+    looks
+        Whether codewords of a carousel that come again are added to what was seen of them.
     """
 
     min_side_px: Annotated[float, Field(ge=3)] = 4.0
     rounds: Annotated[int, Field(ge=1, le=100)] = 24
     algorithm: Literal["max-log", "log-map"] = "log-map"
+    feedback: Literal["none", "decoded", "soft"] = "soft"
+    sharpen: bool = True
+    looks: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)

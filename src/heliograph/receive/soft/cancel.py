@@ -132,14 +132,18 @@ def decode_looks(
         _equalise_all(looks, light, layers)
         for name, layer in layers.items():
             if not layer.recalled:
-                layer.recalled = [memory.recall((name, layer.form.code), llr) for llr in layer.llr]
+                layer.recalled = [
+                    memory.recall((name, layer.form.code), llr) if settings.soft.looks else np.zeros_like(llr)
+                    for llr in layer.llr
+                ]
             _decode_layer(layer, name, identity, settings)
         now = _open(layers)
-        if not now.any() or (before - now).max() < PROGRESS:
+        if not now.any() or (before - now).max() < PROGRESS or settings.soft.feedback == "none":
             break
-        if np.count_nonzero(now) < np.count_nonzero(before):
+        if settings.soft.sharpen and np.count_nonzero(now) < np.count_nonzero(before):
             looks = again(*_known(layers), light)
-    _remember(looks, light, layers, memory)
+    if settings.soft.looks:
+        _remember(looks, light, layers, memory)
     return {name: tuple(layer.words) for name, layer in layers.items()}
 
 
@@ -210,7 +214,9 @@ def _decode_layer(layer: _Layer, name: str, identity: int, settings: ReceiveSett
             layer.recalled[i] = np.zeros_like(llr)
             word, after = _decode(code, llr, identity, name, settings)
         words.append(replace(word, raw=hard(llr)))
-        if word.status == "crc_fail":
+        if word.status == "crc_fail" and settings.soft.feedback != "soft":
+            layer.soft[i], layer.variance[i] = 0.0, 1.0
+        elif word.status == "crc_fail":
             layer.soft[i] = np.tanh(0.5 * after)
             layer.variance[i] = np.maximum(1 - layer.soft[i] ** 2, 2 * KNOWN)
         else:
