@@ -40,7 +40,8 @@ class SoftReading:
         """Decode all pairs."""
         self._measure()
         light, looks = Light(self._gain, self._noise.lit), self._look()
-        return decode_looks(looks, light, self._form, self._identity, self._settings, self._memory, self._look_again)
+        again, observe = self._look_again, self._observe
+        return decode_looks(looks, light, self._form, self._identity, self._settings, self._memory, again, observe)
 
     def _look_again(self, mean: Floats, variance: Floats, light: Light) -> list[Look | None]:
         """Looks with the poses sharpened by what is decoded."""

@@ -1,0 +1,149 @@
+"""What a receiver claims of packets that were sent: likelihoods of bits and distances, beside the truth."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.link.bench import block_settings, dithered, random_messages, window_margin_px
+from heliograph.link.settings import LinkSettings
+from heliograph.link.simulate import simulate, transmitters
+from heliograph.receive import Packet, make_receiver
+from heliograph.signal.block import pack
+
+Floats = NDArray[np.float64]
+
+EDGES = (0.0, 1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5)
+"""Bins of the claimed error probability."""
+
+FIRST, LAST = "first round", "last round"
+"""LLRs of the equaliser before anything is known; those a codeword that came later was last decoded from."""
+
+
+@dataclass(slots=True)
+class Claims:
+    """Bits by bin of the claimed error probability; a row a packet, so that errors may come together.
+
+    Attributes
+    ----------
+    bits, wrong
+        (packets, bins) counted.
+    claimed
+        (packets, bins) sum of the claimed probabilities: errors to be expected.
+    """
+
+    bits: Floats = field(default_factory=lambda: np.zeros((0, len(EDGES) - 1)))
+    wrong: Floats = field(default_factory=lambda: np.zeros((0, len(EDGES) - 1)))
+    claimed: Floats = field(default_factory=lambda: np.zeros((0, len(EDGES) - 1)))
+
+    def add(self, llr: Floats, sent: NDArray[np.uint8]) -> None:
+        """Count the bits of a packet that were received at all, LLR = ln P(b=0)/P(b=1)."""
+        known = llr != 0
+        # P(wrong) = 1 / (1 + exp |LLR|)
+        claimed = 1 / (1 + np.exp(np.abs(llr[known])))
+        wrong = (llr[known] < 0) != sent[known]
+        for name, weights in (("bits", np.ones(len(claimed))), ("wrong", wrong), ("claimed", claimed)):
+            row, _ = np.histogram(claimed, EDGES, weights=weights.astype(float))
+            setattr(self, name, np.vstack([getattr(self, name), row]))
+
+    def include(self, other: "Claims") -> None:
+        """Count another's as well."""
+        for name in ("bits", "wrong", "claimed"):
+            setattr(self, name, np.vstack([getattr(self, name), getattr(other, name)]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """A film to be received.
+
+    Attributes
+    ----------
+    case
+        What it is counted under.
+    settings
+        The link.
+    seed
+        Of messages, road, noise and place.
+    packets
+        Its length; None: the whole drive.
+    """
+
+    case: str
+    settings: LinkSettings
+    seed: int
+    packets: int | None = 1
+
+
+@dataclass(slots=True)
+class Heard:
+    """What came of a block.
+
+    Attributes
+    ----------
+    case
+        The block's.
+    claims
+        Bits by `FIRST` and `LAST`.
+    distances
+        (packets, 3): true distance in the middle of the packet, that told, number of the packet in its block.
+    """
+
+    case: str
+    claims: dict[str, Claims] = field(default_factory=lambda: {FIRST: Claims(), LAST: Claims()})
+    distances: Floats = field(default_factory=partial(np.zeros, (0, 3)))
+
+
+def hear(block: Block) -> Heard:
+    """Simulate a film and receive it; the truth is compared afterwards."""
+    settings = dithered(block_settings(block.settings, block.packets), block.seed)
+    messages = random_messages(settings, block.seed)
+    (sender,) = transmitters(settings, messages)
+    ear, out, distance = _Ear(), Heard(block.case), dict[int, float]()
+    receiver = make_receiver(settings.signal, settings.receive, ear)
+    for frame, truth in simulate(settings, messages, block.seed, None, window_margin_px(settings)):
+        distance[frame.index] = truth.arrays[0].distance_m
+        for packet in receiver.push(frame):
+            number = round(packet.start_time_s / settings.signal.packet_s)
+            blocks = sender.blocks(number)
+            layers = sender.format.layers
+            sent = {
+                name: layers[name].code.encode([pack(b, layers[name].code.k) for b in blocks[name]]) for name in layers
+            }
+            ear.tell(sent, out.claims)
+            true = distance[(packet.first_frame + packet.last_frame) // 2]
+            out.distances = np.vstack([out.distances, [true, _distance(packet), number]])
+    return out
+
+
+def _distance(packet: Packet) -> float:
+    return packet.distance_m if packet.status in ("ok", "partial") else float("nan")
+
+
+class _Ear:
+    """Keeps the LLRs of a packet's rounds."""
+
+    def __init__(self) -> None:
+        self._rounds: list[dict[str, Floats]] = []
+
+    def __call__(self, stage: str, data: Mapping[str, Any], /) -> None:
+        """Take what the equaliser makes."""
+        if stage == "equalise":
+            self._rounds.append({name: llr.copy() for name, llr in data["llr"].items()})
+
+    def tell(self, sent: Mapping[str, NDArray[np.uint8]], claims: Mapping[str, Claims]) -> None:
+        """Count what was claimed of a packet, and forget it."""
+        rounds, self._rounds = self._rounds, []
+        if not rounds:
+            return
+        first = np.concatenate([rounds[0][name].ravel() for name in sent])
+        bits = np.concatenate([sent[name].ravel() for name in sent])
+        claims[FIRST].add(first, bits)
+        last = np.zeros_like(first)
+        for one in rounds[1:]:
+            # a decoded codeword is not estimated any more
+            llr = np.concatenate([one[name].ravel() for name in sent])
+            last = np.where(llr != 0, llr, last)
+        claims[LAST].add(last, bits)
