@@ -2,9 +2,10 @@
 
     python scripts/header_separation.py
 
-Writes a Markdown table. Image of a header less that of its inverse, +-0.8 of full scale (all-on array 0.8): every LED
-blurred by its disc (as the Gaussian of the same variance), by a Gaussian of 0.5 pixels and by the pixel's box. Two
-headers are compared at the relative shift, up to 1.5 cells either way, that makes them most alike.
+Writes a Markdown table, and one of how far apart the formats are that a later header pair may name. Image of a header
+less that of its inverse, +-0.8 of full scale (all-on array 0.8): every LED blurred by its disc (as the Gaussian of the
+same variance), by a Gaussian of 0.5 pixels and by the pixel's box. Two headers are compared at the relative shift,
+up to 1.5 cells either way, that makes them most alike.
 """
 
 import argparse
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
+from heliograph.signal.formats import DIMMED, words
 from heliograph.signal.header import CELLS, IDENTITIES, all_header_cells
 
 Floats = NDArray[np.float64]
@@ -98,7 +100,30 @@ def table(distances_m: Sequence[float]) -> str:
     return "\n".join(lines)
 
 
+def format_separation(distance_m: float) -> float:
+    """Distance in noises of the two formats most alike, of all identities; one pair, array and pose known."""
+    pitch_px = PITCH_PX_M / distance_m
+    axis = cell_overlaps(np.zeros(1), pitch_px)[0]
+    gram = (AMPLITUDE * pitch_px**2) ** 2 * np.kron(axis, axis)
+    contrast = np.where(words(), DIMMED, 1.0)
+    least = np.inf
+    for header in all_header_cells().reshape(IDENTITIES, -1):
+        shown = header * contrast
+        products = shown @ gram @ shown.T
+        energy = np.diagonal(products)
+        squared = energy[:, None] + energy - 2 * products
+        least = min(least, float(squared[~np.eye(len(shown), dtype=bool)].min()))
+    return float(np.sqrt(least / 2) / NOISE)
+
+
+def format_table(distances_m: Sequence[float]) -> str:
+    """The table of `format_separation` by distance."""
+    rows = [f"| {z:g} | {format_separation(z):.0f} |" for z in distances_m]
+    return "\n".join(["| Z (m) | distance (noises) |", "|---|---|", *rows])
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("distances_m", nargs="*", type=float, default=DISTANCES_M)
-    print(table(parser.parse_args().distances_m))
+    distances = parser.parse_args().distances_m
+    print(f"{table(distances)}\n\n{format_table(distances)}")

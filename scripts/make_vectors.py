@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from heliograph.signal import haar, pwm
 from heliograph.signal.block import Block, pack, whitening
-from heliograph.signal.header import IDENTITIES, header_cells, header_levels, identity
+from heliograph.signal.formats import Format, format_of, words
+from heliograph.signal.header import IDENTITIES, header_cells, header_levels, identity, named_levels
 from heliograph.signal.m_sequence import m_sequence
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
@@ -89,6 +90,24 @@ def header_vector() -> Vector:
         "the pattern of a 8 x 8 array; and the cells of all identities, rows joined by /.",
         "cases": [case(number) for number in (0, 7, 15)],
         "all_cells": ["/".join(rows(header_cells(number) > 0)) for number in range(IDENTITIES)],
+    }
+
+
+def formats_vector() -> Vector:
+    def case(number: int) -> Vector:
+        named = format_of(number)
+        return {
+            "format": number,
+            "mode": named.mode,
+            "rate": [named.high, named.middle, named.low],
+            "word": rows(words()[number].reshape(4, 4)),
+            "levels_side_8": rows(named_levels(7, number, 8)),
+        }
+
+    return {
+        "about": "Formats: mode, rates of the high, middle and low layer (null for the agreed one), the word by cell "
+        "(1 has half the contrast), and the later header pairs' pattern of identity 7 on a 8 x 8 array.",
+        "cases": [case(number) for number in (0, 1, 0o12, 0o123, 0o765)],
     }
 
 
@@ -191,6 +210,38 @@ def small_packet() -> Vector:
     }
 
 
+def formats_packet() -> Vector:
+    settings = SignalSettings(side=8, header_pairs=2, data_pairs=21)
+    sender = Transmitter(settings, 15, MESSAGES, (Format(middle=0.5, low=0.9), Format(high=0.75)))
+    packets = sender.packets()
+
+    def case(number: int) -> Vector:
+        form, made = sender.format_of(number), next(packets)
+        blocks = {
+            name: [to_hex(pack(block, form.layers[name].code.k)) for block in sent]
+            for name, sent in sender.blocks(number).items()
+        }
+        return {
+            "format": form.named.number,
+            "blocks": blocks,
+            "patterns": ["/".join(rows(pattern)) for pattern in made[:6]],
+            "sha256": hashlib.sha256(made.tobytes()).hexdigest(),
+        }
+
+    return {
+        "about": "Packets 0, 1 and 2 of a carousel on a 8 x 8 array whose packets take two formats in turn: the "
+        "blocks, header and first data pair, and the sha256 of all levels as bytes as in packet_small.json.",
+        "identity": 15,
+        "side": settings.side,
+        "header_pairs": settings.header_pairs,
+        "data_pairs": settings.data_pairs,
+        "rate": [1 / 3] * 3,
+        "modulation": settings.modulation,
+        "messages": {name: [text.hex() for text in MESSAGES.get(name, [])] for name in LAYERS},
+        "packets": [case(number) for number in range(3)],
+    }
+
+
 def ook_packet() -> Vector:
     head, made = packet_case(SignalSettings(side=4, header_pairs=1, data_pairs=84, modulation="ook"), 3)
     return {
@@ -215,11 +266,13 @@ def vectors() -> dict[str, str]:
     made = {
         "haar": haar_vector(),
         "header": header_vector(),
+        "formats": formats_vector(),
         "block": block_vector(),
         "turbo": turbo_vector(),
         "whitening": whitening_vector(),
         "interleaver": interleaver_vector(),
         "packet_small": small_packet(),
+        "packet_formats": formats_packet(),
         "packet_ook": ook_packet(),
         "packet_default": default_packet(),
     }

@@ -237,3 +237,15 @@ def test_the_cameras_clock_is_not_the_arrays(ppm: int) -> None:
     counter.received(replace(sent, start_time_s=sent.start_time_s / (1 + ppm * 1e-6)))
     assert counter.false_codewords == 0
     assert counter.total()["high"].codewords.errors == 9
+
+
+def test_a_packet_read_in_another_format_is_wrong_not_a_fault() -> None:
+    sent = small("transmit.formats=[{high='9/10'}]")
+    counter = ErrorCounter(sent, default_messages(sent))
+    watch(counter, range(100))
+    counter.received(perfect(small(), 0))
+    total = counter.total()
+    assert (total["high"].codewords.trials, total["high"].codewords.errors, total["high"].bits.trials) == (1, 1, 0)
+    assert counter.false_codewords == 1
+    # the other layers are the same in both formats, but for being sent at all
+    assert total["low"].codewords.errors == 0

@@ -130,3 +130,18 @@ def test_carousel_has_256_numbers() -> None:
     assert Carousel(0, "low", [b"a"] * 256, 2).block(255).stream == 255
     with pytest.raises(ValueError, match="at most 256 messages, not 257"):
         Carousel(0, "low", [b"a"] * 257, 2)
+
+
+def test_cuts_of_different_size_do_not_mix() -> None:
+    message = Message(0, "low", 3, bytes(range(50)))
+    reassembler = Reassembler()
+    # what is had of one cut must neither help nor hurt the other
+    halves = [segments(message, 10)[:3], segments(message, 20)[:2]]
+    for room, blocks in zip((10, 20), halves, strict=True):
+        assert [reassembler.add(block, room) for block in blocks] == [None] * len(blocks)
+    assert reassembler.add(segments(message, 20)[2], 20) == message
+    # it came out once, whichever cut is completed next
+    assert [reassembler.add(block, 10) for block in segments(message, 10)] == [None] * 5
+    # a new message under its number comes out again
+    other = Message(0, "low", 3, bytes(50))
+    assert [reassembler.add(block, 10) for block in segments(other, 10)][-1] == other

@@ -7,6 +7,8 @@ import hashlib
 import json
 import re
 import runpy
+from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ Matrix = list[list[int]]
 # The document's tables.
 
 QPP = {int(k): (int(f1), int(f2)) for k, f1, f2 in re.findall(r"(\d+): (\d+) (\d+)", DOCUMENT)}
+RATES = [float(Fraction(r)) for r in re.findall(r"\d+/\d+", re.findall(r"(?m)^   \| rate \|.*$", DOCUMENT)[0])]
 COLUMNS = [int(c) for c in re.findall(r"T = ([\d ]+)", DOCUMENT)[0].split()]
 
 
@@ -50,6 +53,29 @@ def header(identity: int) -> Matrix:
 def header_pattern(identity: int, n: int) -> Matrix:
     cells = header(identity)
     return [[4 * cells[u * 4 // n][v * 4 // n] for v in range(n)] for u in range(n)]
+
+
+def word(form: int) -> Matrix:
+    """Section 4.1: the word by cell."""
+    f = [form >> bit & 1 for bit in range(11)]
+    cells = []
+    for i in range(4):
+        v2, v3, row = i % 2, i // 2, []
+        for j in range(4):
+            v0, v1 = j % 2, j // 2
+            linear = f[0] + f[1] * v0 + f[2] * v1 + f[3] * v2 + f[4] * v3
+            products = f[5] * v0 * v1 + f[6] * v0 * v2 + f[7] * v0 * v3 + f[8] * v1 * v2 + f[9] * v1 * v3
+            row.append((linear + products + f[10] * v2 * v3) % 2)
+        cells.append(row)
+    return cells
+
+
+def dimmed_pattern(identity: int, form: int, n: int) -> Matrix:
+    """Section 4.1: the later header pairs."""
+    dim, full = word(form), header_pattern(identity, n)
+    return [
+        [{0: 1, 4: 3}[full[u][v]] if dim[u * 4 // n][v * 4 // n] else full[u][v] for v in range(n)] for u in range(n)
+    ]
 
 
 def inverse(pattern: Matrix) -> Matrix:
@@ -192,23 +218,48 @@ def cell_of(layer: int, c: int, h: int) -> tuple[int, int]:
     return (row, h + column) if c < h * h else (h + row, column)
 
 
-def packet(case: dict[str, Any], number: int = 0) -> list[Matrix]:
+def blocks_of(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0) -> list[list[bytes]]:
+    """Section 8: by layer, the blocks of packet `number` of packets that take formats in turn."""
+    form, found = forms[number % len(forms)], []
+    for layer, name in enumerate(LAYERS):
+        sizes = [
+            plan(case["side"] // 2, case["data_pairs"], (1, 2, 1)[layer], rates_of(case, one)[layer]) for one in forms
+        ]
+        words, k, _ = sizes[forms.index(form)]
+        before = sum(sizes[p % len(forms)][0] for p in range(number) if sizes[p % len(forms)][1] == k)
+        wheel = carousel(name, case["identity"], messages_of(case, name), k)
+        found.append([wheel[(before + i) % len(wheel)] for i in range(words)])
+    return found
+
+
+def messages_of(case: dict[str, Any], name: str) -> list[bytes]:
+    own = case["messages"][name] if "messages" in case else case["layers"][name]["messages"]
+    return [bytes.fromhex(text) for text in own]
+
+
+def rates_of(case: dict[str, Any], form: int) -> list[float]:
+    """Section 4.1: rates of the high, middle and low layer."""
+    codes = [form >> place & 7 for place in (6, 3, 0)]
+    return [RATES[code - 1] if code else agreed for code, agreed in zip(codes, case["rate"], strict=True)]
+
+
+def packet(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0) -> list[Matrix]:
     """Section 12."""
-    n, pairs = case["side"], case["data_pairs"]
+    n, pairs, form = case["side"], case["data_pairs"], forms[number % len(forms)]
     h = n // 2
     d = [[[0] * n for _ in range(n)] for _ in range(pairs)]
-    for layer, name in enumerate(LAYERS):
-        words, k, e = plan(h, pairs, (1, 2, 1)[layer], case["rate"][layer])
-        messages = [bytes.fromhex(text) for text in case["layers"][name]["messages"]]
-        wheel = carousel(name, case["identity"], messages, k)
-        for i in range(words):
-            coded = rate_match(mother(bits_of(wheel[(number * words + i) % len(wheel)])), e)
+    for layer, sent in enumerate(blocks_of(case, forms, number)):
+        _, _, e = plan(h, pairs, (1, 2, 1)[layer], rates_of(case, form)[layer])
+        for i, one in enumerate(sent):
+            coded = rate_match(mother(bits_of(one)), e)
             for j, (bit, chip) in enumerate(zip(coded, whitening(e, layer, i), strict=True)):
                 pair, cell = place(i * e + j, pairs, (h * h, 2 * h * h, h * h)[layer])
                 row, column = cell_of(layer, cell, h)
                 d[pair][row][column] = 1 - 2 * (bit ^ chip)
     modulate = haar if case["modulation"] == "haar" else ook
-    shown = [header_pattern(case["identity"], n)] * case["header_pairs"] + [modulate(matrix) for matrix in d]
+    head = [header_pattern(case["identity"], n)]
+    head += [dimmed_pattern(case["identity"], form, n)] * (case["header_pairs"] - 1)
+    shown = head + [modulate(matrix) for matrix in d]
     return [both for pattern in shown for both in (pattern, inverse(pattern))]
 
 
@@ -259,6 +310,28 @@ def test_header() -> None:
     assert ["/".join(text_rows(header(i))) for i in range(30)] == vector["all_cells"]
     for case in vector["cases"]:
         assert text_rows(header_pattern(case["identity"], 8)) == case["levels_side_8"]
+
+
+def test_formats() -> None:
+    for case in load("formats")["cases"]:
+        codes = [case["format"] >> place & 7 for place in (6, 3, 0)]
+        assert [RATES[code - 1] if code else None for code in codes] == case["rate"]
+        assert text_rows(word(case["format"])) == case["word"]
+        assert text_rows(dimmed_pattern(7, case["format"], 8)) == case["levels_side_8"]
+
+
+def test_packets_of_two_formats() -> None:
+    case = load("packet_formats")
+    forms = [case["packets"][number]["format"] for number in (0, 1)]
+    assert len(set(forms)) == 2
+    for number, sent in enumerate(case["packets"]):
+        assert sent["format"] == forms[number % 2]
+        expected = blocks_of(case, forms, number)
+        assert [[bytes.fromhex(one) for one in sent["blocks"][name]] for name in LAYERS] == expected
+        patterns = packet(case, forms, number)
+        assert ["/".join(text_rows(pattern)) for pattern in patterns[:6]] == sent["patterns"]
+        levels = bytes(level for pattern in patterns for row in pattern for level in row)
+        assert hashlib.sha256(levels).hexdigest() == sent["sha256"]
 
 
 def test_block() -> None:

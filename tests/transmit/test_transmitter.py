@@ -7,7 +7,8 @@ import pytest
 
 from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
-from heliograph.signal.header import header_levels
+from heliograph.signal.formats import Format
+from heliograph.signal.header import header_levels, named_levels
 from heliograph.signal.message import Message, Reassembler
 from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
 from heliograph.transmit import TimedPattern, TransmitSettings, Transmitter
@@ -95,6 +96,29 @@ def test_a_layer_without_messages_is_idle() -> None:
     for packet in (0, 9):
         blocks = Transmitter(SMALL, 3, MESSAGES).blocks(packet)["middle"]
         assert [(b.length, b.stream, b.payload) for b in blocks] == [(0, 0, b"")] * 2
+
+
+def test_packets_take_formats_in_turn() -> None:
+    formats = (Format(high=0.9), Format(), Format(middle=0.5))
+    sender = Transmitter(SMALL, 3, MESSAGES, formats)
+    shown = list(islice(sender.packets(), 7))
+    for number, packet in enumerate(shown):
+        assert sender.format_of(number).named == formats[number % 3]
+        assert np.array_equal(packet[2], named_levels(3, formats[number % 3].number, 8))
+        assert len(packet) == SMALL.packet_patterns
+
+
+def test_every_size_of_block_brings_the_messages() -> None:
+    """Segments are numbered by what was sent of their size: none is left out for ever."""
+    sender = Transmitter(SMALL, 3, MESSAGES, (Format(low=0.9), Format(), Format(low=0.9), Format(low=0.5)))
+    by_size: dict[int, list[int]] = {}
+    for packet in range(40):
+        room = sender.format_of(packet).layers["low"].payload_bytes
+        by_size.setdefault(room, []).extend(b.sequence for b in sender.blocks(packet)["low"])
+    assert len(by_size) == 3
+    for room, found in by_size.items():
+        count = -(-256 // room)
+        assert found == [i % count for i in range(len(found))]
 
 
 def test_refusals() -> None:

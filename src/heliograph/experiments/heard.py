@@ -108,10 +108,8 @@ def hear(block: Block) -> Heard:
         for packet in receiver.push(frame):
             number = round(packet.start_time_s / settings.signal.packet_s)
             blocks = sender.blocks(number)
-            layers = sender.format.layers
-            sent = {
-                name: layers[name].code.encode([pack(b, layers[name].code.k) for b in blocks[name]]) for name in layers
-            }
+            layers = sender.format_of(number).layers
+            sent = {n: layers[n].code.encode([pack(b, layers[n].code.k) for b in blocks[n]]) for n in layers}
             ear.tell(sent, out.claims)
             true = distance[(packet.first_frame + packet.last_frame) // 2]
             out.distances = np.vstack([out.distances, [true, _distance(packet), number]])
@@ -140,6 +138,8 @@ class _Ear:
             return
         first = np.concatenate([rounds[0][name].ravel() for name in sent])
         bits = np.concatenate([sent[name].ravel() for name in sent])
+        if len(first) != len(bits):  # taken for a packet of another format
+            return
         claims[FIRST].add(first, bits)
         last = np.zeros_like(first)
         for one in rounds[1:]:

@@ -22,7 +22,8 @@ from heliograph.link.statistics import Clustered, Count
 from heliograph.link.truth import TruthFile
 from heliograph.media import FilmReader
 from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS
-from heliograph.signal.packet import PacketFormat
+from heliograph.signal.formats import AGREED
+from heliograph.signal.packet import LayerFormat, PacketFormat
 from heliograph.signal.settings import LAYERS
 
 MARGIN_PX = 12
@@ -227,15 +228,18 @@ def stands_still(settings: LinkSettings) -> bool:
 
 def random_messages(settings: LinkSettings, seed: int) -> list[Messages]:
     """Random bytes by array and layer, enough that no codeword of the film is sent twice."""
-    camera, form = settings.channel.camera, PacketFormat(settings.signal)
+    camera, named = settings.channel.camera, settings.transmit.formats or (AGREED,)
     film_s = camera.start_s + (frames_of(settings) + 1) * camera.frame_period_s
     packets = math.ceil(film_s / (settings.signal.packet_s * 0.99)) + 1  # a clock may be 1 % fast
-    sizes = {
-        name: min(packets * layer.codewords, MAX_SEGMENTS, MAX_MESSAGE // layer.payload_bytes) * layer.payload_bytes
-        for name, layer in form.layers.items()
-    }
+    forms = [PacketFormat(settings.signal, one) for one in named]
+    sizes = {name: max(_enough(form.layers[name], packets) for form in forms) for name in LAYERS}
     rng = np.random.default_rng([seed, 1])
     return [{name: [rng.bytes(size)] for name, size in sizes.items()} for _ in settings.transmit.identities]
+
+
+def _enough(layer: LayerFormat, packets: int) -> int:
+    """Bytes that fill a layer's codewords of so many packets."""
+    return min(packets * layer.codewords, MAX_SEGMENTS, MAX_MESSAGE // layer.payload_bytes) * layer.payload_bytes
 
 
 def window_margin_px(settings: LinkSettings) -> int:

@@ -125,9 +125,10 @@ class ErrorCounter:
         """
         bins: dict[int, list[_Layers]] = {}
         for array, packets in enumerate(self._sent):
-            for sent in packets.values():
+            for number, sent in packets.items():
                 if self._whole(array, sent) and (sent.errors or not sent.hidden):
-                    bins.setdefault(int(sent.distance_m // BIN_M), []).append(sent.errors or self._missed(array))
+                    layers = sent.errors or self._missed(array, number)
+                    bins.setdefault(int(sent.distance_m // BIN_M), []).append(layers)
         return {key * BIN_M: pooled(bins[key]) for key in sorted(bins)}
 
     def report(self) -> list[dict[str, Any]]:
@@ -145,9 +146,15 @@ class ErrorCounter:
         """Errors of a packet, and how many of its codewords are right; false ones are counted."""
         layers, right = _no_errors(), 0
         for name, words in packet.layers.items():
-            code, errors = sender.format.layers[name].code, layers[name]
+            code, errors = sender.format_of(number).layers[name].code, layers[name]
             bits, raw = Count(), Count()
-            for word, block in zip(words, sender.blocks(number)[name], strict=True):
+            blocks = sender.blocks(number)[name]
+            if len(words) != len(blocks) or words[0].bits.size != code.k or words[0].raw.size != code.length:
+                # taken for a packet of another format: nothing of it was read
+                self.false_codewords += sum(word.status == "ok" for word in words)
+                errors.codewords.add(len(blocks), len(blocks))
+                continue
+            for word, block in zip(words, blocks, strict=True):
                 sent = pack(block, code.k)
                 wrong = int(np.count_nonzero(word.bits != sent))
                 known = word.raw != ERASED
@@ -160,10 +167,10 @@ class ErrorCounter:
             errors.raw.add(raw.trials, raw.errors)
         return layers, right
 
-    def _missed(self, array: int) -> _Layers:
+    def _missed(self, array: int, number: int) -> _Layers:
         """Errors of a packet of which nothing was received."""
         layers = _no_errors()
-        for name, layer in self._senders[array].format.layers.items():
+        for name, layer in self._senders[array].format_of(number).layers.items():
             layers[name].codewords.add(layer.codewords, layer.codewords)
             layers[name].missed = layer.codewords
         return layers

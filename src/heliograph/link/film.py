@@ -264,6 +264,7 @@ def packet_row(packet: Packet) -> Mapping[str, Any]:
     return {
         "id": packet.identity,
         "status": packet.status,
+        "format": packet.named.number,
         "time_s": round(packet.start_time_s, 6),
         "first_frame": packet.first_frame,
         "last_frame": packet.last_frame,

@@ -7,6 +7,8 @@ from typing import Any
 from heliograph.link.errors import ErrorCounter
 from heliograph.link.truth import TruthFile
 from heliograph.receive import Packet
+from heliograph.receive.packets import Codeword
+from heliograph.signal.block import payload_bytes
 from heliograph.signal.message import Message, Reassembler
 from heliograph.signal.settings import LAYERS
 
@@ -103,8 +105,8 @@ class Reception:
         if self.errors is not None:
             self.errors.received(packet)
         self.arrays.setdefault(packet.identity, ArrayTally(packet.first_frame)).add(packet)
-        blocks = (word.block for words in packet.layers.values() for word in words if word.block)
-        yield from _completed(self._reassembler, blocks)
+        for words in packet.layers.values():
+            yield from _completed(self._reassembler, words)
 
     def unfinished(self) -> list[tuple[int, str, int, int, int]]:
         """Messages that lack segments: (identity, layer, stream, bytes had, bytes in all)."""
@@ -126,9 +128,9 @@ class Reception:
         return out
 
 
-def _completed(reassembler: Reassembler, blocks: Iterable[Any]) -> Iterator[Message]:
-    for block in blocks:
-        message = reassembler.add(block)
+def _completed(reassembler: Reassembler, words: Iterable[Codeword]) -> Iterator[Message]:
+    for word in words:
+        message = reassembler.add(word.block, payload_bytes(word.bits.size)) if word.block else None
         if message is not None:
             yield message
 

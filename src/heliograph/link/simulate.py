@@ -58,7 +58,7 @@ def transmitters(settings: LinkSettings, messages: Sequence[Messages]) -> list[T
 
 def _transmitter(settings: LinkSettings, identity: int, messages: Messages) -> Transmitter:
     try:
-        return Transmitter(settings.signal, identity, messages)
+        return Transmitter(settings.signal, identity, messages, settings.transmit.formats)
     except HeliographError:
         raise
     except ValueError as error:

@@ -13,7 +13,7 @@ from heliograph.receive.pose import Pose
 from heliograph.receive.reading import MakeReading, Reading
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.track import TrackedPair, Tracker
-from heliograph.signal.header import header_levels
+from heliograph.signal.header import named_levels
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
 
@@ -63,7 +63,6 @@ class ArrayReceiver:
         self.tracker = Tracker(detection, form.settings.side, settings.track)
         self._start_s = detection.start_time_s
         self._form, self._settings, self._observe = form, settings, observe
-        self._header_weights = header_levels(self.identity, form.settings.side) / 2.0 - 1.0
         mean, _ = light_centroids(form.settings.slot_order)
         self._sum_late_s = (mean - 0.5) * form.settings.pattern_period_s
         self._held: Frame | None = None
@@ -127,17 +126,29 @@ class ArrayReceiver:
         packet.poses.append(tracked.state.pose)
         self._observe("track", {"identity": self.identity, "frame": pattern.index, "tracked": tracked})
         if place < 0:
-            packet.header.append(self._alternation(pattern, inverted, tracked))
-            if tracked.seen:
-                self.tracker.refine(pattern, inverted, self._header_weights)
+            self._read_header(place + self._form.settings.header_pairs, pattern, inverted, tracked)
         elif tracked.seen:
             packet.reading.take(place, pattern, inverted, tracked, self.tracker)
             packet.seen[place] = True
 
-    def _alternation(self, pattern: Frame, inverted: Frame, tracked: TrackedPair) -> float:
+    def _read_header(self, pair: int, pattern: Frame, inverted: Frame, tracked: TrackedPair) -> None:
+        """Read what header pair `pair` names, and sharpen the pose by it."""
+        packet = self._packet
+        if tracked.seen:
+            packet.reading.take_header(pair, pattern, inverted, self.tracker)
+        # the later pairs are dimmed where a format is named
+        number = packet.reading.named.number if pair else 0
+        weights = named_levels(self.identity, number, self._form.settings.side) / 2.0 - 1.0
+        packet.header.append(self._alternation(pattern, inverted, tracked, weights))
+        if tracked.seen:
+            self.tracker.refine(pattern, inverted, weights)
+
+    def _alternation(
+        self, pattern: Frame, inverted: Frame, tracked: TrackedPair, weights: NDArray[np.float64]
+    ) -> float:
         """How much of the header the pair shows, as a share of the array's luminance."""
         pose = tracked.state.pose
-        change = project(pattern, pose, self._header_weights) - project(inverted, pose, self._header_weights)
+        change = project(pattern, pose, weights) - project(inverted, pose, weights)
         return change / max(self.tracker.gain, 1e-6)
 
     def _finish(self) -> Packet:
@@ -171,6 +182,7 @@ class ArrayReceiver:
             track_score=float(np.mean(packet.scores)),
             pairs_seen=float(packet.seen.mean()),
             layers=layers,
+            named=packet.reading.named,
         )
 
     def _empty(self) -> _Gathered:

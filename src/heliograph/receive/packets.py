@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.pose import Pose
 from heliograph.signal.block import Block
+from heliograph.signal.formats import AGREED, Format
 
 Status = Literal["ok", "partial", "crc_fail", "no_header", "no_array"]
 """Outcome of a packet, see `Packet`."""
@@ -70,6 +71,8 @@ class Packet:
         Share of its data pairs in which the array was seen.
     layers
         Codewords by layer.
+    named
+        The format it was read in, as its header names it.
     """
 
     identity: int
@@ -83,6 +86,7 @@ class Packet:
     track_score: float
     pairs_seen: float
     layers: Mapping[str, tuple[Codeword, ...]]
+    named: Format = AGREED
 
 
 class FrameReceiver(Protocol):

@@ -11,11 +11,19 @@ from heliograph.receive.extract import pair_luminances
 from heliograph.receive.packets import Codeword, Observer
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.track import TrackedPair, Tracker
+from heliograph.signal.formats import AGREED, Format
 from heliograph.signal.packet import PacketFormat
 
 
 class Reading(Protocol):
-    """Reads the data of one packet."""
+    """Reads one packet."""
+
+    @property
+    def named(self) -> Format:
+        """The format the packet has."""
+
+    def take_header(self, pair: int, pattern: Frame, inverted: Frame, tracker: Tracker) -> None:
+        """Take header pair `pair` of the packet, in which the array was seen."""
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Take data pair `place` of the packet, in which the array was seen."""
@@ -39,6 +47,14 @@ class PlainReading:
         pairs, side = form.settings.data_pairs, form.settings.side
         self._luminances = np.zeros((pairs, side, side))
         self._seen = np.zeros(pairs, dtype=bool)
+
+    @property
+    def named(self) -> Format:
+        """The agreed one: it looks for no other."""
+        return AGREED
+
+    def take_header(self, pair: int, pattern: Frame, inverted: Frame, tracker: Tracker) -> None:
+        """Nothing is read of it."""
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Read the luminances of a pair."""

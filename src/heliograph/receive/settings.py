@@ -135,7 +135,7 @@ class SoftSettings:
     """
 
     min_side_px: Annotated[float, Field(ge=3)] = 4.0
-    rounds: Annotated[int, Field(ge=1, le=100)] = 16
+    rounds: Annotated[int, Field(ge=1, le=100)] = 24
     algorithm: Literal["max-log", "log-map"] = "log-map"
 
 

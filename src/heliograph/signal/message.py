@@ -84,6 +84,18 @@ class _Assembly:
         return b"".join(self.pieces[i] for i in sorted(self.pieces))
 
 
+_Key = tuple[int, str, int, int]
+"""Identity, layer, stream, and the room of its blocks."""
+
+
+@dataclass(slots=True)
+class _Done:
+    """The message last completed under a number: its length and CRC; the CRCs of its segments by their room."""
+
+    data: tuple[int, int]
+    pieces: dict[int, dict[int, int]] = field(default_factory=dict)
+
+
 @dataclass(slots=True)
 class Reassembler:
     """Puts messages together from blocks in any order, with repeats and gaps; each message comes out once.
@@ -92,12 +104,22 @@ class Reassembler:
     number; a block of another length or content under the same number starts the message anew.
     """
 
-    _open: dict[tuple[int, str, int], _Assembly] = field(default_factory=dict)
-    _done: dict[tuple[int, str, int], tuple[int, dict[int, int]]] = field(default_factory=dict)
+    _open: dict[_Key, _Assembly] = field(default_factory=dict)
+    _done: dict[tuple[int, str, int], _Done] = field(default_factory=dict)
 
-    def add(self, block: Block) -> Message | None:
-        """Take a block; return the message it completes, if it does and the message is new."""
-        key = (block.identity, block.layer, block.stream)
+    def add(self, block: Block, room: int = 0) -> Message | None:
+        """Take a block; return the message it completes, if it does and the message is new.
+
+        Parameters
+        ----------
+        block
+            The block.
+        room
+            Bytes of payload its codeword has room for: where packets differ in their rates, a message is cut anew for
+            each size, and segments of one cut do not fit those of another.
+        """
+        who = (block.identity, block.layer, block.stream)
+        key = (*who, room)
         if not block.length or not block.payload or self._had(key, block):
             return None
         assembly = self._open.get(key)
@@ -108,20 +130,25 @@ class Reassembler:
         if data is None:
             return None
         del self._open[key]
-        self._done[key] = (len(data), {i: zlib.crc32(piece) for i, piece in assembly.pieces.items()})
-        return Message(*key, data)
+        last = self._done.get(who)
+        known = last is not None and last.data == (len(data), zlib.crc32(data))
+        done = last if last is not None and known else _Done((len(data), zlib.crc32(data)))
+        done.pieces[room] = {i: zlib.crc32(piece) for i, piece in assembly.pieces.items()}
+        self._done[who] = done
+        return None if known else Message(*who, data)
 
-    def _had(self, key: tuple[int, str, int], block: Block) -> bool:
+    def _had(self, key: _Key, block: Block) -> bool:
         """Whether the block is of the message last completed under its number."""
-        length, pieces = self._done.get(key, (0, {}))
-        if length != block.length:
+        done = self._done.get(key[:3])
+        pieces = done.pieces.get(key[3]) if done else None
+        if done is None or pieces is None or done.data[0] != block.length:
             return False
         if pieces.get(block.sequence) == zlib.crc32(block.payload):
             return True
         # same length, other content: the number has come round to a new message
-        del self._done[key]
+        del self._done[key[:3]]
         return False
 
     def unfinished(self) -> list[tuple[int, str, int, int, int]]:
         """Messages still lacking segments: (identity, layer, stream, bytes had, bytes in all)."""
-        return [(*key, sum(map(len, a.pieces.values())), a.length) for key, a in self._open.items()]
+        return [(*key[:3], sum(map(len, a.pieces.values())), a.length) for key, a in self._open.items()]

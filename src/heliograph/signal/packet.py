@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.base.errors import SettingsError
 from heliograph.signal import haar, ook, pwm
 from heliograph.signal.block import MIN_BITS, Block, pack, payload_bytes, whitening
-from heliograph.signal.header import all_on_levels, header_levels
+from heliograph.signal.formats import AGREED, Format
+from heliograph.signal.header import all_on_levels, header_levels, named_levels
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
 from heliograph.signal.turbo import QPP_SIZES, TurboCode
 
@@ -79,20 +80,35 @@ class LayerFormat:
 
 @dataclass(frozen=True)
 class PacketFormat:
-    """Everything that follows from the settings: codewords, places, patterns.
+    """Everything that follows from the settings and a packet's format: codewords, places, patterns.
 
     Attributes
     ----------
     settings
         The signal's settings.
+    named
+        What the packet's header names.
+
+    Raises
+    ------
+    SettingsError
+        The settings leave no room to name a format.
     """
 
     settings: SignalSettings
+    named: Format = AGREED
+
+    def __post_init__(self) -> None:
+        if self.named != AGREED and (self.settings.header_pairs < 2 or self.settings.header == "all_on"):
+            raise SettingsError(
+                "a format is named by the second header pair: set signal.header_pairs to 2 or more and "
+                'signal.header to "m_sequence"'
+            )
 
     @cached_property
     def layers(self) -> dict[str, LayerFormat]:
         """Formats by layer, in the order of priority."""
-        rates = (self.settings.rate.high, self.settings.rate.middle, self.settings.rate.low)
+        rates = self.named.rates(self.settings.rate)
         quarter = (self.settings.side // 2) ** 2
         plans = zip(LAYERS, MULTIPLICITY, rates, strict=True)
         return {name: _plan(name, count, quarter, self.settings.data_pairs, rate) for name, count, rate in plans}
@@ -113,13 +129,15 @@ class PacketFormat:
         blocks
             For each layer one block a codeword.
         """
-        head = self.header_pattern(identity)[None].repeat(self.settings.header_pairs, 0)
+        head = np.stack([self.header_pattern(identity, pair) for pair in range(self.settings.header_pairs)])
         return with_inverses(np.concatenate([head, self.data_patterns(blocks)]))
 
-    def header_pattern(self, identity: int) -> NDArray[np.uint8]:
-        """Pattern of the header pairs, (n, n) levels; that of "all_on" is the same for all identities."""
+    def header_pattern(self, identity: int, pair: int = 0) -> NDArray[np.uint8]:
+        """Pattern of a header pair, (n, n) levels; that of "all_on" is the same for all identities."""
         side = self.settings.side
-        return all_on_levels(side) if self.settings.header == "all_on" else header_levels(identity, side)
+        if self.settings.header == "all_on":
+            return all_on_levels(side)
+        return named_levels(identity, self.named.number, side) if pair else header_levels(identity, side)
 
     def soft_data(self, x: ArrayLike) -> NDArray[np.float64]:
         """Soft D of received luminances about their mean, (..., n, n), by the modulation's decoder."""

@@ -16,7 +16,7 @@ MULTIPLICITY = (1, 2, 1)
 """Quarters of the data matrix each layer owns: D11; D12 and D21; D22."""
 
 
-def _fraction(value: Any) -> Any:
+def as_number(value: Any) -> Any:
     """Let a rate be written as a fraction, '1/3'."""
     try:
         return float(Fraction(value)) if isinstance(value, str) else value
@@ -25,7 +25,7 @@ def _fraction(value: Any) -> Any:
 
 
 # 1e-3 of slack: 0.333 means 1/3
-Rate = Annotated[float, BeforeValidator(_fraction), Field(ge=1 / 3 - 1e-3, le=0.9 + 1e-3)]
+Rate = Annotated[float, BeforeValidator(as_number), Field(ge=1 / 3 - 1e-3, le=0.9 + 1e-3)]
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)

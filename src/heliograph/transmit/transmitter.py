@@ -12,6 +12,7 @@ from pydantic.dataclasses import dataclass as checked
 
 from heliograph.base.config import CONFIG
 from heliograph.signal.block import Block
+from heliograph.signal.formats import AGREED, Format
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.header import identity as identity_of
 from heliograph.signal.message import Carousel
@@ -27,9 +28,12 @@ class TransmitSettings:
     ----------
     identities
         Identity of each array, in the order of the arrays of the scene; all different.
+    formats
+        Modes and rates of the packets, taken in turn and named in their headers; none for what ``signal`` agrees on.
     """
 
     identities: tuple[Annotated[int, Field(ge=0, lt=IDENTITIES)], ...] = (0,)
+    formats: tuple[Format, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,30 +72,60 @@ class Transmitter:
         Number of the array, 0 to 29.
     messages
         Messages by layer, repeated as a carousel; a layer without any sends idle blocks.
+    formats
+        Formats of the packets, taken in turn; none for pairs at the agreed rates.
     """
 
-    def __init__(self, settings: SignalSettings, identity: int, messages: Mapping[str, Sequence[bytes]]):
+    def __init__(
+        self,
+        settings: SignalSettings,
+        identity: int,
+        messages: Mapping[str, Sequence[bytes]],
+        formats: Sequence[Format] = (),
+    ):
         unknown = set(messages) - set(LAYERS)
         if unknown:
             raise ValueError(f"layers are {', '.join(LAYERS)}, not {', '.join(sorted(unknown))}")
-        self.format = PacketFormat(settings)
+        self.formats = tuple(PacketFormat(settings, named) for named in formats or (AGREED,))
         self.identity = identity_of(identity).number
+        # where packets differ in the size of their blocks, each size has a carousel of its own
         self._carousels = {
-            name: Carousel(identity, name, messages.get(name, ()), layer.payload_bytes)
-            for name, layer in self.format.layers.items()
+            (name, layer.payload_bytes): Carousel(identity, name, messages.get(name, ()), layer.payload_bytes)
+            for form in self.formats
+            for name, layer in form.layers.items()
         }
+
+    @property
+    def format(self) -> PacketFormat:
+        """Format of packet 0."""
+        return self.formats[0]
+
+    def format_of(self, packet: int) -> PacketFormat:
+        """Format of packet number `packet`."""
+        return self.formats[packet % len(self.formats)]
 
     def blocks(self, packet: int) -> dict[str, list[Block]]:
         """Blocks that packet number `packet` carries, one a codeword, by layer."""
         return {
-            name: [self._carousels[name].block(packet * layer.codewords + i) for i in range(layer.codewords)]
-            for name, layer in self.format.layers.items()
+            name: [
+                self._carousels[name, layer.payload_bytes].block(self._sent_before(packet, name) + i)
+                for i in range(layer.codewords)
+            ]
+            for name, layer in self.format_of(packet).layers.items()
         }
+
+    def _sent_before(self, packet: int, name: str) -> int:
+        """Codewords of a layer, as large as those of packet number `packet`, that were sent before it."""
+        size = self.format_of(packet).layers[name].payload_bytes
+        layers = [form.layers[name] for form in self.formats]
+        counts = [layer.codewords if layer.payload_bytes == size else 0 for layer in layers]
+        cycles, place = divmod(packet, len(counts))
+        return cycles * sum(counts) + sum(counts[:place])
 
     def packets(self) -> Iterator[NDArray[np.uint8]]:
         """Endless packets, each (patterns, n, n) uint8 levels in the order of time."""
         for number in count():
-            yield self.format.patterns(self.identity, self.blocks(number))
+            yield self.format_of(number).patterns(self.identity, self.blocks(number))
 
     def levels(self) -> Iterator[NDArray[np.uint8]]:
         """Endless patterns, each (n, n) uint8 levels."""

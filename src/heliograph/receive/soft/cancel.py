@@ -18,7 +18,7 @@ from heliograph.signal.turbo import TurboCode
 
 Floats = NDArray[np.float64]
 
-PROGRESS = 0.003
+PROGRESS = 0.001
 """A round that lowers the variance of no open codeword by more is the last."""
 
 
@@ -136,7 +136,7 @@ def decode_looks(
         observe("equalise", {"identity": identity, "llr": {name: layer.llr for name, layer in layers.items()}})
         for name, layer in layers.items():
             if not layer.recalled:
-                layer.recalled = [memory.recall(name, llr) for llr in layer.llr]
+                layer.recalled = [memory.recall((name, layer.form.code), llr) for llr in layer.llr]
             _decode_layer(layer, name, identity, settings)
         now = _open(layers)
         if not now.any() or (before - now).max() < PROGRESS:
@@ -163,7 +163,7 @@ def _remember(looks: Sequence[Look | None], light: Light, layers: dict[str, _Lay
     _equalise_all(looks, light, layers)
     for name, numbers in wanted.items():
         for i in numbers:
-            memory.keep(name, layers[name].llr[i], layers[name].recalled[i])
+            memory.keep((name, layers[name].form.code), layers[name].llr[i], layers[name].recalled[i])
 
 
 def _open(layers: dict[str, _Layer]) -> Floats:
@@ -230,7 +230,7 @@ def _signs(code: TurboCode, word: Codeword) -> Floats:
 def _decode(
     code: TurboCode, llr: Floats, identity: int, name: str, settings: ReceiveSettings
 ) -> tuple[Codeword, Floats]:
-    """The codeword of LLRs (E,), and the LLRs of its coded bits after decoding."""
+    """The codeword of LLRs (E,), and what the code adds to the LLRs of its coded bits."""
     result = code.decode(
         llr[None],
         algorithm=settings.soft.algorithm,
@@ -239,7 +239,7 @@ def _decode(
         check=check,
         coded_output=True,
     )
-    assert result.coded_llr is not None  # it was asked for
+    assert result.coded_extrinsic is not None  # it was asked for
     decoded = result.bits[0], int(result.iterations[0]), float(np.abs(result.llr).mean())
-    after = np.clip(result.coded_llr[0].astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
+    after = np.clip(result.coded_extrinsic[0].astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
     return codeword_of(decoded, llr, identity, name), after

@@ -5,10 +5,15 @@ from collections import defaultdict, deque
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.signal.turbo import TurboCode
+
 Floats = NDArray[np.float64]
 
+Kind = tuple[str, TurboCode]
+"""Layer and code: only codewords of one kind can be the same."""
+
 KEPT = 32
-"""Codewords kept of each layer."""
+"""Codewords kept of each kind."""
 
 LIKENESS = 5.5
 """Standard deviations of agreement from which two codewords are taken for the same: 2e-8 by chance."""
@@ -21,20 +26,20 @@ class Memory:
     """LLRs of the codewords of one array that were seen but not decoded."""
 
     def __init__(self) -> None:
-        self._kept: dict[str, deque[Floats]] = defaultdict(lambda: deque(maxlen=KEPT))
+        self._kept: dict[Kind, deque[Floats]] = defaultdict(lambda: deque(maxlen=KEPT))
 
-    def recall(self, layer: str, llr: Floats) -> Floats:
+    def recall(self, kind: Kind, llr: Floats) -> Floats:
         """Sum of the LLRs (E,) of earlier looks at the codeword that a look with `llr` shows; zeros without any."""
-        kept = self._kept[layer]
+        kept = self._kept[kind]
         agreements = [agreement(llr, other) for other in kept]
         best = int(np.argmax(agreements)) if agreements else -1
         if best < 0 or agreements[best] < LIKENESS:
             return np.zeros_like(llr)
         return kept[best]
 
-    def keep(self, layer: str, llr: Floats, recalled: Floats) -> None:
+    def keep(self, kind: Kind, llr: Floats, recalled: Floats) -> None:
         """Keep what is known of a codeword that this look alone did not give, in place of what was recalled."""
-        kept = self._kept[layer]
+        kept = self._kept[kind]
         rest = [other for other in kept if other is not recalled]
         kept.clear()
         kept.extend([*rest, llr + recalled])

@@ -9,8 +9,10 @@ from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.cancel import Light, decode_looks
 from heliograph.receive.soft.look import LEAST_NOISE, Floats, Glance, Look, Noise, measure_noise, take_glance, take_look
 from heliograph.receive.soft.memory import Memory
+from heliograph.receive.soft.naming import NameReader
 from heliograph.receive.soft.sharpen import sharpen
 from heliograph.receive.track import TrackedPair, Tracker
+from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
 
@@ -25,9 +27,22 @@ class SoftReading:
         self._looks: list[Look | None] = []
         self._noise = Noise(LEAST_NOISE, LEAST_NOISE)
         self._gain = 0.0
+        self._name = NameReader(identity, form.settings.side)
         _, data = light_centroids(form.settings.slot_order)
         # where the light of the data was: in the middle of the exposure, or about it
         self._later_s = (data - 0.5) * form.settings.pattern_period_s
+
+    @property
+    def named(self) -> Format:
+        """What the header names."""
+        return self._name.named(self._gain)
+
+    def take_header(self, pair: int, pattern: Frame, inverted: Frame, tracker: Tracker) -> None:
+        """Read what the header names."""
+        state = tracker.state  # as the pairs before have refined it
+        poses = (state.pose_at(pattern.time_s), state.pose_at(inverted.time_s))
+        self._name.take(pair, pattern, inverted, poses)
+        self._gain = tracker.data_gain
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Keep a pair."""
@@ -40,8 +55,8 @@ class SoftReading:
         """Decode all pairs."""
         self._measure()
         light, looks = Light(self._gain, self._noise.lit), self._look()
-        again, observe = self._look_again, self._observe
-        return decode_looks(looks, light, self._form, self._identity, self._settings, self._memory, again, observe)
+        form, observe = PacketFormat(self._form.settings, self.named), self._observe
+        return decode_looks(looks, light, form, self._identity, self._settings, self._memory, self._look_again, observe)
 
     def _look_again(self, mean: Floats, variance: Floats, light: Light) -> list[Look | None]:
         """Looks with the poses sharpened by what is decoded."""

@@ -1,0 +1,88 @@
+"""The format a packet's header names, read coherently from the cells of its later pairs.
+
+With A_1 and A_2 what each cell of the header, all its LEDs on, gives each pixel in the two frames of a header pair, and
+v the cells' alternation (+-1, or +-1/2 where a bit of the word is 1), the difference of the frames is
+
+    d = g (A_1 (1 + v) / 2 - A_2 (1 - v) / 2) + n = g (B v + o) + n,   B = (A_1 + A_2) / 2,   o = (A_1 - A_2) 1 / 2
+
+The first pair, whose v is the identity's, gives g; of the later ones the format is the one whose v has the least
+|d - g (B v + o)|^2.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive import kernels
+from heliograph.receive.detect import cut_out
+from heliograph.receive.fit import window_around
+from heliograph.receive.pose import Pose
+from heliograph.signal.formats import AGREED, DIMMED, Format, format_of, words
+from heliograph.signal.header import CELLS, header_cells
+
+Floats = NDArray[np.float64]
+
+COUNT = CELLS * CELLS
+
+MARGIN_PX = 2.0
+"""Pixels beyond the array that are used: its rim shines there."""
+
+
+class NameReader:
+    """Reads the format of one packet.
+
+    Parameters
+    ----------
+    identity
+        The array's.
+    side
+        LEDs in a row.
+    """
+
+    def __init__(self, identity: int, side: int):
+        self._side = side
+        self._cells = header_cells(identity).reshape(COUNT).astype(np.float64)
+        self._masks = np.kron(np.eye(COUNT).reshape(COUNT, CELLS, CELLS), np.ones((side // CELLS, side // CELLS)))
+        self._first = np.zeros(2)
+        self._gram, self._seen = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
+        self._offset = np.zeros(COUNT)
+
+    def take(self, pair: int, pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose]) -> None:
+        """Take header pair number `pair` of the packet, the array at `poses` in its two frames."""
+        middle = Pose.of(0.5 * (poses[0].vector() + poses[1].vector()))
+        x0, y0, cols, rows = window_around(middle, self._side, MARGIN_PX)
+        up, down = (cut_out(frame, x0, y0, cols, rows).ravel() for frame in (pattern, inverted))
+        first, second = (self._images(pose, x0, y0, (rows, cols)) for pose in poses)
+        # B and o, the cells' images as rows
+        each, offset = 0.5 * (first + second), 0.5 * (first - second).sum(0)
+        if pair == 0:
+            shown = self._cells @ each + offset
+            self._first += (up - down) @ shown, shown @ shown
+        else:
+            self._gram += each @ each.T
+            self._seen += each @ (up - down)
+            self._offset += each @ offset
+
+    def named(self, gain: float) -> Format:
+        """The format named; without a later header pair the agreed one.
+
+        Parameters
+        ----------
+        gain
+            Gray levels of a wide array with all LEDs on, taken where the first pair was not seen.
+        """
+        if not self._gram.any():
+            return AGREED
+        g = self._first[0] / self._first[1] if self._first[1] > 0 else gain
+        v = self._cells * np.where(words(), DIMMED, 1.0)
+        # |d - g (B v + o)|^2 but for what is the same in all
+        cost = g * np.einsum("fi,ij,fj->f", v, self._gram, v) - 2 * v @ (self._seen - g * self._offset)
+        return format_of(int(np.argmin(cost if g > 0 else -cost)))
+
+    def _images(self, pose: Pose, x0: int, y0: int, shape: tuple[int, int]) -> Floats:
+        """Image of each cell with all its LEDs on, (16, pixels)."""
+        out, images = np.empty((6, *shape)), np.empty((COUNT, shape[0] * shape[1]))
+        for mask, image in zip(self._masks, images, strict=True):
+            kernels.render(pose.vector(), mask, float(x0), float(y0), out)
+            image[:] = out[0].ravel()
+        return images
