@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from heliograph.link.bench import block_settings, dithered, random_messages, window_margin_px
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import simulate, transmitters
+from heliograph.link.statistics import Clustered
 from heliograph.receive import Packet, make_receiver
 from heliograph.signal.block import pack
 
@@ -25,19 +26,15 @@ FIRST, LAST = "first round", "last round"
 
 @dataclass(slots=True)
 class Claims:
-    """Bits by bin of the claimed error probability; a row a packet, so that errors may come together.
+    """Bits by bin of the claimed error probability, a row a packet, since a packet's errors may come together.
 
     Attributes
     ----------
-    bits, wrong
-        (packets, bins) counted.
-    claimed
-        (packets, bins) sum of the claimed probabilities: errors to be expected.
+    table
+        (packets, 3, bins): bits, those wrong, and the sum of what was claimed: errors to be expected.
     """
 
-    bits: Floats = field(default_factory=lambda: np.zeros((0, len(EDGES) - 1)))
-    wrong: Floats = field(default_factory=lambda: np.zeros((0, len(EDGES) - 1)))
-    claimed: Floats = field(default_factory=lambda: np.zeros((0, len(EDGES) - 1)))
+    table: Floats = field(default_factory=partial(np.zeros, (0, 3, len(EDGES) - 1)))
 
     def add(self, llr: Floats, sent: NDArray[np.uint8]) -> None:
         """Count the bits of a packet that were received at all, LLR = ln P(b=0)/P(b=1)."""
@@ -45,14 +42,49 @@ class Claims:
         # P(wrong) = 1 / (1 + exp |LLR|)
         claimed = 1 / (1 + np.exp(np.abs(llr[known])))
         wrong = (llr[known] < 0) != sent[known]
-        for name, weights in (("bits", np.ones(len(claimed))), ("wrong", wrong), ("claimed", claimed)):
-            row, _ = np.histogram(claimed, EDGES, weights=weights.astype(float))
-            setattr(self, name, np.vstack([getattr(self, name), row]))
+        row = [
+            np.histogram(claimed, EDGES, weights=w)[0] for w in (np.ones(len(claimed)), wrong.astype(float), claimed)
+        ]
+        self.table = np.concatenate([self.table, [row]])
 
     def include(self, other: "Claims") -> None:
         """Count another's as well."""
-        for name in ("bits", "wrong", "claimed"):
-            setattr(self, name, np.vstack([getattr(self, name), getattr(other, name)]))
+        self.table = np.concatenate([self.table, other.table])
+
+    def bins(self) -> list["Bin"]:
+        """What was claimed and observed, by bin."""
+        out = []
+        for k in range(len(EDGES) - 1):
+            count = Clustered(scattered=True)
+            for bits, wrong, _ in self.table[:, :, k]:
+                count.add(int(bits), int(wrong))
+            claimed = float(self.table[:, 2, k].sum() / max(count.trials, 1))
+            out.append(Bin((EDGES[k], EDGES[k + 1]), claimed, count))
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Bin:
+    """Bits of about one claimed error probability.
+
+    Attributes
+    ----------
+    edges
+        Of the bin.
+    claimed
+        Mean of the claimed error probability.
+    count
+        Bits and errors, by packet.
+    """
+
+    edges: tuple[float, float]
+    claimed: float
+    count: Clustered
+
+    def ratio(self) -> tuple[float, float, float]:
+        """Observed over claimed error probability, and its interval."""
+        low, high = self.count.interval()
+        return self.count.rate / self.claimed, low / self.claimed, high / self.claimed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,8 +110,8 @@ class Block:
 
 
 @dataclass(slots=True)
-class Heard:
-    """What came of a block.
+class Told:
+    """What the receiver told of a block.
 
     Attributes
     ----------
@@ -88,7 +120,8 @@ class Heard:
     claims
         Bits by `FIRST` and `LAST`.
     distances
-        (packets, 3): true distance in the middle of the packet, that told, number of the packet in its block.
+        (packets, 3): true distance in m in the middle of the packet, that told (NaN where nothing of the packet was
+        read), number of the packet in its block.
     """
 
     case: str
@@ -96,12 +129,12 @@ class Heard:
     distances: Floats = field(default_factory=partial(np.zeros, (0, 3)))
 
 
-def hear(block: Block) -> Heard:
+def listen(block: Block) -> Told:
     """Simulate a film and receive it; the truth is compared afterwards."""
     settings = dithered(block_settings(block.settings, block.packets), block.seed)
     messages = random_messages(settings, block.seed)
     (sender,) = transmitters(settings, messages)
-    ear, out, distance = _Ear(), Heard(block.case), dict[int, float]()
+    ear, out, distance = _Ear(), Told(block.case), dict[int, float]()
     receiver = make_receiver(settings.signal, settings.receive, ear)
     for frame, truth in simulate(settings, messages, block.seed, None, window_margin_px(settings)):
         distance[frame.index] = truth.arrays[0].distance_m
