@@ -25,6 +25,7 @@ EXPERIMENTS = {
     "tables": ("tables", "Tables I and II, data rates"),
     "flicker": ("flicker", "flicker of the whole array"),
     "systems": ("systems", "other systems in the same channel"),
+    "soft": ("soft", "the soft receiver: likelihoods and distances"),
 }
 """Experiments by name: the module that runs each, and what it shows."""
 

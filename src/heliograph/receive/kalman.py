@@ -15,7 +15,7 @@ of ln pitch and ln blur in sums, where the panel's rim looks like another size o
 SUM_ERROR = np.array([0.05, 0.5])
 """Standard deviations of those errors at first."""
 
-SUM_WALK = np.array([0.02, 0.2])
+SUM_WALK = np.array([0.01, 0.2])
 """Their random walks per square root of a second: what is behind the array changes."""
 
 ROLL_WALK = 0.03

@@ -111,7 +111,7 @@ class Observer(Protocol):
     """Gets what each stage produces: plots, a browser view or timings hang on it."""
 
     def __call__(self, stage: str, data: Mapping[str, object], /) -> None:
-        """Take the named stage's data: "detect", "track", "extract", "decode", "lost"."""
+        """Take the named stage's data: "detect", "track", "extract", "equalise" (soft), "decode", "lost"."""
 
 
 def ignore(stage: str, data: Mapping[str, object], /) -> None:

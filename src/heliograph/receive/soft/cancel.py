@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.receive.decode import LARGEST_LLR, codeword_of, hard
-from heliograph.receive.packets import Codeword
+from heliograph.receive.packets import Codeword, Observer, ignore
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
 from heliograph.receive.soft.look import Look
@@ -102,6 +102,7 @@ def decode_looks(
     settings: ReceiveSettings,
     memory: Memory,
     again: LookAgain,
+    observe: Observer = ignore,
 ) -> dict[str, tuple[Codeword, ...]]:
     """Decode all layers of a packet.
 
@@ -121,6 +122,8 @@ def decode_looks(
         Earlier looks at codewords of this array; what cannot be decoded is kept there.
     again
         Looks anew once something is decoded.
+    observe
+        Gets the LLRs of each round, stage "equalise".
 
     Returns
     -------
@@ -130,6 +133,7 @@ def decode_looks(
     for _ in range(settings.soft.rounds):
         before = _open(layers)
         _equalise_all(looks, light, layers)
+        observe("equalise", {"identity": identity, "llr": {name: layer.llr for name, layer in layers.items()}})
         for name, layer in layers.items():
             if not layer.recalled:
                 layer.recalled = [

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from heliograph.receive.soft import kernels
 from heliograph.receive.soft.look import Look
 
 Floats = NDArray[np.float64]
@@ -68,11 +69,11 @@ def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floa
     matrix = np.float32(ratio * gain) * gram
     matrix[np.diag_indices(unknown.size)] += (1.0 / variance[unknown]).astype(np.float32)
     covariance = _inverse(matrix)
-    spread = covariance.diagonal().astype(np.float64)
     m[unknown] += covariance @ rhs.astype(np.float32)
-    # extrinsic: what of the posterior is not the prior; LLR = 2 mean / variance
+    part = np.empty(unknown.size)
+    kernels.extrinsic(covariance, m[unknown], mean[unknown], variance[unknown], part)
     llr = np.zeros_like(m)
-    llr[unknown] = 2 * (m[unknown] / spread - mean[unknown] / variance[unknown])
+    llr[unknown] = part
     return Estimate(llr, m, unknown, covariance, float(np.vdot(gram, covariance)))
 
 

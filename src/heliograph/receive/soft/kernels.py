@@ -16,6 +16,10 @@ REACH = 3.7
 """Standard deviations after which an LED's light is taken for nothing (2e-4 of it)."""
 
 
+LEAST = -1e300
+"""Logarithm of a probability of 0."""
+
+
 def support(sigma: float) -> int:
     """Pixels across which an LED of a blur is counted."""
     return 2 * math.ceil(REACH * sigma + 0.5) + 1
@@ -154,3 +158,51 @@ def difference(across_1, down_1, first_1, across_2, down_2, first_2):  # type: i
         total += _overlap(across_2[k], across_2[k], 0, width) * _overlap(down_2[k], down_2[k], 0, width)
         total -= 2 * _overlap(across_1[k], across_2[k], dx, width) * _overlap(down_1[k], down_2[k], dy, width)
     return total
+
+
+@njit(cache=True, nogil=True)
+def extrinsic(covariance, posterior, mean, variance, out):  # type: ignore[no-untyped-def]
+    """Extrinsic LLR of each cell, out (n,), of a linear MMSE estimate: S (n, n), m, prior c_0 and v (n,).
+
+    m is linear in the cells: m_i - c_0i = sum_j R_ij (c_j - c_0j) + noise with R = 1 - S V^-1. Of the statistic
+
+        u_i = m_i - c_0i S_ii / v_i = k c_i - sum_j S_ij / v_j (c_j - c_0j) + noise,   k = 1 - S_ii / v_i,
+
+    whose variance is k S_ii, the two terms that weigh most are drawn from +-1 and the rest from a Gaussian: were all
+    taken as Gaussian, the LLR would be 2 u_i / S_ii, too small where few neighbours shine in and all speak for the bit.
+    """
+    n = covariance.shape[0]
+    for i in range(n):
+        row = covariance[i]
+        first, second, most, more = -1, -1, 0.0, 0.0
+        for j in range(n):
+            weight = row[j] * row[j] / variance[j]
+            if weight > more and j != i:
+                if weight > most:
+                    first, second, most, more = j, first, weight, most
+                else:
+                    second, more = j, weight
+        spread = float(row[i])
+        k, u = 1.0 - spread / variance[i], posterior[i] - mean[i] * spread / variance[i]
+        rest, a, b, p, q = k * spread, 0.0, 0.0, 0.0, 0.0
+        if first >= 0:
+            a, p = row[first] / variance[first], mean[first]
+            rest -= a * a * variance[first]
+        if second >= 0:
+            b, q = row[second] / variance[second], mean[second]
+            rest -= b * b * variance[second]
+        rest = max(rest, 0.02 * k * spread, 1e-12)
+        plus, minus = LEAST, LEAST
+        for s in (-1.0, 1.0):
+            for t in (-1.0, 1.0):
+                prior = math.log(max(0.25 * (1.0 + s * p) * (1.0 + t * q), 1e-12))
+                x = u + a * (s - p) + b * (t - q)
+                plus = _log_add(plus, prior - 0.5 * (x - k) ** 2 / rest)
+                minus = _log_add(minus, prior - 0.5 * (x + k) ** 2 / rest)
+        out[i] = plus - minus
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _log_add(a, b):  # type: ignore[no-untyped-def]
+    """ln(exp a + exp b)."""
+    return max(a, b) + math.log1p(math.exp(-abs(a - b)))

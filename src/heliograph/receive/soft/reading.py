@@ -55,8 +55,8 @@ class SoftReading:
         """Decode all pairs."""
         self._measure()
         light, looks = Light(self._gain, self._noise.lit), self._look()
-        form = PacketFormat(self._form.settings, self.named)
-        return decode_looks(looks, light, form, self._identity, self._settings, self._memory, self._look_again)
+        form, observe = PacketFormat(self._form.settings, self.named), self._observe
+        return decode_looks(looks, light, form, self._identity, self._settings, self._memory, self._look_again, observe)
 
     def _look_again(self, mean: Floats, variance: Floats, light: Light) -> list[Look | None]:
         """Looks with the poses sharpened by what is decoded."""

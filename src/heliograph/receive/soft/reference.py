@@ -4,6 +4,7 @@ Nothing runs on it but the tests that hold `kernels.py`, `look.py` and `equalise
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +79,7 @@ class Posterior:
     mean, covariance
         (cells,) and (cells, cells).
     extrinsic
-        (cells,) LLR = ln P(c=+1)/P(c=-1) of each without its own prior.
+        (cells,) LLR = ln P(c=+1)/P(c=-1) of each without its own prior, see `_extrinsic`.
     """
 
     mean: Floats
@@ -103,12 +104,30 @@ def lmmse(b: Floats, d: Floats, noise: Floats, mean: Floats, variance: Floats) -
     gain = variance[:, None] * np.linalg.solve(k, b).T
     rest = d - b @ mean
     covariance = np.diag(variance) - (gain @ b) * variance
-    extrinsic = np.array([_matched(k, b[:, i], rest, mean[i], variance[i]) for i in range(len(mean))])
+    extrinsic = np.array([_extrinsic(i, k, b, rest, mean, variance) for i in range(len(mean))])
     return Posterior(mean + gain @ rest, covariance, extrinsic)
 
 
-def _matched(k: Floats, image: Floats, rest: Floats, mean: float, variance: float) -> float:
-    """LLR of one cell by the matched filter in coloured noise: all others are noise, its own prior is taken out."""
-    # K_i = K - v b b^T, z = b^T K_i^-1 (d - B c + b c_i) ~ N(mu c_i, mu), mu = b^T K_i^-1 b; LLR = 2 z
-    others = k - variance * np.outer(image, image)
-    return float(2 * image @ np.linalg.solve(others, rest + image * mean))
+def _extrinsic(i: int, k: Floats, b: Floats, rest: Floats, mean: Floats, variance: Floats) -> float:
+    """LLR of cell i by the matched filter in coloured noise: all others are noise, its own prior is taken out.
+
+    The two that disturb it most are taken as the +-1 they are, the others as Gaussian.
+    """
+    # K_i = K - v b b^T, f = K_i^-1 b, z = f^T (d - B c + b c_i): mean mu c_i, variance mu, mu = f^T b
+    image = b[:, i]
+    matched = np.linalg.solve(k - variance[i] * np.outer(image, image), image)
+    mu, z = matched @ image, matched @ (rest + image * mean[i])
+    share = matched @ b
+    power = share**2 * variance
+    power[i] = 0.0
+    worst = np.argsort(-power)[:2]
+    spread = mu - power[worst].sum()
+    log_p = {}
+    for sign in (1, -1):
+        terms = []
+        for others in product((1, -1), repeat=len(worst)):
+            prior = np.prod(0.5 * (1 + np.array(others) * mean[worst]))
+            centre = sign * mu + share[worst] @ (others - mean[worst])
+            terms.append(np.log(prior) - (z - centre) ** 2 / (2 * spread))
+        log_p[sign] = np.logaddexp.reduce(terms)
+    return float(log_p[1] - log_p[-1])
