@@ -97,10 +97,10 @@ class Probe(Detector):
         number, blur = int(row[4]), self._settings.calibration.blur_px
         weights = float(np.sign(row[0])) * self._weights(number)
         start = Pose(row[1] - 0.5, row[2] - 0.5, row[3] / self._side, 0.0, blur)
-        rough = _fit_window(change, (0, 0), start, weights, self._side, COMB)
+        rough = _fit_window(change, (0, 0), start, weights, self._side, self._tilts, COMB)
         if rough is None:
             return None
-        fit = _fit_window(change, (0, 0), replace(rough.pose, blur=blur), weights, self._side)
+        fit = _fit_window(change, (0, 0), replace(rough.pose, blur=blur), weights, self._side, self._tilts)
         if fit is None or not self._convincing(fit, 1.0, full_scale):
             return None
         return Candidate(fit.score, fit.pose, number)

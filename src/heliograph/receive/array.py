@@ -163,7 +163,7 @@ class ArrayReceiver:
             last_frame=packet.frames[-1],
             pose=pose,
             # pinhole: pitch_px = f p / (Z pixel)
-            distance_m=calibration.focal_m * calibration.pitch_m / (pose.pitch * calibration.pixel_m),
+            distance_m=calibration.focal_m * calibration.pitch_m / (pose.frontal_pitch * calibration.pixel_m),
             header_score=header,
             track_score=float(np.mean(packet.scores)),
             pairs_seen=float(packet.seen.mean()),

@@ -30,6 +30,9 @@ SIDE_STEP = 1.12
 COMB = 0.5
 """Pitches of blur that hide single LEDs while a candidate is centred: else it locks in a whole pitch beside them."""
 
+TILT = 0.1
+"""Standard deviation of stretch and of shear that a candidate may have; 40 degrees of yaw are a stretch of -0.13."""
+
 SLACK = 2
 """Frames by which the start of the header may differ from the searched window's, either way."""
 
@@ -76,6 +79,8 @@ class Detector:
     def __init__(self, settings: ReceiveSettings, signal: SignalSettings):
         self._settings = settings
         self._side = signal.side
+        # a lit square may be anything's; a tilted one all the more
+        self._tilts = settings.detect.detector == "m_sequence"
         self._header = 2 * signal.header_pairs
         self._cells = _templates(settings)
         self._sides = _sizes(settings.detect.min_side_px, settings.detect.max_side_px)
@@ -164,7 +169,7 @@ class Detector:
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], row[3] / self._side, 0.0, blur)
         if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
             return None
-        rough = _fit_window(change, origin, start, sign * weights, self._side, COMB)
+        rough = _fit_window(change, origin, start, sign * weights, self._side, self._tilts, COMB)
         if rough is None or rough.score < self._settings.detect.coarse_score:
             return None
         return self._timed(frames, replace(rough.pose, blur=blur), weights, number)
@@ -178,7 +183,7 @@ class Detector:
         change = -np.diff(seen[start : start + self._header]) * sign[:-1]
         regularity = float(change.min() / max(change.mean(), 1e-9))
         header = frames[start : start + self._span]
-        fit = _fit_window(_change([f.pixels for f in header]), header[0].origin, pose, weights, self._side)
+        fit = _fit_window(_change([f.pixels for f in header]), header[0].origin, pose, weights, self._side, self._tilts)
         if fit is None or not self._convincing(fit, regularity, header[0].full_scale):
             return None
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
@@ -202,7 +207,7 @@ def project(frame: Frame, pose: Pose, weights: NDArray[np.float64]) -> float:
     x0, y0, width, height = window_around(pose, weights.shape[0], 1.0)
     cut = cut_out(frame, x0, y0, width, height)
     model = np.empty((6, height, width))
-    kernels.render(pose.vector(), weights, float(x0), float(y0), model)
+    kernels.render(pose.full_vector(), weights, float(x0), float(y0), model)
     shape = model[0] - model[0].mean()
     return float((cut * shape).sum() / max((shape * shape).sum(), 1e-9))
 
@@ -276,6 +281,7 @@ def _fit_window(
     start: Pose,
     weights: NDArray[np.float64],
     side: int,
+    tilts: bool,
     smooth: float = 0.0,
 ) -> Fit | None:
     """Fit near a start, to pixels blurred by `smooth` pitches."""
@@ -289,8 +295,8 @@ def _fit_window(
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float64)
         start = replace(start, blur=float(np.hypot(start.blur, sigma)))
     reach = 0.08 * side * start.pitch
-    spread = np.diag([reach**2, reach**2, 0.1**2, 0.05**2, 0.2**2])
-    return fit_array(image, (x0, y0), Prior(start.vector(), spread), weights, 6)
+    spread = np.diag(np.array([reach, reach, 0.1, 0.05, 0.2, TILT, TILT][: 7 if tilts else 5]) ** 2)
+    return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, 6)
 
 
 def _distinct(detections: list[Detection], side: int) -> list[Detection]:

@@ -1,6 +1,6 @@
 """Tracking: the sum of a pattern and its inverse shows every LED, so each pair gives the pose anew."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.detect import Detection, cut_out
 from heliograph.receive.fit import Fit, Prior, fit_array, window_around
-from heliograph.receive.kalman import DIFFERENCE, SUM, PoseState
+from heliograph.receive.kalman import DIFFERENCE, SHOWN, SUM, PoseState, Tilt
 from heliograph.receive.pose import Pose
 from heliograph.receive.settings import TrackSettings
 
@@ -70,7 +70,8 @@ class Tracker:
         predicted = self._predict(0.5 * (pattern.time_s + inverted.time_s))
         corner, up, down = self._cut(pattern, inverted, predicted)
         # (pattern) + (inverse) = every LED on, Fig. 9
-        prior = Prior(*predicted.expected(SUM), self.gain)
+        mean, covariance = predicted.expected(SUM)
+        prior = Prior(np.append(mean, predicted.tilt.mean), covariance, self.gain)
         total = up + down
         start = self._unresolved(total, corner, prior) if self._unsure(predicted) else None
         # a start of its own saves a step
@@ -78,25 +79,30 @@ class Tracker:
         fit = fit_array(total, corner, prior, self._ones, steps, panel=True, start=start)
         seen = self._inside(fit, pattern) and self._active(up - down, fit.pose, corner)
         if seen:
-            predicted = predicted.condition(fit.vector, fit.covariance, SUM)
+            predicted = predicted.condition(fit.vector[:SHOWN], fit.covariance, SUM)
             self.last_seen_s = predicted.time_s
             self.gain += 0.1 * (fit.gain - self.gain)
         self.state = predicted
         return TrackedPair(predicted, fit, seen)
 
     def refine(self, pattern: Frame, inverted: Frame, weights: NDArray[np.float64]) -> None:
-        """Sharpen pitch, rotation and blur by a header of known `weights`, after its sum was followed."""
+        """Sharpen pitch, rotation, blur and tilt by a header of known `weights`, after its sum was followed."""
         corner, up, down = self._cut(pattern, inverted, self.state)
-        prior = Prior(*self.state.expected(DIFFERENCE))
+        mean, covariance = self.state.expected(DIFFERENCE)
+        tilt = self.state.tilt
+        both = np.zeros((SHOWN + 2, SHOWN + 2))
+        both[:SHOWN, :SHOWN], both[SHOWN:, SHOWN:] = covariance, tilt.covariance
+        prior = Prior(np.append(mean, tilt.mean), both)
         fit = fit_array(up - down, corner, prior, weights, self._settings.iterations)
         if fit.score >= self._settings.score:
-            self.state = self.state.condition(fit.vector, fit.covariance, DIFFERENCE)
+            state = self.state.condition(fit.vector[:SHOWN], fit.covariance[:SHOWN, :SHOWN], DIFFERENCE)
+            self.state = replace(state, tilt=Tilt(fit.vector[SHOWN:], fit.covariance[SHOWN:, SHOWN:]))
             self.data_gain = fit.gain
 
     def _predict(self, time_s: float) -> PoseState:
         """The state at a time; pairs seen before the detection's own time take it as it is."""
         if time_s <= self.state.time_s:
-            return PoseState(time_s, self.state.mean, self.state.covariance)
+            return replace(self.state, time_s=time_s)
         return self.state.predict(time_s, self._settings)
 
     def _unsure(self, predicted: PoseState) -> bool:
@@ -115,7 +121,9 @@ class Tracker:
         smooth = np.asarray(cv2.GaussianBlur(total, (0, 0), sigma), np.float64)
         wide = Prior(vector, covariance, prior.gain)
         fit = fit_array(smooth, corner, wide, self._ones, self._settings.iterations, panel=True, resolved=False)
-        return np.append(fit.vector[:4], prior.vector[4])
+        found = fit.vector.copy()
+        found[4] = prior.vector[4]
+        return found
 
     def _cut(self, pattern: Frame, inverted: Frame, state: PoseState) -> tuple[tuple[int, int], Floats, Floats]:
         """The array's surroundings in both frames, and their corner."""
@@ -139,4 +147,6 @@ class Tracker:
 
 def _widened(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     """A detection's covariance with room for the motion since its middle."""
-    return covariance + np.diag([1.0, 1.0, 1e-3, 1e-4, 1e-2])
+    wider = covariance.copy()
+    wider[np.arange(5), np.arange(5)] += [1.0, 1.0, 1e-3, 1e-4, 1e-2]
+    return wider

@@ -60,7 +60,7 @@ class Glance:
     @property
     def middle(self) -> Pose:
         """The pose between the two."""
-        return Pose.of(0.5 * (self.poses[0].vector() + self.poses[1].vector()))
+        return Pose.between(*self.poses)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side:
     side
         LEDs in a row.
     """
-    middle = Pose.of(0.5 * (poses[0].vector() + poses[1].vector()))
+    middle = Pose.between(*poses)
     x0, y0, cols, rows = window_around(middle, side, MARGIN_PX + RING_PX)
     up, down = (cut_out(frame, x0, y0, cols, rows) for frame in (pattern, inverted))
     return Glance(up + down, up - down, (x0, y0), poses)
@@ -214,6 +214,6 @@ def _placed(
     width = kernels.support(float(sigma.max()))
     across, down = np.empty((side * side, width)), np.empty((side * side, width))
     first = np.empty((side * side, 2), np.int64)
-    where = np.array([pose.x - corner[0], pose.y - corner[1], pose.pitch, pose.roll, *sigma])
+    where = np.array([pose.x - corner[0], pose.y - corner[1], *pose.axes.ravel(), pose.pitch, *sigma])
     kernels.place(where, *shape, across, down, first)
     return across, down, first
