@@ -92,8 +92,8 @@ def film(
 def _lighting(
     place: Placement, feed: PatternFeed, period_s: float, order: tuple[int, ...], rng: np.random.Generator
 ) -> Lighting:
-    faults = Faults.anywhere(feed.side, place.dead, place.stuck, place.off_s, rng)
-    return Lighting(feed, place.start_s, period_s * (1 + place.clock_ppm * 1e-6), order, faults)
+    period_s *= 1 + place.clock_ppm * 1e-6
+    return Lighting(feed, place.start_s, period_s, order, Faults.of(place, feed.side, rng))
 
 
 def _check(

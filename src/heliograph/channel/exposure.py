@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.channel.settings import Placement
 from heliograph.signal.pwm import SLOTS
 
 Floats = NDArray[np.float64]
@@ -112,28 +113,32 @@ class Faults:
 
     Attributes
     ----------
-    dead, stuck
-        (n, n) LEDs that never shine, and that always do.
+    dead, stuck, hidden
+        (n, n) LEDs that never shine, that always do, and that something hides.
     off_s
         Times (from, to) for which all are dark.
     """
 
     dead: NDArray[np.bool_]
     stuck: NDArray[np.bool_]
+    hidden: NDArray[np.bool_]
     off_s: tuple[tuple[float, float], ...] = ()
 
     @classmethod
-    def anywhere(
-        cls, side: int, dead: float, stuck: float, off_s: tuple[tuple[float, float], ...], rng: np.random.Generator
-    ) -> "Faults":
-        """Shares of the LEDs drawn at random."""
+    def of(cls, place: Placement, side: int, rng: np.random.Generator) -> "Faults":
+        """The faults of an array; which LEDs fail is drawn at random."""
         order = rng.permutation(side * side).reshape(side, side)
-        many, more = round(dead * side * side), round(stuck * side * side)
-        return cls(order < many, (order >= many) & (order < many + more), off_s)
+        many, more = round(place.dead * side * side), round(place.stuck * side * side)
+        hidden = np.zeros((side, side), bool)
+        if place.hidden:
+            left, top, right, low = place.hidden
+            v, u = np.meshgrid(*2 * [(np.arange(side) + 0.5) / side])
+            hidden = (v > left) & (v < right) & (u > top) & (u < low)
+        return cls(order < many, (order >= many) & (order < many + more), hidden, place.off_s)
 
     def left(self, on: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """What shines of LEDs (k, n, n) that should."""
-        return np.asarray((on & ~self.dead) | self.stuck)
+        return np.asarray(((on & ~self.dead) | self.stuck) & ~self.hidden)
 
     def cut(self, begin_s: float, end_s: float) -> Iterator[tuple[float, float]]:
         """The parts of a time for which the array is not off."""

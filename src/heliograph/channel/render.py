@@ -190,9 +190,9 @@ def render(stage: Stage, block: Block, k: int, canvas: Canvas) -> tuple[ArrayTru
         view, one = block.views[array], lit[array]
         if view.ahead[k] and canvas.meets(view.panel.box[k]):
             _lay_panel(view.panel, k, stage.settings.emitter.panel_level, canvas)
+            _hide(stage, array, view, k, canvas)
             if one is not None:
                 _shine(stage, array, view, k, one, (start, end), canvas)
-            _hide(stage, array, view, k, canvas)
     return tuple(_truth(view, k, one) for view, one in zip(block.views, lit, strict=True))
 
 
@@ -203,7 +203,7 @@ def _lay_panel(panel: PanelView, k: int, level: float, canvas: Canvas) -> None:
 
 
 def _hide(stage: Stage, array: int, view: View, k: int, canvas: Canvas) -> None:
-    """Lay what hides a part of an array over it."""
+    """Lay what hides a part of an array over its panel; the LEDs behind it are left out of what is lit."""
     settings, place = stage.settings, stage.settings.arrays[array]
     if not place.hidden:
         return

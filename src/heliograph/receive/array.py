@@ -57,7 +57,6 @@ class ArrayReceiver:
         observe: Observer,
         reading: MakeReading,
     ):
-        self._make_reading = reading
         self.identity = detection.identity
         self.tracker = Tracker(detection, form.settings.side, settings.track)
         self._start_s = detection.start_time_s
@@ -65,7 +64,7 @@ class ArrayReceiver:
         self._header_weights = header_levels(self.identity, form.settings.side) / 2.0 - 1.0
         self._held: Frame | None = None
         self._pair = 0
-        self._packet = self._empty()
+        self._packet = self._empty(reading(self.identity, form, settings, observe))
         self._failed = False
         self._now_s = detection.time_s
 
@@ -127,6 +126,7 @@ class ArrayReceiver:
             packet.header.append(self._alternation(pattern, inverted, tracked))
             if tracked.seen:
                 self.tracker.refine(pattern, inverted, self._header_weights)
+                packet.reading.learn(pattern, inverted, self._header_weights, self.tracker)
         elif tracked.seen:
             packet.reading.take(place, pattern, inverted, tracked, self.tracker)
             packet.seen[place] = True
@@ -134,12 +134,13 @@ class ArrayReceiver:
     def _alternation(self, pattern: Frame, inverted: Frame, tracked: TrackedPair) -> float:
         """How much of the header the pair shows, as a share of the array's luminance."""
         pose = tracked.state.pose
-        change = project(pattern, pose, self._header_weights) - project(inverted, pose, self._header_weights)
+        weights = self._header_weights * self.tracker.shares
+        change = project(pattern, pose, weights) - project(inverted, pose, weights)
         return change / max(self.tracker.gain, 1e-6)
 
     def _finish(self) -> Packet:
         """Decode what was gathered and begin the next packet."""
-        packet, self._packet = self._packet, self._empty()
+        packet, self._packet = self._packet, self._empty(self._packet.reading.following())
         layers = packet.reading.decode()
         header = float(np.mean(packet.header)) if packet.header else 0.0
         status = _status(layers, header, float(packet.seen.mean()))
@@ -170,8 +171,7 @@ class ArrayReceiver:
             layers=layers,
         )
 
-    def _empty(self) -> _Gathered:
-        reading = self._make_reading(self.identity, self._form, self._settings, self._observe)
+    def _empty(self, reading: Reading) -> _Gathered:
         return _Gathered(reading, np.zeros(self._form.settings.data_pairs, dtype=bool))
 
 

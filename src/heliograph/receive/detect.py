@@ -33,6 +33,9 @@ COMB = 0.5
 TILT = 0.1
 """Standard deviation of stretch and of shear that a candidate may have; 40 degrees of yaw are a stretch of -0.13."""
 
+MOST_TILT = 0.2
+"""Tilt of 48 degrees, beyond which LEDs hardly shine."""
+
 SLACK = 2
 """Frames by which the start of the header may differ from the searched window's, either way."""
 
@@ -193,7 +196,10 @@ class Detector:
         detect, side, half_step = self._settings.detect, self._side * fit.pose.pitch, SIDE_STEP**0.5
         bright = fit.gain >= detect.min_contrast * full_scale
         sized = detect.min_side_px / half_step <= side <= detect.max_side_px * half_step
-        return bright and sized and fit.score >= detect.score and regularity >= detect.regularity
+        turned = np.hypot(fit.pose.stretch, fit.pose.shear) <= MOST_TILT
+        whole = fit.score >= detect.score and regularity >= detect.regularity
+        hidden = fit.score >= detect.hidden_score and regularity >= detect.hidden_regularity
+        return bool(bright and sized and turned and (whole or hidden))
 
     def _weights(self, number: int) -> NDArray[np.float64]:
         size = self._side // CELLS

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.decode import decode_packet
@@ -13,15 +14,23 @@ from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.packet import PacketFormat
 
+Floats = NDArray[np.float64]
+
 
 class Reading(Protocol):
     """Reads the data of one packet."""
+
+    def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> None:
+        """Take a header pair of levels (n, n) of +-1, in which the array was seen."""
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Take data pair `place` of the packet, in which the array was seen."""
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Codewords by layer."""
+
+    def following(self) -> "Reading":
+        """The reading of the next packet."""
 
     def shown(self) -> Mapping[str, Any]:
         """What an observer of the stage "decode" gets beside the packet."""
@@ -40,6 +49,9 @@ class PlainReading:
         self._luminances = np.zeros((pairs, side, side))
         self._seen = np.zeros(pairs, dtype=bool)
 
+    def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> None:
+        """Learn nothing."""
+
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Read the luminances of a pair."""
         poses = (tracked.state.pose_at(pattern.time_s), tracked.state.pose_at(inverted.time_s))
@@ -53,6 +65,10 @@ class PlainReading:
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode what was read."""
         return decode_packet(self._luminances, self._seen, self._form, self._identity, self._settings.decode)
+
+    def following(self) -> "PlainReading":
+        """The reading of the next packet."""
+        return PlainReading(self._identity, self._form, self._settings, self._observe)
 
     def shown(self) -> Mapping[str, Any]:
         """The luminances, (pairs, n, n)."""

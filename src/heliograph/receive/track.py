@@ -53,12 +53,17 @@ class Tracker:
         LEDs in a row.
     settings
         Its tunables.
+
+    Attributes
+    ----------
+    shares
+        (n, n) what each LED gives of its light, as far as a reading of the data has found out.
     """
 
     def __init__(self, detection: Detection, side: int, settings: TrackSettings):
         fit = detection.fit
         self._settings = settings
-        self._ones = np.ones((side, side))
+        self.shares = np.ones((side, side))
         self._side = side
         self.state = PoseState.start(detection.time_s, fit.vector, _widened(fit.covariance))
         self.last_seen_s = detection.time_s
@@ -76,7 +81,7 @@ class Tracker:
         start = self._unresolved(total, corner, prior) if self._unsure(predicted) else None
         # a start of its own saves a step
         steps = self._settings.iterations - (start is not None and self._settings.iterations > 1)
-        fit = fit_array(total, corner, prior, self._ones, steps, panel=True, start=start)
+        fit = fit_array(total, corner, prior, self.shares, steps, panel=True, start=start)
         seen = self._inside(fit, pattern) and self._active(up - down, fit.pose, corner)
         if seen:
             predicted = predicted.condition(fit.vector[:SHOWN], fit.covariance, SUM)
@@ -93,7 +98,7 @@ class Tracker:
         both = np.zeros((SHOWN + 2, SHOWN + 2))
         both[:SHOWN, :SHOWN], both[SHOWN:, SHOWN:] = covariance, tilt.covariance
         prior = Prior(np.append(mean, tilt.mean), both)
-        fit = fit_array(up - down, corner, prior, weights, self._settings.iterations)
+        fit = fit_array(up - down, corner, prior, weights * self.shares, self._settings.iterations)
         if fit.score >= self._settings.score:
             state = self.state.condition(fit.vector[:SHOWN], fit.covariance[:SHOWN, :SHOWN], DIFFERENCE)
             self.state = replace(state, tilt=Tilt(fit.vector[SHOWN:], fit.covariance[SHOWN:, SHOWN:]))
@@ -120,7 +125,7 @@ class Tracker:
         covariance[[0, 1], [0, 1]] += pose.pitch**2
         smooth = np.asarray(cv2.GaussianBlur(total, (0, 0), sigma), np.float64)
         wide = Prior(vector, covariance, prior.gain)
-        fit = fit_array(smooth, corner, wide, self._ones, self._settings.iterations, panel=True, resolved=False)
+        fit = fit_array(smooth, corner, wide, self.shares, self._settings.iterations, panel=True, resolved=False)
         found = fit.vector.copy()
         found[4] = prior.vector[4]
         return found

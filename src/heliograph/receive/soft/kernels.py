@@ -87,6 +87,17 @@ def leds(cells):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def cells(leds):  # type: ignore[no-untyped-def]
+    """The inverse of `leds`: D = H t H^T."""
+    squares = leds.shape[0] // 4
+    out = np.empty(4 * squares)
+    for q in range(squares):
+        a, b, c, d = _haar(leds[4 * q], leds[4 * q + 1], leds[4 * q + 2], leds[4 * q + 3])
+        out[q], out[squares + q], out[2 * squares + q], out[3 * squares + q] = 4.0 * a, 4.0 * b, 4.0 * c, 4.0 * d
+    return out
+
+
+@njit(cache=True, nogil=True)
 def shine(leds, across, down, first, out):  # type: ignore[no-untyped-def]
     """Add the image of LEDs of given weights (n n,), in the order of `place`, to out (rows, columns)."""
     width = across.shape[1]

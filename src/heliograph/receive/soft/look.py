@@ -101,6 +101,26 @@ class Look:
     cross: float
     drift: float
 
+    def scaled(self, weight: float) -> "Look":
+        """The same with a weight, as if its noise were larger."""
+        return Look(
+            np.float32(weight) * self.gram,
+            weight * self.seen,
+            weight * self.offset,
+            weight * self.cross,
+            weight * self.drift,
+        )
+
+    def plus(self, other: "Look") -> "Look":
+        """Two looks at one pattern."""
+        return Look(
+            self.gram + other.gram,
+            self.seen + other.seen,
+            self.offset + other.offset,
+            self.cross + other.cross,
+            self.drift + other.drift,
+        )
+
 
 def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side: int) -> Glance:
     """Cut a pair of frames out.
@@ -120,20 +140,28 @@ def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side:
     return Glance(up + down, up - down, (x0, y0), poses)
 
 
-def measure_noise(glances: Sequence[Glance], side: int) -> Noise:
-    """Noise of a packet's glances.
+def of_squares(grid: Floats) -> Floats:
+    """Values of LEDs (n, n) in the order of the squares of 2 x 2, (n n,)."""
+    half = len(grid) // 2
+    return np.ascontiguousarray(grid.reshape(half, 2, half, 2).transpose(0, 2, 1, 3)).ravel()
+
+
+def measure_noise(glances: Sequence[Glance], side: int, shares: Floats | None = None) -> Noise:
+    """Noise of a packet's glances, the LEDs giving `shares` (n, n) of their light.
 
     Inside the array the sum of a pair is even but for noise, which is that of the difference. Beside the array the
     difference is noise and what has changed there.
     """
-    parts = np.array([_unevenness(glance, side) for glance in glances]).sum(0)
+    parts = np.array([_unevenness(glance, side, shares) for glance in glances]).sum(0)
     lit = max(parts[0] / max(parts[1], 1.0), LEAST_NOISE)
     dark = max(parts[2] / max(parts[3], 1.0), LEAST_NOISE)
     return Noise(float(lit), float(dark))
 
 
-def take_look(glance: Glance, noise: Noise, side: int) -> Look:
+def take_look(glance: Glance, noise: Noise, side: int, shares: Floats | None = None) -> Look:
     """Reduce a glance, its pixels weighted by their noise relative to that inside the array.
+
+    LEDs that give only a share (n, n) of their light count by that; all give all by default.
 
     The noise of a pixel follows its light: s^2 = dark + (lit - dark) f(x) f(y), f the profile of the array from 0 to 1.
     W is taken as a product of a function of x and one of y, so that LEDs weighted by its root are such products too.
@@ -145,12 +173,18 @@ def take_look(glance: Glance, noise: Noise, side: int) -> Look:
     between = _placed(middle, glance.corner, shape, side, motion)
     weights = _weights(between, noise, shape, side)
     gram = np.empty((side * side, side * side), np.float32)
-    kernels.gram(*_weighted(between, weights), gram)
+    kernels.gram(*_dimmed(_weighted(between, weights), shares), gram)
     root = weights[1][:, None] * weights[0]
-    shares = [_weighted(_placed(pose, glance.corner, shape, side), weights) for pose in glance.poses]
-    first, second = (_all_on(share, shape) for share in shares)
+    placed = [_weighted(_placed(pose, glance.corner, shape, side), weights) for pose in glance.poses]
+    lit = [_dimmed(share, shares) for share in placed]
+    first, second = (_all_on(share, shape) for share in lit)
     d, o = root * glance.change, 0.5 * (first - second)
-    return Look(gram, _correlated(d, shares), _correlated(o, shares), float((d * o).sum()), float((o * o).sum()))
+    return Look(gram, _correlated(d, lit), _correlated(o, lit), float((d * o).sum()), float((o * o).sum()))
+
+
+def _dimmed(share: Shares, shares: Floats | None) -> Shares:
+    """Shares of the LEDs' light with what each LED gives of it."""
+    return share if shares is None else (share[0] * of_squares(shares)[:, None], *share[1:])
 
 
 def _weights(share: Shares, noise: Noise, shape: tuple[int, int], side: int) -> tuple[Floats, Floats]:
@@ -177,10 +211,10 @@ def _weighted(share: Shares, weights: tuple[Floats, Floats]) -> Shares:
     return parts[0], parts[1], share[2]
 
 
-def _unevenness(glance: Glance, side: int) -> tuple[float, float, float, float]:
+def _unevenness(glance: Glance, side: int, shares: Floats | None) -> tuple[float, float, float, float]:
     """Squared residuals of a sum inside the array and their degrees of freedom; squares beside it and their number."""
-    shares = [_placed(pose, glance.corner, glance.change.shape, side) for pose in glance.poses]
-    first, second = (_all_on(share, glance.change.shape) for share in shares)
+    placed = [_placed(pose, glance.corner, glance.change.shape, side) for pose in glance.poses]
+    first, second = (_all_on(_dimmed(share, shares), glance.change.shape) for share in placed)
     lit = 0.5 * (first + second)
     inside = lit > INSIDE * lit.max()
     y, x = np.nonzero(inside)
@@ -188,7 +222,9 @@ def _unevenness(glance: Glance, side: int) -> tuple[float, float, float, float]:
     fitted = columns @ np.linalg.lstsq(columns, glance.total[inside], rcond=1e-6)[0]
     beside = glance.change[lit < 1e-3]
     freedom = max(len(x) - columns.shape[1], 0)
-    return float(((glance.total[inside] - fitted) ** 2).sum()), freedom, float((beside**2).sum()), beside.size
+    # LEDs that failed are no noise: the variance by the median magnitude
+    variance = (1.4826 * float(np.median(np.abs(glance.total[inside] - fitted)))) ** 2 * len(x) / max(freedom, 1)
+    return variance * freedom, freedom, float((beside**2).sum()), beside.size
 
 
 def _all_on(share: Shares, shape: tuple[int, int]) -> Floats:

@@ -1,0 +1,90 @@
+"""Which LEDs give their light: dead, stuck and hidden ones are told by the headers, where the pattern is known.
+
+In the difference of a header and its inverse what is behind the array cancels and an LED that does not follow the
+pattern, whether dark, lit or hidden, is missing. With h the header as +-1 and w the share of its light each LED gives,
+
+    d = g A (h w) + n,
+
+which is the equaliser's problem with h w in place of the data: w comes by linear MMSE around w = 1.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.soft import kernels
+from heliograph.receive.soft.equalise import equalise
+from heliograph.receive.soft.look import Glance, Look, measure_noise, of_squares, take_look
+
+Floats = NDArray[np.float64]
+
+SPREAD = 0.3
+"""Standard deviation of an LED's share before a header is seen."""
+
+FAILED, SOUND = 0.25, 0.65
+"""Estimated shares up to which an LED counts as giving nothing, and from which on as giving all: noise and small
+errors of the pose then change nothing of a sound array."""
+
+FORGET = 0.5
+"""Weight of what was seen in earlier packets: hidden LEDs come to light."""
+
+
+class LedShares:
+    """Learns from headers what share of its light each LED gives.
+
+    Parameters
+    ----------
+    side
+        LEDs in a row.
+
+    Attributes
+    ----------
+    values
+        (n, n), 0 to 1.
+    """
+
+    def __init__(self, side: int):
+        self._side = side
+        self._seen: Look | None = None
+        self.values: Floats = np.ones((side, side))
+
+    def forget(self) -> None:
+        """Trust what was seen less: a packet has gone by."""
+        if self._seen is not None:
+            self._seen = self._seen.scaled(FORGET)
+
+    def learn(self, glance: Glance, header: Floats, gain: float) -> float:
+        """Take a header pair.
+
+        Parameters
+        ----------
+        glance
+            The pair.
+        header
+            (n, n) of +-1.
+        gain
+            Gray levels of the array with all LEDs on, as if all gave their light alike.
+
+        Returns
+        -------
+        The gain of the LEDs that give their light.
+        """
+        noise = measure_noise([glance], self._side, self.values)
+        look = take_look(glance, noise, self._side)
+        self._seen = look if self._seen is None else self._seen.plus(look)
+        for _ in range(2):
+            shares = self._estimate(header, gain, noise.lit)
+            # the median LED is a sound one
+            scale = float(np.clip(np.median(shares), 0.5, 2.0))
+            gain *= scale
+        self.values = np.clip((shares / scale - FAILED) / (SOUND - FAILED), 0, 1)
+        return gain
+
+    def _estimate(self, header: Floats, gain: float, noise: float) -> Floats:
+        assert self._seen is not None  # a header was just taken
+        signs = of_squares(header)
+        mean = kernels.cells(signs)
+        # of h w of the variance s^2 the cells have the variance 4 s^2, T T^T being 1/4
+        cells = equalise(self._seen, gain, noise, mean, np.full(mean.size, 4 * SPREAD**2)).mean
+        shares = kernels.leds(cells) * signs
+        half = self._side // 2
+        return np.asarray(shares.reshape(half, half, 2, 2).transpose(0, 2, 1, 3).reshape(self._side, self._side))
