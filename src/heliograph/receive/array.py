@@ -19,6 +19,9 @@ from heliograph.signal.packet import PacketFormat
 HEADER_SEEN = 0.5
 """Least alternation of a header, as a share of the array's luminance."""
 
+RELEARN = 3
+"""Most times a header pair is looked at."""
+
 
 @dataclass(slots=True)
 class _Gathered:
@@ -125,11 +128,18 @@ class ArrayReceiver:
         if place < 0:
             packet.header.append(self._alternation(pattern, inverted, tracked))
             if tracked.seen:
-                self.tracker.refine(pattern, inverted, self._header_weights)
-                packet.reading.learn(pattern, inverted, self._header_weights, self.tracker)
+                self._learn(pattern, inverted)
         elif tracked.seen:
             packet.reading.take(place, pattern, inverted, tracked, self.tracker)
             packet.seen[place] = True
+
+    def _learn(self, pattern: Frame, inverted: Frame) -> None:
+        """Let tracker and reading learn from a header pair; again while they find what changes the pose."""
+        for _ in range(RELEARN):
+            self.tracker.refine(pattern, inverted, self._header_weights)
+            if not self._packet.reading.learn(pattern, inverted, self._header_weights, self.tracker):
+                break
+            self.tracker.again(pattern, inverted)
 
     def _alternation(self, pattern: Frame, inverted: Frame, tracked: TrackedPair) -> float:
         """How much of the header the pair shows, as a share of the array's luminance."""

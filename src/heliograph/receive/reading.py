@@ -20,8 +20,11 @@ Floats = NDArray[np.float64]
 class Reading(Protocol):
     """Reads the data of one packet."""
 
-    def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> None:
-        """Take a header pair of levels (n, n) of +-1, in which the array was seen."""
+    def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> bool:
+        """Take a header pair of levels (n, n) of +-1, in which the array was seen.
+
+        Returns whether it is to be followed and taken once more, as the tracker now knows better what it looks like.
+        """
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Take data pair `place` of the packet, in which the array was seen."""
@@ -49,8 +52,9 @@ class PlainReading:
         self._luminances = np.zeros((pairs, side, side))
         self._seen = np.zeros(pairs, dtype=bool)
 
-    def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> None:
+    def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> bool:  # noqa: ARG002
         """Learn nothing."""
+        return False
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Read the luminances of a pair."""

@@ -66,12 +66,14 @@ class Tracker:
         self.shares = np.ones((side, side))
         self._side = side
         self.state = PoseState.start(detection.time_s, fit.vector, _widened(fit.covariance))
+        self._before = self.state
         self.last_seen_s = detection.time_s
         self.gain = fit.gain
         self.data_gain = fit.gain
 
     def follow(self, pattern: Frame, inverted: Frame) -> TrackedPair:
         """Find the array in the sum of a pair and move the filter on; coast where it is not seen."""
+        self._before = self.state
         predicted = self._predict(0.5 * (pattern.time_s + inverted.time_s))
         corner, up, down = self._cut(pattern, inverted, predicted)
         # (pattern) + (inverse) = every LED on, Fig. 9
@@ -89,6 +91,11 @@ class Tracker:
             self.gain += 0.1 * (fit.gain - self.gain)
         self.state = predicted
         return TrackedPair(predicted, fit, seen)
+
+    def again(self, pattern: Frame, inverted: Frame) -> TrackedPair:
+        """Follow the last pair anew, as if it had not been followed."""
+        self.state = self._before
+        return self.follow(pattern, inverted)
 
     def refine(self, pattern: Frame, inverted: Frame, weights: NDArray[np.float64]) -> None:
         """Sharpen pitch, rotation, blur and tilt by a header of known `weights`, after its sum was followed."""

@@ -11,6 +11,7 @@ With W the pixels' weights, all that remains of them is B^T W d, beside B^T W B 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,13 +150,19 @@ def of_squares(grid: Floats) -> Floats:
 def measure_noise(glances: Sequence[Glance], side: int, shares: Floats | None = None) -> Noise:
     """Noise of a packet's glances, the LEDs giving `shares` (n, n) of their light.
 
-    Inside the array the sum of a pair is even but for noise, which is that of the difference. Beside the array the
-    difference is noise and what has changed there.
+    Inside the array the sum of a pair is even but for noise, which is that of the difference; LEDs that failed stay
+    where they are from one sum to the next, so that successive sums are compared. Beside the array the difference is
+    noise and what has changed there.
     """
-    parts = np.array([_unevenness(glance, side, shares) for glance in glances]).sum(0)
-    lit = max(parts[0] / max(parts[1], 1.0), LEAST_NOISE)
-    dark = max(parts[2] / max(parts[3], 1.0), LEAST_NOISE)
-    return Noise(float(lit), float(dark))
+    uneven = [_unevenness(glance, side, shares) for glance in glances]
+    if len(uneven) > 1:
+        parts = [_variance(_apart(*two) / np.sqrt(2)) for two in pairwise(uneven)]
+    else:
+        parts = [_variance(one.residual) for one in uneven]
+    lit, count = np.array(parts).sum(0)
+    beside = np.concatenate([one.beside for one in uneven])
+    dark = float((beside**2).mean()) if beside.size else 0.0
+    return Noise(max(float(lit) / max(float(count), 1.0), LEAST_NOISE), max(dark, LEAST_NOISE))
 
 
 def take_look(glance: Glance, noise: Noise, side: int, shares: Floats | None = None) -> Look:
@@ -211,20 +218,42 @@ def _weighted(share: Shares, weights: tuple[Floats, Floats]) -> Shares:
     return parts[0], parts[1], share[2]
 
 
-def _unevenness(glance: Glance, side: int, shares: Floats | None) -> tuple[float, float, float, float]:
-    """Squared residuals of a sum inside the array and their degrees of freedom; squares beside it and their number."""
+@dataclass(frozen=True, slots=True)
+class _Uneven:
+    """What of a sum inside the array is not even, (rows, columns), NaN elsewhere; and the difference beside it."""
+
+    residual: Floats
+    corner: tuple[int, int]
+    beside: Floats
+
+
+def _unevenness(glance: Glance, side: int, shares: Floats | None) -> _Uneven:
+    """Residuals of a sum inside the array, scaled by their degrees of freedom."""
     placed = [_placed(pose, glance.corner, glance.change.shape, side) for pose in glance.poses]
+    whole = _all_on(placed[0], glance.change.shape)
     first, second = (_all_on(_dimmed(share, shares), glance.change.shape) for share in placed)
     lit = 0.5 * (first + second)
-    inside = lit > INSIDE * lit.max()
+    inside = whole > INSIDE * whole.max()
     y, x = np.nonzero(inside)
     columns = np.stack([lit[inside], np.ones(len(x)), x - x.mean(), y - y.mean()], axis=1)
     fitted = columns @ np.linalg.lstsq(columns, glance.total[inside], rcond=1e-6)[0]
-    beside = glance.change[lit < 1e-3]
-    freedom = max(len(x) - columns.shape[1], 0)
-    # LEDs that failed are no noise: the variance by the median magnitude
-    variance = (1.4826 * float(np.median(np.abs(glance.total[inside] - fitted)))) ** 2 * len(x) / max(freedom, 1)
-    return variance * freedom, freedom, float((beside**2).sum()), beside.size
+    residual = np.full(glance.total.shape, np.nan)
+    residual[inside] = (glance.total[inside] - fitted) * np.sqrt(len(x) / max(len(x) - columns.shape[1], 1))
+    return _Uneven(residual, glance.corner, glance.change[whole < 1e-3])
+
+
+def _apart(one: _Uneven, other: _Uneven) -> Floats:
+    """Difference of two residuals where both are known."""
+    left, top = (max(a, b) for a, b in zip(one.corner, other.corner, strict=True))
+    a, b = (u.residual[top - u.corner[1] :, left - u.corner[0] :] for u in (one, other))
+    rows, cols = (min(m, n) for m, n in zip(a.shape, b.shape, strict=True))
+    return np.asarray(a[:rows, :cols] - b[:rows, :cols])
+
+
+def _variance(residual: Floats) -> tuple[float, int]:
+    """Variance by the median magnitude, for LEDs that failed are no noise, times the number of pixels; and that."""
+    known = np.abs(residual[np.isfinite(residual)])
+    return ((1.4826 * float(np.median(known))) ** 2 * known.size, known.size) if known.size else (0.0, 0)
 
 
 def _all_on(share: Shares, shape: tuple[int, int]) -> Floats:

@@ -39,11 +39,12 @@ class SoftReading:
         # a sum shows where the mean light was, a difference where the data's was, which is later
         self._later_s = (data - mean) * form.settings.pattern_period_s
 
-    def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> None:
+    def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> bool:
         """Find which LEDs give their light."""
         glance = self._glance(pattern, inverted, tracker.state)
-        tracker.data_gain = self._shares.learn(glance, header, tracker.data_gain)
+        tracker.data_gain, changed = self._shares.learn(glance, header, tracker.data_gain)
         tracker.shares = self._shares.values
+        return changed
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Keep a pair."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from heliograph.receive.soft import kernels
 from heliograph.receive.soft.equalise import equalise
-from heliograph.receive.soft.look import Glance, Look, measure_noise, of_squares, take_look
+from heliograph.receive.soft.look import Glance, Look, Noise, measure_noise, of_squares, take_look
 
 Floats = NDArray[np.float64]
 
@@ -23,6 +23,15 @@ SPREAD = 0.3
 FAILED, SOUND = 0.25, 0.65
 """Estimated shares up to which an LED counts as giving nothing, and from which on as giving all: noise and small
 errors of the pose then change nothing of a sound array."""
+
+CHANGED = 0.5
+"""Change of an LED's share that makes the pose of a header worth finding again."""
+
+LIT = 4.0
+"""Noise inside the array over that beside it, as variances; photons make it 2.4 in the reference link."""
+
+MODEL = 0.02
+"""Error of the image that errors of the pose leave, as a share of the light."""
 
 FORGET = 0.5
 """Weight of what was seen in earlier packets: hidden LEDs come to light."""
@@ -52,7 +61,7 @@ class LedShares:
         if self._seen is not None:
             self._seen = self._seen.scaled(FORGET)
 
-    def learn(self, glance: Glance, header: Floats, gain: float) -> float:
+    def learn(self, glance: Glance, header: Floats, gain: float) -> tuple[float, bool]:
         """Take a header pair.
 
         Parameters
@@ -66,25 +75,34 @@ class LedShares:
 
         Returns
         -------
-        The gain of the LEDs that give their light.
+        gain
+            Of the LEDs that give their light.
+        changed
+            Whether an LED gives its light that did not before, or no longer does: then the pose was found with others
+            than there are, and the pair is to be looked at and taken again.
         """
-        noise = measure_noise([glance], self._side, self.values)
-        look = take_look(glance, noise, self._side)
-        self._seen = look if self._seen is None else self._seen.plus(look)
+        dark = measure_noise([glance], self._side, self.values).dark
+        # with failed LEDs a sum does not tell its noise
+        look = take_look(glance, Noise(LIT * dark, dark), self._side)
+        seen = look if self._seen is None else self._seen.plus(look)
         for _ in range(2):
-            shares = self._estimate(header, gain, noise.lit)
+            shares = _estimate(seen, header, gain, LIT * dark + (MODEL * gain) ** 2)
             # the median LED is a sound one
             scale = float(np.clip(np.median(shares), 0.5, 2.0))
             gain *= scale
-        self.values = np.clip((shares / scale - FAILED) / (SOUND - FAILED), 0, 1)
-        return gain
+            if abs(scale - 1) < SPREAD / 10:
+                break
+        values = np.clip((shares / scale - FAILED) / (SOUND - FAILED), 0, 1)
+        changed = bool(np.abs(values - self.values).max() > CHANGED)
+        self._seen, self.values = None if changed else seen, values
+        return gain, changed
 
-    def _estimate(self, header: Floats, gain: float, noise: float) -> Floats:
-        assert self._seen is not None  # a header was just taken
-        signs = of_squares(header)
-        mean = kernels.cells(signs)
-        # of h w of the variance s^2 the cells have the variance 4 s^2, T T^T being 1/4
-        cells = equalise(self._seen, gain, noise, mean, np.full(mean.size, 4 * SPREAD**2)).mean
-        shares = kernels.leds(cells) * signs
-        half = self._side // 2
-        return np.asarray(shares.reshape(half, half, 2, 2).transpose(0, 2, 1, 3).reshape(self._side, self._side))
+
+def _estimate(seen: Look, header: Floats, gain: float, noise: float) -> Floats:
+    """Share of each LED's light, (n, n), by linear MMSE."""
+    signs, half = of_squares(header), len(header) // 2
+    mean = kernels.cells(signs)
+    # of h w of the variance s^2 the cells have the variance 4 s^2, T T^T being 1/4
+    cells = equalise(seen, gain, noise, mean, np.full(mean.size, 4 * SPREAD**2)).mean
+    shares = (kernels.leds(cells) * signs).reshape(half, half, 2, 2)
+    return np.asarray(shares.transpose(0, 2, 1, 3).reshape(header.shape))
