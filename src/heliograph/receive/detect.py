@@ -30,8 +30,15 @@ SIDE_STEP = 1.12
 COMB = 0.5
 """Pitches of blur that hide single LEDs while a candidate is centred: else it locks in a whole pitch beside them."""
 
-TILT = 0.1
-"""Standard deviation of stretch and of shear that a candidate may have; 40 degrees of yaw are a stretch of -0.13."""
+UPRIGHT, TILTED = 0.01, 0.1
+"""Standard deviations of stretch and of shear of candidates taken to face the camera and of others; 10 degrees of yaw
+are a stretch of -0.008, 40 degrees of -0.13."""
+
+CLEAR = 0.95
+"""Score at which a candidate that faces the camera is not tried as a tilted one too."""
+
+GAINED = 0.03
+"""How much better a tilted candidate must be: what is left of an upright array, a side of it hidden, looks tilted."""
 
 MOST_TILT = 0.2
 """Tilt of 48 degrees, beyond which LEDs hardly shine."""
@@ -83,7 +90,7 @@ class Detector:
         self._settings = settings
         self._side = signal.side
         # a lit square may be anything's; a tilted one all the more
-        self._tilts = settings.detect.detector == "m_sequence"
+        self._tilts = (UPRIGHT, TILTED) if settings.detect.detector == "m_sequence" else (UPRIGHT,)
         self._header = 2 * signal.header_pairs
         self._cells = _templates(settings)
         self._sides = _sizes(settings.detect.min_side_px, settings.detect.max_side_px)
@@ -172,12 +179,21 @@ class Detector:
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], row[3] / self._side, 0.0, blur)
         if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
             return None
-        rough = _fit_window(change, origin, start, sign * weights, self._side, self._tilts, COMB)
-        if rough is None or rough.score < self._settings.detect.coarse_score:
-            return None
-        return self._timed(frames, replace(rough.pose, blur=blur), weights, number)
+        best: Detection | None = None
+        for tilt in self._tilts:
+            rough = _fit_window(change, origin, start, sign * weights, self._side, tilt, COMB)
+            if rough is None or rough.score < self._settings.detect.coarse_score:
+                break
+            found = self._timed(frames, replace(rough.pose, blur=blur), weights, number, tilt)
+            if found is not None and (best is None or found.score > best.score + GAINED):
+                best = found
+            if best is not None and best.score >= CLEAR:
+                break
+        return best
 
-    def _timed(self, frames: list[Frame], pose: Pose, weights: NDArray[np.float64], number: int) -> Detection | None:
+    def _timed(
+        self, frames: list[Frame], pose: Pose, weights: NDArray[np.float64], number: int, tilt: float
+    ) -> Detection | None:
         """Where the header begins, the start at which its frames alternate most; and the pose in just those frames."""
         seen = np.array([project(f, pose, weights) for f in frames])
         sign = 1 - 2 * (np.arange(self._header) % 2)
@@ -186,7 +202,7 @@ class Detector:
         change = -np.diff(seen[start : start + self._header]) * sign[:-1]
         regularity = float(change.min() / max(change.mean(), 1e-9))
         header = frames[start : start + self._span]
-        fit = _fit_window(_change([f.pixels for f in header]), header[0].origin, pose, weights, self._side, self._tilts)
+        fit = _fit_window(_change([f.pixels for f in header]), header[0].origin, pose, weights, self._side, tilt)
         if fit is None or not self._convincing(fit, regularity, header[0].full_scale):
             return None
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
@@ -287,7 +303,7 @@ def _fit_window(
     start: Pose,
     weights: NDArray[np.float64],
     side: int,
-    tilts: bool,
+    tilt: float,
     smooth: float = 0.0,
 ) -> Fit | None:
     """Fit near a start, to pixels blurred by `smooth` pitches."""
@@ -301,7 +317,7 @@ def _fit_window(
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float64)
         start = replace(start, blur=float(np.hypot(start.blur, sigma)))
     reach = 0.08 * side * start.pitch
-    spread = np.diag(np.array([reach, reach, 0.1, 0.05, 0.2, TILT, TILT][: 7 if tilts else 5]) ** 2)
+    spread = np.diag(np.array([reach, reach, 0.1, 0.05, 0.2, tilt, tilt]) ** 2)
     return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, 6)
 
 

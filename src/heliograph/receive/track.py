@@ -131,8 +131,10 @@ class Tracker:
         vector[4] = np.log(np.hypot(pose.blur, sigma))
         covariance[[0, 1], [0, 1]] += pose.pitch**2
         smooth = np.asarray(cv2.GaussianBlur(total, (0, 0), sigma), np.float64)
+        # an even square stands for the array as long as all of it shines
+        failed = bool((self.shares < 1).any())
         wide = Prior(vector, covariance, prior.gain)
-        fit = fit_array(smooth, corner, wide, self.shares, self._settings.iterations, panel=True, resolved=False)
+        fit = fit_array(smooth, corner, wide, self.shares, self._settings.iterations, panel=True, resolved=failed)
         found = fit.vector.copy()
         found[4] = prior.vector[4]
         return found
