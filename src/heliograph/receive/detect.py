@@ -43,6 +43,10 @@ GAINED = 0.03
 MOST_TILT = 0.2
 """Tilt of 48 degrees, beyond which LEDs hardly shine."""
 
+HIDDEN, HIDDEN_SCORE, LIT_CELL = 0.5, 0.7, 0.5
+"""Largest hidden share of an array that is found all the same; the score that is left of half of it; and alternation,
+as a share of the median cell's, from which on a cell is not hidden."""
+
 SLACK = 2
 """Frames by which the start of the header may differ from the searched window's, either way."""
 
@@ -65,6 +69,8 @@ class Detection:
         Correlation with the header's image.
     regularity
         Weakest over mean alternation of the header's frames.
+    shares
+        (n, n) 1 where its LEDs shine, 0 in cells of the header that are hidden.
     """
 
     identity: int
@@ -73,6 +79,7 @@ class Detection:
     time_s: float
     score: float
     regularity: float
+    shares: NDArray[np.float64]
 
 
 class Detector:
@@ -202,20 +209,28 @@ class Detector:
         change = -np.diff(seen[start : start + self._header]) * sign[:-1]
         regularity = float(change.min() / max(change.mean(), 1e-9))
         header = frames[start : start + self._span]
-        fit = _fit_window(_change([f.pixels for f in header]), header[0].origin, pose, weights, self._side, tilt)
+        change, origin = _change([f.pixels for f in header]), header[0].origin
+        fit, shares = _fit_window(change, origin, pose, weights, self._side, tilt), np.ones(weights.shape)
+        if (
+            fit is not None
+            and HIDDEN_SCORE <= fit.score < CLEAR
+            and regularity >= self._settings.detect.hidden_regularity
+        ):
+            shares = np.kron(_lit_cells(change, origin, fit.pose, weights), np.ones((self._side // CELLS,) * 2))
+            if 1 - HIDDEN <= shares.mean() < 1:
+                fit = _fit_window(change, origin, fit.pose, shares * weights, self._side, tilt)
         if fit is None or not self._convincing(fit, regularity, header[0].full_scale):
             return None
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
-        return Detection(number, header[0].time_s, fit, middle, fit.score, regularity)
+        return Detection(number, header[0].time_s, fit, middle, fit.score, regularity, shares)
 
     def _convincing(self, fit: Fit, regularity: float, full_scale: int) -> bool:
         detect, side, half_step = self._settings.detect, self._side * fit.pose.pitch, SIDE_STEP**0.5
         bright = fit.gain >= detect.min_contrast * full_scale
         sized = detect.min_side_px / half_step <= side <= detect.max_side_px * half_step
         turned = np.hypot(fit.pose.stretch, fit.pose.shear) <= MOST_TILT
-        whole = fit.score >= detect.score and regularity >= detect.regularity
-        hidden = fit.score >= detect.hidden_score and regularity >= detect.hidden_regularity
-        return bool(bright and sized and turned and (whole or hidden))
+        alike = fit.score >= detect.score and regularity >= detect.regularity
+        return bool(bright and sized and turned and alike)
 
     def _weights(self, number: int) -> NDArray[np.float64]:
         size = self._side // CELLS
@@ -319,6 +334,31 @@ def _fit_window(
     reach = 0.08 * side * start.pitch
     spread = np.diag(np.array([reach, reach, 0.1, 0.05, 0.2, tilt, tilt]) ** 2)
     return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, 6)
+
+
+def _lit_cells(
+    change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Which cells of the header of +-1 weights alternate as the others do, (CELLS, CELLS) of 0 and 1."""
+    from heliograph.receive import kernels
+
+    x0, y0, width, height = window_around(pose, len(weights), 1.0)
+    i, j = max(0, y0 - origin[1]), max(0, x0 - origin[0])
+    image = change[i : y0 - origin[1] + height, j : x0 - origin[0] + width].astype(np.float64)
+    shapes, size, out = [], len(weights) // CELLS, np.empty((6, *image.shape))
+    for cell in range(CELLS * CELLS):
+        mask = np.zeros((CELLS, CELLS))
+        mask.flat[cell] = 1
+        kernels.render(
+            pose.full_vector(),
+            weights * np.kron(mask, np.ones((size, size))),
+            float(origin[0] + j),
+            float(origin[1] + i),
+            out,
+        )
+        shapes.append(out[0].ravel().copy())
+    light = np.linalg.lstsq(np.stack(shapes, 1), image.ravel(), rcond=None)[0]
+    return np.asarray((light > LIT_CELL * np.median(light)).astype(float).reshape(CELLS, CELLS))
 
 
 def _distinct(detections: list[Detection], side: int) -> list[Detection]:

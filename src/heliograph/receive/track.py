@@ -63,7 +63,7 @@ class Tracker:
     def __init__(self, detection: Detection, side: int, settings: TrackSettings):
         fit = detection.fit
         self._settings = settings
-        self.shares = np.ones((side, side))
+        self.shares = detection.shares
         self._side = side
         self.state = PoseState.start(detection.time_s, fit.vector, _widened(fit.covariance))
         self._before = self.state
