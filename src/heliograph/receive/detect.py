@@ -43,7 +43,7 @@ GAINED = 0.03
 MOST_TILT = 0.2
 """Tilt of 48 degrees, beyond which LEDs hardly shine."""
 
-HIDDEN, HIDDEN_SCORE, LIT_CELL = 0.5, 0.7, 0.5
+HIDDEN, HIDDEN_SCORE, LIT_CELL = 0.5, 0.7, 0.4
 """Largest hidden share of an array that is found all the same; the score that is left of half of it; and alternation,
 as a share of the median cell's, from which on a cell is not hidden."""
 
@@ -209,16 +209,16 @@ class Detector:
         change = -np.diff(seen[start : start + self._header]) * sign[:-1]
         regularity = float(change.min() / max(change.mean(), 1e-9))
         header = frames[start : start + self._span]
-        change, origin = _change([f.pixels for f in header]), header[0].origin
-        fit, shares = _fit_window(change, origin, pose, weights, self._side, tilt), np.ones(weights.shape)
-        if (
-            fit is not None
-            and HIDDEN_SCORE <= fit.score < CLEAR
-            and regularity >= self._settings.detect.hidden_regularity
-        ):
-            shares = np.kron(_lit_cells(change, origin, fit.pose, weights), np.ones((self._side // CELLS,) * 2))
-            if 1 - HIDDEN <= shares.mean() < 1:
-                fit = _fit_window(change, origin, fit.pose, shares * weights, self._side, tilt)
+        alternation, origin = _change([f.pixels for f in header]), header[0].origin
+        fit = _fit_window(alternation, origin, pose, weights, self._side, tilt)
+        shares: NDArray[np.float64] = np.ones(weights.shape)
+        even = regularity >= self._settings.detect.hidden_regularity
+        if fit is not None and HIDDEN_SCORE <= fit.score < CLEAR and even:
+            lit = _lit_cells(alternation, origin, fit.pose, weights)
+            part = np.kron(lit, np.ones((self._side // CELLS, self._side // CELLS)))
+            rest = _fit_window(alternation, origin, fit.pose, part * weights, self._side, tilt)
+            if rest is not None and lit.mean() >= 1 - HIDDEN and rest.score > fit.score:
+                fit, shares = rest, part
         if fit is None or not self._convincing(fit, regularity, header[0].full_scale):
             return None
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
@@ -229,8 +229,9 @@ class Detector:
         bright = fit.gain >= detect.min_contrast * full_scale
         sized = detect.min_side_px / half_step <= side <= detect.max_side_px * half_step
         turned = np.hypot(fit.pose.stretch, fit.pose.shear) <= MOST_TILT
-        alike = fit.score >= detect.score and regularity >= detect.regularity
-        return bool(bright and sized and turned and alike)
+        whole = fit.score >= detect.score and regularity >= detect.regularity
+        hidden = fit.score >= detect.hidden_score and regularity >= detect.hidden_regularity
+        return bool(bright and sized and turned and (whole or hidden))
 
     def _weights(self, number: int) -> NDArray[np.float64]:
         size = self._side // CELLS
