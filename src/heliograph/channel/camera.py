@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
-from heliograph.channel.exposure import Lighting, PatternFeed
+from heliograph.channel.exposure import Faults, Lighting, PatternFeed
 from heliograph.channel.footage import Footage
 from heliograph.channel.motion import ImuTrace, Motion, film_duration, motion
-from heliograph.channel.settings import ChannelSettings
+from heliograph.channel.settings import ChannelSettings, Placement
 from heliograph.channel.truth import NoiseModel, Truth
 
 Patterns = Iterable[NDArray[np.uint8]]
@@ -48,7 +48,7 @@ def film(
         For each array of the settings its patterns in the order of time, (n, n) uint8 levels 0 to 4, possibly
         endless; dark before its start and after its end.
     rng
-        Seeds the road, the drawn scene and the noise, in this order.
+        Seeds the road, the drawn scene (and which LEDs fail) and the noise, in this order.
     pattern_period_s, slot_order
         T_b and the order of the PWM slots, as in the signal's settings.
     footage, imu
@@ -76,16 +76,24 @@ def film(
         raise SettingsError("background.kind = footage needs recorded frames: pass footage, or choose another kind")
     seeds = [int(s) for s in rng.integers(0, 2**63, 3)]
     arrays = [
-        Lighting(
+        _lighting(
+            place,
             PatternFeed(patterns, f"array {k}"),
-            p.start_s,
-            pattern_period_s * (1 + p.clock_ppm * 1e-6),
+            pattern_period_s,
             tuple(slot_order),
+            np.random.default_rng([seeds[1], k]),
         )
-        for k, (p, patterns) in enumerate(zip(settings.arrays, lights, strict=True))
+        for k, (place, patterns) in enumerate(zip(settings.arrays, lights, strict=True))
     ]
     drive = motion(settings, imu, np.random.default_rng(seeds[0]))
     return _shoot(settings, arrays, drive, footage, seeds[1], seeds[2], roi_margin_px)
+
+
+def _lighting(
+    place: Placement, feed: PatternFeed, period_s: float, order: tuple[int, ...], rng: np.random.Generator
+) -> Lighting:
+    period_s *= 1 + place.clock_ppm * 1e-6
+    return Lighting(feed, place.start_s, period_s, order, Faults.of(place, feed.side, rng))
 
 
 def _check(

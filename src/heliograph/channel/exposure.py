@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.channel.settings import Placement
 from heliograph.signal.pwm import SLOTS
 
 Floats = NDArray[np.float64]
@@ -107,6 +108,50 @@ class Lit:
 
 
 @dataclass(frozen=True)
+class Faults:
+    """What keeps an array from showing its patterns.
+
+    Attributes
+    ----------
+    dead, stuck, hidden
+        (n, n) LEDs that never shine, that always do, and that something hides.
+    off_s
+        Times (from, to) for which all are dark.
+    """
+
+    dead: NDArray[np.bool_]
+    stuck: NDArray[np.bool_]
+    hidden: NDArray[np.bool_]
+    off_s: tuple[tuple[float, float], ...] = ()
+
+    @classmethod
+    def of(cls, place: Placement, side: int, rng: np.random.Generator) -> "Faults":
+        """The faults of an array; which LEDs fail is drawn at random."""
+        order = rng.permutation(side * side).reshape(side, side)
+        many, more = round(place.dead * side * side), round(place.stuck * side * side)
+        hidden = np.zeros((side, side), bool)
+        if place.hidden:
+            left, top, right, low = place.hidden
+            v, u = np.meshgrid(*2 * [(np.arange(side) + 0.5) / side])
+            hidden = (v > left) & (v < right) & (u > top) & (u < low)
+        return cls(order < many, (order >= many) & (order < many + more), hidden, place.off_s)
+
+    def left(self, on: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """What shines of LEDs (k, n, n) that should."""
+        return np.asarray(((on & ~self.dead) | self.stuck) & ~self.hidden)
+
+    def cut(self, begin_s: float, end_s: float) -> Iterator[tuple[float, float]]:
+        """The parts of a time for which the array is not off."""
+        for off, on in sorted(self.off_s):
+            if off > begin_s:
+                yield begin_s, min(off, end_s)
+            begin_s = max(begin_s, on)
+            if begin_s >= end_s:
+                return
+        yield begin_s, end_s
+
+
+@dataclass(frozen=True)
 class Lighting:
     """When an array shows its patterns.
 
@@ -118,12 +163,15 @@ class Lighting:
         Start of pattern 0, and the pattern period by the array's own clock.
     slot_order
         Order in which slots are lit as the level rises.
+    faults
+        What keeps it from showing them.
     """
 
     feed: PatternFeed
     start_s: float
     period_s: float
     slot_order: tuple[int, ...]
+    faults: Faults
 
     def lit(self, start_s: float, end_s: float) -> Lit | None:
         """What is lit in an exposure; None where the array shows no pattern."""
@@ -136,10 +184,11 @@ class Lighting:
             number, phase = divmod(slot, SLOTS)
             pattern = self.feed.at(number) if end - begin > SLIVER * slot_s else None
             if pattern is not None:
-                pieces.append((begin, end, number, phase, pattern))
+                parts = [part for part in self.faults.cut(begin, end) if part[1] - part[0] > SLIVER * slot_s]
+                pieces += [(*part, number, phase, pattern) for part in parts]
         if not pieces:
             return None
         begins, ends, numbers, phases, patterns = zip(*pieces, strict=True)
         rank = np.argsort(np.asarray(self.slot_order))[list(phases)]
-        on = (np.stack(patterns) > rank[:, None, None]).astype(float)
+        on = self.faults.left(np.stack(patterns) > rank[:, None, None]).astype(float)
         return Lit(np.array(begins), np.array(ends), on, tuple(dict.fromkeys(numbers)))

@@ -151,7 +151,7 @@ def _view(stage: Stage, array: int, times_s: Floats, pose: Pose) -> View:
     )
 
 
-def _panel(half_m: float, maps: Floats, ahead: NDArray[np.bool_], bounds: Floats, blur_px: float) -> PanelView:
+def _panel(half_m: float | Floats, maps: Floats, ahead: NDArray[np.bool_], bounds: Floats, blur_px: float) -> PanelView:
     maps = np.where(ahead[:, None, None], maps, np.eye(3))  # the others are not drawn
     # the pixel's box counts by its variance 1/12 here: edges have no more contrast than the background
     sigma = math.hypot(blur_px, math.sqrt(1 / 12))
@@ -189,17 +189,32 @@ def render(stage: Stage, block: Block, k: int, canvas: Canvas) -> tuple[ArrayTru
     for array in sorted(range(len(lit)), key=lambda a: -block.views[a].homography[k, 2, 2]):
         view, one = block.views[array], lit[array]
         if view.ahead[k] and canvas.meets(view.panel.box[k]):
-            _lay_panel(stage, view.panel, k, canvas)
+            _lay_panel(view.panel, k, stage.settings.emitter.panel_level, canvas)
+            _hide(stage, array, view, k, canvas)
             if one is not None:
                 _shine(stage, array, view, k, one, (start, end), canvas)
     return tuple(_truth(view, k, one) for view, one in zip(block.views, lit, strict=True))
 
 
-def _lay_panel(stage: Stage, panel: PanelView, k: int, canvas: Canvas) -> None:
+def _lay_panel(panel: PanelView, k: int, level: float, canvas: Canvas) -> None:
     half = (float(panel.half[k, 0]), float(panel.half[k, 1]))
     left, top, right, low = map(int, panel.box[k])
-    level = stage.settings.emitter.panel_level
     cover(canvas.light, canvas.corner, panel.inverse[k], half, (left, top, right, low), level, normal_table())
+
+
+def _hide(stage: Stage, array: int, view: View, k: int, canvas: Canvas) -> None:
+    """Lay what hides a part of an array over its panel; the LEDs behind it are left out of what is lit."""
+    settings, place = stage.settings, stage.settings.arrays[array]
+    if not place.hidden:
+        return
+    left, top, right, low = (np.array(place.hidden) - 0.5) * stage.lightings[array].feed.side * settings.emitter.pitch_m
+    # the plane's origin moved to the middle of the part
+    moved = np.array([[1.0, 0.0, 0.5 * (left + right)], [0.0, 1.0, 0.5 * (top + low)], [0.0, 0.0, 1.0]])
+    half = 0.5 * np.array([right - left, low - top])
+    panel = _panel(
+        half, (view.homography[k] @ moved)[None], np.ones(1, bool), view.bounds[k][None], settings.camera.blur_px
+    )
+    _lay_panel(panel, 0, place.hidden_level, canvas)
 
 
 def _shine(

@@ -79,7 +79,7 @@ def _gap(pose: Pose, times_s: Floats, placement: Placement, distance_m: float) -
     """From the camera to the array's centre in the world's axes, (..., 3)."""
     x = placement.x_m + placement.vx_m_s * times_s
     y = placement.y_m + placement.vy_m_s * times_s + pose.heave_m
-    z = distance_m + placement.z_offset_m - pose.way_m
+    z = distance_m + placement.z_offset_m + placement.vz_m_s * times_s - pose.way_m
     z = np.where(np.abs(z) < TINY_M, TINY_M, z)  # the camera in the array's plane
     return np.stack(np.broadcast_arrays(x, y, z), -1)
 

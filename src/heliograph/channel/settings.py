@@ -14,6 +14,7 @@ NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=4)]
 Ppm = Annotated[float, Field(ge=-1e4, le=1e4)]
 Tilt = Annotated[float, Field(gt=-90, lt=90)]
+Part = Annotated[float, Field(ge=0, le=1)]
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
@@ -28,10 +29,19 @@ class Placement:
         How much further away than ``distance_m`` its centre stands at time 0.
     yaw_deg, pitch_deg, roll_deg
         Tilt about the downward, the rightward and the forward axis; roll turns it clockwise as the camera sees it.
-    vx_m_s, vy_m_s
-        The array's own velocity, right and down.
+    vx_m_s, vy_m_s, vz_m_s
+        The array's own velocity, right, down and away.
     brightness
         Factor on the light of all its LEDs.
+    dead, stuck
+        Shares of its LEDs, anywhere in it, that never shine and that shine all the time.
+    hidden
+        What a thing right before the panel hides of it: left, top, right and lower edge as shares of the array's side,
+        such as (0, 0, 0.5, 0.5); none if empty.
+    hidden_level
+        Light of that thing, as a share of full scale.
+    off_s
+        Times (from, to) in s for which it is dark, stuck LEDs too; its clock goes on.
     clock_ppm
         Its pattern period is longer by this than the nominal one.
     start_s
@@ -46,9 +56,27 @@ class Placement:
     roll_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
     vx_m_s: float = 0.0
     vy_m_s: float = 0.0
+    vz_m_s: float = 0.0
     brightness: NotNegative = 1.0
+    dead: Part = 0.0
+    stuck: Part = 0.0
+    hidden: tuple[Part, Part, Part, Part] | tuple[()] = ()
+    hidden_level: Share = 0.1
+    off_s: tuple[tuple[float, float], ...] = ()
     clock_ppm: Ppm = 0.0
     start_s: float = 0.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Placement":
+        if self.dead + self.stuck > 1:
+            raise ValueError(
+                f"dead and stuck are shares of all LEDs, at most 1 together, not {self.dead + self.stuck:g}"
+            )
+        if self.hidden and not (self.hidden[0] < self.hidden[2] and self.hidden[1] < self.hidden[3]):
+            raise ValueError(f"hidden is left, top, right, lower with left < right, top < lower, not {self.hidden}")
+        if any(end <= begin for begin, end in self.off_s):
+            raise ValueError(f"off_s are times (from, to) with from < to, not {self.off_s}")
+        return self
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.experiments.clutter import Film
 from heliograph.receive import Pose
-from heliograph.receive.detect import BLOCK, COMB, Detector, _change, _fit_window
+from heliograph.receive.detect import BLOCK, COMB, UPRIGHT, Detector, _change, _fit_window
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
@@ -97,10 +97,10 @@ class Probe(Detector):
         number, blur = int(row[4]), self._settings.calibration.blur_px
         weights = float(np.sign(row[0])) * self._weights(number)
         start = Pose(row[1] - 0.5, row[2] - 0.5, row[3] / self._side, 0.0, blur)
-        rough = _fit_window(change, (0, 0), start, weights, self._side, COMB)
+        rough = _fit_window(change, (0, 0), start, weights, self._side, UPRIGHT, COMB)
         if rough is None:
             return None
-        fit = _fit_window(change, (0, 0), replace(rough.pose, blur=blur), weights, self._side)
+        fit = _fit_window(change, (0, 0), replace(rough.pose, blur=blur), weights, self._side, UPRIGHT)
         if fit is None or not self._convincing(fit, 1.0, full_scale):
             return None
         return Candidate(fit.score, fit.pose, number)

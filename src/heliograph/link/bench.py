@@ -223,7 +223,11 @@ def dithered(settings: LinkSettings, seed: int) -> LinkSettings:
 def stands_still(settings: LinkSettings) -> bool:
     """Whether the scene stays as it is, so that a film may be of any length."""
     channel = settings.channel
-    return not channel.moves and channel.shake != "imu" and not any(p.vx_m_s or p.vy_m_s for p in channel.arrays)
+    return (
+        not channel.moves
+        and channel.shake != "imu"
+        and not any(p.vx_m_s or p.vy_m_s or p.vz_m_s for p in channel.arrays)
+    )
 
 
 def random_messages(settings: LinkSettings, seed: int) -> list[Messages]:

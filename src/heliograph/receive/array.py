@@ -20,6 +20,9 @@ from heliograph.signal.pwm import light_centroids
 HEADER_SEEN = 0.5
 """Least alternation of a header, as a share of the array's luminance."""
 
+RELEARN = 3
+"""Most times a header pair is looked at."""
+
 
 @dataclass(slots=True)
 class _Gathered:
@@ -58,7 +61,6 @@ class ArrayReceiver:
         observe: Observer,
         reading: MakeReading,
     ):
-        self._make_reading = reading
         self.identity = detection.identity
         self.tracker = Tracker(detection, form.settings.side, settings.track)
         self._start_s = detection.start_time_s
@@ -67,7 +69,7 @@ class ArrayReceiver:
         self._sum_late_s = (mean - 0.5) * form.settings.pattern_period_s
         self._held: Frame | None = None
         self._pair = 0
-        self._packet = self._empty()
+        self._packet = self._empty(reading(self.identity, form, settings, observe))
         self._failed = False
         self._now_s = detection.time_s
 
@@ -139,9 +141,17 @@ class ArrayReceiver:
         # the later pairs are dimmed where a format is named
         number = packet.reading.named.number if pair else 0
         weights = named_levels(self.identity, number, self._form.settings.side) / 2.0 - 1.0
-        packet.header.append(self._alternation(pattern, inverted, tracked, weights))
+        packet.header.append(self._alternation(pattern, inverted, tracked, weights * self.tracker.shares))
         if tracked.seen:
+            self._learn(pattern, inverted, weights)
+
+    def _learn(self, pattern: Frame, inverted: Frame, weights: NDArray[np.float64]) -> None:
+        """Let tracker and reading learn from a header pair; again while they find what changes the pose."""
+        for _ in range(RELEARN):
             self.tracker.refine(pattern, inverted, weights)
+            if not self._packet.reading.learn(pattern, inverted, weights, self.tracker):
+                break
+            self.tracker.again(pattern, inverted)
 
     def _alternation(
         self, pattern: Frame, inverted: Frame, tracked: TrackedPair, weights: NDArray[np.float64]
@@ -153,7 +163,7 @@ class ArrayReceiver:
 
     def _finish(self) -> Packet:
         """Decode what was gathered and begin the next packet."""
-        packet, self._packet = self._packet, self._empty()
+        packet, self._packet = self._packet, self._empty(self._packet.reading.following())
         layers = packet.reading.decode()
         header = float(np.mean(packet.header)) if packet.header else 0.0
         status = _status(layers, header, float(packet.seen.mean()))
@@ -177,7 +187,7 @@ class ArrayReceiver:
             last_frame=packet.frames[-1],
             pose=pose,
             # pinhole: pitch_px = f p / (Z pixel)
-            distance_m=calibration.focal_m * calibration.pitch_m / (pose.pitch * calibration.pixel_m),
+            distance_m=calibration.focal_m * calibration.pitch_m / (pose.frontal_pitch * calibration.pixel_m),
             header_score=header,
             track_score=float(np.mean(packet.scores)),
             pairs_seen=float(packet.seen.mean()),
@@ -185,8 +195,7 @@ class ArrayReceiver:
             named=packet.reading.named,
         )
 
-    def _empty(self) -> _Gathered:
-        reading = self._make_reading(self.identity, self._form, self._settings, self._observe)
+    def _empty(self, reading: Reading) -> _Gathered:
         return _Gathered(reading, np.zeros(self._form.settings.data_pairs, dtype=bool))
 
 

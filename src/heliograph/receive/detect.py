@@ -30,6 +30,23 @@ SIDE_STEP = 1.12
 COMB = 0.5
 """Pitches of blur that hide single LEDs while a candidate is centred: else it locks in a whole pitch beside them."""
 
+UPRIGHT, TILTED = 0.01, 0.1
+"""Standard deviations of stretch and of shear of candidates taken to face the camera and of others; 10 degrees of yaw
+are a stretch of -0.008, 40 degrees of -0.13."""
+
+CLEAR = 0.95
+"""Score at which a candidate that faces the camera is not tried as a tilted one too."""
+
+GAINED = 0.03
+"""How much better a tilted candidate must be: what is left of an upright array, a side of it hidden, looks tilted."""
+
+MOST_TILT = 0.2
+"""Tilt of 48 degrees, beyond which LEDs hardly shine."""
+
+HIDDEN, HIDDEN_SCORE, LIT_CELL = 0.5, 0.7, 0.4
+"""Largest hidden share of an array that is found all the same; the score that is left of half of it; and alternation,
+as a share of the median cell's, from which on a cell is not hidden."""
+
 SLACK = 2
 """Frames by which the start of the header may differ from the searched window's, either way."""
 
@@ -52,6 +69,8 @@ class Detection:
         Correlation with the header's image.
     regularity
         Weakest over mean alternation of the header's frames.
+    shares
+        (n, n) 1 where its LEDs shine, 0 in cells of the header that are hidden.
     """
 
     identity: int
@@ -60,6 +79,7 @@ class Detection:
     time_s: float
     score: float
     regularity: float
+    shares: NDArray[np.float64]
 
 
 class Detector:
@@ -76,6 +96,8 @@ class Detector:
     def __init__(self, settings: ReceiveSettings, signal: SignalSettings):
         self._settings = settings
         self._side = signal.side
+        # a lit square may be anything's; a tilted one all the more
+        self._tilts = (UPRIGHT, TILTED) if settings.detect.detector == "m_sequence" else (UPRIGHT,)
         self._header = 2 * signal.header_pairs
         self._cells = _templates(settings)
         self._sides = _sizes(settings.detect.min_side_px, settings.detect.max_side_px)
@@ -164,12 +186,21 @@ class Detector:
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], row[3] / self._side, 0.0, blur)
         if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
             return None
-        rough = _fit_window(change, origin, start, sign * weights, self._side, COMB)
-        if rough is None or rough.score < self._settings.detect.coarse_score:
-            return None
-        return self._timed(frames, replace(rough.pose, blur=blur), weights, number)
+        best: Detection | None = None
+        for tilt in self._tilts:
+            rough = _fit_window(change, origin, start, sign * weights, self._side, tilt, COMB)
+            if rough is None or rough.score < self._settings.detect.coarse_score:
+                break
+            found = self._timed(frames, replace(rough.pose, blur=blur), weights, number, tilt)
+            if found is not None and (best is None or found.score > best.score + GAINED):
+                best = found
+            if best is not None and best.score >= CLEAR:
+                break
+        return best
 
-    def _timed(self, frames: list[Frame], pose: Pose, weights: NDArray[np.float64], number: int) -> Detection | None:
+    def _timed(
+        self, frames: list[Frame], pose: Pose, weights: NDArray[np.float64], number: int, tilt: float
+    ) -> Detection | None:
         """Where the header begins, the start at which its frames alternate most; and the pose in just those frames."""
         seen = np.array([project(f, pose, weights) for f in frames])
         sign = 1 - 2 * (np.arange(self._header) % 2)
@@ -178,17 +209,29 @@ class Detector:
         change = -np.diff(seen[start : start + self._header]) * sign[:-1]
         regularity = float(change.min() / max(change.mean(), 1e-9))
         header = frames[start : start + self._span]
-        fit = _fit_window(_change([f.pixels for f in header]), header[0].origin, pose, weights, self._side)
+        alternation, origin = _change([f.pixels for f in header]), header[0].origin
+        fit = _fit_window(alternation, origin, pose, weights, self._side, tilt)
+        shares: NDArray[np.float64] = np.ones(weights.shape)
+        even = regularity >= self._settings.detect.hidden_regularity
+        if fit is not None and HIDDEN_SCORE <= fit.score < CLEAR and even:
+            lit = _lit_cells(alternation, origin, fit.pose, weights)
+            part = np.kron(lit, np.ones((self._side // CELLS, self._side // CELLS)))
+            rest = _fit_window(alternation, origin, fit.pose, part * weights, self._side, tilt)
+            if rest is not None and lit.mean() >= 1 - HIDDEN and rest.score > fit.score:
+                fit, shares = rest, part
         if fit is None or not self._convincing(fit, regularity, header[0].full_scale):
             return None
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
-        return Detection(number, header[0].time_s, fit, middle, fit.score, regularity)
+        return Detection(number, header[0].time_s, fit, middle, fit.score, regularity, shares)
 
     def _convincing(self, fit: Fit, regularity: float, full_scale: int) -> bool:
         detect, side, half_step = self._settings.detect, self._side * fit.pose.pitch, SIDE_STEP**0.5
         bright = fit.gain >= detect.min_contrast * full_scale
         sized = detect.min_side_px / half_step <= side <= detect.max_side_px * half_step
-        return bright and sized and fit.score >= detect.score and regularity >= detect.regularity
+        turned = np.hypot(fit.pose.stretch, fit.pose.shear) <= MOST_TILT
+        whole = fit.score >= detect.score and regularity >= detect.regularity
+        hidden = fit.score >= detect.hidden_score and regularity >= detect.hidden_regularity
+        return bool(bright and sized and turned and (whole or hidden))
 
     def _weights(self, number: int) -> NDArray[np.float64]:
         size = self._side // CELLS
@@ -202,7 +245,7 @@ def project(frame: Frame, pose: Pose, weights: NDArray[np.float64]) -> float:
     x0, y0, width, height = window_around(pose, weights.shape[0], 1.0)
     cut = cut_out(frame, x0, y0, width, height)
     model = np.empty((6, height, width))
-    kernels.render(pose.vector(), weights, float(x0), float(y0), model)
+    kernels.render(pose.full_vector(), weights, float(x0), float(y0), model)
     shape = model[0] - model[0].mean()
     return float((cut * shape).sum() / max((shape * shape).sum(), 1e-9))
 
@@ -276,6 +319,7 @@ def _fit_window(
     start: Pose,
     weights: NDArray[np.float64],
     side: int,
+    tilt: float,
     smooth: float = 0.0,
 ) -> Fit | None:
     """Fit near a start, to pixels blurred by `smooth` pitches."""
@@ -289,8 +333,33 @@ def _fit_window(
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float64)
         start = replace(start, blur=float(np.hypot(start.blur, sigma)))
     reach = 0.08 * side * start.pitch
-    spread = np.diag([reach**2, reach**2, 0.1**2, 0.05**2, 0.2**2])
-    return fit_array(image, (x0, y0), Prior(start.vector(), spread), weights, 6)
+    spread = np.diag(np.array([reach, reach, 0.1, 0.05, 0.2, tilt, tilt]) ** 2)
+    return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, 6)
+
+
+def _lit_cells(
+    change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Which cells of the header of +-1 weights alternate as the others do, (CELLS, CELLS) of 0 and 1."""
+    from heliograph.receive import kernels
+
+    x0, y0, width, height = window_around(pose, len(weights), 1.0)
+    i, j = max(0, y0 - origin[1]), max(0, x0 - origin[0])
+    image = change[i : y0 - origin[1] + height, j : x0 - origin[0] + width].astype(np.float64)
+    shapes, size, out = [], len(weights) // CELLS, np.empty((6, *image.shape))
+    for cell in range(CELLS * CELLS):
+        mask = np.zeros((CELLS, CELLS))
+        mask.flat[cell] = 1
+        kernels.render(
+            pose.full_vector(),
+            weights * np.kron(mask, np.ones((size, size))),
+            float(origin[0] + j),
+            float(origin[1] + i),
+            out,
+        )
+        shapes.append(out[0].ravel().copy())
+    light = np.linalg.lstsq(np.stack(shapes, 1), image.ravel(), rcond=None)[0]
+    return np.asarray((light > LIT_CELL * np.median(light)).astype(float).reshape(CELLS, CELLS))
 
 
 def _distinct(detections: list[Detection], side: int) -> list[Detection]:

@@ -23,9 +23,9 @@ class Fit:
     Attributes
     ----------
     vector
-        (x, y, ln pitch, roll, ln blur) of the pose, (5,).
+        (x, y, ln pitch, roll, ln blur) of the pose, (5,), or with the tilt, (7,), as the prior.
     covariance
-        Of the vector, (5, 5), the prior's knowledge included.
+        Of what was fitted, (5, 5) or (7, 7), the prior's knowledge included.
     gain
         Luminance of the array with all weights 1, where it is not resolved, as gray levels.
     score
@@ -53,7 +53,8 @@ class Prior:
     Attributes
     ----------
     vector, covariance
-        Pose vector (5,) and its covariance (5, 5); the fit starts there.
+        Pose vector (5,) or, with the tilt, (7,), and its covariance; the fit starts there. With a (5, 5) covariance
+        the tilt is held.
     gain
         Expected gain, or 0 where it is unknown.
     """
@@ -95,7 +96,7 @@ def fit_array(
         Whether a panel darker or brighter than the background may surround the LEDs: it does in a sum of frames, it
         cancels in a difference.
     start
-        Pose vector (5,) to start from; the prior's if None.
+        Pose vector to start from; the prior's if None.
     resolved
         Whether LEDs may show singly. If not, all are taken as lit and the array as an even square, which is faster.
 
@@ -103,24 +104,26 @@ def fit_array(
     -------
     Fit
     """
-    scene = _Scene(image, corner, weights, panel, resolved)
+    free = len(prior.covariance)
+    scene = _Scene(image, corner, weights, panel, resolved, free)
     vector, precision = (prior.vector if start is None else start).copy(), np.linalg.inv(prior.covariance)
     scene.place(vector)
     linear = scene.coefficients(prior.gain)
     for _ in range(iterations):
         matrix, rhs = scene.equations(linear)
         # prior: (theta - theta_0)^T P^-1 (theta - theta_0), and the gain's
-        matrix[:5, :5] += precision
-        rhs[:5] += precision @ (prior.vector - vector)
+        matrix[:free, :free] += precision
+        rhs[:free] += precision @ (prior.vector - vector)[:free]
         if prior.gain:
             weight = (GAIN_SPREAD * prior.gain) ** -2
-            matrix[5, 5] += weight
-            rhs[5] += weight * (prior.gain - linear[0])
+            matrix[free, free] += weight
+            rhs[free] += weight * (prior.gain - linear[0])
         step = np.linalg.solve(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3), rhs)
-        vector = vector + np.clip(step[:5], *_step_limits(vector))
-        linear = linear + step[5:]
+        limit = _step_limits(vector)[:free]
+        vector[:free] += np.clip(step[:free], -limit, limit)
+        linear = linear + step[free:]
         scene.place(vector)
-    covariance = np.linalg.inv(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3))[:5, :5]
+    covariance = np.linalg.inv(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3))[:free, :free]
     residual = scene.residual(linear)
     return Fit(
         vector,
@@ -134,14 +137,14 @@ def fit_array(
 class _Scene:
     """The images whose combination is the pixels, at a pose."""
 
-    def __init__(self, image: Floats, corner: tuple[int, int], weights: Floats, panel: bool, resolved: bool):
+    def __init__(self, image: Floats, corner: tuple[int, int], weights: Floats, panel: bool, resolved: bool, free: int):
         from heliograph.receive import kernels  # Numba is slow to import
 
         self._kernels, self._image, self._corner, self._weights = kernels, image, corner, weights
         self._resolved = resolved
         self._margins = PANEL_MARGINS if panel else ()
         shaped = 1 + len(self._margins)
-        self._shapes = np.empty((shaped, 6, *image.shape))
+        self._shapes = np.empty((shaped, 1 + free, *image.shape))
         self._plane = _plane(*image.shape)
         self._residual = np.empty(image.shape)
 
@@ -169,7 +172,7 @@ class _Scene:
 
     def equations(self, linear: Floats) -> tuple[Floats, Floats]:
         """Normal equations of steps in pose and coefficients, in units of the noise found."""
-        size = 5 + len(linear)
+        size = self._shapes.shape[1] - 1 + len(linear)
         matrix, rhs = np.empty((size, size)), np.empty(size)
         rough = BIWEIGHT * _spread_of(self.residual(linear))
         mass, loss = self._kernels.normal_equations(self._image, self._shapes, self._plane, linear, rough, matrix, rhs)
@@ -184,9 +187,9 @@ class _Scene:
 
 def window_around(pose: Pose, side: int, margin: float) -> tuple[int, int, int, int]:
     """Corner and size (x, y, columns, rows) of the pixels around an array and `margin` px more."""
-    half = 0.5 * side * pose.pitch * (abs(np.cos(pose.roll)) + abs(np.sin(pose.roll))) + margin
-    x0, y0 = int(np.floor(pose.x - half)), int(np.floor(pose.y - half))
-    return x0, y0, int(np.ceil(pose.x + half)) - x0 + 1, int(np.ceil(pose.y + half)) - y0 + 1
+    across, down = 0.5 * side * np.abs(pose.axes).sum(1) + margin
+    x0, y0 = int(np.floor(pose.x - across)), int(np.floor(pose.y - down))
+    return x0, y0, int(np.ceil(pose.x + across)) - x0 + 1, int(np.ceil(pose.y + down)) - y0 + 1
 
 
 def _plane(rows: int, cols: int) -> Floats:
@@ -202,11 +205,10 @@ def _spread_of(residual: Floats) -> float:
     return max(1.4826 * float(np.partition(np.abs(residual).ravel(), middle)[middle]), 0.5)
 
 
-def _step_limits(vector: Floats) -> tuple[Floats, Floats]:
+def _step_limits(vector: Floats) -> Floats:
     """Longest steps that keep the image's linear expansion true: about half a blur or a pitch."""
     reach = max(0.8, 0.5 * float(np.exp(vector[2])))
-    limit = np.array([reach, reach, 0.1, 0.05, 0.2])
-    return -limit, limit
+    return np.array([reach, reach, 0.1, 0.05, 0.2, 0.05, 0.05])
 
 
 def _correlation(a: Floats, b: Floats) -> float:

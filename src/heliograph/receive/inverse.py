@@ -76,7 +76,7 @@ def blur_matrix(pose: Pose, side: int, window: tuple[int, int, int, int]) -> Flo
 def _between(a: Pose, b: Pose) -> tuple[Pose, tuple[float, float]]:
     """The pose between two, and half the motion from one to the other."""
     half = 0.5 * (b.x - a.x), 0.5 * (b.y - a.y)
-    return Pose.of(0.5 * (a.vector() + b.vector())), half
+    return Pose.between(a, b), half
 
 
 def _all_on(pose: Pose, side: int, window: tuple[int, int, int, int]) -> Floats:

@@ -1,6 +1,7 @@
 """Constant-velocity Kalman filter of the array's pose in the image."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ SUM_WALK = np.array([0.01, 0.2])
 ROLL_WALK = 0.03
 BLUR_WALK = 0.1
 """Random walks of roll (rad) and ln blur, per square root of a second."""
+
+TILT_WALK = 0.01
+"""Random walk of stretch and shear per square root of a second: a car passes the array."""
 
 START_RATES = np.array([900.0, 900.0, 0.15])
 """Standard deviations of the first rates: px/s, px/s, 1/s; 900 px/s is hard shake, 0.3 rad/s at 35 mm and 12 um."""
@@ -62,27 +66,45 @@ PLAIN = View(np.eye(SHOWN, STATES), np.zeros(SHOWN))
 
 
 @dataclass(frozen=True, slots=True)
+class Tilt:
+    """Mean (2,) and covariance (2, 2) of stretch and shear.
+
+    They change slowly and only headers tell them, so that they stay apart from the rest of the state.
+    """
+
+    mean: NDArray[np.float64] = field(default_factory=partial(np.zeros, 2))
+    covariance: NDArray[np.float64] = field(default_factory=lambda: 1e-6 * np.eye(2))
+
+    def later(self, dt: float) -> "Tilt":
+        """The same after a time in seconds."""
+        return Tilt(self.mean, self.covariance + TILT_WALK**2 * dt * np.eye(2))
+
+
+@dataclass(frozen=True, slots=True)
 class PoseState:
-    """Mean (10,) and covariance (10, 10) of pose, rates and the sums' errors at a time in seconds."""
+    """Mean (10,) and covariance (10, 10) of pose, rates and the sums' errors at a time in seconds; and the tilt."""
 
     time_s: float
     mean: NDArray[np.float64]
     covariance: NDArray[np.float64]
+    tilt: Tilt = field(default_factory=Tilt)
 
     @staticmethod
     def start(time_s: float, vector: NDArray[np.float64], covariance: NDArray[np.float64]) -> "PoseState":
-        """State of a pose just found, its rates and the sums' errors unknown."""
+        """State of a pose (5,) or (7,) just found, its rates and the sums' errors unknown."""
         mean, full = np.zeros(STATES), np.zeros((STATES, STATES))
-        mean[:SHOWN], full[:SHOWN, :SHOWN] = vector, covariance
+        mean[:SHOWN], full[:SHOWN, :SHOWN] = vector[:SHOWN], covariance[:SHOWN, :SHOWN]
         full[SHOWN:, SHOWN:] = np.diag(np.concatenate([START_RATES, SUM_ERROR]) ** 2)
-        return PoseState(time_s, mean, full)
+        tilt = Tilt(vector[SHOWN:], covariance[SHOWN:, SHOWN:]) if len(covariance) > SHOWN else Tilt()
+        return PoseState(time_s, mean, full, tilt)
 
     def predict(self, time_s: float, settings: TrackSettings) -> "PoseState":
         """The state at a later time: x = F x, P = F P F^T + Q."""
         dt = time_s - self.time_s
         f = np.eye(STATES)
         f[:3, RATES] = dt * np.eye(3)
-        return PoseState(time_s, f @ self.mean, f @ self.covariance @ f.T + _process_noise(dt, settings))
+        covariance = f @ self.covariance @ f.T + _process_noise(dt, settings)
+        return PoseState(time_s, f @ self.mean, covariance, self.tilt.later(dt))
 
     def expected(self, view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean (5,) and covariance (5, 5) of what a look will show."""
@@ -98,18 +120,18 @@ class PoseState:
         mean, shown = self.expected(view)
         gain = np.linalg.solve(shown, view.shows @ self.covariance).T
         full = self.covariance + gain @ (covariance - shown) @ gain.T
-        return PoseState(self.time_s, self.mean + gain @ (vector - mean), 0.5 * (full + full.T))
+        return replace(self, mean=self.mean + gain @ (vector - mean), covariance=0.5 * (full + full.T))
 
     @property
     def pose(self) -> Pose:
         """The pose alone."""
-        return Pose.of(self.mean)
+        return Pose.of(np.append(self.mean[:SHOWN], self.tilt.mean))
 
     def pose_at(self, time_s: float) -> Pose:
         """The pose a little earlier or later, at constant rates."""
         vector = self.mean[:SHOWN].copy()
         vector[:3] += (time_s - self.time_s) * self.mean[RATES]
-        return Pose.of(vector)
+        return Pose.of(np.append(vector, self.tilt.mean))
 
 
 def _process_noise(dt: float, settings: TrackSettings) -> NDArray[np.float64]:

@@ -27,12 +27,21 @@ def _axis(centre, sigma, first, count, g, dg, ds):  # type: ignore[no-untyped-de
         cdf, pdf, zpdf = cdf_next, pdf_next, z * pdf_next
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _tilt(pose):  # type: ignore[no-untyped-def]
+    """Stretch and shear of a pose vector (5,) or (7,)."""
+    if pose.shape[0] == 7:
+        return pose[5], pose[6]
+    return 0.0, 0.0
+
+
 @njit(cache=True, nogil=True)
 def render(pose, weights, x0, y0, out):  # type: ignore[no-untyped-def]
-    """Image of LEDs of given weights and its derivatives by (x, y, ln pitch, roll, ln blur).
+    """Image of LEDs of given weights and its derivatives by (x, y, ln pitch, roll, ln blur, stretch, shear).
 
-    pose (5,) float64, weights (n, n) float64, window corner (x0, y0); out (6, rows, columns) float64 is overwritten.
-    An array of weights 1 that is not resolved has the image 1.
+    pose (5,) or (7,) float64, weights (n, n) float64, window corner (x0, y0); out (6 or 8, rows, columns) float64 is
+    overwritten: with 6 the derivatives by the tilt are left out. An array of weights 1 that is not resolved and not
+    tilted has the image 1.
     """
     side = weights.shape[0]
     rows, cols = out.shape[1], out.shape[2]
@@ -44,13 +53,18 @@ def render(pose, weights, x0, y0, out):  # type: ignore[no-untyped-def]
     gx, dgx, sgx = np.empty(span), np.empty(span), np.empty(span)
     gy, dgy, sgy = np.empty(span), np.empty(span), np.empty(span)
     area = pitch * pitch
+    stretch, shear = _tilt(pose)
+    tilts = out.shape[0] == 8
     for u in range(side):
         for v in range(side):
             w = weights[u, v] * area
             if w == 0.0:
                 continue
-            a, b = (v - half) * pitch, (u - half) * pitch
+            p, q = (v - half) * pitch, (u - half) * pitch
+            a, b = (1.0 + stretch) * p + shear * q, shear * p + (1.0 - stretch) * q
             rx, ry = c * a - s * b, s * a + c * b
+            # by stretch (p, -q) and by shear (q, p), both turned
+            tx, ty, hx, hy = c * p + s * q, s * p - c * q, c * q - s * p, s * q + c * p
             px, py = pose[0] + rx - x0, pose[1] + ry - y0
             left, right = (
                 max(0, math.ceil(px - REACH * sigma - 0.5)),
@@ -76,6 +90,9 @@ def render(pose, weights, x0, y0, out):  # type: ignore[no-untyped-def]
                     out[3, top + i, left + j] += by_x * rx + by_y * ry + 2.0 * value
                     out[4, top + i, left + j] += by_y * rx - by_x * ry
                     out[5, top + i, left + j] += wsig * gx[j] + wg * sgx[j]
+                    if tilts:
+                        out[6, top + i, left + j] += by_x * tx + by_y * ty
+                        out[7, top + i, left + j] += by_x * hx + by_y * hy
 
 
 @njit(cache=True, nogil=True)
@@ -93,48 +110,58 @@ def _edge(t, sigma):  # type: ignore[no-untyped-def]
 def render_box(pose, half_leds, x0, y0, out):  # type: ignore[no-untyped-def]
     """Blurred square of half width `half_leds` pitches about the array's centre, and its derivatives by the pose.
 
-    out (6, rows, columns) as in `render`; a pixel's box is taken as its variance, 1/12; the blur's derivative is 0.
+    out (6 or 8, rows, columns) as in `render`; a pixel's box is taken as its variance, 1/12; the derivatives by blur
+    and tilt are 0.
     """
     rows, cols = out.shape[1], out.shape[2]
     half = half_leds * math.exp(pose[2])
     sigma = math.sqrt(math.exp(2.0 * pose[4]) + 1.0 / 12.0)
     c, s = math.cos(pose[3]), math.sin(pose[3])
-    reach = REACH * sigma
+    stretch, shear = _tilt(pose)
+    # (x, y) = [[xx, xy], [xy, yy]] R^T (dx, dy), the inverse of the tilt: the array's own directions, in which a
+    # blur is as wide as the row of the inverse is long
+    det = 1.0 - stretch * stretch - shear * shear
+    xx, xy, yy = (1.0 - stretch) / det, -shear / det, (1.0 + stretch) / det
+    wide, high = sigma * math.hypot(xx, xy), sigma * math.hypot(xy, yy)
+    reach = REACH * max(wide, high)
     out[:] = 0.0
     for i in range(rows):
         for j in range(cols):
             dx, dy = x0 + j - pose[0], y0 + i - pose[1]
-            x, y = c * dx + s * dy, c * dy - s * dx
+            along, across = c * dx + s * dy, c * dy - s * dx
+            x, y = xx * along + xy * across, xy * along + yy * across
             inside = half - max(abs(x), abs(y))
             if inside < -reach:  # no light, no slope
                 continue
             if inside > reach:  # full light, no slope: most of a near array
                 out[0, i, j] = 1.0
                 continue
-            right, right_slope = _edge(half - x, sigma)
-            left, left_slope = _edge(half + x, sigma)
-            low, low_slope = _edge(half - y, sigma)
-            top, top_slope = _edge(half + y, sigma)
+            right, right_slope = _edge(half - x, wide)
+            left, left_slope = _edge(half + x, wide)
+            low, low_slope = _edge(half - y, high)
+            top, top_slope = _edge(half + y, high)
             bx, by = right + left - 1.0, low + top - 1.0
             by_x, by_y = (left_slope - right_slope) * by, (top_slope - low_slope) * bx
+            by_along, by_across = xx * by_x + xy * by_y, xy * by_x + yy * by_y
             out[0, i, j] = bx * by
-            out[1, i, j] = -c * by_x + s * by_y
-            out[2, i, j] = -s * by_x - c * by_y
+            out[1, i, j] = -c * by_along + s * by_across
+            out[2, i, j] = -s * by_along - c * by_across
             out[3, i, j] = half * ((left_slope + right_slope) * by + (top_slope + low_slope) * bx)
-            out[4, i, j] = y * by_x - x * by_y
+            out[4, i, j] = across * by_along - along * by_across
 
 
 @njit(cache=True, nogil=True)
 def normal_equations(image, shapes, plane, linear, rough, matrix, vector):  # type: ignore[no-untyped-def]
     """Gauss-Newton normal equations of image = linear . (shapes(pose), plane), weights by Tukey's biweight.
 
-    shapes (m, 6, rows, columns): images and their derivatives by the pose; plane (3, rows, columns); coefficients
-    linear (m + 3,); `rough` is the biweight's scale. matrix (8 + m, 8 + m) and vector (8 + m,) are overwritten.
-    Returns the sum of weights and that of the weighted squared residuals.
+    shapes (m, 1 + p, rows, columns): images and their derivatives by p parameters of the pose; plane (3, rows,
+    columns); coefficients linear (m + 3,); `rough` is the biweight's scale. matrix (p + m + 3, p + m + 3) and vector
+    (p + m + 3,) are overwritten. Returns the sum of weights and that of the weighted squared residuals.
     """
     rows, cols = image.shape
     m = shapes.shape[0]
-    size = 8 + m
+    p = shapes.shape[1] - 1
+    size = p + m + 3
     matrix[:] = 0.0
     vector[:] = 0.0
     row = np.empty(size)
@@ -146,15 +173,15 @@ def normal_equations(image, shapes, plane, linear, rough, matrix, vector):  # ty
             if abs(q) >= 1.0:
                 continue
             w = (1.0 - q * q) ** 2
-            for k in range(5):
+            for k in range(p):
                 slope = 0.0
                 for n in range(m):
                     slope += linear[n] * shapes[n, k + 1, i, j]
                 row[k] = slope
             for n in range(m):
-                row[5 + n] = shapes[n, 0, i, j]
+                row[p + n] = shapes[n, 0, i, j]
             for n in range(3):
-                row[5 + m + n] = plane[n, i, j]
+                row[p + m + n] = plane[n, i, j]
             mass += w
             loss += w * r * r
             for k in range(size):

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.decode import decode_packet
@@ -13,6 +14,8 @@ from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.formats import AGREED, Format
 from heliograph.signal.packet import PacketFormat
+
+Floats = NDArray[np.float64]
 
 
 class Reading(Protocol):
@@ -25,11 +28,20 @@ class Reading(Protocol):
     def take_header(self, pair: int, pattern: Frame, inverted: Frame, tracker: Tracker) -> None:
         """Take header pair `pair` of the packet, in which the array was seen."""
 
+    def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> bool:
+        """Take a header pair of levels (n, n) of +-1, in which the array was seen.
+
+        Returns whether it is to be followed and taken once more, as the tracker now knows better what it looks like.
+        """
+
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Take data pair `place` of the packet, in which the array was seen."""
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Codewords by layer."""
+
+    def following(self) -> "Reading":
+        """The reading of the next packet."""
 
     def shown(self) -> Mapping[str, Any]:
         """What an observer of the stage "decode" gets beside the packet."""
@@ -56,6 +68,10 @@ class PlainReading:
     def take_header(self, pair: int, pattern: Frame, inverted: Frame, tracker: Tracker) -> None:
         """Nothing is read of it."""
 
+    def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> bool:  # noqa: ARG002
+        """Learn nothing."""
+        return False
+
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Read the luminances of a pair."""
         poses = (tracked.state.pose_at(pattern.time_s), tracked.state.pose_at(inverted.time_s))
@@ -69,6 +85,10 @@ class PlainReading:
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode what was read."""
         return decode_packet(self._luminances, self._seen, self._form, self._identity, self._settings.decode)
+
+    def following(self) -> "PlainReading":
+        """The reading of the next packet."""
+        return PlainReading(self._identity, self._form, self._settings, self._observe)
 
     def shown(self) -> Mapping[str, Any]:
         """The luminances, (pairs, n, n)."""

@@ -23,17 +23,19 @@ Candidate = tuple[float, float, float, float, int]
 
 
 def render(vector: Floats, weights: Floats, corner: Corner, shape: tuple[int, int]) -> Floats:
-    """Image of LEDs and its derivatives by (x, y, ln pitch, roll, ln blur), (6, rows, columns)."""
+    """Image of LEDs and its derivatives by the parameters of a pose vector (5,) or (7,), (6 or 8, rows, columns)."""
     return _with_derivatives(lambda v: array_image(v, weights, corner, shape), vector)
 
 
 def array_image(vector: Floats, weights: Floats, corner: Corner, shape: tuple[int, int]) -> Floats:
     """Image of LEDs of (n, n) weights at a pose vector, (rows, columns)."""
-    x, y, log_pitch, roll, log_blur = vector
+    x, y, log_pitch, roll, log_blur = vector[:5]
+    stretch, shear = vector[5:] if len(vector) == 7 else (0.0, 0.0)
     pitch, blur = np.exp(log_pitch), np.exp(log_blur)
     grid = (np.arange(len(weights)) - (len(weights) - 1) / 2) * pitch
     v, u = np.meshgrid(grid, grid)
-    # (x, y)_uv = (x, y) + pitch R(roll) (v, u)
+    # (x, y)_uv = (x, y) + pitch R(roll) [[1 + stretch, shear], [shear, 1 - stretch]] (v, u)
+    v, u = (1 + stretch) * v + shear * u, shear * v + (1 - stretch) * u
     led_x = x + np.cos(roll) * v - np.sin(roll) * u
     led_y = y + np.sin(roll) * v + np.cos(roll) * u
     # image = pitch^2 sum_uv w_uv g(column - x_uv) g(row - y_uv)
@@ -43,9 +45,9 @@ def array_image(vector: Floats, weights: Floats, corner: Corner, shape: tuple[in
 
 
 def render_box(vector: Floats, half_leds: float, corner: Corner, shape: tuple[int, int]) -> Floats:
-    """Image of a blurred square and its derivatives, (6, rows, columns); that by the blur is left 0."""
+    """Image of a blurred square and its derivatives, (6 or 8, rows, columns); those by blur and tilt are left 0."""
     out = _with_derivatives(lambda v: box_image(v, half_leds, corner, shape), vector)
-    out[5] = 0.0
+    out[5:] = 0.0
     return out
 
 
@@ -55,9 +57,13 @@ def box_image(vector: Floats, half_leds: float, corner: Corner, shape: tuple[int
     # a pixel's box has the variance 1/12
     sigma = np.sqrt(np.exp(vector[4]) ** 2 + 1 / 12)
     dy, dx = np.mgrid[: shape[0], : shape[1]] + np.reshape([corner[1] - vector[1], corner[0] - vector[0]], (2, 1, 1))
-    along, across = np.cos(roll) * dx + np.sin(roll) * dy, np.cos(roll) * dy - np.sin(roll) * dx
+    stretch, shear = vector[5:] if len(vector) == 7 else (0.0, 0.0)
+    back = np.linalg.inv([[1 + stretch, shear], [shear, 1 - stretch]])
+    turned = np.stack([np.cos(roll) * dx + np.sin(roll) * dy, np.cos(roll) * dy - np.sin(roll) * dx])
+    along, across = np.tensordot(back, turned, 1)
+    widths = sigma * np.linalg.norm(back, axis=1)
     # strip(t) = Phi((half - t) / sigma) - Phi((-half - t) / sigma); square = strip(along) strip(across)
-    strips = [ndtr((half - t) / sigma) - ndtr((-half - t) / sigma) for t in (along, across)]
+    strips = [ndtr((half - t) / w) - ndtr((-half - t) / w) for t, w in zip((along, across), widths, strict=True)]
     return np.asarray(strips[0] * strips[1])
 
 

@@ -1,6 +1,6 @@
 """Tracking: the sum of a pattern and its inverse shows every LED, so each pair gives the pose anew."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.detect import Detection, cut_out
 from heliograph.receive.fit import Fit, Prior, fit_array, window_around
-from heliograph.receive.kalman import DIFFERENCE, PoseState, sum_view
+from heliograph.receive.kalman import DIFFERENCE, SHOWN, PoseState, Tilt, sum_view
 from heliograph.receive.pose import Pose
 from heliograph.receive.settings import TrackSettings
 
@@ -53,14 +53,20 @@ class Tracker:
         LEDs in a row.
     settings
         Its tunables.
+
+    Attributes
+    ----------
+    shares
+        (n, n) what each LED gives of its light, as far as a reading of the data has found out.
     """
 
     def __init__(self, detection: Detection, side: int, settings: TrackSettings):
         fit = detection.fit
         self._settings = settings
-        self._ones = np.ones((side, side))
+        self.shares = detection.shares
         self._side = side
         self.state = PoseState.start(detection.time_s, fit.vector, _widened(fit.covariance))
+        self._before = self.state
         self.last_seen_s = detection.time_s
         self.gain = fit.gain
         self.data_gain = fit.gain
@@ -75,37 +81,49 @@ class Tracker:
         late_s
             By how much the light of their sum comes after the middle of the exposures: PWM lights the first slots more.
         """
+        self._before = self.state
         predicted = self._predict(0.5 * (pattern.time_s + inverted.time_s))
         corner, up, down = self._cut(pattern, inverted, predicted)
         # (pattern) + (inverse) = every LED on, Fig. 9
         view = sum_view(late_s)
-        prior = Prior(*predicted.expected(view), self.gain)
+        mean, covariance = predicted.expected(view)
+        prior = Prior(np.append(mean, predicted.tilt.mean), covariance, self.gain)
         total = up + down
         start = self._unresolved(total, corner, prior) if self._unsure(predicted) else None
         # a start of its own saves a step
         steps = self._settings.iterations - (start is not None and self._settings.iterations > 1)
-        fit = fit_array(total, corner, prior, self._ones, steps, panel=True, start=start)
+        fit = fit_array(total, corner, prior, self.shares, steps, panel=True, start=start)
         seen = self._inside(fit, pattern) and self._active(up - down, fit.pose, corner)
         if seen:
-            predicted = predicted.condition(fit.vector, fit.covariance, view)
+            predicted = predicted.condition(fit.vector[:SHOWN], fit.covariance, view)
             self.last_seen_s = predicted.time_s
             self.gain += 0.1 * (fit.gain - self.gain)
         self.state = predicted
         return TrackedPair(predicted, fit, seen)
 
+    def again(self, pattern: Frame, inverted: Frame) -> TrackedPair:
+        """Follow the last pair anew, as if it had not been followed."""
+        self.state = self._before
+        return self.follow(pattern, inverted)
+
     def refine(self, pattern: Frame, inverted: Frame, weights: NDArray[np.float64]) -> None:
-        """Sharpen pitch, rotation and blur by a header of known `weights`, after its sum was followed."""
+        """Sharpen pitch, rotation, blur and tilt by a header of known `weights`, after its sum was followed."""
         corner, up, down = self._cut(pattern, inverted, self.state)
-        prior = Prior(*self.state.expected(DIFFERENCE))
-        fit = fit_array(up - down, corner, prior, weights, self._settings.iterations)
+        mean, covariance = self.state.expected(DIFFERENCE)
+        tilt = self.state.tilt
+        both = np.zeros((SHOWN + 2, SHOWN + 2))
+        both[:SHOWN, :SHOWN], both[SHOWN:, SHOWN:] = covariance, tilt.covariance
+        prior = Prior(np.append(mean, tilt.mean), both)
+        fit = fit_array(up - down, corner, prior, weights * self.shares, self._settings.iterations)
         if fit.score >= self._settings.score:
-            self.state = self.state.condition(fit.vector, fit.covariance, DIFFERENCE)
+            state = self.state.condition(fit.vector[:SHOWN], fit.covariance[:SHOWN, :SHOWN], DIFFERENCE)
+            self.state = replace(state, tilt=Tilt(fit.vector[SHOWN:], fit.covariance[SHOWN:, SHOWN:]))
             self.data_gain = fit.gain
 
     def _predict(self, time_s: float) -> PoseState:
         """The state at a time; pairs seen before the detection's own time take it as it is."""
         if time_s <= self.state.time_s:
-            return PoseState(time_s, self.state.mean, self.state.covariance)
+            return replace(self.state, time_s=time_s)
         return self.state.predict(time_s, self._settings)
 
     def _unsure(self, predicted: PoseState) -> bool:
@@ -122,9 +140,13 @@ class Tracker:
         vector[4] = np.log(np.hypot(pose.blur, sigma))
         covariance[[0, 1], [0, 1]] += pose.pitch**2
         smooth = np.asarray(cv2.GaussianBlur(total, (0, 0), sigma), np.float64)
+        # an even square stands for the array as long as all of it shines
+        failed = bool((self.shares < 1).any())
         wide = Prior(vector, covariance, prior.gain)
-        fit = fit_array(smooth, corner, wide, self._ones, self._settings.iterations, panel=True, resolved=False)
-        return np.append(fit.vector[:4], prior.vector[4])
+        fit = fit_array(smooth, corner, wide, self.shares, self._settings.iterations, panel=True, resolved=failed)
+        found = fit.vector.copy()
+        found[4] = prior.vector[4]
+        return found
 
     def _cut(self, pattern: Frame, inverted: Frame, state: PoseState) -> tuple[tuple[int, int], Floats, Floats]:
         """The array's surroundings in both frames, and their corner."""
@@ -148,4 +170,6 @@ class Tracker:
 
 def _widened(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     """A detection's covariance with room for the motion since its middle."""
-    return covariance + np.diag([1.0, 1.0, 1e-3, 1e-4, 1e-2])
+    wider = covariance.copy()
+    wider[np.arange(5), np.arange(5)] += [1.0, 1.0, 1e-3, 1e-4, 1e-2]
+    return wider

@@ -29,26 +29,27 @@ def support(sigma: float) -> int:
 def place(pose, rows, cols, across, down, first):  # type: ignore[no-untyped-def]
     """Light of each LED on the columns and rows of a window's pixels about it.
 
-    pose (6,): x, y in the window, pitch, roll, sigma along x, sigma along y; LEDs in the order of the cells:
-    square by square, in each (0, 0), (0, 1), (1, 0), (1, 1). across, down (n n, width) and first (n n, 2) int64, the
-    first column and row, are overwritten. A wide array with all LEDs on has the image 1.
+    pose (9,): x, y in the window; from one LED to the next dx by column and by row, dy by column and by row; the pitch;
+    sigma along x, sigma along y. LEDs in the order of the cells: square by square, in each (0, 0), (0, 1), (1, 0),
+    (1, 1). across, down (n n, width) and first (n n, 2) int64, the first column and row, are overwritten. A wide array
+    with all LEDs on has the image 1.
     """
     count, width = across.shape
     side = round(math.sqrt(count))
     half = side // 2
-    pitch, c, s = pose[2], math.cos(pose[3]), math.sin(pose[3])
+    pitch = pose[6]
     g, dg, ds = np.empty(width), np.empty(width), np.empty(width)
     reach = (width - 1) // 2
     for k in range(count):
         square, corner = k // 4, k % 4
-        a = (2 * (square % half) + corner % 2 - (side - 1) / 2.0) * pitch
-        b = (2 * (square // half) + corner // 2 - (side - 1) / 2.0) * pitch
-        x, y = pose[0] + c * a - s * b, pose[1] + s * a + c * b
+        a = 2 * (square % half) + corner % 2 - (side - 1) / 2.0
+        b = 2 * (square // half) + corner // 2 - (side - 1) / 2.0
+        x, y = pose[0] + pose[2] * a + pose[3] * b, pose[1] + pose[4] * a + pose[5] * b
         first[k, 0], first[k, 1] = math.floor(x + 0.5) - reach, math.floor(y + 0.5) - reach
-        _axis(x, pose[4], first[k, 0], width, g, dg, ds)
+        _axis(x, pose[7], first[k, 0], width, g, dg, ds)
         for i in range(width):
             across[k, i] = pitch * g[i] if 0 <= first[k, 0] + i < cols else 0.0
-        _axis(y, pose[5], first[k, 1], width, g, dg, ds)
+        _axis(y, pose[8], first[k, 1], width, g, dg, ds)
         for i in range(width):
             down[k, i] = pitch * g[i] if 0 <= first[k, 1] + i < rows else 0.0
 
@@ -86,6 +87,17 @@ def leds(cells):  # type: ignore[no-untyped-def]
     for q in range(squares):
         a, b, c, d = cells[q], cells[squares + q], cells[2 * squares + q], cells[3 * squares + q]
         out[4 * q], out[4 * q + 1], out[4 * q + 2], out[4 * q + 3] = _haar(a, b, c, d)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def cells(leds):  # type: ignore[no-untyped-def]
+    """The inverse of `leds`: D = H t H^T."""
+    squares = leds.shape[0] // 4
+    out = np.empty(4 * squares)
+    for q in range(squares):
+        a, b, c, d = _haar(leds[4 * q], leds[4 * q + 1], leds[4 * q + 2], leds[4 * q + 3])
+        out[q], out[squares + q], out[2 * squares + q], out[3 * squares + q] = 4.0 * a, 4.0 * b, 4.0 * c, 4.0 * d
     return out
 
 

@@ -11,6 +11,7 @@ With W the pixels' weights, all that remains of them is B^T W d, beside B^T W B 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,7 @@ class Glance:
     @property
     def middle(self) -> Pose:
         """The pose between the two."""
-        return Pose.of(0.5 * (self.poses[0].vector() + self.poses[1].vector()))
+        return Pose.between(*self.poses)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +102,26 @@ class Look:
     cross: float
     drift: float
 
+    def scaled(self, weight: float) -> "Look":
+        """The same with a weight, as if its noise were larger."""
+        return Look(
+            np.float32(weight) * self.gram,
+            weight * self.seen,
+            weight * self.offset,
+            weight * self.cross,
+            weight * self.drift,
+        )
+
+    def plus(self, other: "Look") -> "Look":
+        """Two looks at one pattern."""
+        return Look(
+            self.gram + other.gram,
+            self.seen + other.seen,
+            self.offset + other.offset,
+            self.cross + other.cross,
+            self.drift + other.drift,
+        )
+
 
 def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side: int) -> Glance:
     """Cut a pair of frames out.
@@ -114,17 +135,24 @@ def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side:
     side
         LEDs in a row.
     """
-    middle = Pose.of(0.5 * (poses[0].vector() + poses[1].vector()))
+    middle = Pose.between(*poses)
     x0, y0, cols, rows = window_around(middle, side, MARGIN_PX + RING_PX)
     up, down = (cut_out(frame, x0, y0, cols, rows) for frame in (pattern, inverted))
     return Glance(up + down, up - down, (x0, y0), poses)
 
 
-def measure_noise(glances: Sequence[Glance], gain: float, side: int) -> Noise:
+def of_squares(grid: Floats) -> Floats:
+    """Values of LEDs (n, n) in the order of the squares of 2 x 2, (n n,)."""
+    half = len(grid) // 2
+    return np.ascontiguousarray(grid.reshape(half, 2, half, 2).transpose(0, 2, 1, 3)).ravel()
+
+
+def measure_noise(glances: Sequence[Glance], gain: float, side: int, shares: Floats | None = None) -> Noise:
     """Noise of a packet's glances.
 
     Inside the array the sum of a pair is even but for noise, which is that of the difference, and for what motion
-    between the two frames leaves of the data. Beside the array the difference is noise and what has changed there.
+    between the two frames leaves of the data; LEDs that failed stay where they are from one sum to the next, so that
+    successive sums are compared. Beside the array the difference is noise and what has changed there.
 
     Parameters
     ----------
@@ -134,20 +162,32 @@ def measure_noise(glances: Sequence[Glance], gain: float, side: int) -> Noise:
         Gray levels of a wide array with all LEDs on.
     side
         LEDs in a row.
+    shares
+        (n, n) share of its light that each LED gives; all of it by default.
     """
-    parts = np.array([_unevenness(glance, gain, side) for glance in glances]).sum(0)
-    lit = max(parts[0] / max(parts[1], 1.0), LEAST_NOISE)
-    dark = max(parts[2] / max(parts[3], 1.0), LEAST_NOISE)
-    return Noise(float(lit), float(dark))
+    uneven = [_unevenness(glance, gain, side, shares) for glance in glances]
+    if not uneven:
+        return Noise(LEAST_NOISE, LEAST_NOISE)
+    if len(uneven) > 1:
+        parts = [_variance(_apart(*two) / np.sqrt(2)) for two in pairwise(uneven)]
+    else:
+        parts = [_variance(one.residual) for one in uneven]
+    total, count = np.array(parts).sum(0)
+    lit = float(total) / max(float(count), 1.0) - float(np.mean([one.moved for one in uneven]))
+    beside = np.concatenate([one.beside for one in uneven])
+    dark = float((beside**2).mean()) if beside.size else 0.0
+    return Noise(max(lit, LEAST_NOISE), max(dark, LEAST_NOISE))
 
 
-def take_look(glance: Glance, noise: Noise, side: int) -> Look:
+def take_look(glance: Glance, noise: Noise, side: int, shares: Floats | None = None) -> Look:
     """Reduce a glance, its pixels weighted by their noise relative to that inside the array.
+
+    LEDs that give only a share (n, n) of their light count by that; all give all by default.
 
     The noise of a pixel follows its light: s^2 = dark + (lit - dark) f(x) f(y), f the profile of the array from 0 to 1.
     W is taken as a product of a function of x and one of y, so that LEDs weighted by its root are such products too.
     """
-    weighted = weigh(glance, noise, side)
+    weighted = weigh(glance, noise, side, shares)
     gram = np.empty((side * side, side * side), np.float32)
     kernels.gram(*weighted.between, gram)
     d, o = weighted.change, weighted.still
@@ -191,7 +231,7 @@ class Weighted:
         return self.change - gain * (light + self.still)
 
 
-def weigh(glance: Glance, noise: Noise, side: int) -> Weighted:
+def weigh(glance: Glance, noise: Noise, side: int, shares: Floats | None = None) -> Weighted:
     """Weight a glance's pixels, and the light that LEDs give them, by the pixels' noise."""
     shape = glance.change.shape
     # B^T W B is taken at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2
@@ -199,9 +239,16 @@ def weigh(glance: Glance, noise: Noise, side: int) -> Weighted:
     between = _placed(glance.middle, glance.corner, shape, side, motion)
     weights = _weights(between, noise, shape, side)
     root = weights[1][:, None] * weights[0]
-    first, second = (_weighted(_placed(pose, glance.corner, shape, side), weights) for pose in glance.poses)
+    first, second = (
+        _dimmed(_weighted(_placed(pose, glance.corner, shape, side), weights), shares) for pose in glance.poses
+    )
     still = 0.5 * (_all_on(first, shape) - _all_on(second, shape))
-    return Weighted(root, root * glance.change, still, (first, second), _weighted(between, weights))
+    return Weighted(root, root * glance.change, still, (first, second), _dimmed(_weighted(between, weights), shares))
+
+
+def _dimmed(share: Shares, shares: Floats | None) -> Shares:
+    """Shares of the LEDs' light with what each LED gives of it."""
+    return share if shares is None else (share[0] * of_squares(shares)[:, None], *share[1:])
 
 
 def _weights(share: Shares, noise: Noise, shape: tuple[int, int], side: int) -> tuple[Floats, Floats]:
@@ -228,21 +275,48 @@ def _weighted(share: Shares, weights: tuple[Floats, Floats]) -> Shares:
     return parts[0], parts[1], share[2]
 
 
-def _unevenness(glance: Glance, gain: float, side: int) -> tuple[float, float, float, float]:
-    """Squared residuals of a sum inside the array and their degrees of freedom; squares beside it and their number."""
-    shares = [_placed(pose, glance.corner, glance.change.shape, side) for pose in glance.poses]
-    first, second = (_all_on(share, glance.change.shape) for share in shares)
+@dataclass(frozen=True, slots=True)
+class _Uneven:
+    """What of a sum inside the array is not even, (rows, columns), NaN elsewhere; and the difference beside it.
+
+    `moved` is the variance that motion between the two frames leaves of the data.
+    """
+
+    residual: Floats
+    corner: tuple[int, int]
+    beside: Floats
+    moved: float
+
+
+def _unevenness(glance: Glance, gain: float, side: int, shares: Floats | None) -> _Uneven:
+    """Residuals of a sum inside the array, scaled by their degrees of freedom."""
+    placed = [_placed(pose, glance.corner, glance.change.shape, side) for pose in glance.poses]
+    whole = _all_on(placed[0], glance.change.shape)
+    first, second = (_all_on(_dimmed(share, shares), glance.change.shape) for share in placed)
     lit = 0.5 * (first + second)
-    inside = lit > INSIDE * lit.max()
+    inside = whole > INSIDE * whole.max()
     y, x = np.nonzero(inside)
     columns = np.stack([lit[inside], np.ones(len(x)), x - x.mean(), y - y.mean()], axis=1)
     fitted = columns @ np.linalg.lstsq(columns, glance.total[inside], rcond=1e-6)[0]
-    beside = glance.change[lit < 1e-3]
-    freedom = max(len(x) - columns.shape[1], 0)
+    residual = np.full(glance.total.shape, np.nan)
+    residual[inside] = (glance.total[inside] - fitted) * np.sqrt(len(x) / max(len(x) - columns.shape[1], 1))
     # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
-    moved = gain**2 / 16 * kernels.difference(*shares[0], *shares[1]) / (side * glance.middle.pitch) ** 2
-    uneven = float(((glance.total[inside] - fitted) ** 2).sum()) - freedom * moved
-    return uneven, freedom, float((beside**2).sum()), beside.size
+    moved = gain**2 / 16 * kernels.difference(*placed[0], *placed[1]) / (side * glance.middle.pitch) ** 2
+    return _Uneven(residual, glance.corner, glance.change[whole < 1e-3], float(moved))
+
+
+def _apart(one: _Uneven, other: _Uneven) -> Floats:
+    """Difference of two residuals where both are known."""
+    left, top = (max(a, b) for a, b in zip(one.corner, other.corner, strict=True))
+    a, b = (u.residual[top - u.corner[1] :, left - u.corner[0] :] for u in (one, other))
+    rows, cols = (min(m, n) for m, n in zip(a.shape, b.shape, strict=True))
+    return np.asarray(a[:rows, :cols] - b[:rows, :cols])
+
+
+def _variance(residual: Floats) -> tuple[float, int]:
+    """Variance by the median magnitude, for LEDs that failed are no noise, times the number of pixels; and that."""
+    known = np.abs(residual[np.isfinite(residual)])
+    return ((1.4826 * float(np.median(known))) ** 2 * known.size, known.size) if known.size else (0.0, 0)
 
 
 def _all_on(share: Shares, shape: tuple[int, int]) -> Floats:
@@ -260,6 +334,6 @@ def _placed(
     width = kernels.support(float(sigma.max()))
     across, down = np.empty((side * side, width)), np.empty((side * side, width))
     first = np.empty((side * side, 2), np.int64)
-    where = np.array([pose.x - corner[0], pose.y - corner[1], pose.pitch, pose.roll, *sigma])
+    where = np.array([pose.x - corner[0], pose.y - corner[1], *pose.axes.ravel(), pose.pitch, *sigma])
     kernels.place(where, *shape, across, down, first)
     return across, down, first

@@ -49,7 +49,7 @@ class NameReader:
 
     def take(self, pair: int, pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose]) -> None:
         """Take header pair number `pair` of the packet, the array at `poses` in its two frames."""
-        middle = Pose.of(0.5 * (poses[0].vector() + poses[1].vector()))
+        middle = Pose.between(*poses)
         x0, y0, cols, rows = window_around(middle, self._side, MARGIN_PX)
         up, down = (cut_out(frame, x0, y0, cols, rows).ravel() for frame in (pattern, inverted))
         first, second = (self._images(pose, x0, y0, (rows, cols)) for pose in poses)
@@ -83,6 +83,6 @@ class NameReader:
         """Image of each cell with all its LEDs on, (16, pixels)."""
         out, images = np.empty((6, *shape)), np.empty((COUNT, shape[0] * shape[1]))
         for mask, image in zip(self._masks, images, strict=True):
-            kernels.render(pose.vector(), mask, float(x0), float(y0), out)
+            kernels.render(pose.full_vector(), mask, float(x0), float(y0), out)
             image[:] = out[0].ravel()
         return images

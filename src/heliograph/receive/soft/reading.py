@@ -3,26 +3,42 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from heliograph.base.frames import Frame
+from heliograph.receive.kalman import PoseState
 from heliograph.receive.packets import Codeword, Observer
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.cancel import Light, decode_looks
-from heliograph.receive.soft.look import LEAST_NOISE, Floats, Glance, Look, Noise, measure_noise, take_glance, take_look
+from heliograph.receive.soft.look import LEAST_NOISE, Glance, Look, Noise, measure_noise, take_glance, take_look
 from heliograph.receive.soft.memory import Memory
 from heliograph.receive.soft.naming import NameReader
+from heliograph.receive.soft.shares import LedShares
 from heliograph.receive.soft.sharpen import sharpen
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
 
+Floats = NDArray[np.float64]
+
 
 class SoftReading:
     """Equalises, cancels and decodes; `memory` holds earlier looks at the array's codewords."""
 
-    def __init__(self, memory: Memory, identity: int, form: PacketFormat, settings: ReceiveSettings, observe: Observer):
+    def __init__(
+        self,
+        memory: Memory,
+        identity: int,
+        form: PacketFormat,
+        settings: ReceiveSettings,
+        observe: Observer,
+        shares: LedShares | None = None,
+    ):
         self._memory = memory
         self._identity, self._form, self._settings, self._observe = identity, form, settings, observe
+        self._shares = shares or LedShares(form.settings.side)
         self._glances: list[Glance | None] = [None] * form.settings.data_pairs
         self._looks: list[Look | None] = []
         self._noise = Noise(LEAST_NOISE, LEAST_NOISE)
@@ -44,12 +60,18 @@ class SoftReading:
         self._name.take(pair, pattern, inverted, poses)
         self._gain = tracker.data_gain
 
+    def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> bool:
+        """Find which LEDs give their light."""
+        glance = self._glance(pattern, inverted, tracker.state)
+        tracker.data_gain, changed = self._shares.learn(glance, header, tracker.data_gain)
+        tracker.shares = self._shares.values
+        return changed
+
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Keep a pair."""
-        first, second = (tracked.state.pose_at(frame.time_s + self._later_s) for frame in (pattern, inverted))
-        self._glances[place] = take_glance(pattern, inverted, (first, second), self._form.settings.side)
+        glance = self._glances[place] = self._glance(pattern, inverted, tracked.state)
         self._gain = tracker.data_gain
-        self._observe("extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": (first, second)})
+        self._observe("extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": glance.poses})
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode all pairs."""
@@ -60,19 +82,32 @@ class SoftReading:
 
     def _look_again(self, mean: Floats, variance: Floats, light: Light) -> list[Look | None]:
         """Looks with the poses sharpened by what is decoded."""
-        self._glances = sharpen(self._glances, self._looks, (light.gain, self._noise), mean, variance, self._form)
+        self._glances = sharpen(
+            self._glances, self._looks, (light.gain, self._noise), mean, variance, self._form, self._shares.values
+        )
         self._measure()
         light.noise = self._noise.lit
         return self._look()
 
     def _measure(self) -> None:
         seen = [glance for glance in self._glances if glance is not None]
-        self._noise = measure_noise(seen, self._gain, self._form.settings.side)
+        self._noise = measure_noise(seen, self._gain, self._form.settings.side, self._shares.values)
 
     def _look(self) -> list[Look | None]:
-        side = self._form.settings.side
-        self._looks = [None if glance is None else take_look(glance, self._noise, side) for glance in self._glances]
+        side, shares = self._form.settings.side, self._shares.values
+        self._looks = [
+            None if glance is None else take_look(glance, self._noise, side, shares) for glance in self._glances
+        ]
         return self._looks
+
+    def following(self) -> "SoftReading":
+        """The reading of the next packet; it knows the LEDs."""
+        self._shares.forget()
+        return SoftReading(self._memory, self._identity, self._form, self._settings, self._observe, self._shares)
+
+    def _glance(self, pattern: Frame, inverted: Frame, state: PoseState) -> Glance:
+        first, second = (state.pose_at(frame.time_s + self._later_s) for frame in (pattern, inverted))
+        return take_glance(pattern, inverted, (first, second), self._form.settings.side)
 
     def shown(self) -> Mapping[str, Any]:
         """The pairs as they were kept."""

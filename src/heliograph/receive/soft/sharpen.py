@@ -47,6 +47,7 @@ def sharpen(
     mean: Floats,
     variance: Floats,
     form: PacketFormat,
+    shares: Floats,
 ) -> list[Glance | None]:
     """Glances with better poses.
 
@@ -60,13 +61,15 @@ def sharpen(
         (pairs, cells) what is known of each cell.
     form
         The packet's format.
+    shares
+        (n, n) share of its light that each LED gives.
     """
     known = np.where(variance < KNOWN, mean, 0.0)
     levels = 0.5 * haar.inverse_transform(form.join(known))
     evidence = [
         None
         if glance is None or look is None or not known[k].any()
-        else _evidence(glance, look, light, (mean[k], variance[k]), levels[k])
+        else _evidence(glance, look, light, (mean[k], variance[k]), levels[k], shares)
         for k, (glance, look) in enumerate(zip(glances, looks, strict=True))
     ]
     errors = _smoothed(evidence)
@@ -74,15 +77,15 @@ def sharpen(
 
 
 def _evidence(
-    glance: Glance, look: Look, light: tuple[float, Noise], cells: tuple[Floats, Floats], levels: Floats
+    glance: Glance, look: Look, light: tuple[float, Noise], cells: tuple[Floats, Floats], levels: Floats, shares: Floats
 ) -> Evidence:
     """Fisher's information and score of a look."""
     gain, noise = light
     side = len(levels)
     estimate = equalise(look, gain, noise.lit, *cells)
-    weighted = weigh(glance, noise, side)
+    weighted = weigh(glance, noise, side, shares)
     image = np.empty((6, *glance.change.shape))
-    plain.render(glance.middle.vector(), levels, float(glance.corner[0]), float(glance.corner[1]), image)
+    plain.render(glance.middle.full_vector(), levels * shares, float(glance.corner[0]), float(glance.corner[1]), image)
     slopes = weighted.root * image[1:5]
     residual = weighted.residual(gain, estimate.mean)
     # score = g H^T W (d - g (B m + o)) / s^2
@@ -126,6 +129,6 @@ def _filtered(information: Floats, score: Floats, spread: Floats) -> tuple[Float
 
 def _moved(glance: Glance, error: Floats) -> Glance:
     """The glance with its poses corrected."""
-    step = np.append(error, 0.0)
-    first, second = (Pose.of(pose.vector() + step) for pose in glance.poses)
+    step = np.append(error, np.zeros(3))
+    first, second = (Pose.of(pose.full_vector() + step) for pose in glance.poses)
     return replace(glance, poses=(first, second))

@@ -1,0 +1,104 @@
+"""What keeps an array from being seen: failed LEDs, something before it, times off, its own motion."""
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from heliograph.base.config import from_mapping
+from heliograph.base.errors import SettingsError
+from heliograph.channel import ChannelSettings, film
+
+SIDE = 16
+NEAR = {"distance_m": 10, "camera": {"width": 160, "height": 160}, "sensor": {"full_well_e": 1e7, "dark_noise_e": 0}}
+"""LEDs 5.8 px apart, each with its light to itself."""
+
+
+def shoot(level: int, frames: int = 1, **place: Any) -> list[NDArray[np.float64]]:
+    """Light of films of an array that shows one level all the time, gray levels."""
+    lights: Iterator[NDArray[np.uint8]] = itertools.repeat(np.full((SIDE, SIDE), level, np.uint8))
+    settings = from_mapping(
+        ChannelSettings,
+        {
+            "speed_m_s": 0,
+            "shake": "none",
+            "duration_s": 1e-3 * frames,
+            **NEAR,
+            "arrays": [{"x_m": 0, "y_m": 0, "brightness": 0.1, **place}],
+        },
+    )
+    shot = film(settings, [lights], np.random.default_rng(3), pattern_period_s=1e-3)
+    return [frame.pixels.astype(float) for frame, _ in shot]
+
+
+def leds(image: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which LEDs shine, by the pixels at their places."""
+    pitch = 35 / 12 * 20 / 10
+    at = np.round(79.5 + (np.arange(SIDE) - 7.5) * pitch).astype(int)
+    return np.asarray(image[np.ix_(at, at)] > 20)
+
+
+def test_all_leds_of_a_sound_array_shine() -> None:
+    assert leds(shoot(4)[0]).all()
+    assert not leds(shoot(0)[0]).any()
+
+
+def test_dead_leds_stay_dark_and_stuck_ones_lit() -> None:
+    lit, dark = leds(shoot(4, dead=0.05, stuck=0.025)[0]), leds(shoot(0, dead=0.05, stuck=0.025)[0])
+    assert (~lit).sum() == round(0.05 * 256)
+    assert dark.sum() == round(0.025 * 256)
+    assert not (dark & ~lit).any()
+
+
+def test_dark_while_it_is_off() -> None:
+    frames = shoot(4, 5, off_s=[(0.001, 0.0025), (0.0042, 0.0044)], stuck=0.1)
+    light = np.array([frame.sum() - shoot(0)[0].sum() for frame in frames])
+    assert light / light[0] == pytest.approx([1.0, 0.0, 0.5, 1.0, 0.8], abs=0.01)
+
+
+def test_a_part_is_hidden_by_something_of_its_own_light() -> None:
+    image = shoot(4, hidden=(0.0, 0.5, 0.25, 1.0), hidden_level=0.3)[0]
+    part = np.zeros((SIDE, SIDE), bool)
+    part[8:, :4] = True
+    pitch = 35 / 12 * 20 / 10
+    at = np.round(79.5 + (np.arange(SIDE) - 7.5) * pitch).astype(int)
+    seen = image[np.ix_(at, at)]
+    assert seen[part] == pytest.approx(0.3 * 255, abs=1)
+    assert not np.isclose(seen[~part], 0.3 * 255, atol=1).any()
+
+
+def test_an_array_drives_away() -> None:
+    still, moving = (
+        from_mapping(
+            ChannelSettings,
+            {"speed_m_s": 10, "distance_m": 30, "shake": "none", "duration_s": 0.01, "arrays": [{"vz_m_s": v}]},
+        )
+        for v in (0, 25)
+    )
+    level = np.zeros((SIDE, SIDE), np.uint8)
+    depths = []
+    for settings in (still, moving):
+        truth = [
+            t for _, t in film(settings, [itertools.repeat(level)], np.random.default_rng(0), pattern_period_s=1e-3)
+        ]
+        depths.append(truth[-1].arrays[0].distance_m)
+    assert depths[0] == pytest.approx(30 - 10 * 0.0095, abs=1e-6)
+    assert depths[1] == pytest.approx(30 + 15 * 0.0095, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("place", "says"),
+    [
+        ({"dead": 0.6, "stuck": 0.5}, "at most 1 together"),
+        ({"hidden": (0.5, 0, 0.5, 1)}, "left < right"),
+        ({"hidden": (0.5, 0)}, "hidden"),
+        ({"off_s": [(0.2, 0.1)]}, "from < to"),
+    ],
+)
+def test_bad_settings_in_one_line(place: dict[str, Any], says: str) -> None:
+    with pytest.raises(SettingsError, match=says) as caught:
+        from_mapping(ChannelSettings, {"arrays": [place]})
+    assert "\n" not in str(caught.value)
