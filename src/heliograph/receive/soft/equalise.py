@@ -79,9 +79,10 @@ def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floa
 
 def _inverse(matrix: NDArray[np.float32]) -> NDArray[np.float32]:
     """Inverse of a positive definite matrix."""
-    factor, failed = lapack.spotrf(matrix, lower=1, overwrite_a=1)
+    # transposed it is as LAPACK wants it, and nothing is copied
+    factor, failed = lapack.spotrf(matrix.T, lower=1, overwrite_a=1)
     half, wrong = lapack.spotri(factor, lower=1, overwrite_c=1)
     if failed or wrong:
         raise np.linalg.LinAlgError("the equaliser's matrix is not positive definite")
-    lower = np.tril(half)
-    return np.asarray(lower + np.tril(lower, -1).T)
+    kernels.mirror(half.T)
+    return np.asarray(half.T)
