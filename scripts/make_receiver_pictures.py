@@ -77,8 +77,8 @@ def gram() -> Figure:
         shown = axes.imshow(np.log10(np.abs(values) / values.max() + 1e-9), vmin=-4, vmax=0, cmap="magma")
         axes.set_title(f"{z} m", fontsize=10)
         axes.set_xticks([32, 128, 224], ["high", "middle", "low"])
-        axes.set_yticks([32, 128, 224], ["high", "middle", "low"])
-    figure.colorbar(shown, ax=figure.axes, label="log10 |B'B|, of the largest", shrink=0.8)
+        axes.set_yticks([32, 128, 224], ["high", "middle", "low"] if k == 0 else [""] * 3)
+    figure.colorbar(shown, ax=figure.axes, label="log10 |B^T B|, the largest 0", shrink=0.8)
     return figure
 
 
@@ -115,7 +115,7 @@ def disturbers(packet: Packet) -> Figure:
     axes = figure.subplots()
     axes.plot(u, 2 * u / s[i, i], color="#8a929b", ls="--", label="all Gaussian: 2 u / S")
     axes.plot(u, side[1] - side[-1], color=COLOURS["middle"], label="the two strongest as +-1")
-    axes.set(xlabel="statistic u of a middle cell", ylabel="LLR", ylim=(-16, 16))
+    axes.set(xlabel="statistic u of a middle cell", ylabel="LLR", ylim=(-9, 9))
     axes.legend(frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()
