@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from heliograph.signal.settings import SignalSettings
 
 Floats = NDArray[np.float64]
 Blocks = dict[str, list[Block]]
+Feedback = Literal["none", "decoded", "soft"]
 
 GAIN, NOISE = 180.0, 4.5
 FORM = PacketFormat(SignalSettings(data_pairs=24))
@@ -64,10 +66,11 @@ def decoded(
     light: Light | None = None,
     memory: Memory | None = None,
     identity: int = IDENTITY,
+    feedback: Feedback = "soft",
 ) -> dict[str, tuple[Codeword, ...]]:
     """What the soft receiver makes of looks."""
     settings = ReceiveSettings(receiver="soft")
-    settings = replace(settings, soft=replace(settings.soft, rounds=rounds))
+    settings = replace(settings, soft=replace(settings.soft, rounds=rounds, feedback=feedback))
 
     def same(mean: Floats, variance: Floats, light: Light) -> Sequence[Look | None]:
         """Poses are known: looking again shows the same."""

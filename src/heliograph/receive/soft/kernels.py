@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
-from heliograph.receive.kernels import _axis
+from heliograph.receive.kernels import SQRT2
 
 REACH = 3.7
 """Standard deviations after which an LED's light is taken for nothing (2e-4 of it)."""
@@ -38,7 +38,6 @@ def place(pose, rows, cols, across, down, first):  # type: ignore[no-untyped-def
     side = round(math.sqrt(count))
     half = side // 2
     pitch = pose[6]
-    g, dg, ds = np.empty(width), np.empty(width), np.empty(width)
     reach = (width - 1) // 2
     for k in range(count):
         square, corner = k // 4, k % 4
@@ -46,12 +45,45 @@ def place(pose, rows, cols, across, down, first):  # type: ignore[no-untyped-def
         b = 2 * (square // half) + corner // 2 - (side - 1) / 2.0
         x, y = pose[0] + pose[2] * a + pose[3] * b, pose[1] + pose[4] * a + pose[5] * b
         first[k, 0], first[k, 1] = math.floor(x + 0.5) - reach, math.floor(y + 0.5) - reach
-        _axis(x, pose[7], first[k, 0], width, g, dg, ds)
-        for i in range(width):
-            across[k, i] = pitch * g[i] if 0 <= first[k, 0] + i < cols else 0.0
-        _axis(y, pose[8], first[k, 1], width, g, dg, ds)
-        for i in range(width):
-            down[k, i] = pitch * g[i] if 0 <= first[k, 1] + i < rows else 0.0
+        _shares(x, pose[7], first[k, 0], cols, pitch, across[k])
+        _shares(y, pose[8], first[k, 1], rows, pitch, down[k])
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _shares(centre, sigma, first, count, scale, out):  # type: ignore[no-untyped-def]
+    """Share of a Gaussian in each pixel from `first` on, times a scale; 0 beyond the window's `count` pixels."""
+    # g_j = Phi((j + 1/2 - c) / sigma) - Phi((j - 1/2 - c) / sigma)
+    cdf = math.erf((first - 0.5 - centre) / (sigma * SQRT2))
+    for j in range(out.shape[0]):
+        after = math.erf((first + j + 0.5 - centre) / (sigma * SQRT2))
+        out[j] = 0.5 * scale * (after - cdf) if 0 <= first + j < count else 0.0
+        cdf = after
+
+
+@njit(cache=True, nogil=True)
+def roots(shares, first, lit, dark, ring, out):  # type: ignore[no-untyped-def]
+    """Roots of the weights of a window's columns or rows, out (pixels,): W = lit / s^2, 0 in the outer `ring` pixels.
+
+    s^2 = dark + (lit - dark) f, f what all LEDs together give, 0 to 1; shares (n n, width) and first (n n,).
+    """
+    out[:] = 0.0
+    for k in range(shares.shape[0]):
+        for i in range(max(0, -first[k]), min(shares.shape[1], out.shape[0] - first[k])):
+            out[first[k] + i] += shares[k, i]
+    side = math.sqrt(shares.shape[0])
+    for j in range(out.shape[0]):
+        f = min(out[j] / side, 1.0)
+        inside = ring <= j < out.shape[0] - ring
+        out[j] = math.sqrt(lit / (dark + (lit - dark) * f)) if inside else 0.0
+
+
+@njit(cache=True, nogil=True)
+def weighted(shares, first, root, out):  # type: ignore[no-untyped-def]
+    """Shares with each pixel's weight on them, out (n n, width), root (pixels,)."""
+    for k in range(shares.shape[0]):
+        for i in range(shares.shape[1]):
+            j = first[k] + i
+            out[k, i] = shares[k, i] * root[j] if 0 <= j < root.shape[0] else 0.0
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -170,6 +202,14 @@ def difference(across_1, down_1, first_1, across_2, down_2, first_2):  # type: i
         total += _overlap(across_2[k], across_2[k], 0, width) * _overlap(down_2[k], down_2[k], 0, width)
         total -= 2 * _overlap(across_1[k], across_2[k], dx, width) * _overlap(down_1[k], down_2[k], dy, width)
     return total
+
+
+@njit(cache=True, nogil=True)
+def mirror(matrix):  # type: ignore[no-untyped-def]
+    """Make a matrix symmetric by its upper triangle."""
+    for i in range(matrix.shape[0]):
+        for j in range(i):
+            matrix[i, j] = matrix[j, i]
 
 
 @njit(cache=True, nogil=True)

@@ -11,6 +11,7 @@ With W the pixels' weights, all that remains of them is B^T W d, beside B^T W B 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -237,7 +238,7 @@ def weigh(glance: Glance, noise: Noise, side: int, shares: Floats | None = None)
     # B^T W B is taken at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2
     motion = 0.5 * (glance.poses[1].x - glance.poses[0].x), 0.5 * (glance.poses[1].y - glance.poses[0].y)
     between = _placed(glance.middle, glance.corner, shape, side, motion)
-    weights = _weights(between, noise, shape, side)
+    weights = _weights(between, noise, shape)
     root = weights[1][:, None] * weights[0]
     first, second = (
         _dimmed(_weighted(_placed(pose, glance.corner, shape, side), weights), shares) for pose in glance.poses
@@ -251,28 +252,20 @@ def _dimmed(share: Shares, shares: Floats | None) -> Shares:
     return share if shares is None else (share[0] * of_squares(shares)[:, None], *share[1:])
 
 
-def _weights(share: Shares, noise: Noise, shape: tuple[int, int], side: int) -> tuple[Floats, Floats]:
+def _weights(share: Shares, noise: Noise, shape: tuple[int, int]) -> tuple[Floats, Floats]:
     """Roots of the weights by column and by row: W = lit / s^2, 0 in the ring."""
-    weights = []
-    for shares, count, axis in zip(share[:2], (shape[1], shape[0]), (0, 1), strict=True):
-        profile = np.zeros(count + 2 * shares.shape[1])
-        places = share[2][:, axis, None] + np.arange(shares.shape[1]) + shares.shape[1]
-        np.add.at(profile, np.clip(places, 0, profile.size - 1), shares / side)
-        f = np.clip(profile[shares.shape[1] : shares.shape[1] + count], 0, 1)
-        root = np.sqrt(noise.lit / (noise.dark + (noise.lit - noise.dark) * f))
-        root[: int(RING_PX)] = root[count - int(RING_PX) :] = 0.0
-        weights.append(root)
-    return weights[0], weights[1]
+    columns, rows = np.empty(shape[1]), np.empty(shape[0])
+    kernels.roots(share[0], share[2][:, 0], noise.lit, noise.dark, int(RING_PX), columns)
+    kernels.roots(share[1], share[2][:, 1], noise.lit, noise.dark, int(RING_PX), rows)
+    return columns, rows
 
 
 def _weighted(share: Shares, weights: tuple[Floats, Floats]) -> Shares:
     """Shares of the LEDs' light with each pixel's weight on them."""
-    parts = []
-    for shares, weight, axis in zip(share[:2], weights, (0, 1), strict=True):
-        places = share[2][:, axis, None] + np.arange(shares.shape[1])
-        inside = (places >= 0) & (places < weight.size)
-        parts.append(shares * np.where(inside, weight[np.clip(places, 0, weight.size - 1)], 0.0))
-    return parts[0], parts[1], share[2]
+    across, down = np.empty_like(share[0]), np.empty_like(share[1])
+    kernels.weighted(share[0], share[2][:, 0], weights[0], across)
+    kernels.weighted(share[1], share[2][:, 1], weights[1], down)
+    return across, down, share[2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,6 +319,7 @@ def _all_on(share: Shares, shape: tuple[int, int]) -> Floats:
     return image
 
 
+@lru_cache(maxsize=512)  # a packet's poses are asked for again and again
 def _placed(
     pose: Pose, corner: tuple[int, int], shape: tuple[int, int], side: int, spread: tuple[float, float] = (0.0, 0.0)
 ) -> Shares:

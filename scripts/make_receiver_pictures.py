@@ -1,0 +1,158 @@
+"""Make the pictures of docs/receiver.md: each stage of the soft receiver on a packet, and how well it does."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from heliograph.experiments.plots import COLOURS, image_row
+from heliograph.link.settings import load_settings
+from heliograph.link.simulate import default_messages, simulate, transmitters
+from heliograph.receive import Pose, make_receiver
+from heliograph.receive.soft import reference
+from heliograph.receive.soft.look import Glance, Noise, take_look, weigh
+from heliograph.signal.block import pack
+from heliograph.signal.settings import LAYERS
+
+Floats = NDArray[np.float64]
+
+PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
+SIDE, PITCH_M_PX = 16, 58.33
+"""LEDs in a row; pitch in px times distance in m of the reference link."""
+
+
+class Packet:
+    """One packet received from a distance at rest, with all that the receiver shows of it and what was sent."""
+
+    def __init__(self, distance_m: float, seed: int = 0):
+        changes = [f"channel.distance_m={distance_m}", "channel.duration_s=0.1", "receive.receiver=soft"]
+        settings = load_settings("static", None, changes)
+        messages = default_messages(settings)
+        self.rounds: list[dict[str, Floats]] = []
+        self.glances: list[Glance] = []
+        receiver = make_receiver(settings.signal, settings.receive, self._watch)
+        for frame, _ in simulate(settings, messages, seed, roi_margin_px=12):
+            list(receiver.push(frame))
+        (sender,) = transmitters(settings, messages)
+        blocks, layers = sender.blocks(0), sender.format.layers
+        self.sent = {n: layers[n].code.encode([pack(b, layers[n].code.k) for b in blocks[n]]) for n in LAYERS}
+        bits = np.concatenate([layers[n].encode(blocks[n]) for n in LAYERS], axis=1)
+        self.cells = 1.0 - 2.0 * bits
+
+    def _watch(self, stage: str, data: Mapping[str, Any], /) -> None:
+        if stage == "equalise":
+            self.rounds.append({name: llr.copy() for name, llr in data["llr"].items()})
+        if stage == "decode":
+            self.glances = data["glances"]
+
+
+def pair(packet: Packet, number: int = 5) -> Figure:
+    """A pair as it is seen, and what is left of it once all cells are known."""
+    glance = packet.glances[number]
+    total, change = glance.total, glance.change
+    cells = packet.cells[number]
+    weighted = weigh(glance, Noise(1.0, 1.0), SIDE)
+    # the gain that explains the difference best
+    light = -weighted.residual(1.0, cells) + weighted.change
+    gain = float((light * weighted.change).sum() / (light * light).sum())
+    left = weighted.residual(gain, cells)
+    images = [0.5 * (total + change), 0.5 * (total - change), total / 2, 127 + change, 127 + left, 127 + 8 * left]
+    names = ["pattern", "inverted", "half the sum", "difference d", "d - g (B c + o)", "the same, 8 times"]
+    return image_row(images, names, rows=2)
+
+
+def gram() -> Figure:
+    """B^T B by distance: how far cells can be told apart."""
+    figure = Figure(figsize=(11, 3.4))
+    t = reference.transform(SIDE)
+    for k, z in enumerate((40, 80, 120)):
+        half = 8 * PITCH_M_PX / z + 4
+        size = int(2 * half)
+        a = reference.blur_matrix(Pose(half, half, PITCH_M_PX / z, 0.0, 0.51), SIDE, (0, 0), (size, size))
+        values = (a @ t).T @ (a @ t)
+        axes = figure.add_subplot(1, 3, k + 1)
+        shown = axes.imshow(np.log10(np.abs(values) / values.max() + 1e-9), vmin=-4, vmax=0, cmap="magma")
+        axes.set_title(f"{z} m", fontsize=10)
+        axes.set_xticks([32, 128, 224], ["high", "middle", "low"])
+        axes.set_yticks([32, 128, 224], ["high", "middle", "low"] if k == 0 else [""] * 3)
+    figure.colorbar(shown, ax=figure.axes, label="log10 |B^T B|, the largest 0", shrink=0.8)
+    return figure
+
+
+def first_round(packet: Packet) -> Figure:
+    """LLRs of the first round, bits that were sent as 0 and as 1 apart."""
+    figure = Figure(figsize=(11, 2.8))
+    for axes, name in zip(figure.subplots(1, 3, sharey=True), LAYERS, strict=True):
+        llr, sent = packet.rounds[0][name].ravel(), packet.sent[name].ravel()
+        edges = np.linspace(-15, 15, 61)
+        for bit, alpha in ((0, 0.9), (1, 0.4)):
+            axes.hist(np.clip(llr[sent == bit], -15, 15), edges, color=COLOURS[name], alpha=alpha, label=f"sent {bit}")
+        wrong = np.mean((llr < 0) != sent)
+        axes.set_title(f"{name}: {wrong:.1%} wrong", fontsize=10)
+        axes.set_xlabel("LLR")
+        axes.legend(frameon=False, fontsize=8)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.tight_layout()
+    return figure
+
+
+def disturbers(packet: Packet) -> Figure:
+    """The LLR by the statistic of a cell: two disturbers as +-1 against all of them as Gaussian."""
+    glance = packet.glances[5]
+    gain, noise = 150.0, 4.5
+    look = take_look(glance, Noise(noise, noise), SIDE)
+    s = np.linalg.inv(gain**2 / noise * look.gram.astype(np.float64) + np.eye(SIDE * SIDE))
+    middle = range(SIDE**2 // 4, 3 * SIDE**2 // 4)
+    i = max(middle, key=lambda n: float(np.sort(np.abs(np.delete(s[n], n)))[-2] ** 2 / (s[n, n] * (1 - s[n, n]))))
+    k, others = 1 - s[i, i], np.sort(np.abs(np.delete(s[i], i)))[-2:]
+    u, rest = np.linspace(-1.5, 1.5, 301), k * s[i, i] - (others**2).sum()
+    signs = np.array([(a, b) for a in (-1, 1) for b in (-1, 1)])
+    side = {c: np.logaddexp.reduce([-((u - c * k + others @ x) ** 2) / 2 / rest for x in signs]) for c in (1, -1)}
+    figure = Figure(figsize=(6, 3.2))
+    axes = figure.subplots()
+    axes.plot(u, 2 * u / s[i, i], color="#8a929b", ls="--", label="all Gaussian: 2 u / S")
+    axes.plot(u, side[1] - side[-1], color=COLOURS["middle"], label="the two strongest as +-1")
+    axes.set(xlabel="statistic u of a middle cell", ylabel="LLR", ylim=(-9, 9))
+    axes.legend(frameon=False)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.tight_layout()
+    return figure
+
+
+def rounds(packet: Packet) -> Figure:
+    """What remains unknown of each layer by round."""
+    figure = Figure(figsize=(6, 3.2))
+    axes = figure.subplots()
+    for name in LAYERS:
+        for word in range(len(packet.sent[name])):
+            llr = np.array([one[name][word] for one in packet.rounds])
+            sent = 1.0 - 2.0 * packet.sent[name][word]
+            open_ = (llr != 0).any(1)
+            told = [1 - np.mean(np.logaddexp(0, -row * sent)) / np.log(2) for row in llr[open_]]
+            axes.plot(1 + np.flatnonzero(open_), told, "o-", color=COLOURS[name], label=None if word else name)
+    axes.axhline(0.43, color="#8a929b", lw=0.8, ls="--")
+    axes.set(xlabel="round", ylabel="information in the LLRs (bit a bit)", xticks=range(1, 1 + len(packet.rounds)))
+    axes.legend(frameon=False)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.tight_layout()
+    return figure
+
+
+def main() -> None:
+    PICTURES.mkdir(exist_ok=True)
+    near, far = Packet(80), Packet(115)
+    for name, figure in (
+        ("pair", pair(Packet(60))),
+        ("gram", gram()),
+        ("first-round", first_round(near)),
+        ("disturbers", disturbers(near)),
+        ("rounds", rounds(far)),
+    ):
+        figure.savefig(PICTURES / f"soft-{name}.png", dpi=110, bbox_inches="tight")
+
+
+if __name__ == "__main__":
+    main()
