@@ -218,7 +218,7 @@ class Detector:
             part = np.kron(lit, np.ones((self._side // CELLS, self._side // CELLS)))
             rest = _fit_window(alternation, origin, fit.pose, part * weights, self._side, tilt)
             if rest is not None and lit.mean() >= 1 - HIDDEN and rest.score > fit.score:
-                fit, shares = rest, part
+                fit, shares = rest, np.asarray(part, np.float64)
         if fit is None or not self._convincing(fit, regularity, header[0].full_scale):
             return None
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
