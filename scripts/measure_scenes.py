@@ -45,10 +45,10 @@ SIX = (
     "transmit.identities=[0, 7, 12, 3, 20, 9]",
     "channel.arrays=["
     # one crosses before the second, one comes nearer, one drives away, one sways off, one stands
-    "{x_m=-1.2, y_m=-1.0, z_offset_m=-15, vx_m_s=2.4},"
+    "{x_m=-1.2, y_m=-0.7, z_offset_m=-15, vx_m_s=2.4},"
     "{x_m=0.3, y_m=-1.0},"
     "{x_m=2.6, y_m=-0.5, vz_m_s=-15, start_s=0.011},"
-    "{x_m=-3.0, y_m=-1.2, vz_m_s=12, start_s=0.0373},"
+    "{x_m=-3.0, y_m=-1.2, vz_m_s=12, start_s=0.037},"
     "{x_m=4.2, y_m=-1.6, z_offset_m=10, vx_m_s=-1.5, vy_m_s=0.5, start_s=0.052},"
     "{x_m=-4.5, y_m=0.5, z_offset_m=5, yaw_deg=15, start_s=0.078}]",
 )

@@ -366,11 +366,11 @@ def _distinct(detections: list[Detection], side: int) -> list[Detection]:
     """One detection a place, the best."""
     kept: list[Detection] = []
     for one in sorted(detections, key=lambda d: -d.score):
-        if all(_apart(one.fit.pose, other.fit.pose, side) for other in kept):
+        if all(apart(one.fit.pose, other.fit.pose, side) for other in kept):
             kept.append(one)
     return kept
 
 
-def _apart(a: Pose, b: Pose, side: int) -> bool:
+def apart(a: Pose, b: Pose, side: int) -> bool:
     """Whether two arrays do not overlap, a tenth left for slips: parts of a header look like smaller ones."""
     return bool(np.hypot(a.x - b.x, a.y - b.y) > 0.45 * side * (a.pitch + b.pitch))
