@@ -79,6 +79,12 @@ class ArrayReceiver:
         even = self.found.regularity >= self._settings.detect.hidden_regularity
         return self._proven or (self.found.score >= CLEAR and even)
 
+    def expects(self, detection: Detection) -> bool:
+        """Whether a header is its own, where one was due."""
+        packets = (detection.start_time_s - self._start_s) / self._form.settings.packet_s
+        off_s = abs(packets - round(packets)) * self._form.settings.packet_s
+        return detection.identity == self.identity and off_s < 0.5 * self._form.settings.pattern_period_s
+
     @property
     def done(self) -> bool:
         """Whether the array is out of sight, or what was followed is no array."""

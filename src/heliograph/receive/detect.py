@@ -206,6 +206,9 @@ class Detector:
         sign = 1 - 2 * (np.arange(self._header) % 2)
         sums = np.array([sign @ seen[k : k + self._header] for k in range(len(frames) - self._header + 1)])
         start = int(np.argmax(sums))
+        if start == len(sums) - 1:
+            # it may begin later still, and a pair of data like it stand for its first: the next search has more of it
+            return None
         change = -np.diff(seen[start : start + self._header]) * sign[:-1]
         regularity = float(change.min() / max(change.mean(), 1e-9))
         header = frames[start : start + self._span]

@@ -54,7 +54,7 @@ class Receiver:
         for detection in self._detector.push(frame, taken):
             rivals = [array for array in self._arrays if not self._apart(array, detection)]
             # what was taken for an array may stand in the way of one: the better header wins
-            if all(detection.score > r.found.score and detection.identity != r.identity for r in rivals):
+            if all(detection.score > rival.found.score and not rival.expects(detection) for rival in rivals):
                 for array in rivals:
                     yield from self._drop(array)
                 yield from self._take_up(detection)
