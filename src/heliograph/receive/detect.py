@@ -43,8 +43,8 @@ GAINED = 0.03
 MOST_TILT = 0.2
 """Tilt of 48 degrees, beyond which LEDs hardly shine."""
 
-HIDDEN, HIDDEN_SCORE, LIT_CELL = 0.5, 0.7, 0.4
-"""Largest hidden share of an array that is found all the same; the score that is left of half of it; and alternation,
+HIDDEN, HIDDEN_SCORE, LIT_CELL = 0.32, 0.7, 0.4
+"""Largest hidden share of an array that is found all the same; the least score of one worth the try; and alternation,
 as a share of the median cell's, from which on a cell is not hidden."""
 
 SLACK = 2
