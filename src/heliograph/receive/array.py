@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.detect import Detection, project
+from heliograph.receive.detect import CLEAR, Detection, project
 from heliograph.receive.packets import Codeword, Observer, Packet, Status
 from heliograph.receive.pose import Pose
 from heliograph.receive.reading import MakeReading, Reading
@@ -62,6 +62,8 @@ class ArrayReceiver:
         reading: MakeReading,
     ):
         self.identity = detection.identity
+        self.found = detection
+        self._proven = False
         self.tracker = Tracker(detection, form.settings.side, settings.track)
         self._start_s = detection.start_time_s
         self._form, self._settings, self._observe = form, settings, observe
@@ -72,6 +74,18 @@ class ArrayReceiver:
         self._packet = self._empty(reading(self.identity, form, settings, observe))
         self._failed = False
         self._now_s = detection.time_s
+
+    @property
+    def sure(self) -> bool:
+        """Whether it is an array: a codeword was right, or its header left no doubt."""
+        even = self.found.regularity >= self._settings.detect.hidden_regularity
+        return self._proven or (self.found.score >= CLEAR and even)
+
+    def expects(self, detection: Detection) -> bool:
+        """Whether a header is its own, where one was due."""
+        packets = (detection.start_time_s - self._start_s) / self._form.settings.packet_s
+        off_s = abs(packets - round(packets)) * self._form.settings.packet_s
+        return detection.identity == self.identity and off_s < 0.5 * self._form.settings.pattern_period_s
 
     @property
     def done(self) -> bool:
@@ -168,6 +182,7 @@ class ArrayReceiver:
         header = float(np.mean(packet.header)) if packet.header else 0.0
         status = _status(layers, header, float(packet.seen.mean()))
         # neither header nor a right codeword: no array, or out of step; it is found anew by its next header
+        self._proven |= status in ("ok", "partial")
         self._failed = status in ("no_header", "no_array")
         result = self._packet_value(packet, status, layers, header)
         self._observe("decode", {"identity": self.identity, "packet": result, **packet.reading.shown()})

@@ -43,8 +43,8 @@ GAINED = 0.03
 MOST_TILT = 0.2
 """Tilt of 48 degrees, beyond which LEDs hardly shine."""
 
-HIDDEN, HIDDEN_SCORE, LIT_CELL = 0.5, 0.7, 0.4
-"""Largest hidden share of an array that is found all the same; the score that is left of half of it; and alternation,
+HIDDEN, HIDDEN_SCORE, LIT_CELL = 0.32, 0.7, 0.4
+"""Largest hidden share of an array that is found all the same; the least score of one worth the try; and alternation,
 as a share of the median cell's, from which on a cell is not hidden."""
 
 SLACK = 2
@@ -206,6 +206,9 @@ class Detector:
         sign = 1 - 2 * (np.arange(self._header) % 2)
         sums = np.array([sign @ seen[k : k + self._header] for k in range(len(frames) - self._header + 1)])
         start = int(np.argmax(sums))
+        if start == len(sums) - 1:
+            # it may begin later still, and a pair of data like it stand for its first: the next search has more of it
+            return None
         change = -np.diff(seen[start : start + self._header]) * sign[:-1]
         regularity = float(change.min() / max(change.mean(), 1e-9))
         header = frames[start : start + self._span]
@@ -218,7 +221,7 @@ class Detector:
             part = np.kron(lit, np.ones((self._side // CELLS, self._side // CELLS)))
             rest = _fit_window(alternation, origin, fit.pose, part * weights, self._side, tilt)
             if rest is not None and lit.mean() >= 1 - HIDDEN and rest.score > fit.score:
-                fit, shares = rest, part
+                fit, shares = rest, np.asarray(part, np.float64)
         if fit is None or not self._convincing(fit, regularity, header[0].full_scale):
             return None
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
@@ -366,11 +369,11 @@ def _distinct(detections: list[Detection], side: int) -> list[Detection]:
     """One detection a place, the best."""
     kept: list[Detection] = []
     for one in sorted(detections, key=lambda d: -d.score):
-        if all(_apart(one.fit.pose, other.fit.pose, side) for other in kept):
+        if all(apart(one.fit.pose, other.fit.pose, side) for other in kept):
             kept.append(one)
     return kept
 
 
-def _apart(a: Pose, b: Pose, side: int) -> bool:
+def apart(a: Pose, b: Pose, side: int) -> bool:
     """Whether two arrays do not overlap, a tenth left for slips: parts of a header look like smaller ones."""
     return bool(np.hypot(a.x - b.x, a.y - b.y) > 0.45 * side * (a.pitch + b.pitch))

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive.array import ArrayReceiver
-from heliograph.receive.detect import Detection, Detector
+from heliograph.receive.detect import Detection, Detector, apart
 from heliograph.receive.packets import Observer, Packet, ignore
 from heliograph.receive.reading import MakeReading, PlainReading
 from heliograph.receive.settings import ReceiveSettings
@@ -48,9 +48,14 @@ class Receiver:
             yield from array.push(frame)
         for array in [a for a in self._arrays if a.done]:
             yield from self._drop(array)
-        taken = [array.tracker.state.pose for array in self._arrays]
+        taken = [array.tracker.state.pose for array in self._arrays if array.sure]
         for detection in self._detector.push(frame, taken):
-            yield from self._take_up(detection)
+            rivals = [array for array in self._arrays if not self._apart(array, detection)]
+            # what was taken for an array may stand in the way of one: the better header wins
+            if all(detection.score > rival.found.score and not rival.expects(detection) for rival in rivals):
+                for array in rivals:
+                    yield from self._drop(array)
+                yield from self._take_up(detection)
         self._last = frame
 
     def finish(self) -> Iterator[Packet]:
@@ -58,6 +63,10 @@ class Receiver:
         for array in self._arrays:
             yield from array.flush()
         self._arrays = []
+
+    def _apart(self, array: ArrayReceiver, detection: Detection) -> bool:
+        """Whether a detection lies beside an array that is followed."""
+        return apart(array.tracker.state.pose, detection.fit.pose, self._form.settings.side)
 
     def _take_up(self, detection: Detection) -> Iterator[Packet]:
         """Begin to follow an array, its header's frames first."""

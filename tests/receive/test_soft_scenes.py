@@ -1,0 +1,133 @@
+"""The soft receiver where arrays are tilted, partly hidden, failed in part, dim, in the sun, off, or many."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from receive_scenes import draw, film, link, pitch_at
+
+from heliograph.base.frames import Frame
+from heliograph.link.bench import BlockCounts, run_block
+from heliograph.link.settings import LinkSettings
+from heliograph.receive import Packet, Pose
+from heliograph.receive.receivers import receive_frames
+from heliograph.receive.soft.look import take_glance
+from heliograph.receive.soft.shares import LedShares
+from heliograph.signal.header import header_levels
+
+QUARTER = {"hidden": (0.0, 0.0, 0.5, 0.5)}
+SIDE = {"hidden": (0.0, 0.0, 0.25, 1.0)}
+POST = {"hidden": (0.375, 0.0, 0.625, 1.0)}
+SUN = {"emitter": {"all_on": 0.33, "panel_level": 0.47}, "background": {"level": 0.4}}
+NIGHT = {"emitter": {"all_on": 0.08, "panel_level": 0.0}, "background": {"level": 0.0}}
+
+
+def soft(distance_m: float, place: dict[str, Any] | None = None, **channel: Any) -> LinkSettings:
+    arrays = [{"x_m": 0.0, "y_m": 0.0, **(place or {})}]
+    return link("receive.receiver=soft", distance_m=distance_m, arrays=arrays, **channel)
+
+
+def wrong(counts: BlockCounts) -> list[int]:
+    """Codewords wrong in the high, middle and low layer; none may be false."""
+    assert counts.false_codewords == 0
+    return [layer.codeword_errors for layer in counts.layers.values()]
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "place", "channel", "expected"),
+    [
+        (80.0, {"yaw_deg": 10.0}, {}, [0, 0, 0]),
+        (80.0, {"yaw_deg": 30.0}, {}, [0, 0, 0]),
+        (50.0, {"yaw_deg": -40.0}, {}, [0, 0, 0]),
+        (50.0, {"yaw_deg": 25.0, "pitch_deg": 15.0, "roll_deg": 5.0}, {}, [0, 0, 0]),
+        (80.0, QUARTER, {}, [0, 0, 0]),
+        (50.0, SIDE, {}, [0, 0, 0]),
+        (50.0, {**SIDE, "hidden_level": 0.5}, {}, [0, 0, 0]),
+        (50.0, POST, {}, [0, 0, 0]),
+        (80.0, {"dead": 0.025, "stuck": 0.025}, {}, [0, 0, 0]),
+        (50.0, {}, NIGHT, [0, 0, 0]),
+        (80.0, {}, SUN, [0, 0, 0]),
+        (50.0, {}, {"emitter": {"all_on": 2.0}}, [0, 0, 0]),
+        (20.0, {}, {}, [0, 0, 0]),
+    ],
+)
+def test_every_codeword_read(
+    distance_m: float, place: dict[str, Any], channel: dict[str, Any], expected: list[int]
+) -> None:
+    assert wrong(run_block(soft(distance_m, place, **channel), 1)) == expected
+
+
+def test_half_an_array_gives_no_wrong_codeword() -> None:
+    counts = run_block(soft(60.0, {"hidden": (0.0, 0.0, 0.5, 1.0)}), 1)
+    assert counts.false_codewords == 0
+    assert wrong(counts)[2] == 1
+
+
+def test_lost_while_off_and_found_by_the_next_header() -> None:
+    settings = soft(50.0, {"off_s": [(0.13, 0.43)]})
+    packets = list(receive_frames(film(settings, 600), settings.signal, settings.receive))
+    right = [p for p in packets if p.status == "ok"]
+    assert [round(p.start_time_s, 3) for p in right] == [0.0, 0.5]
+    assert all(p.status != "ok" or p.identity == 0 for p in packets)
+
+
+def test_an_array_passes_before_another() -> None:
+    # the nearer one is right before the other at 0.25 s
+    near = {"x_m": -0.6, "y_m": 0.0, "z_offset_m": -15.0, "vx_m_s": 2.4}
+    settings = link(
+        "receive.receiver=soft",
+        "transmit.identities=[7, 3]",
+        distance_m=50.0,
+        arrays=[near, {"x_m": 0.0, "y_m": 0.0}],
+    )
+    packets = list(receive_frames(film(settings, 600), settings.signal, settings.receive))
+    assert _starts(packets, 7) == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]
+    assert {0.0, 0.5} <= set(_starts(packets, 3)) < {0.0, 0.1, 0.2, 0.3, 0.4, 0.5}
+
+
+def test_six_arrays_begin_at_once() -> None:
+    places = [{"x_m": x, "y_m": y} for y in (-0.4, 0.4) for x in (-0.8, 0.0, 0.8)]
+    settings = link("receive.receiver=soft", "transmit.identities=[0, 7, 12, 3, 20, 9]", distance_m=50.0, arrays=places)
+    packets = list(receive_frames(film(settings, 102), settings.signal, settings.receive))
+    assert sorted(p.identity for p in packets if p.status == "ok") == [0, 3, 7, 9, 12, 20]
+
+
+def test_the_tilt_is_found_and_does_not_change_the_distance() -> None:
+    settings = soft(40.0, {"yaw_deg": 30.0})
+    packet = next(iter(receive_frames(film(settings, 101), settings.signal, settings.receive)))
+    # the longest and the shortest pitch are as 1 to cos 30 degrees
+    assert (1 + packet.pose.stretch) / (1 - packet.pose.stretch) == pytest.approx(np.cos(np.radians(30)), abs=0.005)
+    assert packet.distance_m == pytest.approx(40.0, rel=0.005)
+
+
+def test_shares_tell_failed_leds() -> None:
+    rng, pose = np.random.default_rng(4), Pose(30.2, 29.7, pitch_at(60.0), 0.01, 0.55)
+    header = header_levels(5, 16) / 2.0 - 1.0
+    shares = np.ones((16, 16))
+    shares[2, 3] = shares[10, 12] = 0.0
+    shares[12:, :4] = 0.0
+    # what is stuck is lit in both frames
+    stuck = np.zeros((16, 16))
+    stuck[10, 12] = 1.0
+
+    def shot(signs: np.ndarray[Any, Any], index: int) -> Frame:
+        light = 200 * draw(pose, shares * (1 + signs) / 2 + stuck, (0, 0), (60, 60)) + 20
+        noisy = np.clip(np.round(light + rng.normal(0, 1.5, light.shape)), 0, 255)
+        return Frame(index, index * 1e-3, noisy.astype(np.uint8), 8)
+
+    found = LedShares(16)
+    gain, changed = found.learn(take_glance(shot(header, 0), shot(-header, 1), (pose, pose), 16), header, 190.0)
+    assert changed
+    assert gain == pytest.approx(200, rel=0.02)
+    assert found.values[shares == 0] == pytest.approx(0, abs=0.3)
+    assert found.values[shares == 1].mean() > 0.99
+    sound = LedShares(16)
+    shares[:], stuck[:] = 1.0, 0.0
+    _, changed = sound.learn(take_glance(shot(header, 0), shot(-header, 1), (pose, pose), 16), header, 190.0)
+    assert not changed
+    assert (sound.values == 1).all()
+
+
+def _starts(packets: list[Packet], identity: int) -> list[float]:
+    """When the packets of an array that were read rightly began."""
+    return [round(p.start_time_s, 3) for p in packets if p.identity == identity and p.status == "ok"]
