@@ -181,6 +181,34 @@ def gram(across, down, first, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def evenness(total, change, lit, inside, matrix, vector):  # type: ignore[no-untyped-def]
+    """Normal equations of light, a constant and slopes fitted to a sum inside the array; and the change beside it.
+
+    total, change, lit (rows, columns), lit the image of all LEDs; pixels with lit > inside are inside, those with
+    lit < 1e-3 beside. matrix (4, 4) and vector (4,) are overwritten. Returns the number of pixels inside and the sum of
+    their squares, then the same of the change beside.
+    """
+    matrix[:], vector[:] = 0.0, 0.0
+    column = np.empty(4)
+    count, power, beside, dark = 0, 0.0, 0, 0.0
+    rows, cols = total.shape
+    for i in range(rows):
+        for j in range(cols):
+            if lit[i, j] < 1e-3:
+                beside += 1
+                dark += change[i, j] ** 2
+            if lit[i, j] > inside:
+                count += 1
+                power += total[i, j] ** 2
+                column[0], column[1], column[2], column[3] = lit[i, j], 1.0, j - 0.5 * cols, i - 0.5 * rows
+                for k in range(4):
+                    vector[k] += column[k] * total[i, j]
+                    for m in range(4):
+                        matrix[k, m] += column[k] * column[m]
+    return count, power, beside, dark
+
+
+@njit(cache=True, nogil=True)
 def difference(across_1, down_1, first_1, across_2, down_2, first_2):  # type: ignore[no-untyped-def]
     """|A_1 - A_2|^2, the sum of squares over all LEDs and pixels; both of the same width."""
     width, total = across_1.shape[1], 0.0

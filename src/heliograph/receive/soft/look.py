@@ -226,16 +226,15 @@ def _unevenness(glance: Glance, gain: float, side: int) -> tuple[float, float, f
     shares = [_placed(pose, glance.corner, glance.change.shape, side) for pose in glance.poses]
     first, second = (_all_on(share, glance.change.shape) for share in shares)
     lit = 0.5 * (first + second)
-    inside = lit > INSIDE * lit.max()
-    y, x = np.nonzero(inside)
-    columns = np.stack([lit[inside], np.ones(len(x)), x - x.mean(), y - y.mean()], axis=1)
-    fitted = columns @ np.linalg.lstsq(columns, glance.total[inside], rcond=1e-6)[0]
-    beside = glance.change[lit < 1e-3]
-    freedom = max(len(x) - columns.shape[1], 0)
+    matrix, vector = np.empty((4, 4)), np.empty(4)
+    inside = INSIDE * lit.max()
+    count, power, beside, dark = kernels.evenness(glance.total, glance.change, lit, inside, matrix, vector)
+    # where light is even it is the constant: the ridge lets that be
+    left = power - vector @ np.linalg.solve(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3), vector)
+    freedom = max(count - 4, 0)
     # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
     moved = gain**2 / 16 * kernels.difference(*shares[0], *shares[1]) / (side * glance.middle.pitch) ** 2
-    uneven = float(((glance.total[inside] - fitted) ** 2).sum()) - freedom * moved
-    return uneven, freedom, float((beside**2).sum()), beside.size
+    return float(left) - freedom * moved, freedom, dark, beside
 
 
 def _all_on(share: Shares, shape: tuple[int, int]) -> Floats:
