@@ -116,6 +116,18 @@ def test_bright_clutter_beside_the_panel_does_not_pull(distance_m: float, scene:
     assert np.abs(error(found, pose))[:2].max() < 0.1
 
 
+def test_header_tells_the_tilt() -> None:
+    rng = np.random.default_rng(2)
+    pose = Pose(40.3, 30.8, pitch_at(50.0), 0.05, 0.55, -0.06, 0.04)
+    prior = Prior(np.append(start(pose, rng).vector, [0.0, 0.0]), np.diag([1.0, 1.0, 0.1, 0.1, 0.3, 0.1, 0.1]) ** 2)
+    found = fit(pixels(pose, HEADER), pose, HEADER, prior)
+    assert found.vector == pytest.approx(pose.full_vector(), abs=2e-3)
+    # held where the prior has no room for it
+    held = fit(pixels(pose, HEADER), pose, HEADER, Prior(pose.full_vector() + 0.01, BROAD))
+    assert held.vector[5:] == pytest.approx(pose.full_vector()[5:] + 0.01)
+    assert len(held.covariance) == 5
+
+
 def test_score_of_nothing_is_low() -> None:
     rng, pose = np.random.default_rng(0), Pose(40.0, 31.0, 1.2, 0.0, 0.55)
     noise = rng.normal(LEVEL, 2.5, window(pose)[1])

@@ -53,8 +53,8 @@ class Receiver:
             rivals = [array for array in self._arrays if not self._apart(array, detection)]
             # what was taken for an array may stand in the way of one: the better header wins
             if all(detection.score > rival.found.score and not rival.expects(detection) for rival in rivals):
-                for array in rivals:
-                    yield from self._drop(array)
+                for rival in rivals:
+                    self._forget(rival)
                 yield from self._take_up(detection)
         self._last = frame
 
@@ -83,6 +83,9 @@ class Receiver:
 
     def _drop(self, array: ArrayReceiver) -> Iterator[Packet]:
         yield from array.flush()
+        self._forget(array)
+
+    def _forget(self, array: ArrayReceiver) -> None:
         self._observe("lost", {"identity": array.identity, "time_s": array.tracker.state.time_s})
         self._arrays.remove(array)
 
