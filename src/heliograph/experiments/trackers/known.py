@@ -15,7 +15,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
 from heliograph.receive.detect import Detection, cut_out
 from heliograph.receive.fit import PANEL_MARGINS, window_around
-from heliograph.receive.kalman import PLAIN, PoseState
+from heliograph.receive.kalman import PLAIN, SHOWN, PoseState
 from heliograph.signal import haar
 from heliograph.signal.header import header_levels
 from heliograph.signal.pwm import SLOTS
@@ -74,8 +74,8 @@ class KnownPattern:
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002
         """Begin at the detection."""
-        wider = found.fit.covariance + np.diag([1.0, 1.0, 1e-3, 1e-4, 1e-2])
-        self._state = PoseState.start(found.time_s, found.fit.vector, wider)
+        wider = found.fit.covariance[:SHOWN, :SHOWN] + np.diag([1.0, 1.0, 1e-3, 1e-4, 1e-2])
+        self._state = PoseState.start(found.time_s, found.fit.vector[:SHOWN], wider)
         self._start_s, self._gain = found.start_time_s, found.fit.gain
         self._pitch, self._lost = found.fit.pose.pitch, False
         known, header = known_leds(self._side), header_levels(found.identity, self._side) / SLOTS
