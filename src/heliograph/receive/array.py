@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,8 +117,10 @@ class ArrayReceiver:
 
     def _read(self, pattern: Frame, inverted: Frame) -> None:
         """Track a pair, then read its data or its header."""
-        tracked = self.tracker.follow(pattern, inverted)
         packet, place = self._packet, self._pair_in_packet(self._pair) - self._form.settings.header_pairs
+        # all LEDs show in a pair's sum; of data without inverses only its reading knows what shows
+        follow = self.tracker.follow if place < 0 else partial(packet.reading.follow, tracker=self.tracker)
+        tracked = follow(pattern, inverted)
         packet.frames += [pattern.index, inverted.index]
         packet.scores.append(tracked.fit.score)
         packet.poses.append(tracked.state.pose)

@@ -126,7 +126,7 @@ def fit_array(
         vector,
         np.asarray(covariance, np.float64),
         float(linear[0]),
-        _correlation(image, image - residual),
+        correlation(image, image - residual),
         _spread_of(residual),
     )
 
@@ -142,7 +142,7 @@ class _Scene:
         self._margins = PANEL_MARGINS if panel else ()
         shaped = 1 + len(self._margins)
         self._shapes = np.empty((shaped, 6, *image.shape))
-        self._plane = _plane(*image.shape)
+        self._plane = plane(*image.shape)
         self._residual = np.empty(image.shape)
 
     def place(self, vector: Floats) -> None:
@@ -189,7 +189,7 @@ def window_around(pose: Pose, side: int, margin: float) -> tuple[int, int, int, 
     return x0, y0, int(np.ceil(pose.x + half)) - x0 + 1, int(np.ceil(pose.y + half)) - y0 + 1
 
 
-def _plane(rows: int, cols: int) -> Floats:
+def plane(rows: int, cols: int) -> Floats:
     """A constant and slopes in x and y, (3, rows, columns)."""
     y = ((np.arange(rows) - (rows - 1) / 2) / rows)[:, None] + np.zeros(cols)
     x = ((np.arange(cols) - (cols - 1) / 2) / cols)[None, :] + np.zeros((rows, 1))
@@ -209,6 +209,7 @@ def _step_limits(vector: Floats) -> tuple[Floats, Floats]:
     return -limit, limit
 
 
-def _correlation(a: Floats, b: Floats) -> float:
+def correlation(a: Floats, b: Floats) -> float:
+    """Correlation of two images, -1 to 1."""
     x, y = a - a.mean(), b - b.mean()
     return float((x * y).sum() / np.sqrt(max((x * x).sum() * (y * y).sum(), 1e-12)))

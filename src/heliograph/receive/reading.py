@@ -25,6 +25,9 @@ class Reading(Protocol):
     def take_header(self, pair: int, pattern: Frame, inverted: Frame, tracker: Tracker) -> None:
         """Take header pair `pair` of the packet, in which the array was seen."""
 
+    def follow(self, pattern: Frame, inverted: Frame, tracker: Tracker) -> TrackedPair:
+        """Find the array in a pair of the packet's data and move the tracker on."""
+
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Take data pair `place` of the packet, in which the array was seen."""
 
@@ -55,6 +58,10 @@ class PlainReading:
 
     def take_header(self, pair: int, pattern: Frame, inverted: Frame, tracker: Tracker) -> None:
         """Nothing is read of it."""
+
+    def follow(self, pattern: Frame, inverted: Frame, tracker: Tracker) -> TrackedPair:
+        """By the sum."""
+        return tracker.follow(pattern, inverted)
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Read the luminances of a pair."""

@@ -67,7 +67,7 @@ class Tracker:
 
     def follow(self, pattern: Frame, inverted: Frame) -> TrackedPair:
         """Find the array in the sum of a pair and move the filter on; coast where it is not seen."""
-        predicted = self._predict(0.5 * (pattern.time_s + inverted.time_s))
+        predicted = self.predict(0.5 * (pattern.time_s + inverted.time_s))
         corner, up, down = self._cut(pattern, inverted, predicted)
         # (pattern) + (inverse) = every LED on, Fig. 9
         prior = Prior(*predicted.expected(SUM), self.gain)
@@ -93,7 +93,12 @@ class Tracker:
             self.state = self.state.condition(fit.vector, fit.covariance, DIFFERENCE)
             self.data_gain = fit.gain
 
-    def _predict(self, time_s: float) -> PoseState:
+    def sees(self, first: Frame, second: Frame, fit: Fit) -> bool:
+        """Whether the array is in sight where a fit has it, by two frames that show different patterns."""
+        corner, up, down = self._cut(first, second, self.state)
+        return self._inside(fit, first) and self._active(up - down, fit.pose, corner)
+
+    def predict(self, time_s: float) -> PoseState:
         """The state at a time; pairs seen before the detection's own time take it as it is."""
         if time_s <= self.state.time_s:
             return PoseState(time_s, self.state.mean, self.state.covariance)

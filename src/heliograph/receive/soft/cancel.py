@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from heliograph.receive.decode import LARGEST_LLR, codeword_of
 from heliograph.receive.packets import Codeword
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.soft.cells import Cells
 from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
 from heliograph.receive.soft.look import Look
 from heliograph.signal.block import check
@@ -104,9 +105,10 @@ def decode_looks(
     Codewords by layer.
     """
     layers = {name: _Layer.unknown(layer) for name, layer in form.layers.items()}
+    cells = Cells(form)
     for _ in range(settings.soft.rounds):
         before = _open(layers)
-        _equalise_all(looks, light, layers)
+        _equalise_all(looks, light, layers, cells)
         for name, layer in layers.items():
             _decode_layer(layer, name, identity, settings)
         if not _open(layers).any() or (before - _open(layers)).max() < PROGRESS:
@@ -119,10 +121,10 @@ def _open(layers: dict[str, _Layer]) -> Floats:
     return np.concatenate([layer.variance.mean(1) for layer in layers.values()])
 
 
-def _equalise_all(looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer]) -> None:
+def _equalise_all(looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer], cells: Cells) -> None:
     """Equalise every look with what is known now; then the gain by expectation and maximisation."""
-    mean = np.concatenate([layer.mean() for layer in layers.values()], axis=1)
-    variance = np.concatenate([layer.variances() for layer in layers.values()], axis=1)
+    means = [layer.mean() for layer in layers.values()]
+    mean, variance = cells.expected(means, [layer.variances() for layer in layers.values()])
     llr, moments = np.zeros_like(mean), np.zeros(2)
     for number, look in enumerate(looks):
         if look is not None:
@@ -130,8 +132,7 @@ def _equalise_all(looks: Sequence[Look | None], light: Light, layers: dict[str, 
             llr[number] = estimate.llr
             moments += _moments(look, estimate)
     light.update(moments)
-    edges = np.cumsum([layer.form.cells for layer in layers.values()])[:-1]
-    for layer, part in zip(layers.values(), np.split(llr, edges, axis=1), strict=True):
+    for layer, part in zip(layers.values(), cells.bits(llr, means), strict=True):
         layer.llr = layer.form.deinterleave(np.clip(part, -LARGEST_LLR, LARGEST_LLR))
 
 

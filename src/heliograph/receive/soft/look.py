@@ -6,6 +6,7 @@ both frames, the difference of the frames is
     d = g (A_1 x - A_2 (1 - x)) + n = g (B c + o) + n,   B = (A_1 + A_2) / 2 T,   o = (A_1 - A_2) 1 / 2
 
 where 2 x - 1 = T c, T the Haar transform of equation (8) as 1/4 H^T D H and c the data +-1 in the order of the cells.
+A single frame of known background b is the same with 2 (r - b) = g (B c + o) + n, B = A T and o = A 1.
 With W the pixels' weights, all that remains of them is B^T W d, beside B^T W B and B^T W o which the poses decide.
 """
 
@@ -34,6 +35,9 @@ RING_PX = 2.0
 INSIDE = 0.8
 """Share of the array's light from which on a pixel lies inside the array."""
 
+BESIDE = 1e-3
+"""Share of it below which a pixel lies beside the array."""
+
 LEAST_NOISE = 1 / 6
 """Variance in squared gray levels that rounding alone gives a difference of two frames."""
 
@@ -45,22 +49,26 @@ class Glance:
     Attributes
     ----------
     total, change
-        Sum and difference of pattern and inverse in gray levels, (rows, columns).
+        Sum and difference of pattern and inverse in gray levels, (rows, columns); of a single frame both are twice what
+        it shows above the background.
     corner
         (x, y) on the sensor of the first pixel.
     poses
-        Where the light of the data was in each frame: in the middle of the exposure.
+        Where the light of the data was in each frame: in the middle of the exposure; one or two.
+    still
+        Of a single frame, where its mean light was, which is earlier.
     """
 
     total: Floats
     change: Floats
     corner: tuple[int, int]
-    poses: tuple[Pose, Pose]
+    poses: tuple[Pose, ...]
+    still: Pose | None = None
 
     @property
     def middle(self) -> Pose:
         """The pose between the two."""
-        return Pose.of(0.5 * (self.poses[0].vector() + self.poses[1].vector()))
+        return Pose.of(0.5 * (self.poses[0].vector() + self.poses[-1].vector()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,25 +140,94 @@ def measure_noise(glances: Sequence[Glance], side: int) -> Noise:
     return Noise(float(lit), float(dark))
 
 
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """A glance whose pixels are weighted by their noise relative to that inside the array.
+
+    Attributes
+    ----------
+    root
+        Roots of the weights, (rows, columns).
+    shares
+        Light of the LEDs in each of the glance's frames, weighted by `root`.
+    between
+        The same at the pose between the frames, its blur wider by the motion.
+    offset
+        o, weighted.
+    """
+
+    root: Floats
+    shares: Sequence[Shares]
+    between: Shares
+    offset: Floats
+
+    def correlated(self, image: Floats) -> Floats:
+        """B^T of a weighted image, (cells,)."""
+        return _correlated(image, self.shares)
+
+    def look(self, change: Floats) -> Look:
+        """Reduce a difference of frames, (rows, columns)."""
+        size = len(self.between[0])
+        gram = np.empty((size, size), np.float32)
+        kernels.gram(*self.between, gram)
+        d, o = self.root * change, self.offset
+        return Look(gram, self.correlated(d), self.correlated(o), float((d * o).sum()), float((o * o).sum()))
+
+
 def take_look(glance: Glance, noise: Noise, side: int) -> Look:
-    """Reduce a glance, its pixels weighted by their noise relative to that inside the array.
+    """Reduce a glance."""
+    return weigh(glance, noise, side).look(glance.change)
+
+
+def weigh(glance: Glance, noise: Noise, side: int) -> Weighed:
+    """Weight the pixels of a glance.
 
     The noise of a pixel follows its light: s^2 = dark + (lit - dark) f(x) f(y), f the profile of the array from 0 to 1.
     W is taken as a product of a function of x and one of y, so that LEDs weighted by its root are such products too.
     """
-    shape = glance.change.shape
-    middle = glance.middle
-    motion = 0.5 * (glance.poses[1].x - glance.poses[0].x), 0.5 * (glance.poses[1].y - glance.poses[0].y)
+    shape, corner = glance.change.shape, glance.corner
+    first, last = glance.poses[0], glance.poses[-1]
+    motion = 0.5 * (last.x - first.x), 0.5 * (last.y - first.y)
     # B^T W B at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2
-    between = _placed(middle, glance.corner, shape, side, motion)
+    between = _placed(glance.middle, corner, shape, side, motion)
     weights = _weights(between, noise, shape, side)
-    gram = np.empty((side * side, side * side), np.float32)
-    kernels.gram(*_weighted(between, weights), gram)
     root = weights[1][:, None] * weights[0]
-    shares = [_weighted(_placed(pose, glance.corner, shape, side), weights) for pose in glance.poses]
-    first, second = (_all_on(share, shape) for share in shares)
-    d, o = root * glance.change, 0.5 * (first - second)
-    return Look(gram, _correlated(d, shares), _correlated(o, shares), float((d * o).sum()), float((o * o).sum()))
+    shares = [_weighted(_placed(pose, corner, shape, side), weights) for pose in glance.poses]
+    if glance.still is None:
+        up, down = (_all_on(share, shape) for share in shares)
+        offset = 0.5 * (up - down)
+    else:
+        offset = root * image_of(np.ones((side, side)), glance.still, corner, shape)
+    return Weighed(root, shares, _weighted(between, weights), offset)
+
+
+def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
+    """Image of LEDs of given levels, (rows, columns): 1 where a wide array of levels 1 is.
+
+    Parameters
+    ----------
+    levels
+        (n, n) of the LEDs.
+    pose
+        The array's.
+    corner, shape
+        (x, y) on the sensor of the first pixel, rows and columns.
+    """
+    image, half = np.zeros(shape), len(levels) // 2
+    squares = levels.reshape(half, 2, half, 2).swapaxes(1, 2).reshape(-1)
+    kernels.shine(squares, *_placed(pose, corner, shape, len(levels)), image)
+    return image
+
+
+def noise_beside(glances: Sequence[Glance], side: int) -> float:
+    """Variance of a pixel of single frames' glances beside the array, what is not known of the background included."""
+    ones = np.ones((side, side))
+    squares, count = 0.0, 0
+    for glance in glances:
+        lit = image_of(ones, glance.middle, glance.corner, glance.change.shape)
+        beside = glance.change[lit < BESIDE]
+        squares, count = squares + float((beside**2).sum()), count + beside.size
+    return max(squares / max(count, 1), LEAST_NOISE)
 
 
 def _weights(share: Shares, noise: Noise, shape: tuple[int, int], side: int) -> tuple[Floats, Floats]:
@@ -186,7 +263,7 @@ def _unevenness(glance: Glance, side: int) -> tuple[float, float, float, float]:
     y, x = np.nonzero(inside)
     columns = np.stack([lit[inside], np.ones(len(x)), x - x.mean(), y - y.mean()], axis=1)
     fitted = columns @ np.linalg.lstsq(columns, glance.total[inside], rcond=1e-6)[0]
-    beside = glance.change[lit < 1e-3]
+    beside = glance.change[lit < BESIDE]
     freedom = max(len(x) - columns.shape[1], 0)
     return float(((glance.total[inside] - fitted) ** 2).sum()), freedom, float((beside**2).sum()), beside.size
 
@@ -200,7 +277,7 @@ def _all_on(share: Shares, shape: tuple[int, int]) -> Floats:
 
 def _correlated(image: Floats, shares: Sequence[Shares]) -> Floats:
     """B^T image, (cells,)."""
-    parts = np.empty((2, len(shares[0][0])))
+    parts = np.empty((len(shares), len(shares[0][0])))
     for share, part in zip(shares, parts, strict=True):
         kernels.seen_by_cells(image, *share, part)
     return np.asarray(parts.mean(0))
