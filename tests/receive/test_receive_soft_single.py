@@ -126,7 +126,7 @@ def test_a_frame_pulls_a_wrong_pose_back(singles: Singles) -> None:
         at = np.concatenate([pose.moved(0.06, -0.04).vector(), [0.8 * 255], singles._behind])
         for _ in range(2):
             matrix, rhs, score = singles._equations(frame, at, np.zeros(2))
-            spreads = np.array([1, 1, 0.002, 0.002, 0.02, 2, *[5] * 5])
+            spreads = np.array([1, 1, 0.002, 0.002, 0.02, 2, *[5] * 4])
             at = at + np.linalg.solve(matrix + np.diag(spreads**-2.0), rhs)
         steps.append(at[:2] - (pose.x, pose.y))
         assert score > 0.9

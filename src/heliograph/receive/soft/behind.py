@@ -1,16 +1,17 @@
 """What is behind an array: a panel of unknown width and gray before an even background.
 
 In a pair of pattern and inverse it cancels; a single frame shows it, and the panel's rim lies within the blur of the
-outer LEDs. It is a combination of the images of two squares, as in the fit of a sum, and a plane.
+outer LEDs. It is a combination of the images of a square, whose size the header tells, and a plane.
 """
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from heliograph.base.frames import Frame
 from heliograph.receive import kernels
 from heliograph.receive.detect import cut_out
-from heliograph.receive.fit import PANEL_MARGINS, plane, window_around
+from heliograph.receive.fit import plane, window_around
 from heliograph.receive.pose import Pose
 from heliograph.receive.soft.look import BESIDE, MARGIN_PX, RING_PX, image_of
 
@@ -19,8 +20,11 @@ Floats = NDArray[np.float64]
 Header = tuple[Frame, Frame, tuple[Pose, Pose]]
 """A header, its inverse, and the array's poses in them."""
 
-COUNT = len(PANEL_MARGINS) + 3
-"""Images that are combined."""
+COUNT = 4
+"""Images that are combined: a square and a plane."""
+
+MARGINS = np.arange(0.25, 3.01, 0.25)
+"""Rims of a panel that are tried at first, in pitches beyond half a pitch about the outer LEDs."""
 
 
 def surroundings(frame: Frame, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:
@@ -29,32 +33,55 @@ def surroundings(frame: Frame, pose: Pose, side: int) -> tuple[tuple[int, int], 
     return (x0, y0), cut_out(frame, x0, y0, cols, rows)
 
 
-def images_behind(pose: Pose, corner: tuple[int, int], shape: tuple[int, int], side: int) -> Floats:
-    """Images behind an array, with derivatives by (x, y, ln pitch, roll, ln blur): (COUNT, 6, rows, columns)."""
+def images_behind(pose: Pose, corner: tuple[int, int], shape: tuple[int, int], half: float) -> Floats:
+    """Images behind an array, with derivatives by (x, y, ln pitch, roll, ln blur): (COUNT, 6, rows, columns).
+
+    `half` is half the panel's side in pitches.
+    """
     out = np.zeros((COUNT, 6, *shape))
-    for box, margin in zip(out, PANEL_MARGINS, strict=False):
-        kernels.render_box(pose.vector(), 0.5 * side + margin, float(corner[0]), float(corner[1]), box)
-    out[len(PANEL_MARGINS) :, 0] = plane(*shape)
+    kernels.render_box(pose.vector(), half, float(corner[0]), float(corner[1]), out[0])
+    out[1:, 0] = plane(*shape)
     return out
 
 
-def learn_behind(headers: list[Header], gain: float, side: int) -> tuple[Floats, float]:
-    """Coefficients (COUNT,) of the images behind an array, and the variance of what they leave beside it.
+def learn_behind(headers: list[Header], gain: float, side: int) -> tuple[float, Floats, float]:
+    """Half the panel's side in pitches, coefficients (COUNT,) of the images, the variance they leave beside the array.
 
-    The sum of a header and its inverse is the array with all LEDs on: r + r' = g (A + A') 1 / 2 + 2 b.
+    The sum of a header and its inverse is the array with all LEDs on: r + r' = g (A + A') 1 / 2 + 2 b. The pose is
+    known from their difference, in which the panel cancels, so that the sum tells how wide the panel is.
     """
-    found = np.zeros(COUNT)
-    squares, count = 0.0, 0
-    for pattern, inverted, poses in headers:
-        middle = Pose.of(0.5 * (poses[0].vector() + poses[1].vector()))
-        corner, up = surroundings(pattern, middle, side)
-        _, down = surroundings(inverted, middle, side)
-        ones = np.ones((side, side))
-        lit = 0.5 * sum((image_of(ones, pose, corner, up.shape) for pose in poses), np.zeros(up.shape))
-        behind = 0.5 * (up + down - gain * lit).ravel()
-        columns = images_behind(middle, corner, up.shape, side)[:, 0].reshape(COUNT, -1).T
-        coefficients = np.linalg.lstsq(columns, behind, rcond=1e-6)[0]
-        left = (behind - columns @ coefficients)[lit.ravel() < BESIDE]
-        found += coefficients / len(headers)
-        squares, count = squares + float((left**2).sum()), count + left.size
-    return found, squares / max(count, 1)
+    views = [_view(header, gain, side) for header in headers]
+
+    def loss(half: float) -> float:
+        return sum(float(_fitted(*view, half)[1].sum()) for view in views)
+
+    halves = 0.5 * side + MARGINS
+    near = float(halves[int(np.argmin([loss(half) for half in halves]))])
+    step = float(MARGINS[1] - MARGINS[0])
+    half = float(minimize_scalar(loss, bounds=(near - step, near + step), method="bounded", options={"xatol": 5e-3}).x)
+    found = [_fitted(*view, half) for view in views]
+    beside = np.concatenate([squares[view[3]] for view, (_, squares) in zip(views, found, strict=True)])
+    return half, np.mean([one for one, _ in found], axis=0), float(beside.mean()) if beside.size else 0.0
+
+
+View = tuple[Floats, Pose, tuple[int, int], NDArray[np.bool_]]
+"""What is behind an array in a header pair, its pose there, the corner, and which pixels are beside it."""
+
+
+def _view(header: Header, gain: float, side: int) -> View:
+    pattern, inverted, poses = header
+    middle = Pose.of(0.5 * (poses[0].vector() + poses[1].vector()))
+    corner, up = surroundings(pattern, middle, side)
+    _, down = surroundings(inverted, middle, side)
+    ones = np.ones((side, side))
+    lit = 0.5 * sum((image_of(ones, pose, corner, up.shape) for pose in poses), np.zeros(up.shape))
+    return 0.5 * (up + down - gain * lit), middle, corner, lit < BESIDE
+
+
+def _fitted(
+    behind: Floats, pose: Pose, corner: tuple[int, int], _beside: NDArray[np.bool_], half: float
+) -> tuple[Floats, Floats]:
+    """Least squares coefficients of the images, and the squares of what they leave."""
+    columns = images_behind(pose, corner, behind.shape, half)[:, 0].reshape(COUNT, -1).T
+    coefficients = np.linalg.lstsq(columns, behind.ravel(), rcond=1e-6)[0]
+    return coefficients, (behind - (columns @ coefficients).reshape(behind.shape)) ** 2

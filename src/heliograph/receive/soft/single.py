@@ -62,7 +62,7 @@ class Singles:
 
     def __init__(self, side: int, later_s: float, headers: list[Header], gain: float):
         self._side, self._later_s, self._gain = side, later_s, gain
-        self._behind, left = learn_behind(headers, gain, side)
+        self._half, self._behind, left = learn_behind(headers, gain, side)
         seen = measure_noise([take_glance(*header, side) for header in headers], side)
         # a glance of a single frame is twice the frame: twice the variance of a difference of two
         self.noise = Noise(2 * seen.lit, max(2 * seen.dark, 4 * left))
@@ -94,7 +94,7 @@ class Singles:
         """A frame less what is behind the array, the array where `state` has it."""
         still = state.pose_at(frame.time_s)
         corner, image = surroundings(frame, still, self._side)
-        behind = images_behind(still, corner, image.shape, self._side)[:, 0]
+        behind = images_behind(still, corner, image.shape, self._half)[:, 0]
         above = image - np.tensordot(self._behind, behind, 1)
         return Glance(2 * above, 2 * above, corner, (state.pose_at(frame.time_s + self._later_s),), still)
 
@@ -125,7 +125,7 @@ class Singles:
         """
         still, gain = Pose.of(at), float(at[SHOWN])
         corner, image = surroundings(frame, still, self._side)
-        behind = images_behind(still, corner, image.shape, self._side)
+        behind = images_behind(still, corner, image.shape, self._half)
         above = 2 * (image - np.tensordot(at[SHOWN + 1 :], behind[:, 0], 1))
         weighed = weigh(Glance(above, above, corner, (still.moved(*shift),), still), self.noise, self._side)
         look = weighed.look(above)
