@@ -145,6 +145,11 @@ def test_what_is_behind_is_learnt(singles: Singles) -> None:
     assert np.abs(left).mean() < 4
 
 
+def test_the_panels_width_is_told_by_the_header(singles: Singles) -> None:
+    """9 pitches each way in the scene; a rim half a pitch off would pull the pitch by 5 %."""
+    assert singles._half == pytest.approx(9, abs=0.15)
+
+
 @pytest.mark.parametrize(("rates", "distance_m"), [("1/2", 60.0), ("9/10", 40.0)])
 def test_packets_without_inverses_are_read(rates: str, distance_m: float) -> None:
     named = f"[{{mode='single', high='{rates}', middle='{rates}', low='{rates}'}}, {{}}]"

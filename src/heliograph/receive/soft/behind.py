@@ -83,5 +83,5 @@ def _fitted(
 ) -> tuple[Floats, Floats]:
     """Least squares coefficients of the images, and the squares of what they leave."""
     columns = images_behind(pose, corner, behind.shape, half)[:, 0].reshape(COUNT, -1).T
-    coefficients = np.linalg.lstsq(columns, behind.ravel(), rcond=1e-6)[0]
+    coefficients = np.asarray(np.linalg.lstsq(columns, behind.ravel(), rcond=1e-6)[0], np.float64)
     return coefficients, (behind - (columns @ coefficients).reshape(behind.shape)) ** 2
