@@ -40,7 +40,8 @@ class SoftReceiver(Receiver):
             )
         settings = settings or ReceiveSettings(receiver="soft")
         smallest = min(settings.detect.min_side_px, settings.soft.min_side_px)
-        super().__init__(signal, replace(settings, detect=replace(settings.detect, min_side_px=smallest)), observe)
+        detect = replace(settings.detect, min_side_px=smallest, impaired=True)
+        super().__init__(signal, replace(settings, detect=detect), observe)
         # by identity, not by array: one lost and found again goes on with its carousel
         self._memories: dict[int, Memory] = defaultdict(Memory)
 
