@@ -8,7 +8,7 @@ hexadecimal; a pattern is a list of rows, top row first, each a string of levels
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +107,7 @@ def formats_vector() -> Vector:
     return {
         "about": "Formats: mode, rates of the high, middle and low layer (null for the agreed one), the word by cell "
         "(1 has half the contrast), and the later header pairs' pattern of identity 7 on a 8 x 8 array.",
-        "cases": [case(number) for number in (0, 1, 0o12, 0o123, 0o765)],
+        "cases": [case(number) for number in (0, 1, 0o12, 0o123, 0o765, 0o1000, 0o1765)],
     }
 
 
@@ -210,9 +210,10 @@ def small_packet() -> Vector:
     }
 
 
-def formats_packet() -> Vector:
+def named_packets(formats: Sequence[Format], count: int, shown: int) -> Vector:
+    """Packets of a carousel that take formats in turn, the first patterns of each in full."""
     settings = SignalSettings(side=8, header_pairs=2, data_pairs=21)
-    sender = Transmitter(settings, 15, MESSAGES, (Format(middle=0.5, low=0.9), Format(high=0.75)))
+    sender = Transmitter(settings, 15, MESSAGES, formats)
     packets = sender.packets()
 
     def case(number: int) -> Vector:
@@ -224,13 +225,11 @@ def formats_packet() -> Vector:
         return {
             "format": form.named.number,
             "blocks": blocks,
-            "patterns": ["/".join(rows(pattern)) for pattern in made[:6]],
+            "patterns": ["/".join(rows(pattern)) for pattern in made[:shown]],
             "sha256": hashlib.sha256(made.tobytes()).hexdigest(),
         }
 
     return {
-        "about": "Packets 0, 1 and 2 of a carousel on a 8 x 8 array whose packets take two formats in turn: the "
-        "blocks, header and first data pair, and the sha256 of all levels as bytes as in packet_small.json.",
         "identity": 15,
         "side": settings.side,
         "header_pairs": settings.header_pairs,
@@ -238,7 +237,23 @@ def formats_packet() -> Vector:
         "rate": [1 / 3] * 3,
         "modulation": settings.modulation,
         "messages": {name: [text.hex() for text in MESSAGES.get(name, [])] for name in LAYERS},
-        "packets": [case(number) for number in range(3)],
+        "packets": [case(number) for number in range(count)],
+    }
+
+
+def formats_packet() -> Vector:
+    return {
+        "about": "Packets 0, 1 and 2 of a carousel on a 8 x 8 array whose packets take two formats in turn: the "
+        "blocks, header and first data pair, and the sha256 of all levels as bytes as in packet_small.json.",
+        **named_packets((Format(middle=0.5, low=0.9), Format(high=0.75)), 3, 6),
+    }
+
+
+def single_packet() -> Vector:
+    return {
+        "about": "Packets 0 and 1 of the single mode on a 8 x 8 array, all patterns, rows joined by /; the polarities "
+        "are those of section 6.3's rule, the sum of D11 being 0 before packet 0.",
+        **named_packets((Format(mode="single", high=0.5, middle=0.75, low=0.9),), 2, 46),
     }
 
 
@@ -273,6 +288,7 @@ def vectors() -> dict[str, str]:
         "interleaver": interleaver_vector(),
         "packet_small": small_packet(),
         "packet_formats": formats_packet(),
+        "packet_single": single_packet(),
         "packet_ook": ook_packet(),
         "packet_default": default_packet(),
     }

@@ -82,6 +82,17 @@ def test_pairs_keep_the_mean_of_2_ms(waves: dict[str, NDArray[np.float64]]) -> N
     assert flicker.measure(waves[chapter.BARE], SLOT_S).period_s > flicker.MFTP_S
 
 
+def test_the_single_mode_is_as_even_as_pairs(waves: dict[str, NDArray[np.float64]]) -> None:
+    single, pairs, bare = (flicker.measure(waves[n], SLOT_S) for n in (chapter.SINGLE, chapter.PAIRS, chapter.BARE))
+    # light not balanced by coding breaks the limit below 90 Hz
+    assert bare.slow_limit_share > 1
+    assert single.slow_percent < pairs.slow_percent
+    assert single.slow_limit_share < pairs.slow_limit_share
+    assert single.period_s < flicker.MFTP_S
+    assert single.limit_share == pytest.approx(pairs.limit_share, rel=0.02)
+    assert single.svm == pytest.approx(pairs.svm, rel=0.02)
+
+
 def test_all_on_headers_break_what_m_sequences_keep(waves: dict[str, NDArray[np.float64]]) -> None:
     header, all_on = (flicker.measure(waves[name], SLOT_S) for name in (chapter.HEADER, chapter.ALL_ON_HEADER))
     assert np.ptp(waves[chapter.HEADER]) == 0

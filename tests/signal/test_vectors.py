@@ -134,9 +134,9 @@ def carousel(layer: str, identity: int, messages: list[bytes], k: int) -> list[b
     ]
 
 
-def plan(h: int, pairs: int, quarters: int, rate: float) -> tuple[int, int, int]:
-    """Section 9.1: W, K and E."""
-    bits = h * h * pairs
+def plan(h: int, pairs: int, quarters: int, rate: float, column: int = 0) -> tuple[int, int, int]:
+    """Section 9.1: W, K and E; `column` is 1 for the high layer of the single mode."""
+    bits = h * (h - column) * pairs
     m = next(m for m in range(1, bits + 1) if bits % m == 0 and rate * (bits // m) <= 6176)
     e = bits // m
     k = min((k for k in QPP if 10 * k <= 9 * e), key=lambda k: (abs(k - rate * e), k))
@@ -218,18 +218,41 @@ def cell_of(layer: int, c: int, h: int) -> tuple[int, int]:
     return (row, h + column) if c < h * h else (h + row, column)
 
 
+def balanced(data: list[list[list[int]]], ahead: int) -> tuple[list[Matrix], int]:
+    """Section 6.3: D11 of each pattern from its data, rows of h - 1, and the sum of all D11 after them."""
+    found = []
+    for rows in data:
+        ahead += sum(rows[0])
+        sums = [1 + sum(row) for row in rows]
+        polarity = [1] * len(rows)
+        for i in sorted(range(1, len(rows)), key=lambda i: (-abs(sums[i]), i)):
+            polarity[i] = -1 if ahead * sums[i] > 0 else 1
+            ahead += polarity[i] * sums[i]
+        free = -1 if ahead > 0 else 1
+        ahead += free
+        found.append(
+            [[s if i else free, *(s * d for d in row)] for i, (s, row) in enumerate(zip(polarity, rows, strict=True))]
+        )
+    return found, ahead
+
+
 def blocks_of(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0) -> list[list[bytes]]:
     """Section 8: by layer, the blocks of packet `number` of packets that take formats in turn."""
     form, found = forms[number % len(forms)], []
     for layer, name in enumerate(LAYERS):
-        sizes = [
-            plan(case["side"] // 2, case["data_pairs"], (1, 2, 1)[layer], rates_of(case, one)[layer]) for one in forms
-        ]
+        sizes = [sizes_of(case, one, layer) for one in forms]
         words, k, _ = sizes[forms.index(form)]
         before = sum(sizes[p % len(forms)][0] for p in range(number) if sizes[p % len(forms)][1] == k)
         wheel = carousel(name, case["identity"], messages_of(case, name), k)
         found.append([wheel[(before + i) % len(wheel)] for i in range(words)])
     return found
+
+
+def sizes_of(case: dict[str, Any], form: int, layer: int) -> tuple[int, int, int]:
+    """Section 9.1: W, K and E of a layer in a packet of a format."""
+    single, rate = form >> 9, rates_of(case, form)[layer]
+    pairs = case["data_pairs"] * (1 + single)
+    return plan(case["side"] // 2, pairs, (1, 2, 1)[layer], rate, column=int(single and layer == 0))
 
 
 def messages_of(case: dict[str, Any], name: str) -> list[bytes]:
@@ -244,23 +267,31 @@ def rates_of(case: dict[str, Any], form: int) -> list[float]:
 
 
 def packet(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0) -> list[Matrix]:
-    """Section 12."""
-    n, pairs, form = case["side"], case["data_pairs"], forms[number % len(forms)]
-    h = n // 2
+    """Section 12; of the single mode packets before this one are of this mode too."""
+    n, form = case["side"], forms[number % len(forms)]
+    single = form >> 9
+    h, pairs = n // 2, case["data_pairs"] * (1 + single)
     d = [[[0] * n for _ in range(n)] for _ in range(pairs)]
     for layer, sent in enumerate(blocks_of(case, forms, number)):
-        _, _, e = plan(h, pairs, (1, 2, 1)[layer], rates_of(case, form)[layer])
+        _, _, e = sizes_of(case, form, layer)
         for i, one in enumerate(sent):
             coded = rate_match(mother(bits_of(one)), e)
             for j, (bit, chip) in enumerate(zip(coded, whitening(e, layer, i), strict=True)):
-                pair, cell = place(i * e + j, pairs, (h * h, 2 * h * h, h * h)[layer])
-                row, column = cell_of(layer, cell, h)
+                cells = (h * (h - single), 2 * h * h, h * h)[layer]
+                pair, cell = place(i * e + j, pairs, cells)
+                row, column = (cell // (h - 1), 1 + cell % (h - 1)) if single and not layer else cell_of(layer, cell, h)
                 d[pair][row][column] = 1 - 2 * (bit ^ chip)
     modulate = haar if case["modulation"] == "haar" else ook
     head = [header_pattern(case["identity"], n)]
     head += [dimmed_pattern(case["identity"], form, n)] * (case["header_pairs"] - 1)
-    shown = head + [modulate(matrix) for matrix in d]
-    return [both for pattern in shown for both in (pattern, inverse(pattern))]
+    if not single:
+        return [both for pattern in head + [modulate(matrix) for matrix in d] for both in (pattern, inverse(pattern))]
+    ahead = sum(2 * sum(map(sum, p)) - 4 * n * n for p in packet(case, forms, number - 1)) // 4 if number else 0
+    d11, _ = balanced([[row[1:h] for row in matrix[:h]] for matrix in d], ahead)
+    for matrix, quarter in zip(d, d11, strict=True):
+        for row, new in zip(matrix, quarter, strict=False):
+            row[:h] = new
+    return [both for pattern in head for both in (pattern, inverse(pattern))] + [haar(matrix) for matrix in d]
 
 
 # Reading the files.
@@ -320,16 +351,17 @@ def test_formats() -> None:
         assert text_rows(dimmed_pattern(7, case["format"], 8)) == case["levels_side_8"]
 
 
-def test_packets_of_two_formats() -> None:
-    case = load("packet_formats")
-    forms = [case["packets"][number]["format"] for number in (0, 1)]
-    assert len(set(forms)) == 2
+@pytest.mark.parametrize(("name", "count"), [("packet_formats", 2), ("packet_single", 1)])
+def test_packets_that_name_their_format(name: str, count: int) -> None:
+    case = load(name)
+    forms = [sent["format"] for sent in case["packets"][:count]]
+    assert len(set(forms)) == count
     for number, sent in enumerate(case["packets"]):
-        assert sent["format"] == forms[number % 2]
+        assert sent["format"] == forms[number % count]
         expected = blocks_of(case, forms, number)
         assert [[bytes.fromhex(one) for one in sent["blocks"][name]] for name in LAYERS] == expected
         patterns = packet(case, forms, number)
-        assert ["/".join(text_rows(pattern)) for pattern in patterns[:6]] == sent["patterns"]
+        assert ["/".join(text_rows(pattern)) for pattern in patterns[: len(sent["patterns"])]] == sent["patterns"]
         levels = bytes(level for pattern in patterns for row in pattern for level in row)
         assert hashlib.sha256(levels).hexdigest() == sent["sha256"]
 

@@ -41,7 +41,7 @@ class KnownReading(SoftReading):
         """Keep a pair with its true poses."""
         super().take(place, pattern, inverted, tracked, tracker)
         first, second = (true_pose(self._truths[frame.index], self._link) for frame in (pattern, inverted))
-        self._glances[place] = take_glance(pattern, inverted, (first, second), self._form.settings.side)
+        self._glances[place] = take_glance(pattern, inverted, (first, second), self._side)
         self._gain = true_gain(self._truths[pattern.index], self._link)
 
     def _measure(self) -> None:

@@ -136,7 +136,11 @@ class ArrayReceiver:
     def _read(self, pattern: Frame, inverted: Frame) -> None:
         """Track a pair, then read its data or its header."""
         packet, place = self._packet, self._pair_in_packet(self._pair) - self._form.settings.header_pairs
-        tracked = self.tracker.follow(pattern, inverted, self._sum_late_s if place >= 0 else 0.0)
+        if place < 0:
+            tracked = self.tracker.follow(pattern, inverted)
+        else:
+            # all LEDs show in a pair's sum; of data without inverses only its reading knows what shows
+            tracked = packet.reading.follow(pattern, inverted, self.tracker, self._sum_late_s)
         packet.frames += [pattern.index, inverted.index]
         packet.scores.append(tracked.fit.score)
         packet.poses.append(tracked.state.pose)

@@ -129,7 +129,7 @@ def fit_array(
         vector,
         np.asarray(covariance, np.float64),
         float(linear[0]),
-        _correlation(image, image - residual),
+        correlation(image, image - residual),
         _spread_of(residual),
     )
 
@@ -145,7 +145,7 @@ class _Scene:
         self._margins = PANEL_MARGINS if panel else ()
         shaped = 1 + len(self._margins)
         self._shapes = np.empty((shaped, 1 + free, *image.shape))
-        self._plane = _plane(*image.shape)
+        self._plane = plane(*image.shape)
         self._residual = np.empty(image.shape)
 
     def place(self, vector: Floats) -> None:
@@ -192,7 +192,7 @@ def window_around(pose: Pose, side: int, margin: float) -> tuple[int, int, int, 
     return x0, y0, int(np.ceil(pose.x + across)) - x0 + 1, int(np.ceil(pose.y + down)) - y0 + 1
 
 
-def _plane(rows: int, cols: int) -> Floats:
+def plane(rows: int, cols: int) -> Floats:
     """A constant and slopes in x and y, (3, rows, columns)."""
     y = ((np.arange(rows) - (rows - 1) / 2) / rows)[:, None] + np.zeros(cols)
     x = ((np.arange(cols) - (cols - 1) / 2) / cols)[None, :] + np.zeros((rows, 1))
@@ -211,6 +211,7 @@ def _step_limits(vector: Floats) -> Floats:
     return np.array([reach, reach, 0.1, 0.05, 0.2, 0.05, 0.05])
 
 
-def _correlation(a: Floats, b: Floats) -> float:
+def correlation(a: Floats, b: Floats) -> float:
+    """Correlation of two images, -1 to 1."""
     x, y = a - a.mean(), b - b.mean()
     return float((x * y).sum() / np.sqrt(max((x * x).sum() * (y * y).sum(), 1e-12)))

@@ -34,6 +34,12 @@ class Reading(Protocol):
         Returns whether it is to be followed and taken once more, as the tracker now knows better what it looks like.
         """
 
+    def follow(self, pattern: Frame, inverted: Frame, tracker: Tracker, late_s: float) -> TrackedPair:
+        """Find the array in a pair of the packet's data and move the tracker on.
+
+        The light of all LEDs together comes `late_s` after the middle of the exposures.
+        """
+
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Take data pair `place` of the packet, in which the array was seen."""
 
@@ -71,6 +77,10 @@ class PlainReading:
     def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> bool:  # noqa: ARG002
         """Learn nothing."""
         return False
+
+    def follow(self, pattern: Frame, inverted: Frame, tracker: Tracker, late_s: float) -> TrackedPair:
+        """By the sum."""
+        return tracker.follow(pattern, inverted, late_s)
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Read the luminances of a pair."""

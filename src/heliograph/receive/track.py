@@ -82,7 +82,7 @@ class Tracker:
             By how much the light of their sum comes after the middle of the exposures: PWM lights the first slots more.
         """
         self._before = self.state
-        predicted = self._predict(0.5 * (pattern.time_s + inverted.time_s))
+        predicted = self.predict(0.5 * (pattern.time_s + inverted.time_s))
         corner, up, down = self._cut(pattern, inverted, predicted)
         # (pattern) + (inverse) = every LED on, Fig. 9
         view = sum_view(late_s)
@@ -120,7 +120,12 @@ class Tracker:
             self.state = replace(state, tilt=Tilt(fit.vector[SHOWN:], fit.covariance[SHOWN:, SHOWN:]))
             self.data_gain = fit.gain
 
-    def _predict(self, time_s: float) -> PoseState:
+    def sees(self, first: Frame, second: Frame, fit: Fit) -> bool:
+        """Whether the array is in sight where a fit has it, by two frames that show different patterns."""
+        corner, up, down = self._cut(first, second, self.state)
+        return self._inside(fit, first) and self._active(up - down, fit.pose, corner)
+
+    def predict(self, time_s: float) -> PoseState:
         """The state at a time; pairs seen before the detection's own time take it as it is."""
         if time_s <= self.state.time_s:
             return replace(self.state, time_s=time_s)

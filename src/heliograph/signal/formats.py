@@ -19,8 +19,10 @@ from heliograph.signal.settings import LAYERS, RateSettings, as_number
 RATES = (2 / 5, 1 / 2, 3 / 5, 2 / 3, 3 / 4, 5 / 6, 9 / 10)
 """Rates that a header can name, numbers 1 to 7; number 0 is the rate both ends have agreed on."""
 
-MODES: tuple[Literal["paired"], ...] = ("paired",)
-"""Modes by number; 1 to 3 are kept free."""
+Mode = Literal["paired", "single"]
+
+MODES: tuple[Mode, ...] = ("paired", "single")
+"""Modes by number; 2 and 3 are kept free."""
 
 RATE_BITS = 3
 """Bits that name a layer's rate."""
@@ -50,12 +52,12 @@ class Format:
     Attributes
     ----------
     mode
-        "paired": every pattern is followed by its inverse.
+        "paired", every data pattern followed by its inverse, or "single", new data in every pattern.
     high, middle, low
         Rate of the turbo code by layer, one of `RATES`; None for the one that ``signal.rate`` agrees on.
     """
 
-    mode: Literal["paired"] = "paired"
+    mode: Mode = "paired"
     high: NamedRate | None = None
     middle: NamedRate | None = None
     low: NamedRate | None = None

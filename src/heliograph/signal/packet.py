@@ -13,6 +13,7 @@ from heliograph.signal import haar, ook, pwm
 from heliograph.signal.block import MIN_BITS, Block, pack, payload_bytes, whitening
 from heliograph.signal.formats import AGREED, Format
 from heliograph.signal.header import all_on_levels, header_levels, named_levels
+from heliograph.signal.polarity import balance
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
 from heliograph.signal.turbo import QPP_SIZES, TurboCode
 
@@ -35,7 +36,7 @@ class LayerFormat:
     code
         Their turbo code: K information bits to E transmitted ones.
     pairs, cells
-        Data pairs of a packet, and bits of the layer in a pair.
+        Data pairs of a packet, in the single mode its data patterns, and bits of the layer in each.
     """
 
     name: str
@@ -104,23 +105,37 @@ class PacketFormat:
                 "a format is named by the second header pair: set signal.header_pairs to 2 or more and "
                 'signal.header to "m_sequence"'
             )
+        if self.single and self.settings.modulation != "haar":
+            raise SettingsError('the single mode is one of signal.modulation = "haar"')
 
     @cached_property
     def layers(self) -> dict[str, LayerFormat]:
         """Formats by layer, in the order of priority."""
         rates = self.named.rates(self.settings.rate)
-        quarter = (self.settings.side // 2) ** 2
-        plans = zip(LAYERS, MULTIPLICITY, rates, strict=True)
-        return {name: _plan(name, count, quarter, self.settings.data_pairs, rate) for name, count, rate in plans}
+        half, pairs = self.settings.side // 2, self.settings.data_pairs
+        quarters = [half * half] * len(LAYERS)
+        if self.single:
+            # twice the patterns, and a column of D11 for their balance
+            quarters[0], pairs = half * (half - 1), 2 * pairs
+        plans = zip(LAYERS, MULTIPLICITY, quarters, rates, strict=True)
+        return {name: _plan(name, count, quarter, pairs, rate) for name, count, quarter, rate in plans}
 
-    def data_patterns(self, blocks: Mapping[str, Sequence[Block]]) -> NDArray[np.uint8]:
-        """Data patterns of a packet, (pairs, n, n) levels, without the inverted ones."""
-        quarters = np.concatenate([self.layers[name].encode(blocks[name]) for name in LAYERS], axis=1)
-        d = self.join(1 - 2 * quarters.astype(np.int8))
+    @property
+    def single(self) -> bool:
+        """Whether no inverses follow the data patterns."""
+        return self.named.mode == "single"
+
+    def data_patterns(self, blocks: Mapping[str, Sequence[Block]], ahead: int = 0) -> NDArray[np.uint8]:
+        """Data patterns of a packet, (pairs, n, n) levels, without the inverted ones; `ahead` as in `patterns`."""
+        cells = [1 - 2 * self.layers[name].encode(blocks[name]).astype(np.int8) for name in LAYERS]
+        if self.single:
+            half = self.settings.side // 2
+            cells[0] = balance(cells[0].reshape(-1, half, half - 1), ahead).reshape(-1, half * half)
+        d = self.join(np.concatenate(cells, axis=1))
         return haar.encode(d) if self.settings.modulation == "haar" else ook.encode(d)
 
-    def patterns(self, identity: int, blocks: Mapping[str, Sequence[Block]]) -> NDArray[np.uint8]:
-        """All patterns of a packet in the order of time, each followed by its inverse, (patterns, n, n) levels.
+    def patterns(self, identity: int, blocks: Mapping[str, Sequence[Block]], ahead: int = 0) -> NDArray[np.uint8]:
+        """All patterns of a packet in the order of time, (patterns, n, n) levels.
 
         Parameters
         ----------
@@ -128,8 +143,12 @@ class PacketFormat:
             Number of the array.
         blocks
             For each layer one block a codeword.
+        ahead
+            How much light was given before beyond the mean, in cells of D11; only the single mode asks.
         """
         head = np.stack([self.header_pattern(identity, pair) for pair in range(self.settings.header_pairs)])
+        if self.single:
+            return np.concatenate([with_inverses(head), self.data_patterns(blocks, ahead)])
         return with_inverses(np.concatenate([head, self.data_patterns(blocks)]))
 
     def header_pattern(self, identity: int, pair: int = 0) -> NDArray[np.uint8]:

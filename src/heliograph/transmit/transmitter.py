@@ -17,6 +17,7 @@ from heliograph.signal.header import IDENTITIES
 from heliograph.signal.header import identity as identity_of
 from heliograph.signal.message import Carousel
 from heliograph.signal.packet import PacketFormat
+from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import LAYERS, SignalSettings
 
 
@@ -124,8 +125,12 @@ class Transmitter:
 
     def packets(self) -> Iterator[NDArray[np.uint8]]:
         """Endless packets, each (patterns, n, n) uint8 levels in the order of time."""
+        ahead = 0
         for number in count():
-            yield self.format_of(number).patterns(self.identity, self.blocks(number))
+            packet = self.format_of(number).patterns(self.identity, self.blocks(number), ahead)
+            # a cell of D11 changes 4 LEDs by half a level
+            ahead += (int(packet.sum(dtype=np.int64)) - packet.size * SLOTS // 2) // 2
+            yield packet
 
     def levels(self) -> Iterator[NDArray[np.uint8]]:
         """Endless patterns, each (n, n) uint8 levels."""
@@ -138,4 +143,6 @@ class Transmitter:
         for index, levels in enumerate(self.levels()):
             place = index % settings.packet_patterns
             part: Literal["header", "data"] = "header" if place < 2 * settings.header_pairs else "data"
-            yield TimedPattern(index, index * settings.pattern_period_s, part, bool(index % 2), levels)
+            single = part == "data" and self.format_of(index // settings.packet_patterns).single
+            inverted = bool(index % 2) and not single
+            yield TimedPattern(index, index * settings.pattern_period_s, part, inverted, levels)

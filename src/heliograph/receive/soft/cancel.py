@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from heliograph.receive.decode import LARGEST_LLR, codeword_of, hard
 from heliograph.receive.packets import Codeword, Observer, ignore
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.soft.cells import Cells
 from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
 from heliograph.receive.soft.look import Look
 from heliograph.receive.soft.memory import Memory, faithful
@@ -109,7 +110,7 @@ def decode_looks(
     Parameters
     ----------
     looks
-        One a data pair; None where the array was not seen.
+        One a data pair, in the single mode one a pattern; None where the array was not seen.
     light
         First guess of gain and noise; refined in place.
     form
@@ -130,9 +131,10 @@ def decode_looks(
     Codewords by layer.
     """
     layers = {name: _Layer.unknown(layer) for name, layer in form.layers.items()}
+    cells = Cells(form)
     for _ in range(settings.soft.rounds):
         before = _open(layers)
-        _equalise_all(looks, light, layers)
+        _equalise_all(looks, light, layers, cells)
         observe("equalise", {"identity": identity, "llr": {name: layer.llr for name, layer in layers.items()}})
         for name, layer in layers.items():
             if not layer.recalled:
@@ -145,13 +147,15 @@ def decode_looks(
         if not now.any() or (before - now).max() < PROGRESS or settings.soft.feedback == "none":
             break
         if settings.soft.sharpen and np.count_nonzero(now) < np.count_nonzero(before):
-            looks = again(*_known(layers), light)
+            looks = again(*_known(layers, cells), light)
     if settings.soft.looks:
-        _remember(looks, light, layers, memory)
+        _remember(looks, light, layers, cells, memory)
     return {name: tuple(layer.words) for name, layer in layers.items()}
 
 
-def _remember(looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer], memory: Memory) -> None:
+def _remember(
+    looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer], cells: Cells, memory: Memory
+) -> None:
     """Keep what this look says of the codewords that it alone did not give.
 
     The looks are equalised anew with the decoded codewords known and no guess of the others: a guess fed back would be
@@ -164,7 +168,7 @@ def _remember(looks: Sequence[Look | None], light: Light, layers: dict[str, _Lay
         for i, word in enumerate(layer.words):
             if word.status == "crc_fail":
                 layer.soft[i], layer.variance[i] = 0.0, 1.0
-    _equalise_all(looks, light, layers)
+    _equalise_all(looks, light, layers, cells)
     for name, numbers in wanted.items():
         for i in numbers:
             memory.keep((name, layers[name].form.code), layers[name].llr[i], layers[name].recalled[i])
@@ -175,15 +179,15 @@ def _open(layers: dict[str, _Layer]) -> Floats:
     return np.concatenate([layer.variance.mean(1) for layer in layers.values()])
 
 
-def _known(layers: dict[str, _Layer]) -> tuple[Floats, Floats]:
-    """Mean and variance of all cells, (pairs, cells)."""
-    mean = np.concatenate([layer.mean() for layer in layers.values()], axis=1)
-    return mean, np.concatenate([layer.variances() for layer in layers.values()], axis=1)
+def _known(layers: dict[str, _Layer], cells: Cells) -> tuple[Floats, Floats]:
+    """Mean and variance of all cells, (patterns, cells)."""
+    values = layers.values()
+    return cells.expected([layer.mean() for layer in values], [layer.variances() for layer in values])
 
 
-def _equalise_all(looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer]) -> None:
+def _equalise_all(looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer], cells: Cells) -> None:
     """Equalise every look with what is known now; then the gain by expectation and maximisation."""
-    mean, variance = _known(layers)
+    mean, variance = _known(layers, cells)
     llr, moments = np.zeros_like(mean), np.zeros(2)
     for number, look in enumerate(looks):
         if look is not None:
@@ -191,8 +195,8 @@ def _equalise_all(looks: Sequence[Look | None], light: Light, layers: dict[str, 
             llr[number] = estimate.llr
             moments += _moments(look, estimate)
     light.update(moments)
-    edges = np.cumsum([layer.form.cells for layer in layers.values()])[:-1]
-    for layer, part in zip(layers.values(), np.split(llr, edges, axis=1), strict=True):
+    parts = cells.bits(llr, [layer.mean() for layer in layers.values()])
+    for layer, part in zip(layers.values(), parts, strict=True):
         layer.llr = layer.form.deinterleave(np.clip(part, -LARGEST_LLR, LARGEST_LLR))
 
 

@@ -6,6 +6,7 @@ both frames, the difference of the frames is
     d = g (A_1 x - A_2 (1 - x)) + n = g (B c + o) + n,   B = (A_1 + A_2) / 2 T,   o = (A_1 - A_2) 1 / 2
 
 where 2 x - 1 = T c, T the Haar transform of equation (8) as 1/4 H^T D H and c the data +-1 in the order of the cells.
+A single frame of known background b is the same with 2 (r - b) = g (B c + o) + n, B = A T and o = A 1.
 With W the pixels' weights, all that remains of them is B^T W d, beside B^T W B and B^T W o which the poses decide.
 """
 
@@ -36,6 +37,9 @@ RING_PX = 2.0
 INSIDE = 0.8
 """Share of the array's light from which on a pixel lies inside the array."""
 
+BESIDE = 1e-3
+"""Share of it below which a pixel lies beside the array."""
+
 LEAST_NOISE = 1 / 6
 """Variance in squared gray levels that rounding alone gives a difference of two frames."""
 
@@ -47,22 +51,26 @@ class Glance:
     Attributes
     ----------
     total, change
-        Sum and difference of pattern and inverse in gray levels, (rows, columns).
+        Sum and difference of pattern and inverse in gray levels, (rows, columns); of a single frame both are twice what
+        it shows above the background.
     corner
         (x, y) on the sensor of the first pixel.
     poses
-        Where the light of the data was in each frame: in the middle of the exposure.
+        Where the light of the data was in each frame: in the middle of the exposure; one or two.
+    still
+        Of a single frame, where the light of the levels' mean was, which is earlier.
     """
 
     total: Floats
     change: Floats
     corner: tuple[int, int]
-    poses: tuple[Pose, Pose]
+    poses: tuple[Pose, ...]
+    still: Pose | None = None
 
     @property
     def middle(self) -> Pose:
         """The pose between the two."""
-        return Pose.between(*self.poses)
+        return Pose.between(self.poses[0], self.poses[-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,11 +196,7 @@ def take_look(glance: Glance, noise: Noise, side: int, shares: Floats | None = N
     The noise of a pixel follows its light: s^2 = dark + (lit - dark) f(x) f(y), f the profile of the array from 0 to 1.
     W is taken as a product of a function of x and one of y, so that LEDs weighted by its root are such products too.
     """
-    weighted = weigh(glance, noise, side, shares)
-    gram = np.empty((side * side, side * side), np.float32)
-    kernels.gram(*weighted.between, gram)
-    d, o = weighted.change, weighted.still
-    return Look(gram, weighted.correlated(d), weighted.correlated(o), float((d * o).sum()), float((o * o).sum()))
+    return weigh(glance, noise, side, shares).look()
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,20 +210,28 @@ class Weighted:
     change, still
         W^(1/2) d and W^(1/2) o.
     shares
-        Light of the LEDs in the two frames, weighted alike.
+        Light of the LEDs in each of the glance's frames, weighted alike.
     between
-        The same at the pose between the two, its blur wider by the motion.
+        The same at the pose between the frames, its blur wider by the motion.
     """
 
     root: Floats
     change: Floats
     still: Floats
-    shares: tuple[Shares, Shares]
+    shares: tuple[Shares, ...]
     between: Shares
+
+    def look(self) -> Look:
+        """What remains of it for the equaliser."""
+        size = len(self.between[0])
+        gram = np.empty((size, size), np.float32)
+        kernels.gram(*self.between, gram)
+        d, o = self.change, self.still
+        return Look(gram, self.correlated(d), self.correlated(o), float((d * o).sum()), float((o * o).sum()))
 
     def correlated(self, image: Floats) -> Floats:
         """B^T W^(1/2) image, (cells,)."""
-        parts = np.empty((2, len(self.shares[0][0])))
+        parts = np.empty((len(self.shares), len(self.shares[0][0])))
         for share, part in zip(self.shares, parts, strict=True):
             kernels.seen_by_cells(image, *share, part)
         return np.asarray(parts.mean(0))
@@ -228,23 +240,53 @@ class Weighted:
         """W^(1/2) (d - g (B c + o)), (rows, columns)."""
         light = np.zeros_like(self.change)
         for share in self.shares:
-            kernels.shine(0.5 * kernels.leds(cells), *share, light)
+            kernels.shine(kernels.leds(cells) / len(self.shares), *share, light)
         return self.change - gain * (light + self.still)
 
 
 def weigh(glance: Glance, noise: Noise, side: int, shares: Floats | None = None) -> Weighted:
     """Weight a glance's pixels, and the light that LEDs give them, by the pixels' noise."""
-    shape = glance.change.shape
+    shape, corner = glance.change.shape, glance.corner
     # B^T W B is taken at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2
-    motion = 0.5 * (glance.poses[1].x - glance.poses[0].x), 0.5 * (glance.poses[1].y - glance.poses[0].y)
-    between = _placed(glance.middle, glance.corner, shape, side, motion)
+    first, last = glance.poses[0], glance.poses[-1]
+    motion = 0.5 * (last.x - first.x), 0.5 * (last.y - first.y)
+    between = _placed(glance.middle, corner, shape, side, motion)
     weights = _weights(between, noise, shape)
     root = weights[1][:, None] * weights[0]
-    first, second = (
-        _dimmed(_weighted(_placed(pose, glance.corner, shape, side), weights), shares) for pose in glance.poses
-    )
-    still = 0.5 * (_all_on(first, shape) - _all_on(second, shape))
-    return Weighted(root, root * glance.change, still, (first, second), _dimmed(_weighted(between, weights), shares))
+    lights = tuple(_dimmed(_weighted(_placed(pose, corner, shape, side), weights), shares) for pose in glance.poses)
+    if glance.still is None:
+        still = 0.5 * (_all_on(lights[0], shape) - _all_on(lights[-1], shape))
+    else:
+        still = root * image_of(np.ones((side, side)) if shares is None else shares, glance.still, corner, shape)
+    return Weighted(root, root * glance.change, still, lights, _dimmed(_weighted(between, weights), shares))
+
+
+def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
+    """Image of LEDs of given levels, (rows, columns): 1 where a wide array of levels 1 is.
+
+    Parameters
+    ----------
+    levels
+        (n, n) of the LEDs.
+    pose
+        The array's.
+    corner, shape
+        (x, y) on the sensor of the first pixel, rows and columns.
+    """
+    image = np.zeros(shape)
+    kernels.shine(of_squares(levels), *_placed(pose, corner, shape, len(levels)), image)
+    return image
+
+
+def noise_beside(glances: Sequence[Glance], side: int) -> float:
+    """Variance of a pixel of single frames' glances beside the array, what is not known of the background included."""
+    ones = np.ones((side, side))
+    squares, count = 0.0, 0
+    for glance in glances:
+        lit = image_of(ones, glance.middle, glance.corner, glance.change.shape)
+        beside = glance.change[lit < BESIDE]
+        squares, count = squares + float((beside**2).sum()), count + beside.size
+    return max(squares / max(count, 1), LEAST_NOISE)
 
 
 def _dimmed(share: Shares, shares: Floats | None) -> Shares:
@@ -295,7 +337,7 @@ def _unevenness(glance: Glance, gain: float, side: int, shares: Floats | None) -
     residual[inside] = (glance.total[inside] - fitted) * np.sqrt(len(x) / max(len(x) - columns.shape[1], 1))
     # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
     moved = gain**2 / 16 * kernels.difference(*placed[0], *placed[1]) / (side * glance.middle.pitch) ** 2
-    return _Uneven(residual, glance.corner, glance.change[whole < 1e-3], float(moved))
+    return _Uneven(residual, glance.corner, glance.change[whole < BESIDE], float(moved))
 
 
 def _apart(one: _Uneven, other: _Uneven) -> Floats:

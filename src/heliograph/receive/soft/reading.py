@@ -1,4 +1,4 @@
-"""Reading of a packet at the limit of the channel: its pairs are kept until its end and decoded together."""
+"""Reading of a packet at the limit of the channel: its frames are kept until its end and decoded together."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,12 +10,23 @@ from heliograph.base.frames import Frame
 from heliograph.receive.kalman import PoseState
 from heliograph.receive.packets import Codeword, Observer
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.soft.behind import Header
 from heliograph.receive.soft.cancel import Light, decode_looks
-from heliograph.receive.soft.look import LEAST_NOISE, Glance, Look, Noise, measure_noise, take_glance, take_look
+from heliograph.receive.soft.look import (
+    LEAST_NOISE,
+    Glance,
+    Look,
+    Noise,
+    measure_noise,
+    noise_beside,
+    take_glance,
+    take_look,
+)
 from heliograph.receive.soft.memory import Memory
 from heliograph.receive.soft.naming import NameReader
 from heliograph.receive.soft.shares import LedShares
 from heliograph.receive.soft.sharpen import sharpen
+from heliograph.receive.soft.single import Singles
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
@@ -31,70 +42,97 @@ class SoftReading:
         self,
         memory: Memory,
         identity: int,
-        form: PacketFormat,
+        agreed: PacketFormat,
         settings: ReceiveSettings,
         observe: Observer,
         shares: LedShares | None = None,
     ):
         self._memory = memory
-        self._identity, self._form, self._settings, self._observe = identity, form, settings, observe
-        self._shares = shares or LedShares(form.settings.side)
-        self._glances: list[Glance | None] = [None] * form.settings.data_pairs
+        self._identity, self._agreed, self._settings, self._observe = identity, agreed, settings, observe
+        self._side = agreed.settings.side
+        self._shares = shares or LedShares(self._side)
+        self._glances: list[Glance | None] = []
         self._looks: list[Look | None] = []
         self._noise = Noise(LEAST_NOISE, LEAST_NOISE)
         self._gain = 0.0
-        self._name = NameReader(identity, form.settings.side)
-        _, data = light_centroids(form.settings.slot_order)
+        self._name = NameReader(identity, self._side)
+        self._form: PacketFormat | None = None
+        self._headers: list[Header] = []
+        self._singles: Singles | None = None
+        _, data = light_centroids(agreed.settings.slot_order)
         # where the light of the data was: in the middle of the exposure, or about it
-        self._later_s = (data - 0.5) * form.settings.pattern_period_s
+        self._later_s = (data - 0.5) * agreed.settings.pattern_period_s
 
     @property
     def named(self) -> Format:
         """What the header names."""
-        return self._name.named(self._gain)
+        return self._form.named if self._form else self._name.named(self._gain)
 
     def take_header(self, pair: int, pattern: Frame, inverted: Frame, tracker: Tracker) -> None:
         """Read what the header names."""
         state = tracker.state  # as the pairs before have refined it
         poses = (state.pose_at(pattern.time_s), state.pose_at(inverted.time_s))
         self._name.take(pair, pattern, inverted, poses)
+        self._headers.append((pattern, inverted, poses))
         self._gain = tracker.data_gain
 
     def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> bool:
         """Find which LEDs give their light."""
+        if np.any(np.abs(header) != 1):
+            # dimmed where it names a format: another pattern than the looks that are summed up
+            return False
         glance = self._glance(pattern, inverted, tracker.state)
         tracker.data_gain, changed = self._shares.learn(glance, header, tracker.data_gain)
         tracker.shares = self._shares.values
         return changed
 
+    def follow(self, pattern: Frame, inverted: Frame, tracker: Tracker, late_s: float) -> TrackedPair:
+        """By the sum, or where there are no inverses by decisions, frame by frame."""
+        if not self._known().single:
+            return tracker.follow(pattern, inverted, late_s)
+        if self._singles is None:
+            late = late_s, self._later_s
+            self._singles = Singles(late, self._headers, tracker.data_gain, self._shares.values)
+        return self._singles.follow(pattern, inverted, tracker)
+
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Keep a pair."""
-        glance = self._glances[place] = self._glance(pattern, inverted, tracked.state)
         self._gain = tracker.data_gain
-        self._observe("extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": glance.poses})
+        if self._singles is None:
+            glances: tuple[Glance, ...] = (self._glance(pattern, inverted, tracked.state),)
+        else:
+            glances = self._singles.glances
+        self._glances[len(glances) * place : len(glances) * (place + 1)] = glances
+        poses = tuple(pose for glance in glances for pose in glance.poses)
+        self._observe("extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": poses})
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
-        """Decode all pairs."""
+        """Decode all that was kept."""
+        form, observe = self._known(), self._observe
         self._measure()
         light, looks = Light(self._gain, self._noise.lit), self._look()
-        form, observe = PacketFormat(self._form.settings, self.named), self._observe
         return decode_looks(looks, light, form, self._identity, self._settings, self._memory, self._look_again, observe)
 
     def _look_again(self, mean: Floats, variance: Floats, light: Light) -> list[Look | None]:
         """Looks with the poses sharpened by what is decoded."""
-        self._glances = sharpen(
-            self._glances, self._looks, (light.gain, self._noise), mean, variance, self._form, self._shares.values
-        )
+        if self._singles is not None:
+            # its poses are those of decided data already
+            return self._looks
+        known, seen = (light.gain, self._noise), self._shares.values
+        self._glances = sharpen(self._glances, self._looks, known, mean, variance, self._known(), seen)
         self._measure()
         light.noise = self._noise.lit
         return self._look()
 
     def _measure(self) -> None:
         seen = [glance for glance in self._glances if glance is not None]
-        self._noise = measure_noise(seen, self._gain, self._form.settings.side, self._shares.values)
+        if self._singles is None:
+            self._noise = measure_noise(seen, self._gain, self._side, self._shares.values)
+        else:
+            self._noise = Noise(self._singles.noise.lit, noise_beside(seen, self._side))
 
     def _look(self) -> list[Look | None]:
-        side, shares = self._form.settings.side, self._shares.values
+        side, shares = self._side, self._shares.values
         self._looks = [
             None if glance is None else take_look(glance, self._noise, side, shares) for glance in self._glances
         ]
@@ -103,12 +141,19 @@ class SoftReading:
     def following(self) -> "SoftReading":
         """The reading of the next packet; it knows the LEDs."""
         self._shares.forget()
-        return SoftReading(self._memory, self._identity, self._form, self._settings, self._observe, self._shares)
+        return SoftReading(self._memory, self._identity, self._agreed, self._settings, self._observe, self._shares)
 
     def _glance(self, pattern: Frame, inverted: Frame, state: PoseState) -> Glance:
         first, second = (state.pose_at(frame.time_s + self._later_s) for frame in (pattern, inverted))
-        return take_glance(pattern, inverted, (first, second), self._form.settings.side)
+        return take_glance(pattern, inverted, (first, second), self._side)
 
     def shown(self) -> Mapping[str, Any]:
         """The pairs as they were kept."""
         return {"glances": self._glances}
+
+    def _known(self) -> PacketFormat:
+        """The packet's format, once its header is over."""
+        if self._form is None:
+            self._form = PacketFormat(self._agreed.settings, self.named)
+            self._glances = [None] * self._form.layers["high"].pairs
+        return self._form

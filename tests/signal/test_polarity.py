@@ -1,0 +1,96 @@
+"""The single mode's balance of light, and packets of that mode."""
+
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from heliograph.base.errors import SettingsError
+from heliograph.signal.block import unpack
+from heliograph.signal.formats import Format
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.polarity import balance, undone
+from heliograph.signal.settings import SignalSettings
+from heliograph.transmit import Transmitter
+
+SINGLE = Format(mode="single")
+MESSAGES = {"high": [bytes(range(200))], "middle": [bytes(400)], "low": [b"low" * 90]}
+
+
+def random_data(half: int, count: int, seed: int) -> np.ndarray[Any, np.dtype[np.int8]]:
+    return np.random.default_rng(seed).choice(np.array([-1, 1], np.int8), (count, half, half - 1))
+
+
+@given(st.sampled_from([2, 4, 8, 16]), st.integers(1, 30), st.integers(0, 2**32 - 1), st.integers(-9, 9))
+def test_data_come_back_and_polarities_are_what_was_done(half: int, count: int, seed: int, ahead: int) -> None:
+    data = random_data(half, count, seed)
+    d11 = balance(data, ahead)
+    assert d11.shape == (count, half, half)
+    assert set(np.unique(d11)) <= {-1, 1}
+    assert np.array_equal(undone(d11), data)
+    # row 0 is always as it is
+    assert np.array_equal(d11[:, 0, 1:], data[:, 0])
+
+
+def test_the_running_sum_stays_at_zero() -> None:
+    sums = np.cumsum(balance(random_data(8, 20_000, 1)).sum((1, 2)))
+    assert np.abs(sums).max() <= 8
+    assert np.mean(sums == 0) > 0.98
+    # random data without balance are off by more than 8 in almost a third of the patterns, and do not come back
+    assert np.mean(np.abs(random_data(8, 20_000, 1).sum((1, 2))) > 8) > 0.2
+
+
+def test_what_was_ahead_is_taken_back() -> None:
+    data = random_data(8, 1, 5)
+    for ahead in (-12, 4, 12):
+        assert abs(ahead + int(balance(data, ahead).sum())) <= 2
+
+
+def test_even_the_worst_data_are_balanced_over_two_patterns() -> None:
+    """All rows alike, all ones: seven polarities of rows of eight, and a row without."""
+    data = np.ones((40, 8, 7), np.int8)
+    sums = np.cumsum(balance(data).sum((1, 2)))
+    assert np.abs(sums).max() <= 8
+
+
+def test_packets_have_twice_the_bits_but_for_a_column() -> None:
+    paired, single = (PacketFormat(SignalSettings(), named) for named in (Format(), SINGLE))
+    for name, share in (("high", 7 / 8), ("middle", 1), ("low", 1)):
+        bits = [form.layers[name].codewords * form.layers[name].code.length for form in (paired, single)]
+        assert bits[1] == 2 * share * bits[0]
+    assert (single.layers["high"].pairs, single.layers["high"].cells) == (96, 56)
+
+
+def test_patterns_give_the_blocks_back() -> None:
+    settings = SignalSettings(side=8, data_pairs=21)
+    sender = Transmitter(settings, 7, MESSAGES, [SINGLE])
+    form = sender.format
+    for number, packet in enumerate(islice(sender.packets(), 3)):
+        assert packet.shape == (46, 8, 8)
+        # a receiver without noise: levels about their mean, Haar, polarities undone
+        soft = form.soft_data(packet[4:].astype(float) - 2)
+        cells = {name: layer.reshape(len(soft), -1) for name, layer in form.split(soft).items()}
+        cells["high"] = undone(np.sign(cells["high"]).astype(np.int8).reshape(-1, 4, 4)).reshape(42, -1).astype(float)
+        for name, layer in form.layers.items():
+            bits = layer.code.decode(4 * layer.deinterleave(cells[name])).bits
+            assert [unpack(row) for row in bits] == sender.blocks(number)[name]
+
+
+def test_a_transmitter_gives_the_same_light_in_every_pattern() -> None:
+    formats = [SINGLE, Format(), Format(mode="single", high=0.9)]
+    packets = np.concatenate(list(islice(Transmitter(SignalSettings(), 7, MESSAGES, formats).packets(), 30)))
+    given = np.cumsum(packets.mean((1, 2)) / 4 - 0.5)
+    # ahead of the mean after every second pattern, in patterns of full light: inverses come second
+    assert np.abs(given[1::2]).max() < 0.02
+    assert np.abs(given[99::100]).max() < 0.02
+    inverted = [p.inverted for p in islice(Transmitter(SignalSettings(), 7, MESSAGES, formats).patterns(), 200)]
+    assert sum(inverted[:100]) == 2
+    assert sum(inverted[100:]) == 50
+
+
+def test_it_is_a_mode_of_the_hierarchical_code() -> None:
+    with pytest.raises(SettingsError, match=r'signal\.modulation = "haar"'):
+        PacketFormat(SignalSettings(modulation="ook"), SINGLE)
