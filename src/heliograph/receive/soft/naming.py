@@ -27,6 +27,9 @@ COUNT = CELLS * CELLS
 MARGIN_PX = 2.0
 """Pixels beyond the array that are used: its rim shines there."""
 
+UNDECIDED = 0.25
+"""Share of two words' difference below which a header does not tell them apart."""
+
 
 class NameReader:
     """Reads the format of one packet.
@@ -83,7 +86,10 @@ class NameReader:
         v = self._cells * np.where(words(), DIMMED, 1.0)
         # |d - g (B v + o)|^2 but for what is the same in all
         cost = g * np.einsum("fi,ij,fj->f", v, self._gram, v) - 2 * v @ (self._seen - g * self._offset)
-        return format_of(int(np.argmin(cost if g > 0 else -cost)))
+        cost *= np.sign(g)
+        # two words differ by four dimmed cells, g max B^T B together: where those are hidden it is the agreed format
+        cost[AGREED.number] -= UNDECIDED * abs(g) * self._gram.diagonal().max()
+        return format_of(int(np.argmin(cost)))
 
     def _seen_of(
         self, pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], shares: Floats
