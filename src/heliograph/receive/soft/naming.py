@@ -27,6 +27,9 @@ COUNT = CELLS * CELLS
 MARGIN_PX = 2.0
 """Pixels beyond the array that are used: its rim shines there."""
 
+UNDECIDED = 0.25
+"""Share of two words' difference below which a header does not tell them apart."""
+
 
 class NameReader:
     """Reads the format of one packet.
@@ -43,25 +46,31 @@ class NameReader:
         self._side = side
         self._cells = header_cells(identity).reshape(COUNT).astype(np.float64)
         self._masks = np.kron(np.eye(COUNT).reshape(COUNT, CELLS, CELLS), np.ones((side // CELLS, side // CELLS)))
-        self._first = np.zeros(2)
+        self._first: tuple[Frame, Frame, tuple[Pose, Pose]] | None = None
+        self._moments = np.zeros(2)
         self._gram, self._seen = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
         self._offset = np.zeros(COUNT)
 
-    def take(self, pair: int, pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose]) -> None:
-        """Take header pair number `pair` of the packet, the array at `poses` in its two frames."""
-        middle = Pose.between(*poses)
-        x0, y0, cols, rows = window_around(middle, self._side, MARGIN_PX)
-        up, down = (cut_out(frame, x0, y0, cols, rows).ravel() for frame in (pattern, inverted))
-        first, second = (self._images(pose, x0, y0, (rows, cols)) for pose in poses)
-        # B and o, the cells' images as rows
-        each, offset = 0.5 * (first + second), 0.5 * (first - second).sum(0)
+    def take(
+        self, pair: int, pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], shares: Floats | None = None
+    ) -> None:
+        """Take header pair number `pair` of the packet, the array at `poses` in its two frames.
+
+        Of its light each LED gives a share (n, n): hidden cells are not dimmed ones. The first pair itself tells it, so
+        that the gain is taken from that pair when a later one comes.
+        """
         if pair == 0:
+            self._first = pattern, inverted, poses
+            return
+        shares = np.ones((self._side, self._side)) if shares is None else shares
+        each, offset, change = self._seen_of(pattern, inverted, poses, shares)
+        self._gram += each @ each.T
+        self._seen += each @ change
+        self._offset += each @ offset
+        if self._first is not None:
+            each, offset, change = self._seen_of(*self._first, shares)
             shown = self._cells @ each + offset
-            self._first += (up - down) @ shown, shown @ shown
-        else:
-            self._gram += each @ each.T
-            self._seen += each @ (up - down)
-            self._offset += each @ offset
+            self._moments[:] = change @ shown, shown @ shown
 
     def named(self, gain: float) -> Format:
         """The format named; without a later header pair the agreed one.
@@ -73,16 +82,28 @@ class NameReader:
         """
         if not self._gram.any():
             return AGREED
-        g = self._first[0] / self._first[1] if self._first[1] > 0 else gain
+        g = self._moments[0] / self._moments[1] if self._moments[1] > 0 else gain
         v = self._cells * np.where(words(), DIMMED, 1.0)
         # |d - g (B v + o)|^2 but for what is the same in all
         cost = g * np.einsum("fi,ij,fj->f", v, self._gram, v) - 2 * v @ (self._seen - g * self._offset)
-        return format_of(int(np.argmin(cost if g > 0 else -cost)))
+        cost *= np.sign(g)
+        # two words differ by four dimmed cells, g max B^T B together: where those are hidden it is the agreed format
+        cost[AGREED.number] -= UNDECIDED * abs(g) * self._gram.diagonal().max()
+        return format_of(int(np.argmin(cost)))
 
-    def _images(self, pose: Pose, x0: int, y0: int, shape: tuple[int, int]) -> Floats:
+    def _seen_of(
+        self, pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], shares: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """B (16, pixels), the cells' images as rows; o and d (pixels,)."""
+        x0, y0, cols, rows = window_around(Pose.between(*poses), self._side, MARGIN_PX)
+        up, down = (cut_out(frame, x0, y0, cols, rows).ravel() for frame in (pattern, inverted))
+        first, second = (self._images(pose, shares, x0, y0, (rows, cols)) for pose in poses)
+        return 0.5 * (first + second), 0.5 * (first - second).sum(0), up - down
+
+    def _images(self, pose: Pose, shares: Floats, x0: int, y0: int, shape: tuple[int, int]) -> Floats:
         """Image of each cell with all its LEDs on, (16, pixels)."""
         out, images = np.empty((6, *shape)), np.empty((COUNT, shape[0] * shape[1]))
         for mask, image in zip(self._masks, images, strict=True):
-            kernels.render(pose.full_vector(), mask, float(x0), float(y0), out)
+            kernels.render(pose.full_vector(), mask * shares, float(x0), float(y0), out)
             image[:] = out[0].ravel()
         return images

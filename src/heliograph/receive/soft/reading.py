@@ -72,7 +72,7 @@ class SoftReading:
         """Read what the header names."""
         state = tracker.state  # as the pairs before have refined it
         poses = (state.pose_at(pattern.time_s), state.pose_at(inverted.time_s))
-        self._name.take(pair, pattern, inverted, poses)
+        self._name.take(pair, pattern, inverted, poses, self._shares.values)
         self._headers.append((pattern, inverted, poses))
         self._gain = tracker.data_gain
 
