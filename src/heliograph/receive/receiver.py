@@ -33,6 +33,7 @@ class Receiver:
     """
 
     reading: MakeReading = PlainReading
+    array: type[ArrayReceiver] = ArrayReceiver
 
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings | None = None, observe: Observer = ignore):
         self._settings = settings or ReceiveSettings()
@@ -65,7 +66,7 @@ class Receiver:
         """Begin to follow an array, its header's frames first."""
         self.detections += 1
         self._observe("detect", {"detection": detection, "frames": tuple(self._detector.recent)})
-        array = ArrayReceiver(detection, self._form, self._settings, self._observe, type(self).reading)
+        array = self.array(detection, self._form, self._settings, self._observe, type(self).reading)
         self._arrays.append(array)
         for frame in self._detector.recent:
             yield from array.push(frame)

@@ -27,12 +27,16 @@ class CalibrationSettings:
         Pitch of the LEDs.
     blur_px
         First guess of the blur's standard deviation; it is estimated from then on.
+    exposure_s
+        Exposure of the camera where it is known; None leaves it to the receiver "soft" to find, which takes it for the
+        frame period unless headers or brightness tell otherwise.
     """
 
     focal_m: Positive = 0.035
     pixel_m: Positive = 12e-6
     pitch_m: Positive = 0.02
     blur_px: Annotated[float, Field(ge=0.2, le=5)] = 0.55
+    exposure_s: Positive | None = None
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)

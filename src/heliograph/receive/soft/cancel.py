@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from heliograph.receive.decode import LARGEST_LLR, codeword_of
 from heliograph.receive.packets import Codeword
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.soft import squares
 from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
-from heliograph.receive.soft.look import Look
+from heliograph.receive.soft.look import LEAST_NOISE, Look
+from heliograph.receive.soft.mix import Mix
 from heliograph.signal.block import check
 from heliograph.signal.packet import LayerFormat, PacketFormat
 
@@ -35,12 +37,17 @@ class Light:
     gain: float
     noise: float
 
-    def update(self, moments: Floats) -> None:
-        """Maximise the likelihood of the gain by the moments of `_moments`, summed over looks."""
-        match, norm = moments
+    def update(self, moments: Floats, mixed: bool) -> None:
+        """Maximise the likelihood of the gain by the moments of `_moments`, summed over looks.
+
+        Of `mixed` looks that of the noise too: their sums are no even light, by which it could be told beforehand.
+        """
+        match, norm, power, pixels = moments
         if norm > 0:
             # g = <d, B m + o> / E|B c + o|^2
             self.gain = match / norm
+        if mixed:
+            self.noise = max((power - 2 * self.gain * match + self.gain**2 * norm) / pixels, LEAST_NOISE)
 
 
 @dataclass(slots=True)
@@ -104,9 +111,10 @@ def decode_looks(
     Codewords by layer.
     """
     layers = {name: _Layer.unknown(layer) for name, layer in form.layers.items()}
+    header = form.header_pattern(identity) > 0
     for _ in range(settings.soft.rounds):
         before = _open(layers)
-        _equalise_all(looks, light, layers)
+        _equalise_all(looks, light, layers, header)
         for name, layer in layers.items():
             _decode_layer(layer, name, identity, settings)
         if not _open(layers).any() or (before - _open(layers)).max() < PROGRESS:
@@ -119,28 +127,59 @@ def _open(layers: dict[str, _Layer]) -> Floats:
     return np.concatenate([layer.variance.mean(1) for layer in layers.values()])
 
 
-def _equalise_all(looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer]) -> None:
+def _equalise_all(
+    looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer], header: NDArray[np.bool_]
+) -> None:
     """Equalise every look with what is known now; then the gain by expectation and maximisation."""
     mean = np.concatenate([layer.mean() for layer in layers.values()], axis=1)
     variance = np.concatenate([layer.variances() for layer in layers.values()], axis=1)
-    llr, moments = np.zeros_like(mean), np.zeros(2)
+    llr, moments = np.zeros_like(mean), np.zeros(4)
     for number, look in enumerate(looks):
-        if look is not None:
+        if look is None:
+            continue
+        if look.mix is None:
             estimate = equalise(look, light.gain, light.noise, mean[number], variance[number])
             llr[number] = estimate.llr
-            moments += _moments(look, estimate)
-    light.update(moments)
+        else:
+            around = [mean[k] if 0 <= k < len(mean) else None for k in (number - 1, number + 1)]
+            llr[number], estimate = _equalise_mixed(look, look.mix, light, mean[number], around, header)
+        moments += _moments(look, estimate)
+    light.update(moments, any(look is not None and look.mix is not None for look in looks))
     edges = np.cumsum([layer.form.cells for layer in layers.values()])[:-1]
     for layer, part in zip(layers.values(), np.split(llr, edges, axis=1), strict=True):
         layer.llr = layer.form.deinterleave(np.clip(part, -LARGEST_LLR, LARGEST_LLR))
 
 
+def _equalise_mixed(
+    look: Look, mix: Mix, light: Light, mean: Floats, around: Sequence[Floats | None], header: NDArray[np.bool_]
+) -> tuple[Floats, Estimate]:
+    """LLRs of the cells of a pair combined of frames out of step.
+
+    What is equalised is the cells as seen: functions of the four cells of a square, and what is seen of the pairs
+    `around`, which are the header where they are None. From them the cells follow square by square.
+    """
+    seen, spread = squares.moments(mix.table, mean)
+    leak, leak_spread = np.zeros_like(mean), np.zeros_like(mean)
+    for table, slots, other, leaky in zip(mix.leaks, mix.slots[[0, 2]], around, mix.leaky, strict=True):
+        if not leaky:
+            continue
+        if other is None:
+            leak += squares.seen_of_levels(slots, header)
+            continue
+        part, more = squares.moments(table, other)
+        leak, leak_spread = leak + part, leak_spread + more
+    estimate = equalise(look, light.gain, light.noise, seen + leak, spread + leak_spread)
+    precision = np.maximum(estimate.precision, 1e-6)
+    measured = 0.5 * estimate.llr / precision - leak
+    return squares.true_llrs(mix.table, measured, 1 / precision + leak_spread, mean), estimate
+
+
 def _moments(look: Look, estimate: Estimate) -> Floats:
-    """<d, B m + o> and E|B c + o|^2."""
+    """<d, B m + o>, E|B c + o|^2, |d|^2 and the number of pixels."""
     m = estimate.mean
     match = float(m @ look.seen) + look.cross
     norm = float(m @ (look.gram @ m)) + estimate.trace + 2 * float(m @ look.offset) + look.drift
-    return np.array([match, norm])
+    return np.array([match, norm, look.power, look.pixels])
 
 
 def _decode_layer(layer: _Layer, name: str, identity: int, settings: ReceiveSettings) -> None:

@@ -22,6 +22,8 @@ class Estimate:
     ----------
     llr
         (cells,) extrinsic LLR = ln P(c=+1)/P(c=-1): what the look adds to what was known; 0 for known cells.
+    precision
+        (cells,) inverse of the variance of what the look adds; 0 for known cells.
     mean
         (cells,) posterior mean.
     trace
@@ -29,6 +31,7 @@ class Estimate:
     """
 
     llr: Floats
+    precision: Floats
     mean: Floats
     trace: float
 
@@ -54,7 +57,7 @@ def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floa
     unknown = np.flatnonzero(variance >= KNOWN)
     m = mean.copy()
     if not unknown.size:
-        return Estimate(np.zeros_like(m), m, 0.0)
+        return Estimate(np.zeros_like(m), np.zeros_like(m), m, 0.0)
     ratio = gain / noise
     known_too = look.gram @ mean.astype(np.float32)
     rhs = ratio * (look.seen - gain * (look.offset + known_too))[unknown]
@@ -67,9 +70,10 @@ def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floa
     spread = covariance.diagonal().astype(np.float64)
     m[unknown] += covariance @ rhs.astype(np.float32)
     # extrinsic: what of the posterior is not the prior; LLR = 2 mean / variance
-    llr = np.zeros_like(m)
+    llr, precision = np.zeros_like(m), np.zeros_like(m)
     llr[unknown] = 2 * (m[unknown] / spread - mean[unknown] / variance[unknown])
-    return Estimate(llr, m, float(np.vdot(gram, covariance)))
+    precision[unknown] = np.maximum(1 / spread - 1 / variance[unknown], 0.0)
+    return Estimate(llr, precision, m, float(np.vdot(gram, covariance)))
 
 
 def _inverse(matrix: NDArray[np.float32]) -> NDArray[np.float32]:

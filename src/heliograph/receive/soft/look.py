@@ -20,6 +20,7 @@ from heliograph.receive.detect import cut_out
 from heliograph.receive.fit import window_around
 from heliograph.receive.pose import Pose
 from heliograph.receive.soft import kernels
+from heliograph.receive.soft.mix import Mix
 
 Floats = NDArray[np.float64]
 Shares = tuple[Floats, Floats, NDArray[np.int64]]
@@ -50,12 +51,15 @@ class Glance:
         (x, y) on the sensor of the first pixel.
     poses
         Where the light of the data was in each frame: in the middle of the exposure.
+    mix
+        What the pair was combined of; None if it is two frames in step.
     """
 
     total: Floats
     change: Floats
     corner: tuple[int, int]
     poses: tuple[Pose, Pose]
+    mix: Mix | None = None
 
     @property
     def middle(self) -> Pose:
@@ -93,6 +97,10 @@ class Look:
         B^T W o, (cells,).
     cross, drift
         d^T W o and o^T W o.
+    power, pixels
+        d^T W d and the number of pixels.
+    mix
+        What the pair was combined of; None if it is two frames in step.
     """
 
     gram: NDArray[np.float32]
@@ -100,9 +108,14 @@ class Look:
     offset: Floats
     cross: float
     drift: float
+    power: float
+    pixels: int
+    mix: Mix | None = None
 
 
-def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side: int) -> Glance:
+def take_glance(
+    pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side: int, mix: Mix | None = None
+) -> Glance:
     """Cut a pair of frames out.
 
     Parameters
@@ -113,11 +126,13 @@ def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side:
         See `Glance`.
     side
         LEDs in a row.
+    mix
+        See `Glance`.
     """
     middle = Pose.of(0.5 * (poses[0].vector() + poses[1].vector()))
     x0, y0, cols, rows = window_around(middle, side, MARGIN_PX + RING_PX)
     up, down = (cut_out(frame, x0, y0, cols, rows) for frame in (pattern, inverted))
-    return Glance(up + down, up - down, (x0, y0), poses)
+    return Glance(up + down, up - down, (x0, y0), poses, mix)
 
 
 def measure_noise(glances: Sequence[Glance], side: int) -> Noise:
@@ -149,8 +164,19 @@ def take_look(glance: Glance, noise: Noise, side: int) -> Look:
     root = weights[1][:, None] * weights[0]
     shares = [_weighted(_placed(pose, glance.corner, shape, side), weights) for pose in glance.poses]
     first, second = (_all_on(share, shape) for share in shares)
-    d, o = root * glance.change, 0.5 * (first - second)
-    return Look(gram, _correlated(d, shares), _correlated(o, shares), float((d * o).sum()), float((o * o).sum()))
+    # the mean light of the virtual frames is not half of the array's
+    levels, scale = ((0.5, 0.5), 1.0) if glance.mix is None else (glance.mix.levels, 1 / glance.mix.noise)
+    d, o = root * glance.change, levels[0] * first - levels[1] * second
+    return Look(
+        gram=np.float32(scale) * gram,
+        seen=scale * _correlated(d, shares),
+        offset=scale * _correlated(o, shares),
+        cross=scale * float((d * o).sum()),
+        drift=scale * float((o * o).sum()),
+        power=scale * float((d * d).sum()),
+        pixels=int((root > 0).sum()),
+        mix=glance.mix,
+    )
 
 
 def _weights(share: Shares, noise: Noise, shape: tuple[int, int], side: int) -> tuple[Floats, Floats]:
@@ -188,7 +214,9 @@ def _unevenness(glance: Glance, side: int) -> tuple[float, float, float, float]:
     fitted = columns @ np.linalg.lstsq(columns, glance.total[inside], rcond=1e-6)[0]
     beside = glance.change[lit < 1e-3]
     freedom = max(len(x) - columns.shape[1], 0)
-    return float(((glance.total[inside] - fitted) ** 2).sum()), freedom, float((beside**2).sum()), beside.size
+    scale = 1.0 if glance.mix is None else 1 / glance.mix.noise
+    residual = glance.total[inside] - fitted
+    return scale * float((residual**2).sum()), freedom, scale * float((beside**2).sum()), beside.size
 
 
 def _all_on(share: Shares, shape: tuple[int, int]) -> Floats:

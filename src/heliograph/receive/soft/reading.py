@@ -6,6 +6,7 @@ from typing import Any
 from heliograph.base.frames import Frame
 from heliograph.receive.packets import Codeword, Observer
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.soft.array import mix_of
 from heliograph.receive.soft.cancel import Light, decode_looks
 from heliograph.receive.soft.look import Glance, measure_noise, take_glance, take_look
 from heliograph.receive.track import TrackedPair, Tracker
@@ -26,8 +27,13 @@ class SoftReading:
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Keep a pair."""
-        first, second = (tracked.state.pose_at(frame.time_s + self._later_s) for frame in (pattern, inverted))
-        self._glances[place] = take_glance(pattern, inverted, (first, second), self._form.settings.side)
+        mix, later_s = mix_of(pattern), (self._later_s, self._later_s)
+        if mix is not None:
+            period = self._form.settings.pattern_period_s
+            later_s = (mix.data[0] - mix.light[0]) * period, (mix.data[1] - mix.light[1]) * period
+        first = tracked.state.pose_at(pattern.time_s + later_s[0])
+        second = tracked.state.pose_at(inverted.time_s + later_s[1])
+        self._glances[place] = take_glance(pattern, inverted, (first, second), self._form.settings.side, mix)
         self._gain = tracker.data_gain
         self._observe("extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": (first, second)})
 

@@ -1,0 +1,106 @@
+"""Search for headers in the frames of a camera that is not in step with the light."""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+
+from heliograph.base.errors import HeliographError
+from heliograph.base.frames import Frame
+from heliograph.receive.detect import Detection, Detector
+from heliograph.receive.pose import Pose
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.signal.settings import SignalSettings
+
+IN_STEP = 0.02
+"""Departure of the camera's rate from the light's, as a share, up to which all frames are searched as they come."""
+
+AROUND = 4
+"""Patterns around a header that are kept as well."""
+
+
+class Search:
+    """Looks for headers in streams of one frame a pattern, thinned out of the camera's at several phases.
+
+    Parameters
+    ----------
+    settings
+        The receiver's.
+    signal
+        What the light speaks.
+    """
+
+    def __init__(self, settings: ReceiveSettings, signal: SignalSettings):
+        self._settings, self._signal = settings, signal
+        self._streams: list[_Stream] = []
+        self._kept: deque[Frame] = deque()
+
+    @property
+    def recent(self) -> Sequence[Frame]:
+        """The last frames, oldest first: enough to hold the header of an array just found."""
+        return self._kept
+
+    @property
+    def started(self) -> bool:
+        """Whether the camera's rate is known."""
+        return bool(self._streams)
+
+    def start(self, period_s: float) -> None:
+        """Begin, the camera's frame period being known.
+
+        Raises
+        ------
+        HeliographError
+            The camera is slower than the light.
+        """
+        light_s = self._signal.pattern_period_s
+        if period_s > light_s * (1 + IN_STEP):
+            raise HeliographError(
+                f"the soft receiver needs at least one frame a pattern: the film has {1 / period_s:.1f} frames/s, the "
+                f"light {1 / light_s:.1f} patterns/s; film faster or set signal.pattern_period_s"
+            )
+        step = light_s if period_s < light_s * (1 - IN_STEP) else period_s
+        phases = _phases(light_s / period_s) if step == light_s else 1
+        self._streams = [
+            _Stream(Detector(self._settings, self._signal), step, phase / phases) for phase in range(phases)
+        ]
+        patterns = 2 * self._signal.header_pairs + 2 * AROUND
+        self._kept = deque(maxlen=math.ceil(patterns * light_s / period_s))
+
+    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
+        """Take a frame; return the arrays whose header lies in the last frames; see `Detector.push`."""
+        self._kept.append(frame)
+        known, found = list(taken), list[Detection]()
+        for stream in self._streams:
+            for detection in stream.push(frame, known):
+                known.append(detection.fit.pose)
+                found.append(detection)
+        return found
+
+
+class _Stream:
+    """One frame a pattern: those that begin nearest to even times."""
+
+    def __init__(self, detector: Detector, step_s: float, phase: float):
+        self._detector, self._step_s, self._phase = detector, step_s, phase
+        self._best: Frame | None = None
+        self._off = 0.0
+
+    def push(self, frame: Frame, taken: Sequence[Pose]) -> list[Detection]:
+        """Take a frame; search once it is known which one is nearest."""
+        place = frame.time_s / self._step_s - self._phase
+        number = round(place)
+        best, off = replace(frame, index=number), abs(place - number)
+        last, self_off = self._best, self._off
+        if last is not None and last.index == number:
+            if off < self_off:
+                self._best, self._off = best, off
+            return []
+        self._best, self._off = best, off
+        return [] if last is None else self._detector.push(last, taken)
+
+
+def _phases(rate: float) -> int:
+    """Streams for a camera of `rate` frames a pattern: one at least begins within an eighth of a pattern of the light,
+    but for the spacing of the frames."""
+    return 4 if rate < 2 else 2 if rate < 3 else math.ceil(rate)
