@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,8 @@ from heliograph.receive.pose import Pose
 from heliograph.receive.reading import MakeReading
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.clock import AROUND, Clock, view_header
-from heliograph.receive.soft.mix import Mix, SlotLight, mix_pair
+from heliograph.receive.soft.mix import Mix, SlotLight, VirtualFrame, mix_pair
+from heliograph.receive.soft.reading import SoftReading
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
 
@@ -33,19 +33,6 @@ MARGIN = 0.5
 """Margin of virtual frames about the array, as a share of its side, and at least `MARGIN_PX`."""
 
 MARGIN_PX = 8.0
-
-
-@dataclass(frozen=True, slots=True)
-class VirtualFrame(Frame):
-    """Frames combined to a pattern or to an inverse; its pixels are float32.
-
-    Attributes
-    ----------
-    mix
-        How.
-    """
-
-    mix: Mix | None = None
 
 
 class TimedArray(ArrayReceiver):
@@ -140,15 +127,18 @@ class TimedArray(ArrayReceiver):
         if mix is None or mix.header < LEAST_HEADER:
             return
         frames = [near[k] for k in mix.frames]
-        if mix.in_step:
-            self._read(frames[0], frames[1])
-        else:
-            window = self._window(frames, clock.time_s(place + 1))
-            if window is None:
-                return
-            pattern, inverse = self._virtual(clock, place, mix, frames, window)
-            self._read(pattern, inverse)
+        window = self._window(frames, clock.time_s(place + 1))
+        if window is None:
+            return
+        pattern, inverse = frames if mix.in_step else self._virtual(clock, place, mix, frames, window)
+        self._read(pattern, inverse)
         self._poses[pair] = self.tracker.state.pose
+        reading = self._packet.reading
+        if head and isinstance(reading, SoftReading):
+            # a header's sum is even light, if nothing of the data around is in it
+            others = [q for q in (0, 2) if not 0 <= self._pair_in_packet(pair) + q - 1 < self._form.settings.header_pairs]
+            uneven = max(float(np.abs(mix.slots[q]).sum()) for q in others) if others else 0.0
+            reading.take_header(pattern, inverse, self.tracker.state, uneven)
 
     def _window(self, frames: list[Frame], time_s: float) -> tuple[int, int, int, int] | None:
         """Columns and rows around the array that all frames have: first x, first y, last x, last y, less 1."""
@@ -189,10 +179,3 @@ class TimedArray(ArrayReceiver):
             self._frames.popleft()
         oldest = self._next - self._form.settings.header_pairs - AROUND
         self._poses = {k: pose for k, pose in self._poses.items() if k >= oldest}
-
-
-def mix_of(frame: Frame) -> Mix | None:
-    """How a frame was combined; None for a camera's own."""
-    return frame.mix if isinstance(frame, VirtualFrame) else None
-
-

@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.frames import Frame
 from heliograph.receive.soft import squares
 from heliograph.signal.pwm import SLOTS
 
@@ -126,6 +127,24 @@ class SlotLight:
         return np.asarray(self.shows.sum(1) @ squares.MEAN_LIT + constant)
 
 
+@dataclass(frozen=True, slots=True)
+class VirtualFrame(Frame):
+    """Frames combined to a pattern or to an inverse; its pixels are float32.
+
+    Attributes
+    ----------
+    mix
+        How.
+    """
+
+    mix: Mix | None = None
+
+
+def mix_of(frame: Frame) -> Mix | None:
+    """How a frame was combined; None for a camera's own."""
+    return frame.mix if isinstance(frame, VirtualFrame) else None
+
+
 def mix_pair(starts: Floats, exposure: float, light: SlotLight, header: Floats | None = None) -> Mix | None:
     """Combine frames for a pair.
 
@@ -150,13 +169,13 @@ def mix_pair(starts: Floats, exposure: float, light: SlotLight, header: Floats |
     shown = np.einsum("fj,jqr->fqr", share, light.shows)
     slope = shown[:, 1] @ squares.SLOPES
     used = np.flatnonzero(share[:, PAIR : 2 * PAIR].sum(1) > 0.02)
-    for _ in range(2):
-        weights = _best(shown[used], slope[used])
-        if weights is None:
+    weights, strong = np.zeros(0), np.zeros(1, dtype=bool)
+    while not strong.all():
+        best = _best(shown[used], slope[used])
+        if best is None:
             return None
+        weights = best
         strong = np.abs(weights) >= LEAST_WEIGHT * np.abs(weights).max()
-        if strong.all():
-            break
         used = used[strong]
     weights /= weights[weights > 0].sum()
     share, middle, slope = share[used], (begin + end)[used] / 2, slope[used]

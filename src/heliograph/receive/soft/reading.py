@@ -4,14 +4,19 @@ from collections.abc import Mapping
 from typing import Any
 
 from heliograph.base.frames import Frame
+from heliograph.receive.kalman import PoseState
 from heliograph.receive.packets import Codeword, Observer
 from heliograph.receive.settings import ReceiveSettings
-from heliograph.receive.soft.array import mix_of
 from heliograph.receive.soft.cancel import Light, decode_looks
-from heliograph.receive.soft.look import Glance, measure_noise, take_glance, take_look
+from heliograph.receive.soft.look import Glance, Noise, measure_noise, take_glance, take_look
+from heliograph.receive.soft.mix import mix_of
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
+
+
+UNEVEN = 0.1
+"""Light of data, as a share of the array's, with which a header's sum does not tell the noise any more."""
 
 
 class SoftReading:
@@ -20,6 +25,8 @@ class SoftReading:
     def __init__(self, identity: int, form: PacketFormat, settings: ReceiveSettings, observe: Observer):
         self._identity, self._form, self._settings, self._observe = identity, form, settings, observe
         self._glances: list[Glance | None] = [None] * form.settings.data_pairs
+        self._header: Glance | None = None
+        self._uneven = UNEVEN
         self._gain = 0.0
         mean, data = light_centroids(form.settings.slot_order)
         # a sum shows where the mean light was, a difference where the data's was, which is later
@@ -37,14 +44,29 @@ class SoftReading:
         self._gain = tracker.data_gain
         self._observe("extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": (first, second)})
 
+    def take_header(self, pattern: Frame, inverted: Frame, state: PoseState, uneven: float) -> None:
+        """Take a header pair, which tells the noise if there is `uneven` light of data in it less than in others."""
+        if uneven >= self._uneven:
+            return
+        poses = (state.pose_at(pattern.time_s), state.pose_at(inverted.time_s))
+        self._header = take_glance(pattern, inverted, poses, self._form.settings.side, mix_of(pattern))
+        self._uneven = uneven
+
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode all pairs."""
         side = self._form.settings.side
         seen = [glance for glance in self._glances if glance is not None]
-        noise = measure_noise(seen, side)
+        noise = self._noise(seen, side)
         looks = [None if glance is None else take_look(glance, noise, side) for glance in self._glances]
         light = Light(self._gain, noise.lit)
         return decode_looks(looks, light, self._form, self._identity, self._settings)
+
+    def _noise(self, seen: list[Glance], side: int) -> Noise:
+        """Noise of the pairs; of such as are out of step the sum is uneven, not so that of a header."""
+        noise = measure_noise(seen, side)
+        if self._header is None or not any(glance.mix for glance in seen):
+            return noise
+        return Noise(min(measure_noise([self._header], side).lit, noise.lit), noise.dark)
 
     def shown(self) -> Mapping[str, Any]:
         """The pairs as they were kept."""
