@@ -15,10 +15,9 @@ from heliograph.receive.pose import Pose
 from heliograph.receive.reading import MakeReading
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.clock import AROUND, Clock, view_header
-from heliograph.receive.soft.mix import Mix, SlotLight, VirtualFrame, mix_pair
+from heliograph.receive.soft.mix import Mix, SlotLight, VirtualFrame, mix_header, mix_pair
 from heliograph.receive.soft.reading import SoftReading
 from heliograph.signal.packet import PacketFormat
-from heliograph.signal.pwm import light_centroids
 
 AHEAD = 1.0
 """Patterns after the end of a pair whose frames are awaited: some hold of the pair still."""
@@ -26,8 +25,8 @@ AHEAD = 1.0
 BEHIND = 1.0
 """Patterns before its start whose frames are used."""
 
-LEAST_HEADER = 0.25
-"""Share of a header's light in a virtual pair below which it is not read as one."""
+OVERHANG = 0.04
+"""Share of T_b by which an exposure may exceed the header and still be taken for one of it."""
 
 MARGIN = 0.5
 """Margin of virtual frames about the array, as a share of its side, and at least `MARGIN_PX`."""
@@ -51,7 +50,6 @@ class TimedArray(ArrayReceiver):
         self._frames: deque[Frame] = deque()
         self._clock: Clock | None = None
         self._light = SlotLight(form.settings.slot_order)
-        self._mean_late = light_centroids(form.settings.slot_order)[0]
         self._next = 0
         self._poses: dict[int, Pose] = {}
         self._header = 2 * form.settings.header_pairs
@@ -102,43 +100,58 @@ class TimedArray(ArrayReceiver):
             self._forget(clock.time_s(2 * pair - self._header - 2 * AROUND))
 
     def _measure(self, clock: Clock, pattern: int) -> None:
-        """Correct the clock by the header that began with a pattern."""
-        first, last = clock.time_s(pattern - AROUND), clock.time_s(pattern + self._header + AROUND)
-        near = [f for f in self._frames if first <= f.time_s <= last]
-        if len(near) <= self._header:
+        """Correct the clock by the header that began with a pattern, and take the noise from it."""
+        near = self._frames_of(clock, pattern - AROUND, pattern + self._header + AROUND)
+        if not self._poses or len(near) <= self._header:
             return
         known = np.array(sorted(self._poses))
-        numbers = [known[np.argmin(np.abs(known - 0.5 * float(clock.place(f.time_s))))] for f in near] if known.size else []
-        if not numbers:
-            return
-        clock.measure(view_header(near, [self._poses[int(k)] for k in numbers], self._header_weights), pattern)
+        pairs = 0.5 * (_starts(clock, near) - 0.5)
+        poses = [self._poses[int(known[np.argmin(np.abs(known - k))])] for k in pairs]
+        clock.measure(view_header(near, poses, self._header_weights), pattern)
+        inside, mix = self._header_mix(clock, pattern, (0, self._header))
+        window = self._window(inside, clock.time_s(pattern + self._header / 2)) if mix else None
+        reading = self._packet.reading
+        if mix is not None and window is not None and isinstance(reading, SoftReading):
+            first, second = self._virtual(clock, pattern, mix, inside, window)
+            middle = self._poses[int(known[len(known) // 2])]
+            reading.take_header(first, second, middle)
 
     def _combine(self, clock: Clock, pair: int) -> None:
         """Read a pair's virtual frames, if there are frames of it."""
-        place = 2 * pair
-        lowest, highest = clock.time_s(place - BEHIND), clock.time_s(place + 2 + AHEAD)
-        near = [f for f in self._frames if lowest <= f.time_s <= highest]
-        starts = np.asarray(clock.place(np.array([f.time_s for f in near])) - place, np.float64)
-        head = self._pair_in_packet(pair) < self._form.settings.header_pairs
-        shown = None
-        if head:
-            shown = clock.alternation(starts + place, place - 2 * self._pair_in_packet(pair))
-        mix = mix_pair(starts, clock.exposure, self._light, shown)
-        if mix is None or mix.header < LEAST_HEADER:
+        place, number = 2 * pair, self._pair_in_packet(pair)
+        if number < self._form.settings.header_pairs:
+            near, mix = self._header_mix(clock, place - 2 * number, (2 * number, 2 * number + 2))
+        else:
+            near = self._frames_of(clock, place - BEHIND, place + 2 + AHEAD)
+            mix = mix_pair(_starts(clock, near) - place, clock.exposure, self._light)
+        if mix is None:
             return
         frames = [near[k] for k in mix.frames]
-        window = self._window(frames, clock.time_s(place + 1))
-        if window is None:
-            return
-        pattern, inverse = frames if mix.in_step else self._virtual(clock, place, mix, frames, window)
-        self._read(pattern, inverse)
+        if mix.in_step:
+            self._read(frames[0], frames[1])
+        else:
+            window = self._window(frames, clock.time_s(place + 1))
+            if window is None:
+                return
+            first = place if number >= self._form.settings.header_pairs else place - 2 * number
+            self._read(*self._virtual(clock, first, mix, frames, window))
         self._poses[pair] = self.tracker.state.pose
-        reading = self._packet.reading
-        if head and isinstance(reading, SoftReading):
-            # a header's sum is even light, if nothing of the data around is in it
-            others = [q for q in (0, 2) if not 0 <= self._pair_in_packet(pair) + q - 1 < self._form.settings.header_pairs]
-            uneven = max(float(np.abs(mix.slots[q]).sum()) for q in others) if others else 0.0
-            reading.take_header(pattern, inverse, self.tracker.state, uneven)
+
+    def _header_mix(self, clock: Clock, first: int, part: tuple[int, int]) -> tuple[list[Frame], Mix | None]:
+        """Frames within the header that starts with pattern `first`, of a part of it, and how they combine."""
+        low, high = max(part[0] - 1 + OVERHANG, -OVERHANG), min(part[1], self._header + OVERHANG)
+        near = self._frames_of(clock, first + low, first + high)
+        starts = _starts(clock, near) - first
+        within = starts + clock.exposure <= self._header + OVERHANG
+        within &= (starts + clock.exposure > part[0] + OVERHANG) & (starts < part[1] - OVERHANG)
+        near = [f for f, yes in zip(near, within, strict=True) if yes]
+        starts = starts[within]
+        return near, mix_header(starts, clock.exposure, clock.alternation(starts, 0.0))
+
+    def _frames_of(self, clock: Clock, first: float, last: float) -> list[Frame]:
+        """Frames that start between two places, in patterns."""
+        low, high = clock.time_s(first), clock.time_s(last)
+        return [f for f in self._frames if low <= f.time_s <= high]
 
     def _window(self, frames: list[Frame], time_s: float) -> tuple[int, int, int, int] | None:
         """Columns and rows around the array that all frames have: first x, first y, last x, last y, less 1."""
@@ -152,8 +165,11 @@ class TimedArray(ArrayReceiver):
 
     def _virtual(
         self, clock: Clock, place: int, mix: Mix, frames: list[Frame], window: tuple[int, int, int, int]
-    ) -> tuple[Frame, Frame]:
-        """The virtual pattern and its inverse, such that their sum is all LEDs on and their difference D."""
+    ) -> tuple[VirtualFrame, VirtualFrame]:
+        """The virtual pattern and its inverse, such that their sum is all LEDs on and their difference D.
+
+        `place` is the pattern from which the mix counts.
+        """
         left, top, right, low = window
         cut = np.stack(
             [
@@ -161,17 +177,14 @@ class TimedArray(ArrayReceiver):
                 for f in frames
             ]
         ).astype(np.float32)
-        # P + P' = sum |w| f, P - P' = sum w f, that of a header as strong as in step
-        total, change = np.abs(mix.weights), mix.weights / mix.header
-        parts = np.tensordot(np.stack([total + change, total - change]) / 2, cut, 1).astype(np.float32)
-        numbers = [int(f.index) for f in frames]
-
-        def made(part: NDArray[np.float32], index: int, light: float) -> Frame:
-            # a frame's time is the start of its exposure, a known time before its mean light
-            time_s = clock.time_s(place + light - self._mean_late)
-            return VirtualFrame(index, time_s, part, frames[0].bits, (left, top), mix)  # type: ignore[arg-type]
-
-        return made(parts[0], min(numbers), mix.light[0]), made(parts[1], max(numbers), mix.light[1])
+        parts = np.tensordot(np.stack([mix.total + mix.change, mix.total - mix.change]) / 2, cut, 1)
+        # a frame's time is the start of its exposure, a known time before its mean light
+        time_s, corner = clock.time_s(place + mix.light - self._light.mean_light), (left, top)
+        pattern, inverse = (
+            VirtualFrame(f.index, time_s, part.astype(np.float32), f.bits, corner, mix)  # type: ignore[arg-type]
+            for f, part in zip((frames[0], frames[-1]), parts, strict=True)
+        )
+        return pattern, inverse
 
     def _forget(self, time_s: float) -> None:
         """Drop frames and poses older than a time."""
@@ -179,3 +192,8 @@ class TimedArray(ArrayReceiver):
             self._frames.popleft()
         oldest = self._next - self._form.settings.header_pairs - AROUND
         self._poses = {k: pose for k, pose in self._poses.items() if k >= oldest}
+
+
+def _starts(clock: Clock, frames: list[Frame]) -> NDArray[np.float64]:
+    """Starts of exposures in patterns."""
+    return np.asarray(clock.place(np.array([f.time_s for f in frames])))

@@ -214,9 +214,9 @@ def _unevenness(glance: Glance, side: int) -> tuple[float, float, float, float]:
     fitted = columns @ np.linalg.lstsq(columns, glance.total[inside], rcond=1e-6)[0]
     beside = glance.change[lit < 1e-3]
     freedom = max(len(x) - columns.shape[1], 0)
-    scale = 1.0 if glance.mix is None else 1 / glance.mix.noise
+    inner, outer = (1.0, 1.0) if glance.mix is None else (1 / glance.mix.total_noise, 1 / glance.mix.noise)
     residual = glance.total[inside] - fitted
-    return scale * float((residual**2).sum()), freedom, scale * float((beside**2).sum()), beside.size
+    return inner * float((residual**2).sum()), freedom, outer * float((beside**2).sum()), beside.size
 
 
 def _all_on(share: Shares, shape: tuple[int, int]) -> Floats:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.soft import squares
-from heliograph.signal.pwm import SLOTS
+from heliograph.signal.pwm import SLOTS, light_centroids
 
 Floats = NDArray[np.float64]
 
@@ -31,6 +31,12 @@ LEAST_WEIGHT = 0.05
 
 LEAST_SLOPE = 0.1
 """Slope over the levels, as a share of that in step, below which a pair shows nothing."""
+
+LEAST_SHARE = 0.02
+"""Share of its exposure that a frame has in a pair, at least, to be used for it."""
+
+LEAST_HEADER = 0.1
+"""Root of the sum of squares with which frames show a header, about their mean, from which on it is read."""
 
 EXACT = 0.035
 """Departure from a pattern less its inverse, in shares of T_b, that is taken for none."""
@@ -47,39 +53,45 @@ class Mix:
     ----------
     frames
         (k,) numbers of the frames, in the order given.
-    weights
-        (k,) positive: of the virtual pattern, negative: of its inverse, together the difference D.
+    change
+        (k,) weights of D: positive those of the virtual pattern, negative those of its inverse, each about 1 in sum.
+    total
+        (k,) weights of the sum, in which the array is lit most evenly and as brightly as with all LEDs on.
     slots
         (3, 4) light of each u_r in D: of the pair before, of this one, of the next.
     levels
         Mean light in the virtual pattern and in its inverse, for random data; 1/2 each in step.
-    header
-        Light of the header in D, as a share of that in step.
     light
-        (2,) when the mean light of both was, in T_b from the start of the pair.
+        When the mean light of the sum was, in T_b from the start of the pair.
     data
-        (2,) when the light of the data was.
+        (2,) when the light of the data was in the virtual pattern and in its inverse.
     """
 
     frames: NDArray[np.intp]
-    weights: Floats
+    change: Floats
+    total: Floats
     slots: Floats
     levels: tuple[float, float]
-    header: float
-    light: tuple[float, float]
+    light: float
     data: tuple[float, float]
 
     @property
     def noise(self) -> float:
         """Variance of the noise of D against that of a difference of two frames."""
-        return float(0.5 * (self.weights**2).sum())
+        return float(0.5 * (self.change**2).sum())
+
+    @property
+    def total_noise(self) -> float:
+        """The same of the sum."""
+        return float(0.5 * (self.total**2).sum())
 
     @property
     def in_step(self) -> bool:
         """Whether D is a frame less the next, and these pattern and inverse."""
         ideal = np.zeros((3, SLOTS))
         ideal[1] = 0.5
-        return len(self.frames) == 2 and bool(np.abs(self.slots - ideal).sum(1).max() < 2 * EXACT)
+        two = np.array_equal(self.total > 0.5, [True, True]) and len(self.change) == 2
+        return two and bool(np.abs(self.slots - ideal).sum(1).max() < 2 * EXACT)
 
     @cached_property
     def table(self) -> Floats:
@@ -121,6 +133,11 @@ class SlotLight:
         return out
 
     @cached_property
+    def mean_light(self) -> float:
+        """When the mean light of random data is, in T_b from the start of a pattern."""
+        return light_centroids(self.order)[0]
+
+    @cached_property
     def mean(self) -> Floats:
         """(24,) mean light of each slot for random data."""
         constant = (self.shows.sum((1, 2)) < 0).astype(np.float64)
@@ -145,8 +162,8 @@ def mix_of(frame: Frame) -> Mix | None:
     return frame.mix if isinstance(frame, VirtualFrame) else None
 
 
-def mix_pair(starts: Floats, exposure: float, light: SlotLight, header: Floats | None = None) -> Mix | None:
-    """Combine frames for a pair.
+def mix_pair(starts: Floats, exposure: float, light: SlotLight) -> Mix | None:
+    """Combine frames for a pair of data.
 
     Parameters
     ----------
@@ -156,64 +173,107 @@ def mix_pair(starts: Floats, exposure: float, light: SlotLight, header: Floats |
         Their length in T_b.
     light
         The slots.
-    header
-        (frames,) for a pair of a header how much of it less its inverse each frame shows, -1 to 1.
 
     Returns
     -------
     Mix, or None where the frames show nothing of the pair.
     """
-    begin = np.maximum(starts[:, None], _EDGES[:-1])
-    end = np.minimum(starts[:, None] + exposure, _EDGES[1:])
-    share = np.maximum(end - begin, 0.0) / exposure
+    share, middle = _shares(starts, exposure)
     shown = np.einsum("fj,jqr->fqr", share, light.shows)
     slope = shown[:, 1] @ squares.SLOPES
-    used = np.flatnonzero(share[:, PAIR : 2 * PAIR].sum(1) > 0.02)
-    weights, strong = np.zeros(0), np.zeros(1, dtype=bool)
-    while not strong.all():
-        best = _best(shown[used], slope[used])
-        if best is None:
-            return None
-        weights = best
-        strong = np.abs(weights) >= LEAST_WEIGHT * np.abs(weights).max()
-        used = used[strong]
-    weights /= weights[weights > 0].sum()
-    share, middle, slope = share[used], (begin + end)[used] / 2, slope[used]
-    if weights @ slope < LEAST_SLOPE / 2:
+    near = np.flatnonzero(share[:, PAIR : 2 * PAIR].sum(1) > LEAST_SHARE)
+    change = _change(shown[near], slope[near])
+    if change @ slope[near] < LEAST_SLOPE / 2:
         return None
-    parts = [np.where(weights > 0, weights, 0.0), np.where(weights < 0, -weights, 0.0)]
-    mean = share * light.mean
-    data = share[:, PAIR : 2 * PAIR] * (light.shows[PAIR : 2 * PAIR, 1] @ squares.SLOPES)
-    levels = [float((part @ mean).sum()) for part in parts]
-    # about a tenth of the array's LEDs is lit in some slots: the sum of both is kept at that of all LEDs
-    scale = 1.0 if header is not None else 1.0 / sum(levels)
-    slots = scale * np.einsum("f,fqr->qr", weights, shown[used])
+    total = _total(shown[near], (share @ light.mean)[near])
+    used = np.abs(change) + total > 0
+    near, change, total = near[used], change[used], total[used]
+    share, middle, shown = share[near], middle[near], shown[near]
+    parts = np.maximum(change, 0), np.maximum(-change, 0)
+    data = share[:, PAIR : 2 * PAIR] * np.abs(light.shows[PAIR : 2 * PAIR, 1] @ squares.SLOPES)
     return Mix(
-        frames=used,
-        weights=scale * weights,
-        slots=slots,
-        levels=(scale * levels[0], scale * levels[1]),
-        header=1.0 if header is None else float(weights @ header[used] / 2),
-        light=_centroids(parts, mean, middle),
-        data=_centroids(parts, np.abs(data), middle[:, PAIR : 2 * PAIR]),
+        frames=near,
+        change=change,
+        total=total,
+        slots=np.einsum("f,fqr->qr", change, shown),
+        levels=(float((parts[0] @ share) @ light.mean), float((parts[1] @ share) @ light.mean)),
+        light=_centroid(total, share * light.mean, middle),
+        data=(
+            _centroid(parts[0], data, middle[:, PAIR : 2 * PAIR]),
+            _centroid(parts[1], data, middle[:, PAIR : 2 * PAIR]),
+        ),
     )
 
 
-def _best(shown: Floats, slope: Floats) -> Floats | None:
-    """alpha = M^-1 (h - mu 1), which maximises (alpha h)^2 / (alpha M alpha) with sum alpha = 0."""
-    if len(slope) < 2 or slope.max() <= 0 or slope.min() >= 0:
+def mix_header(starts: Floats, exposure: float, shown: Floats) -> Mix | None:
+    """Combine frames of a header alone: their sum is free of it, their difference shows it as in step.
+
+    Parameters
+    ----------
+    starts, exposure
+        See `mix_pair`.
+    shown
+        (frames,) how much of the header less its inverse each frame shows, -1 to 1.
+
+    Returns
+    -------
+    Mix, or None where the frames do not show the header.
+    """
+    about = shown - shown.mean() if len(shown) else shown
+    energy = float(about @ about)
+    if energy < LEAST_HEADER**2:
         return None
-    # what is not linear in the levels counts as noise at first
+    # least squares: sum beta = 2 with sum beta s = 0; sum w = 0 with sum w s = 2
+    total, change = 2 / len(shown) - 2 * shown.mean() / energy * about, 2 / energy * about
+    # a header's LEDs are lit evenly
+    middle = float(total @ (starts + exposure / 2)) / 2
+    return Mix(
+        np.arange(len(shown)), change, total, np.zeros((3, SLOTS)), (0.5, 0.5), middle, (middle, middle)
+    )
+
+
+def _shares(starts: Floats, exposure: float) -> tuple[Floats, Floats]:
+    """Share of each exposure in each slot of three pairs, and the middles of those times, (frames, 24)."""
+    begin = np.maximum(starts[:, None], _EDGES[:-1])
+    end = np.minimum(starts[:, None] + exposure, _EDGES[1:])
+    return np.maximum(end - begin, 0.0) / exposure, (begin + end) / 2
+
+
+def _change(shown: Floats, slope: Floats) -> Floats:
+    """Weights of D: alpha = M^-1 (h - mu 1), which maximises (alpha h)^2 / (alpha M alpha) with sum alpha = 0."""
+    weights, used = np.zeros_like(slope), np.arange(len(slope))
+    # what is not linear in the levels, and what is of other pairs, counts as noise at first
     rest = squares.COVARIANCE - np.outer(squares.SLOPES, squares.SLOPES)
     matrix = NOISE * np.eye(len(slope)) + shown[:, 1] @ rest @ shown[:, 1].T
     for q in (0, 2):
         matrix += shown[:, q] @ squares.COVARIANCE @ shown[:, q].T
-    a, b = np.linalg.solve(matrix, np.stack([slope, np.ones_like(slope)], axis=1)).T
-    weights: Floats = a - b * (a.sum() / b.sum())
-    return weights if (weights > 0).any() and (weights < 0).any() else None
+    while len(used) >= 2:
+        h, ones = slope[used], np.ones(len(used))
+        a, b = np.linalg.solve(matrix[np.ix_(used, used)], np.stack([h, ones], axis=1)).T
+        alpha = a - b * (a.sum() / b.sum())
+        strong = np.abs(alpha) >= LEAST_WEIGHT * np.abs(alpha).max()
+        if strong.all():
+            weights[used] = alpha / max(alpha[alpha > 0].sum(), 1e-12)
+            break
+        used = used[strong]
+    return weights
 
 
-def _centroids(parts: list[Floats], light: Floats, middle: Floats) -> tuple[float, float]:
-    """When the light (frames, slots) of both parts was."""
-    first, second = (float((part @ (light * middle)).sum() / max((part @ light).sum(), 1e-9)) for part in parts)
-    return first, second
+def _total(shown: Floats, light: Floats) -> Floats:
+    """Weights of the sum: the least noise and unevenness, for the mean light of all LEDs on; none is negative."""
+    matrix = NOISE * np.eye(len(light))
+    for q in range(3):
+        matrix += shown[:, q] @ squares.COVARIANCE @ shown[:, q].T
+    weights, used = np.zeros_like(light), np.arange(len(light))
+    while True:
+        beta = np.linalg.solve(matrix[np.ix_(used, used)], light[used])
+        strong = beta >= LEAST_WEIGHT * beta.max()
+        if strong.all():
+            weights[used] = beta / (beta @ light[used])
+            return weights
+        used = used[strong]
+
+
+def _centroid(weights: Floats, light: Floats, middle: Floats) -> float:
+    """When the light (frames, slots) of weighted frames was."""
+    return float((weights @ (light * middle)).sum() / max((weights @ light).sum(), 1e-9))

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from heliograph.base.frames import Frame
-from heliograph.receive.kalman import PoseState
 from heliograph.receive.packets import Codeword, Observer
+from heliograph.receive.pose import Pose
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.cancel import Light, decode_looks
 from heliograph.receive.soft.look import Glance, Noise, measure_noise, take_glance, take_look
@@ -15,10 +15,6 @@ from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
 
 
-UNEVEN = 0.1
-"""Light of data, as a share of the array's, with which a header's sum does not tell the noise any more."""
-
-
 class SoftReading:
     """Equalises, cancels and decodes."""
 
@@ -26,7 +22,6 @@ class SoftReading:
         self._identity, self._form, self._settings, self._observe = identity, form, settings, observe
         self._glances: list[Glance | None] = [None] * form.settings.data_pairs
         self._header: Glance | None = None
-        self._uneven = UNEVEN
         self._gain = 0.0
         mean, data = light_centroids(form.settings.slot_order)
         # a sum shows where the mean light was, a difference where the data's was, which is later
@@ -37,20 +32,16 @@ class SoftReading:
         mix, later_s = mix_of(pattern), (self._later_s, self._later_s)
         if mix is not None:
             period = self._form.settings.pattern_period_s
-            later_s = (mix.data[0] - mix.light[0]) * period, (mix.data[1] - mix.light[1]) * period
+            later_s = (mix.data[0] - mix.light) * period, (mix.data[1] - mix.light) * period
         first = tracked.state.pose_at(pattern.time_s + later_s[0])
         second = tracked.state.pose_at(inverted.time_s + later_s[1])
         self._glances[place] = take_glance(pattern, inverted, (first, second), self._form.settings.side, mix)
         self._gain = tracker.data_gain
         self._observe("extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": (first, second)})
 
-    def take_header(self, pattern: Frame, inverted: Frame, state: PoseState, uneven: float) -> None:
-        """Take a header pair, which tells the noise if there is `uneven` light of data in it less than in others."""
-        if uneven >= self._uneven:
-            return
-        poses = (state.pose_at(pattern.time_s), state.pose_at(inverted.time_s))
-        self._header = take_glance(pattern, inverted, poses, self._form.settings.side, mix_of(pattern))
-        self._uneven = uneven
+    def take_header(self, pattern: Frame, inverted: Frame, pose: Pose) -> None:
+        """Take all frames of a header as one pair: its sum is even and tells the noise."""
+        self._header = take_glance(pattern, inverted, (pose, pose), self._form.settings.side, mix_of(pattern))
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode all pairs."""
