@@ -82,6 +82,8 @@ class TimedArray(ArrayReceiver):
         near = [f for f in frames if self._start_s - AROUND * light_s <= f.time_s <= end]
         pose = self._detection.fit.pose
         clock.measure(view_header(near, [pose] * len(near), self._header_weights), 0)
+        # the detection saw the header as if in step: weaker than it is
+        self.tracker.gain = self.tracker.data_gain = clock.gain
         return clock
 
     def _pairs_before(self, clock: Clock, place: float) -> Iterator[Packet]:
@@ -108,6 +110,8 @@ class TimedArray(ArrayReceiver):
         pairs = 0.5 * (_starts(clock, near) - 0.5)
         poses = [self._poses[int(known[np.argmin(np.abs(known - k))])] for k in pairs]
         clock.measure(view_header(near, poses, self._header_weights), pattern)
+        # a sum hardly tells the array's light from that of its panel
+        self.tracker.gain = clock.gain
         inside, mix = self._header_mix(clock, pattern, (0, self._header))
         window = self._window(inside, clock.time_s(pattern + self._header / 2)) if mix else None
         reading = self._packet.reading

@@ -95,6 +95,8 @@ class Clock:
         self.start_s = start_s
         self.rate = 0.0
         """Its pattern period is longer by this share than the nominal one."""
+        self.gain = 0.0
+        """Light of the array with all LEDs on in the last header, in gray levels."""
         self._pattern = 0
         self._covariance = np.diag([0.0, RATE**2])
         self._measured = False
@@ -184,7 +186,8 @@ class Clock:
         best = np.unravel_index(np.argmin(left), left.shape)
         # what the model leaves unexplained counts as noise
         freedom = max(2 * len(place) - 4, 1)
-        variance = max((DEVIATION * gain[best]) ** 2, float(left[best]) / freedom, 1e-9)
+        self.gain = float(gain[best])
+        variance = max((DEVIATION * self.gain) ** 2, float(left[best]) / freedom, 1e-9)
         return np.asarray(0.5 * left / variance)
 
     def _square_wave(self) -> tuple[Floats, Floats]:
