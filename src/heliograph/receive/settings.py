@@ -132,6 +132,9 @@ class SoftSettings:
     ----------
     min_side_px
         Smallest array looked for, in place of ``detect.min_side_px``: it reads farther.
+    regularity
+        Least ratio of the weakest to the mean alternation, in place of ``detect.regularity``: a camera out of step
+        sees a header alternate unevenly. What the header's clock cannot explain is sorted out after.
     rounds
         Most rounds between equaliser and turbo decoder.
     algorithm
@@ -139,6 +142,7 @@ class SoftSettings:
     """
 
     min_side_px: Annotated[float, Field(ge=3)] = 4.0
+    regularity: Share = 0.15
     rounds: Annotated[int, Field(ge=1, le=100)] = 16
     algorithm: Literal["max-log", "log-map"] = "log-map"
 

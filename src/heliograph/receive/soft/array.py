@@ -25,6 +25,9 @@ AHEAD = 1.0
 BEHIND = 1.0
 """Patterns before its start whose frames are used."""
 
+EXPLAINED = 0.7
+"""Share of what the frames around a detection show that a header must explain: clutter is sorted out here."""
+
 OVERHANG = 0.04
 """Share of T_b by which an exposure may exceed the header and still be taken for one of it."""
 
@@ -62,6 +65,8 @@ class TimedArray(ArrayReceiver):
             if frame.time_s < self._start_s + awaited * self._form.settings.pattern_period_s:
                 return
             self._clock = self._start()
+        if self._failed:
+            return
         yield from self._pairs_before(self._clock, float(self._clock.place(frame.time_s)) - AHEAD)
 
     def flush(self) -> Iterator[Packet]:
@@ -82,6 +87,7 @@ class TimedArray(ArrayReceiver):
         near = [f for f in frames if self._start_s - AROUND * light_s <= f.time_s <= end]
         pose = self._detection.fit.pose
         clock.measure(view_header(near, [pose] * len(near), self._header_weights), 0)
+        self._failed = clock.explained < EXPLAINED
         # the detection saw the header as if in step: weaker than it is
         self.tracker.gain = self.tracker.data_gain = clock.gain
         return clock
@@ -176,10 +182,7 @@ class TimedArray(ArrayReceiver):
         """
         left, top, right, low = window
         cut = np.stack(
-            [
-                f.pixels[top - f.origin[1] : low - f.origin[1], left - f.origin[0] : right - f.origin[0]]
-                for f in frames
-            ]
+            [f.pixels[top - f.origin[1] : low - f.origin[1], left - f.origin[0] : right - f.origin[0]] for f in frames]
         ).astype(np.float32)
         parts = np.tensordot(np.stack([mix.total + mix.change, mix.total - mix.change]) / 2, cut, 1)
         # a frame's time is the start of its exposure, a known time before its mean light

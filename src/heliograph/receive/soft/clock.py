@@ -97,6 +97,8 @@ class Clock:
         """Its pattern period is longer by this share than the nominal one."""
         self.gain = 0.0
         """Light of the array with all LEDs on in the last header, in gray levels."""
+        self.explained = 0.0
+        """Share of what the frames around the last header show that the header explains, in squares."""
         self._pattern = 0
         self._covariance = np.diag([0.0, RATE**2])
         self._measured = False
@@ -187,6 +189,7 @@ class Clock:
         # what the model leaves unexplained counts as noise
         freedom = max(2 * len(place) - 4, 1)
         self.gain = float(gain[best])
+        self.explained = 1 - float(left[best]) / max(energy, 1e-9)
         variance = max((DEVIATION * self.gain) ** 2, float(left[best]) / freedom, 1e-9)
         return np.asarray(0.5 * left / variance)
 

@@ -113,9 +113,7 @@ class Look:
     mix: Mix | None = None
 
 
-def take_glance(
-    pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side: int, mix: Mix | None = None
-) -> Glance:
+def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side: int, mix: Mix | None = None) -> Glance:
     """Cut a pair of frames out.
 
     Parameters

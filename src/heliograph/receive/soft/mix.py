@@ -227,9 +227,7 @@ def mix_header(starts: Floats, exposure: float, shown: Floats) -> Mix | None:
     total, change = 2 / len(shown) - 2 * shown.mean() / energy * about, 2 / energy * about
     # a header's LEDs are lit evenly
     middle = float(total @ (starts + exposure / 2)) / 2
-    return Mix(
-        np.arange(len(shown)), change, total, np.zeros((3, SLOTS)), (0.5, 0.5), middle, (middle, middle)
-    )
+    return Mix(np.arange(len(shown)), change, total, np.zeros((3, SLOTS)), (0.5, 0.5), middle, (middle, middle))
 
 
 def _shares(starts: Floats, exposure: float) -> tuple[Floats, Floats]:

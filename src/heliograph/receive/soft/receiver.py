@@ -43,8 +43,13 @@ class SoftReceiver(Receiver):
                 f'set receive.receiver = "plain"'
             )
         settings = settings or ReceiveSettings(receiver="soft")
-        smallest = min(settings.detect.min_side_px, settings.soft.min_side_px)
-        super().__init__(signal, replace(settings, detect=replace(settings.detect, min_side_px=smallest)), observe)
+        detect, soft = settings.detect, settings.soft
+        detect = replace(
+            detect,
+            min_side_px=min(detect.min_side_px, soft.min_side_px),
+            regularity=min(detect.regularity, soft.regularity),
+        )
+        super().__init__(signal, replace(settings, detect=detect), observe)
         self._camera = CameraClock()
         self._search = Search(self._settings, signal)
         self._detector = self._search
