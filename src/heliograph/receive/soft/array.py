@@ -73,7 +73,7 @@ class TimedArray(ArrayReceiver):
         """Yield the packet in progress if at least half of its data was seen."""
         if self._clock is None and len(self._frames) > self._header:
             self._clock = self._start()
-        if self._clock is not None and self._frames:
+        if self._clock is not None and self._frames and not self._failed:
             end = float(self._clock.place(self._frames[-1].time_s)) + self._clock.exposure
             yield from self._pairs_before(self._clock, end)
         yield from super().flush()
@@ -188,7 +188,7 @@ class TimedArray(ArrayReceiver):
         # a frame's time is the start of its exposure, a known time before its mean light
         time_s, corner = clock.time_s(place + mix.light - self._light.mean_light), (left, top)
         pattern, inverse = (
-            VirtualFrame(f.index, time_s, part.astype(np.float32), f.bits, corner, mix)  # type: ignore[arg-type]
+            VirtualFrame(f.index, time_s, part.astype(np.float32), f.bits, corner, mix)
             for f, part in zip((frames[0], frames[-1]), parts, strict=True)
         )
         return pattern, inverse

@@ -15,7 +15,7 @@ JITTER = 0.05
 """Rms error of a time stamp that is allowed for, as a share of the frame period."""
 
 WANDER = 1e-5
-"""Random walk of the frame period from frame to frame, as a share of it: what is remembered is some hundreds of frames."""
+"""Random walk of the frame period from frame to frame, as a share of it: some hundreds of frames are remembered."""
 
 MISSING = 0.75
 """Frame periods by which a stamp must be late for a frame to be missing before it."""

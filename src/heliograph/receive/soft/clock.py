@@ -4,8 +4,8 @@ Two things tell when a frame was exposed. How much of the header less its invers
 a square wave over the exposure, which is 0 outside of the header. And PWM lights an array brightly at the start of a
 pattern and dimly at its end (15, 11, 5 and 1 sixteenths of the LEDs in the slots of random data), but evenly through a
 header. Both are compared, for all frames around a header, with what starts and exposures between bounds would give; the
-likelihood over both is the measurement. The exposure stays, so its likelihoods multiply from header to header; the start
-goes into a Kalman filter of time and rate.
+likelihood over both is the measurement. The exposure stays, so its likelihoods multiply from header to header. The
+start goes into a Kalman filter of time and rate.
 """
 
 from dataclasses import dataclass
@@ -32,9 +32,10 @@ DEVIATION = 0.03
 EXPOSURES = 20
 """Exposures tried, up to the whole frame period."""
 
-WHOLE = 6.0
-"""Log odds beforehand that a camera exposes for the whole frame period: in step, an exposure of the middle of each
-pattern alone looks the same, in headers as in brightness."""
+LONGER, WHOLE = 20.0, 3.0
+"""Log odds beforehand of an exposure of the whole frame period against one of none, and on top of them of the very
+whole. Exposures of any length about the middle of a pattern, or about its end, look the same in headers and have the
+same brightness: the longest is taken."""
 
 STARTS = 121
 """Starts of the header tried."""
@@ -106,8 +107,8 @@ class Clock:
         self._exposures = longest * np.linspace(1 / EXPOSURES, 1.0, EXPOSURES)
         if exposure_s is not None:
             self._exposures = np.array([min(exposure_s / signal.pattern_period_s, longest)])
-        self._evidence = np.zeros(len(self._exposures))
-        self._evidence[-1] = WHOLE
+        self._evidence = LONGER * self._exposures / longest
+        self._evidence[-1] += WHOLE
 
     @property
     def period_s(self) -> float:
@@ -196,7 +197,7 @@ class Clock:
     def _square_wave(self) -> tuple[Floats, Floats]:
         """Edges and values of the header less its inverse, in patterns from its start."""
         count = 2 * self._signal.header_pairs
-        return np.arange(count + 1.0), 1.0 - 2.0 * (np.arange(count) % 2)
+        return np.arange(count + 1.0), np.where(np.arange(count) % 2, -1.0, 1.0)
 
     def _brightness(self) -> tuple[Floats, Floats]:
         """Edges and values of the mean light around a header, all but a constant."""

@@ -101,6 +101,5 @@ class _Stream:
 
 
 def _phases(rate: float) -> int:
-    """Streams for a camera of `rate` frames a pattern: one at least begins within an eighth of a pattern of the light,
-    but for the spacing of the frames."""
-    return 4 if rate < 2 else 2 if rate < 3 else math.ceil(rate)
+    """Streams for a camera of `rate` frames a pattern: the fewer frames to choose from, the more phases are tried."""
+    return 4 if rate < 2 else max(2, math.floor(rate))
