@@ -89,8 +89,8 @@ class CameraClock:
         spread = move @ self._spread @ move.T + np.diag([0.0, WANDER**2 * max(steps, 0)])
         gain = spread[:, 0] / (spread[0, 0] + JITTER**2)
         error = (late + 1 - steps) * self.period_s
-        self._time_s += steps * self.period_s + gain[0] * error
-        self.period_s += gain[1] * error
+        self._time_s += steps * self.period_s + float(gain[0]) * error
+        self.period_s += float(gain[1]) * error
         self._spread = spread - np.outer(gain, spread[0])
         return replace(frame, time_s=self._time_s)
 

@@ -169,7 +169,7 @@ class Clock:
         # the likelihood held the prior: x += K S^-1 (posterior - prior) as in `PoseState.condition`
         gain = self._covariance[:, 0] / max(prior, 1e-30)
         self.start_s += error_s
-        self.rate += gain[1] * error_s
+        self.rate += float(gain[1]) * error_s
         self._covariance = self._covariance + np.outer(gain, gain) * (min(variance, prior) - prior)
 
     def _cost(self, view: HeaderView, offset: Floats) -> Floats:

@@ -26,6 +26,9 @@ NOISE = 0.05
 """Variance of a frame's noise against which combinations are weighed, the light of an LED lit all through being 1: a
 bit at the limit of reading has about a variance of 1/16."""
 
+TOTAL_NOISE = 1e-3
+"""The same for a sum, of which LEDs are not read one by one: its unevenness counts for more."""
+
 LEAST_WEIGHT = 0.05
 """Frames of a smaller weight, as a share of the largest, are left out."""
 
@@ -259,7 +262,7 @@ def _change(shown: Floats, slope: Floats) -> Floats:
 
 def _total(shown: Floats, light: Floats) -> Floats:
     """Weights of the sum: the least noise and unevenness, for the mean light of all LEDs on; none is negative."""
-    matrix = NOISE * np.eye(len(light))
+    matrix = TOTAL_NOISE * np.eye(len(light))
     for q in range(3):
         matrix += shown[:, q] @ squares.COVARIANCE @ shown[:, q].T
     weights, used = np.zeros_like(light), np.arange(len(light))
