@@ -23,10 +23,10 @@ FINE = 2000
 SLOTS = np.array([15, 11, 5, 1]) / 16
 
 
-def header_view(start: float, exposure: float, period: float, seed: int = 0, rate: float = 0.0) -> HeaderView:
+def header_view(start: float, exposure: float, period: float, seed: int = 0) -> HeaderView:
     """What frames `period` patterns apart show of a header that begins `start` patterns late, by fine sums."""
     rng = np.random.default_rng(seed)
-    times = np.arange(-2, 6 + 1e-9, period)
+    times: Floats = np.arange(-2, 6 + 1e-9, period)
     steps = np.arange(-6 * FINE, 10 * FINE) / FINE
     pattern, slot = np.floor(steps), np.floor(4 * (steps % 1)).astype(int)
     inside = (pattern >= 0) & (pattern < 4)
@@ -36,8 +36,8 @@ def header_view(start: float, exposure: float, period: float, seed: int = 0, rat
     for t in times:
         part = (steps >= t - start) & (steps < t - start + exposure)
         shown.append((100 * wave[part].mean(), 200 * bright[part].mean() + 31))
-    columns = np.array(shown, np.float64)
-    return HeaderView(times * 1e-3, columns[:, 0], columns[:, 1])
+    alternation, brightness = (np.array(column, np.float64) for column in zip(*shown, strict=True))
+    return HeaderView(1e-3 * times, alternation, brightness)
 
 
 @pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37), (0.25, 0.25)])
@@ -76,7 +76,7 @@ def test_what_is_no_header_is_told() -> None:
     rng = np.random.default_rng(3)
     clock = Clock(0.0, 1e-3, SIGNAL)
     alternation, brightness = (rng.normal(0, 50, 9) for _ in range(2))
-    clock.measure(HeaderView(np.arange(-2, 7) * 1e-3, alternation, brightness), 0)
+    clock.measure(HeaderView(np.linspace(-2e-3, 6e-3, 9), alternation, brightness), 0)
     assert clock.explained < 0.7
 
 
