@@ -4,11 +4,15 @@
     python scripts/timing_loss.py
 
 For each rate, exposure (in T_b) and phase (start of the first exposure after that of a pattern, in T_b), of the best
-combination of frames for a pair, means over a row of pairs: *slope*, how strongly it follows the levels, against a
-camera in step; *noise*, its standard deviation against that of the difference of two frames; *loss*, noise over slope in
-dB, of the worst pair; *around*, standard deviation of what it holds of the pairs before and after, and *rest*, of what
-in it is not linear in the levels, both against that of the levels; *bits*, what is left of a bit per cell without noise,
-the pairs around known; *header*, largest share of the header less its inverse in any frame wholly within the header.
+combination of frames for a pair, means over a row of pairs:
+
+slope   how strongly it follows the levels, against a camera in step
+noise   its standard deviation against that of the difference of two frames
+loss    noise over slope in dB, of the worst pair
+around  standard deviation of what it holds of the pairs before and after, against that of the levels
+rest    the same of what in it is not linear in the levels
+bits    what is left of a bit per cell without noise, the pairs around known
+header  largest share of the header less its inverse in any frame wholly within the header
 """
 
 import numpy as np
