@@ -4,6 +4,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
@@ -59,13 +60,16 @@ class Search:
                 f"the soft receiver needs at least one frame a pattern: the film has {1 / period_s:.1f} frames/s, the "
                 f"light {1 / light_s:.1f} patterns/s; film faster or set signal.pattern_period_s"
             )
-        step = light_s if period_s < light_s * (1 - IN_STEP) else period_s
-        phases = _phases(light_s / period_s) if step == light_s else 1
-        self._streams = [
-            _Stream(Detector(self._settings, self._signal), step, phase / phases) for phase in range(phases)
-        ]
+        if period_s > light_s * (1 - IN_STEP):
+            self._streams = [_EveryFrame(self._detector(), period_s)]
+        else:
+            phases = _phases(light_s / period_s)
+            self._streams = [_Nearest(self._detector(), light_s, k / phases) for k in range(phases)]
         patterns = 2 * self._signal.header_pairs + 2 * AROUND
         self._kept = deque(maxlen=math.ceil(patterns * light_s / period_s))
+
+    def _detector(self) -> Detector:
+        return Detector(self._settings, self._signal)
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
         """Take a frame; return the arrays whose header lies in the last frames; see `Detector.push`."""
@@ -78,7 +82,28 @@ class Search:
         return found
 
 
-class _Stream:
+class _Stream(Protocol):
+    """Thins frames out for a detector."""
+
+    def push(self, frame: Frame, taken: Sequence[Pose]) -> list[Detection]:
+        """Take a frame; return the arrays whose header lies in the last frames of the stream."""
+
+
+class _EveryFrame:
+    """All frames of a camera of the light's rate."""
+
+    def __init__(self, detector: Detector, period_s: float):
+        self._detector, self._period_s = detector, period_s
+        self._number, self._time_s = 0, 0.0
+
+    def push(self, frame: Frame, taken: Sequence[Pose]) -> list[Detection]:
+        """Search with every frame; one that was dropped leaves a gap."""
+        self._number += max(1, round((frame.time_s - self._time_s) / self._period_s))
+        self._time_s = frame.time_s
+        return self._detector.push(replace(frame, index=self._number), taken)
+
+
+class _Nearest:
     """One frame a pattern: those that begin nearest to even times."""
 
     def __init__(self, detector: Detector, step_s: float, phase: float):
@@ -90,14 +115,11 @@ class _Stream:
         """Take a frame; search once it is known which one is nearest."""
         place = frame.time_s / self._step_s - self._phase
         number = round(place)
-        best, off = replace(frame, index=number), abs(place - number)
-        last, self_off = self._best, self._off
-        if last is not None and last.index == number:
-            if off < self_off:
-                self._best, self._off = best, off
-            return []
-        self._best, self._off = best, off
-        return [] if last is None else self._detector.push(last, taken)
+        off, kept = abs(place - number), self._best
+        another = kept is None or kept.index != number
+        if another or off < self._off:
+            self._best, self._off = replace(frame, index=number), off
+        return self._detector.push(kept, taken) if another and kept is not None else []
 
 
 def _phases(rate: float) -> int:
