@@ -131,22 +131,42 @@ def test_a_headers_sum_is_free_of_it() -> None:
     assert mix_header(np.zeros(0), 1.0, np.zeros(0)) is None
 
 
-def test_moments_and_llrs_go_through_all_values_of_a_square() -> None:
+def test_moments_go_through_all_values_of_a_square() -> None:
     rng = np.random.default_rng(2)
     table, mean = squares.seen(np.array([0.1, 0.6, 0.3, 0.0])), rng.uniform(-0.9, 0.9, 4)
-    seen, variance = rng.normal(0, 1, 4), rng.uniform(0.1, 2, 4)
     values = np.array(list(itertools.product((1.0, -1.0), repeat=4)))
     rows = [int(np.flatnonzero((v == squares.VALUES).all(1))[0]) for v in values]
     chance = np.prod((1 + values * mean) / 2, 1)
     first, second = squares.moments(table, mean)
     assert first == pytest.approx(chance @ table[rows])
     assert second == pytest.approx(chance @ table[rows] ** 2 - first**2)
-    joint = chance * np.exp(-((table[rows] - seen) ** 2 / variance / 2).sum(1))
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_cells_of_a_square_tell_of_each_other_once_they_are_known(known: bool) -> None:
+    rng = np.random.default_rng(3)
+    table = squares.seen(np.array([0.1, 0.6, 0.3, 0.0]))
+    seen, variance = rng.normal(0, 1, 4), rng.uniform(0.1, 2, 4)
     for i in range(4):
-        up = values[:, i] > 0
-        # without what was known of the cell itself
-        llr = np.log(joint[up].sum() / joint[~up].sum()) - np.log((1 + mean[i]) / (1 - mean[i]))
-        assert squares.true_llrs(table, seen, variance, mean)[i] == pytest.approx(llr)
+        mean = np.array([1.0, -1.0, -1.0, 1.0]) if known else np.zeros(4)
+        mean[i] = 0.0
+        chance = np.prod((1 + squares.VALUES * mean) / 2, 1)
+        fit = (table - seen) ** 2 / variance / 2
+        joint = chance * np.exp(-(fit.sum(1) if known else fit[:, i]))
+        up = squares.VALUES[:, i] > 0
+        llr = np.log(joint[up].sum() / joint[~up].sum())
+        assert squares.true_llrs(table, seen, variance, mean)[i] == pytest.approx(llr, abs=1e-6)
+
+
+def test_what_was_known_of_a_cell_is_not_in_its_llr() -> None:
+    rng = np.random.default_rng(4)
+    table = squares.seen(np.array([0.1, 0.6, 0.3, 0.0]))
+    seen, variance, mean = rng.normal(0, 1, 4), rng.uniform(0.1, 2, 4), rng.uniform(-0.9, 0.9, 4)
+    for i in range(4):
+        other = mean.copy()
+        other[i] = -0.3
+        llrs = [squares.true_llrs(table, seen, variance, m)[i] for m in (mean, other)]
+        assert llrs[0] == pytest.approx(llrs[1])
 
 
 def test_in_step_the_llr_is_that_of_a_bit_in_gaussian_noise() -> None:

@@ -66,6 +66,9 @@ def moments(table: Floats, mean: Floats) -> tuple[Floats, Floats]:
 def true_llrs(table: Floats, seen: Floats, variance: Floats, mean: Floats) -> Floats:
     """Extrinsic LLRs ln P(c=+1)/P(c=-1) of the true cells.
 
+    What is seen of one cell tells of another by the product of three. But the errors of the equaliser within a square
+    go together, so that they look like such products: only as far as the other three cells are known is it trusted.
+
     Parameters
     ----------
     table
@@ -76,14 +79,22 @@ def true_llrs(table: Floats, seen: Floats, variance: Floats, mean: Floats) -> Fl
         (cells,) of the true cells beforehand.
     """
     y, v = (a.reshape(4, -1).T[:, None, :] for a in (seen, variance))
+    fit = -0.5 * (table - y) ** 2 / v
     prior = _log_chances(mean)
-    score = -0.5 * ((table - y) ** 2 / v).sum(-1) + prior.sum(-1)
-    out = np.empty((len(score), 4))
+    known = mean.reshape(4, -1).T ** 2
+    out = np.empty((len(fit), 4))
     for i in range(4):
         # of the cell itself, nothing that was known
-        alone = score - prior[..., i]
-        out[:, i] = _log_sum(alone[:, VALUES[:, i] > 0]) - _log_sum(alone[:, VALUES[:, i] < 0])
+        others = prior.sum(-1) - prior[..., i]
+        own, joint = _llr(fit[..., i] + others, i), _llr(fit.sum(-1) + others, i)
+        trust = np.delete(known, i, axis=1).prod(1)
+        out[:, i] = own + trust * (joint - own)
     return out.T.reshape(-1)
+
+
+def _llr(score: Floats, cell: int) -> Floats:
+    """LLRs (squares,) of a cell of log likelihoods (squares, 16)."""
+    return _log_sum(score[:, VALUES[:, cell] > 0]) - _log_sum(score[:, VALUES[:, cell] < 0])
 
 
 def _log_chances(mean: Floats) -> Floats:
