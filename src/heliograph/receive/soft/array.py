@@ -81,10 +81,15 @@ class TimedArray(ArrayReceiver):
     def _start(self) -> Clock:
         """The clock by the header of the detection."""
         frames, light_s = list(self._frames), self._form.settings.pattern_period_s
-        period = (frames[-1].time_s - frames[0].time_s) / (len(frames) - 1)
+        # the median passes over frames that were dropped
+        period = float(np.median(np.diff([f.time_s for f in frames])))
         clock = Clock(self._start_s, period, self._form.settings, self._settings.calibration.exposure_s)
         end = self._start_s + (self._header + AROUND) * light_s
         near = [f for f in frames if self._start_s - AROUND * light_s <= f.time_s <= end]
+        if len(near) <= self._header:
+            # the header would have begun before the film
+            self._failed = True
+            return clock
         pose = self._detection.fit.pose
         clock.measure(view_header(near, [pose] * len(near), self._header_weights), 0)
         self._failed = clock.explained < EXPLAINED

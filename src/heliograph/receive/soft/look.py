@@ -139,7 +139,7 @@ def measure_noise(glances: Sequence[Glance], side: int) -> Noise:
     Inside the array the sum of a pair is even but for noise, which is that of the difference. Beside the array the
     difference is noise and what has changed there.
     """
-    parts = np.array([_unevenness(glance, side) for glance in glances]).sum(0)
+    parts = np.array([_unevenness(glance, side) for glance in glances]).reshape(-1, 4).sum(0)
     lit = max(parts[0] / max(parts[1], 1.0), LEAST_NOISE)
     dark = max(parts[2] / max(parts[3], 1.0), LEAST_NOISE)
     return Noise(float(lit), float(dark))
