@@ -152,9 +152,15 @@ def test_cells_of_a_square_tell_of_each_other_once_they_are_known(known: bool) -
         mean[i] = 0.0
         chance = np.prod((1 + squares.VALUES * mean) / 2, 1)
         fit = (table - seen) ** 2 / variance / 2
-        joint = chance * np.exp(-(fit.sum(1) if known else fit[:, i]))
         up = squares.VALUES[:, i] > 0
-        llr = np.log(joint[up].sum() / joint[~up].sum())
+        own, joint = (
+            np.log((chance * np.exp(-part))[up].sum() / (chance * np.exp(-part))[~up].sum())
+            for part in (fit[:, i], fit.sum(1))
+        )
+        # what is not linear in the cell against what is
+        bent = np.mean(table**2) / np.mean(table * squares.VALUES) ** 2 - 1
+        assert 0.05 < bent < 0.5
+        llr = joint if known else own + bent * (joint - own)
         assert squares.true_llrs(table, seen, variance, mean)[i] == pytest.approx(llr, abs=1e-6)
 
 

@@ -67,7 +67,8 @@ def true_llrs(table: Floats, seen: Floats, variance: Floats, mean: Floats) -> Fl
     """Extrinsic LLRs ln P(c=+1)/P(c=-1) of the true cells.
 
     What is seen of one cell tells of another by the product of three. But the errors of the equaliser within a square
-    go together, so that they look like such products: only as far as the other three cells are known is it trusted.
+    go together, so that they look like such products: it is trusted as far as the other three cells are known, or as
+    what is seen is products rather than cells.
 
     Parameters
     ----------
@@ -82,12 +83,13 @@ def true_llrs(table: Floats, seen: Floats, variance: Floats, mean: Floats) -> Fl
     fit = -0.5 * (table - y) ** 2 / v
     prior = _log_chances(mean)
     known = mean.reshape(4, -1).T ** 2
+    bent = min(float((table**2).mean() / (table * VALUES).mean() ** 2) - 1, 1.0)
     out = np.empty((len(fit), 4))
     for i in range(4):
         # of the cell itself, nothing that was known
         others = prior.sum(-1) - prior[..., i]
         own, joint = _llr(fit[..., i] + others, i), _llr(fit.sum(-1) + others, i)
-        trust = np.delete(known, i, axis=1).prod(1)
+        trust = bent + (1 - bent) * np.delete(known, i, axis=1).prod(1)
         out[:, i] = own + trust * (joint - own)
     return out.T.reshape(-1)
 
