@@ -136,7 +136,7 @@ class ArrayReceiver:
     def _read(self, pattern: Frame, inverted: Frame) -> None:
         """Track a pair, then read its data or its header."""
         packet, place = self._packet, self._pair_in_packet(self._pair) - self._form.settings.header_pairs
-        tracked = self.tracker.follow(pattern, inverted, self._sum_late_s if place >= 0 else 0.0)
+        tracked = self.tracker.follow(pattern, inverted, self._late_s(pattern) if place >= 0 else 0.0)
         packet.frames += [pattern.index, inverted.index]
         packet.scores.append(tracked.fit.score)
         packet.poses.append(tracked.state.pose)
@@ -146,6 +146,10 @@ class ArrayReceiver:
         elif tracked.seen:
             packet.reading.take(place, pattern, inverted, tracked, self.tracker)
             packet.seen[place] = True
+
+    def _late_s(self, pattern: Frame) -> float:  # noqa: ARG002 - combined frames carry their own
+        """By how much the light of a data pair's sum comes after the middle of the exposures."""
+        return self._sum_late_s
 
     def _read_header(self, pair: int, pattern: Frame, inverted: Frame, tracked: TrackedPair) -> None:
         """Read what header pair `pair` names, and sharpen the pose by it."""

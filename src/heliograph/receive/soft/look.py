@@ -22,6 +22,7 @@ from heliograph.receive.detect import cut_out
 from heliograph.receive.fit import window_around
 from heliograph.receive.pose import Pose
 from heliograph.receive.soft import kernels
+from heliograph.receive.soft.mix import Mix
 
 Floats = NDArray[np.float64]
 Shares = tuple[Floats, Floats, NDArray[np.int64]]
@@ -52,12 +53,15 @@ class Glance:
         (x, y) on the sensor of the first pixel.
     poses
         Where the light of the data was in each frame: in the middle of the exposure.
+    mix
+        What the pair was combined of; None if it is two frames in step.
     """
 
     total: Floats
     change: Floats
     corner: tuple[int, int]
     poses: tuple[Pose, Pose]
+    mix: Mix | None = None
 
     @property
     def middle(self) -> Pose:
@@ -95,6 +99,10 @@ class Look:
         B^T W o, (cells,).
     cross, drift
         d^T W o and o^T W o.
+    power, pixels
+        d^T W d and the number of pixels.
+    mix
+        What the pair was combined of; None if it is two frames in step.
     """
 
     gram: NDArray[np.float32]
@@ -102,6 +110,9 @@ class Look:
     offset: Floats
     cross: float
     drift: float
+    power: float
+    pixels: int
+    mix: Mix | None = None
 
     def scaled(self, weight: float) -> "Look":
         """The same with a weight, as if its noise were larger."""
@@ -111,6 +122,9 @@ class Look:
             weight * self.offset,
             weight * self.cross,
             weight * self.drift,
+            weight * self.power,
+            self.pixels,
+            self.mix,
         )
 
     def plus(self, other: "Look") -> "Look":
@@ -121,10 +135,13 @@ class Look:
             self.offset + other.offset,
             self.cross + other.cross,
             self.drift + other.drift,
+            self.power + other.power,
+            self.pixels + other.pixels,
+            self.mix,
         )
 
 
-def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side: int) -> Glance:
+def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side: int, mix: Mix | None = None) -> Glance:
     """Cut a pair of frames out.
 
     Parameters
@@ -135,11 +152,13 @@ def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side:
         See `Glance`.
     side
         LEDs in a row.
+    mix
+        See `Glance`.
     """
     middle = Pose.between(*poses)
     x0, y0, cols, rows = window_around(middle, side, MARGIN_PX + RING_PX)
     up, down = (cut_out(frame, x0, y0, cols, rows) for frame in (pattern, inverted))
-    return Glance(up + down, up - down, (x0, y0), poses)
+    return Glance(up + down, up - down, (x0, y0), poses, mix)
 
 
 def of_squares(grid: Floats) -> Floats:
@@ -192,7 +211,18 @@ def take_look(glance: Glance, noise: Noise, side: int, shares: Floats | None = N
     gram = np.empty((side * side, side * side), np.float32)
     kernels.gram(*weighted.between, gram)
     d, o = weighted.change, weighted.still
-    return Look(gram, weighted.correlated(d), weighted.correlated(o), float((d * o).sum()), float((o * o).sum()))
+    look = Look(
+        gram,
+        weighted.correlated(d),
+        weighted.correlated(o),
+        cross=float((d * o).sum()),
+        drift=float((o * o).sum()),
+        power=float((d * d).sum()),
+        pixels=int((weighted.root > 0).sum()),
+        mix=glance.mix,
+    )
+    # combined frames have another noise than a difference of two
+    return look if glance.mix is None else look.scaled(1 / glance.mix.noise)
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +273,9 @@ def weigh(glance: Glance, noise: Noise, side: int, shares: Floats | None = None)
     first, second = (
         _dimmed(_weighted(_placed(pose, glance.corner, shape, side), weights), shares) for pose in glance.poses
     )
-    still = 0.5 * (_all_on(first, shape) - _all_on(second, shape))
+    # the mean light of combined frames is not half of the array's
+    levels = (0.5, 0.5) if glance.mix is None else glance.mix.levels
+    still = levels[0] * _all_on(first, shape) - levels[1] * _all_on(second, shape)
     return Weighted(root, root * glance.change, still, (first, second), _dimmed(_weighted(between, weights), shares))
 
 
@@ -295,7 +327,11 @@ def _unevenness(glance: Glance, gain: float, side: int, shares: Floats | None) -
     residual[inside] = (glance.total[inside] - fitted) * np.sqrt(len(x) / max(len(x) - columns.shape[1], 1))
     # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
     moved = gain**2 / 16 * kernels.difference(*placed[0], *placed[1]) / (side * glance.middle.pitch) ** 2
-    return _Uneven(residual, glance.corner, glance.change[whole < 1e-3], float(moved))
+    beside = glance.change[whole < 1e-3]
+    if glance.mix is None:
+        return _Uneven(residual, glance.corner, beside, float(moved))
+    # as if of two frames; of combined ones only a header's sum is even, in which nothing moves
+    return _Uneven(residual / np.sqrt(glance.mix.total_noise), glance.corner, beside / np.sqrt(glance.mix.noise), 0.0)
 
 
 def _apart(one: _Uneven, other: _Uneven) -> Floats:

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.kalman import PoseState
 from heliograph.receive.packets import Codeword, Observer
+from heliograph.receive.pose import Pose
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.cancel import Light, decode_looks
 from heliograph.receive.soft.look import LEAST_NOISE, Glance, Look, Noise, measure_noise, take_glance, take_look
 from heliograph.receive.soft.memory import Memory
+from heliograph.receive.soft.mix import mix_of
 from heliograph.receive.soft.naming import NameReader
 from heliograph.receive.soft.shares import LedShares
 from heliograph.receive.soft.sharpen import sharpen
@@ -41,6 +43,7 @@ class SoftReading:
         self._shares = shares or LedShares(form.settings.side)
         self._glances: list[Glance | None] = [None] * form.settings.data_pairs
         self._looks: list[Look | None] = []
+        self._header: Glance | None = None
         self._noise = Noise(LEAST_NOISE, LEAST_NOISE)
         self._gain = 0.0
         self._name = NameReader(identity, form.settings.side)
@@ -61,7 +64,9 @@ class SoftReading:
         self._gain = tracker.data_gain
 
     def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> bool:
-        """Find which LEDs give their light."""
+        """Find which LEDs give their light; combined frames do not tell."""
+        if mix_of(pattern) is not None:
+            return False
         glance = self._glance(pattern, inverted, tracker.state)
         tracker.data_gain, changed = self._shares.learn(glance, header, tracker.data_gain)
         tracker.shares = self._shares.values
@@ -72,6 +77,10 @@ class SoftReading:
         glance = self._glances[place] = self._glance(pattern, inverted, tracked.state)
         self._gain = tracker.data_gain
         self._observe("extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": glance.poses})
+
+    def take_even(self, pattern: Frame, inverted: Frame, pose: Pose) -> None:
+        """Take all frames of a header combined to one pair: its sum is even and tells the noise."""
+        self._header = take_glance(pattern, inverted, (pose, pose), self._form.settings.side, mix_of(pattern))
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode all pairs."""
@@ -91,7 +100,12 @@ class SoftReading:
 
     def _measure(self) -> None:
         seen = [glance for glance in self._glances if glance is not None]
-        self._noise = measure_noise(seen, self._gain, self._form.settings.side, self._shares.values)
+        side, shares = self._form.settings.side, self._shares.values
+        noise = self._noise = measure_noise(seen, self._gain, side, shares)
+        if self._header is not None and any(glance.mix for glance in seen):
+            # of pairs out of step the sum is uneven, not so that of a header
+            even = measure_noise([self._header], self._gain, side, shares)
+            self._noise = Noise(min(even.lit, noise.lit), noise.dark)
 
     def _look(self) -> list[Look | None]:
         side, shares = self._form.settings.side, self._shares.values
@@ -106,8 +120,12 @@ class SoftReading:
         return SoftReading(self._memory, self._identity, self._form, self._settings, self._observe, self._shares)
 
     def _glance(self, pattern: Frame, inverted: Frame, state: PoseState) -> Glance:
-        first, second = (state.pose_at(frame.time_s + self._later_s) for frame in (pattern, inverted))
-        return take_glance(pattern, inverted, (first, second), self._form.settings.side)
+        mix, later_s = mix_of(pattern), (self._later_s, self._later_s)
+        if mix is not None:
+            period_s = self._form.settings.pattern_period_s
+            later_s = (mix.data[0] - mix.light) * period_s, (mix.data[1] - mix.light) * period_s
+        poses = state.pose_at(pattern.time_s + later_s[0]), state.pose_at(inverted.time_s + later_s[1])
+        return take_glance(pattern, inverted, poses, self._form.settings.side, mix)
 
     def shown(self) -> Mapping[str, Any]:
         """The pairs as they were kept."""
