@@ -22,6 +22,10 @@ class HeaderSearch(Protocol):
     """Looks for headers in a stream of frames; see `Detector`."""
 
     @property
+    def candidates_fitted(self) -> int:
+        """Candidates fitted so far."""
+
+    @property
     def recent(self) -> Sequence[Frame]:
         """The last frames, oldest first: enough to hold the header of an array just found."""
 

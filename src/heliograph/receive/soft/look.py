@@ -110,8 +110,8 @@ class Look:
     offset: Floats
     cross: float
     drift: float
-    power: float
-    pixels: int
+    power: float = 0.0
+    pixels: int = 0
     mix: Mix | None = None
 
     def scaled(self, weight: float) -> "Look":

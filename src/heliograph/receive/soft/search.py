@@ -42,6 +42,11 @@ class Search:
         return self._kept
 
     @property
+    def candidates_fitted(self) -> int:
+        """Candidates fitted so far in all streams."""
+        return sum(stream.detector.candidates_fitted for stream in self._streams)
+
+    @property
     def started(self) -> bool:
         """Whether the camera's rate is known."""
         return bool(self._streams)
@@ -85,6 +90,8 @@ class Search:
 class _Stream(Protocol):
     """Thins frames out for a detector."""
 
+    detector: Detector
+
     def push(self, frame: Frame, taken: Sequence[Pose]) -> list[Detection]:
         """Take a frame; return the arrays whose header lies in the last frames of the stream."""
 
@@ -93,21 +100,21 @@ class _EveryFrame:
     """All frames of a camera of the light's rate."""
 
     def __init__(self, detector: Detector, period_s: float):
-        self._detector, self._period_s = detector, period_s
+        self.detector, self._period_s = detector, period_s
         self._number, self._time_s = 0, 0.0
 
     def push(self, frame: Frame, taken: Sequence[Pose]) -> list[Detection]:
         """Search with every frame; one that was dropped leaves a gap."""
         self._number += max(1, round((frame.time_s - self._time_s) / self._period_s))
         self._time_s = frame.time_s
-        return self._detector.push(replace(frame, index=self._number), taken)
+        return self.detector.push(replace(frame, index=self._number), taken)
 
 
 class _Nearest:
     """One frame a pattern: those that begin nearest to even times."""
 
     def __init__(self, detector: Detector, step_s: float, phase: float):
-        self._detector, self._step_s, self._phase = detector, step_s, phase
+        self.detector, self._step_s, self._phase = detector, step_s, phase
         self._best: Frame | None = None
         self._off = 0.0
 
@@ -119,7 +126,7 @@ class _Nearest:
         another = kept is None or kept.index != number
         if another or off < self._off:
             self._best, self._off = replace(frame, index=number), off
-        return self._detector.push(kept, taken) if another and kept is not None else []
+        return self.detector.push(kept, taken) if another and kept is not None else []
 
 
 def _phases(rate: float) -> int:
