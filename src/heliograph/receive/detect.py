@@ -97,7 +97,8 @@ class Detector:
         self._settings = settings
         self._side = signal.side
         # a lit square may be anything's; a tilted one all the more
-        self._tilts = (UPRIGHT, TILTED) if settings.detect.detector == "m_sequence" else (UPRIGHT,)
+        tilted = settings.detect.impaired and settings.detect.detector == "m_sequence"
+        self._tilts = (UPRIGHT, TILTED) if tilted else (UPRIGHT,)
         self._header = 2 * signal.header_pairs
         self._cells = _templates(settings)
         self._sides = _sizes(settings.detect.min_side_px, settings.detect.max_side_px)
@@ -215,7 +216,7 @@ class Detector:
         alternation, origin = _change([f.pixels for f in header]), header[0].origin
         fit = _fit_window(alternation, origin, pose, weights, self._side, tilt)
         shares: NDArray[np.float64] = np.ones(weights.shape)
-        even = regularity >= self._settings.detect.hidden_regularity
+        even = self._settings.detect.impaired and regularity >= self._settings.detect.hidden_regularity
         if fit is not None and HIDDEN_SCORE <= fit.score < CLEAR and even:
             lit = _lit_cells(alternation, origin, fit.pose, weights)
             part = np.kron(lit, np.ones((self._side // CELLS, self._side // CELLS)))
@@ -233,7 +234,7 @@ class Detector:
         sized = detect.min_side_px / half_step <= side <= detect.max_side_px * half_step
         turned = np.hypot(fit.pose.stretch, fit.pose.shear) <= MOST_TILT
         whole = fit.score >= detect.score and regularity >= detect.regularity
-        hidden = fit.score >= detect.hidden_score and regularity >= detect.hidden_regularity
+        hidden = detect.impaired and fit.score >= detect.hidden_score and regularity >= detect.hidden_regularity
         return bool(bright and sized and turned and (whole or hidden))
 
     def _weights(self, number: int) -> NDArray[np.float64]:

@@ -57,8 +57,11 @@ class DetectSettings:
         Correlation with the fitted header that makes a detection. Lower lets clutter through.
     regularity
         Least ratio of the weakest to the mean alternation of the header's frames; clutter does not alternate.
+    impaired
+        Whether arrays are found that are tilted or partly hidden; more clutter is taken for one of them. The receiver
+        "soft" always looks for them.
     hidden_score, hidden_regularity
-        The same for an array a part of which is hidden: it correlates less, but alternates as evenly as any.
+        As above for an array a part of which is hidden: it correlates less, but alternates as evenly as any.
     candidates
         Most candidates fitted a search.
     """
@@ -70,6 +73,7 @@ class DetectSettings:
     coarse_score: Share = 0.5
     score: Share = 0.9
     regularity: Share = 0.5
+    impaired: bool = False
     hidden_score: Share = 0.8
     hidden_regularity: Share = 0.85
     candidates: Annotated[int, Field(ge=1, le=64)] = 6

@@ -51,6 +51,7 @@ class SoftReceiver(Receiver):
             detect,
             min_side_px=min(detect.min_side_px, soft.min_side_px),
             regularity=min(detect.regularity, soft.regularity),
+            impaired=True,
         )
         super().__init__(signal, replace(settings, detect=detect), observe)
         self._camera = CameraClock()
