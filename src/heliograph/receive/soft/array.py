@@ -15,7 +15,7 @@ from heliograph.receive.pose import Pose
 from heliograph.receive.reading import MakeReading
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.clock import AROUND, Clock, view_header
-from heliograph.receive.soft.mix import Mix, SlotLight, VirtualFrame, mix_header, mix_of, mix_pair
+from heliograph.receive.soft.mix import EXACT, Mix, SlotLight, VirtualFrame, mix_header, mix_of, mix_pair
 from heliograph.receive.soft.reading import SoftReading
 from heliograph.signal.header import header_levels
 from heliograph.signal.packet import PacketFormat
@@ -95,7 +95,7 @@ class TimedArray(ArrayReceiver):
         pose = self._detection.fit.pose
         clock.measure(view_header(near, [pose] * len(near), self._signs * self.tracker.shares), 0)
         self._failed = clock.explained < EXPLAINED
-        if not self._in_step(clock, near, 0):
+        if not _in_step(clock, self._mix(clock, near, 0)):
             # the detection saw the header as if in step: weaker than it is
             self.tracker.gain = self.tracker.data_gain = clock.gain
         return clock
@@ -124,7 +124,7 @@ class TimedArray(ArrayReceiver):
         pairs = 0.5 * (_starts(clock, near) - 0.5)
         poses = [self._poses[int(known[np.argmin(np.abs(known - k))])] for k in pairs]
         clock.measure(view_header(near, poses, self._signs * self.tracker.shares), pattern)
-        if self._in_step(clock, near, pattern):
+        if _in_step(clock, self._mix(clock, near, pattern)):
             return
         # a sum hardly tells the array's light from that of its panel
         self.tracker.gain = clock.gain
@@ -140,13 +140,14 @@ class TimedArray(ArrayReceiver):
         """Read a pair's virtual frames, if there are frames of it."""
         place, number = 2 * pair, self._pair_in_packet(pair)
         near = self._frames_of(clock, place - BEHIND, place + 2 + AHEAD)
-        mix = mix_pair(_starts(clock, near) - place, clock.exposure, self._light)
-        if number < self._form.settings.header_pairs and not (mix and mix.in_step):
+        mix = self._mix(clock, near, place)
+        stepped = _in_step(clock, mix)
+        if number < self._form.settings.header_pairs and not stepped:
             near, mix = self._header_mix(clock, place - 2 * number, (2 * number, 2 * number + 2))
         if mix is None:
             return
         frames = [near[k] for k in mix.frames]
-        if mix.in_step:
+        if stepped:
             self._read(frames[0], frames[1])
         else:
             window = self._window(frames, clock.time_s(place + 1))
@@ -156,10 +157,9 @@ class TimedArray(ArrayReceiver):
             self._read(*self._virtual(clock, first, mix, frames, window))
         self._poses[pair] = self.tracker.state.pose
 
-    def _in_step(self, clock: Clock, frames: list[Frame], pattern: int) -> bool:
-        """Whether frames show the pair that begins with a pattern one by one."""
-        mix = mix_pair(_starts(clock, frames) - pattern, clock.exposure, self._light)
-        return mix is not None and mix.in_step
+    def _mix(self, clock: Clock, frames: list[Frame], pattern: int) -> Mix | None:
+        """How frames combine for the pair that begins with a pattern."""
+        return mix_pair(_starts(clock, frames) - pattern, clock.exposure, self._light)
 
     def _late_s(self, pattern: Frame) -> float:
         """See `ArrayReceiver`; combined frames have the time of their light."""
@@ -217,6 +217,11 @@ class TimedArray(ArrayReceiver):
             self._frames.popleft()
         oldest = self._next - self._form.settings.header_pairs - AROUND
         self._poses = {k: pose for k, pose in self._poses.items() if k >= oldest}
+
+
+def _in_step(clock: Clock, mix: Mix | None) -> bool:
+    """Whether frames show a pair's pattern and inverse one by one, as far as the clock can tell."""
+    return mix is not None and mix.departure < EXACT + clock.deviation
 
 
 def _starts(clock: Clock, frames: list[Frame]) -> NDArray[np.float64]:

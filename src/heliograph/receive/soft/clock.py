@@ -116,6 +116,11 @@ class Clock:
         return self._signal.pattern_period_s * (1 + self.rate)
 
     @property
+    def deviation(self) -> float:
+        """Standard deviation of the patterns' starts by the last header, in T_b."""
+        return float(np.sqrt(self._covariance[0, 0])) / self.period_s
+
+    @property
     def exposure(self) -> float:
         """Exposure in T_b."""
         chance = np.exp(self._evidence - self._evidence.max())
@@ -136,7 +141,7 @@ class Clock:
     def measure(self, view: HeaderView, pattern: int) -> None:
         """Take the header that begins with a pattern."""
         self._move(pattern)
-        spread = float(np.sqrt(self._covariance[0, 0])) / self.period_s
+        spread = self.deviation
         reach = min(max(6 * spread, 0.1), 0.5) if self._measured else REACH
         offset = np.linspace(-reach, reach, STARTS)
         cost = self._cost(view, offset)

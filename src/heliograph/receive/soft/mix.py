@@ -89,12 +89,17 @@ class Mix:
         return float(0.5 * (self.total**2).sum())
 
     @property
-    def in_step(self) -> bool:
-        """Whether D is a frame less the next, and these pattern and inverse."""
+    def departure(self) -> float:
+        """By how much two frames depart from pattern and inverse, in shares of T_b; infinite for other frames."""
         ideal = np.zeros((3, SLOTS))
         ideal[1] = 0.5
         two = np.array_equal(self.total > 0.5, [True, True]) and len(self.change) == 2
-        return two and bool(np.abs(self.slots - ideal).sum(1).max() < 2 * EXACT)
+        return float(np.abs(self.slots - ideal).sum(1).max()) / 2 if two else float("inf")
+
+    @property
+    def in_step(self) -> bool:
+        """Whether D is a frame less the next, and these pattern and inverse."""
+        return self.departure < EXACT
 
     @cached_property
     def table(self) -> Floats:
