@@ -24,6 +24,13 @@ from heliograph.link.simulate import transmitters
 from heliograph.link.truth import open_truth, truth_path
 from heliograph.media import open_film
 
+OUT_OF_STEP = (
+    "channel.camera.fps=1500",
+    "channel.camera.exposure_s=0.0006",
+    "channel.camera.dropped=0.02",
+    "channel.camera.repeated=0.02",
+    "channel.camera.jitter_s=3e-5",
+)
 SMALL = ("signal.data_pairs=8", "channel.camera.width=480", "channel.camera.height=288")
 
 
@@ -47,6 +54,7 @@ def by_film(settings: LinkSettings, seed: int, path: Path) -> Reception:
     [
         ("static", ("channel.distance_m=40",)),
         ("static", ("channel.distance_m=70",)),
+        ("static", ("channel.distance_m=40", "receive.receiver=soft", *OUT_OF_STEP)),
         ("paper", ("channel.distance_m=60", "channel.duration_s=0.4")),
         ("static", ("channel.distance_m=100", "receive.receiver=soft")),
         ("motorway", ("channel.distance_m=90", "channel.duration_s=0.1", "receive.receiver=soft")),

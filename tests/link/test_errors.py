@@ -31,6 +31,14 @@ def test_perfect_packets_have_no_error() -> None:
     assert counter.false_codewords == 0
 
 
+def test_dropped_frames_count_as_filmed() -> None:
+    counter = counter_of()
+    for first, last in ((0, 40), (44, 99), (102, 200)):
+        watch(counter, range(first, last))
+    # two packets were sent and filmed, though frames of both got lost
+    assert next(sums(counter)) == ("high", 0, 0, 0, 2, 2, 2)
+
+
 def test_turned_bits_are_counted_one_by_one() -> None:
     counter = counter_of()
     watch(counter, range(200))

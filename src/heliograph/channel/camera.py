@@ -12,6 +12,7 @@ from heliograph.channel.exposure import Faults, Lighting, PatternFeed
 from heliograph.channel.footage import Footage
 from heliograph.channel.motion import ImuTrace, Motion, film_duration, motion
 from heliograph.channel.settings import ChannelSettings, Placement
+from heliograph.channel.transfer import Transfer
 from heliograph.channel.truth import NoiseModel, Truth
 
 Patterns = Iterable[NDArray[np.uint8]]
@@ -60,9 +61,10 @@ def film(
     Yields
     ------
     frame
-        ``time_s`` is the camera's own clock: start_s + index / fps.
+        ``time_s`` is the camera's own clock: start_s + index / fps, but for jitter. A frame that was dropped leaves a
+        gap in ``index``, and in the truth.
     truth
-        What was filmed.
+        What was filmed; of a repeated frame, what it would have shown.
 
     Raises
     ------
@@ -127,6 +129,7 @@ def _shoot(
     stage = Stage(settings, arrays, drive, background(settings, footage, np.random.default_rng(scene_seed)))
     total = frame_count(settings)
     whole = np.empty((camera.height, camera.width), np.float32)
+    transfer = Transfer(camera, noise_seed)
     for first in range(0, total, BLOCK):
         block = block_views(stage, np.arange(first, min(first + BLOCK, total)))
         parts = windows(block, camera, roi)
@@ -137,4 +140,6 @@ def _shoot(
             truths = render(stage, block, k, Canvas(light, (x, y)))
             pixels = read_out(light, settings.sensor, noise_seed, index, (x, y))
             frame = Frame(index, camera.start_s + index / camera.fps, pixels, settings.sensor.bits, (x, y))
-            yield frame, Truth(index, float(block.times_s[k, 0]), truths, noise)
+            delivered = transfer(frame)
+            if delivered is not None:
+                yield delivered, Truth(index, float(block.times_s[k, 0]), truths, noise)

@@ -95,6 +95,10 @@ class CameraSettings:
         Standard deviation of the Gaussian optical blur, beside the pixel's box and the emitter's disc.
     clock_ppm
         Its frame period is longer by this than 1 / fps.
+    dropped, repeated
+        Chance of a frame to be lost on its way, and to come as a copy of the one delivered before it.
+    jitter_s
+        Rms error of the times that frames are stamped with; the exposures themselves stay even.
     """
 
     fps: Annotated[float, Field(gt=0, le=1e6)] = 1000.0
@@ -106,11 +110,16 @@ class CameraSettings:
     pixel_m: Positive = 12e-6
     blur_px: Annotated[float, Field(ge=0.05, le=20)] = 0.5
     clock_ppm: Ppm = 0.0
+    dropped: Share = 0.0
+    repeated: Share = 0.0
+    jitter_s: NotNegative = 0.0
 
     @model_validator(mode="after")
     def _consistent(self) -> "CameraSettings":
         if self.exposure_s * self.fps > 1 + 1e-9:
             raise ValueError(f"exposure_s is at most 1 / fps = {1 / self.fps:g} s, not {self.exposure_s:g} s")
+        if self.dropped + self.repeated > 1:
+            raise ValueError(f"dropped and repeated are at most 1 together, not {self.dropped + self.repeated:g}")
         return self
 
     @property

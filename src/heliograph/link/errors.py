@@ -88,15 +88,22 @@ class ErrorCounter:
         self.false_packets = 0
         self.false_codewords = 0
         self.duplicates = 0
+        self._last_s: float | None = None
 
     def saw(self, time_s: float, distances_m: Sequence[float], visible: Sequence[bool]) -> None:
         """Take the truth of a frame: the time of its exposure and where the arrays were."""
+        lost, self._last_s = self._lost_before(time_s), time_s
         for array, (distance, in_view) in enumerate(zip(distances_m, visible, strict=True)):
             number, place = self._packet_at(array, time_s)
             if number < 0:
                 continue
             sent = self._sent[array].setdefault(number, _Sent())
             sent.frames += 1
+            for missing_s in lost:
+                # sent and filmed all the same
+                before = self._sent[array].get(self._packet_at(array, missing_s)[0])
+                if before is not None:
+                    before.frames += 1
             sent.hidden += not in_view
             if abs(place - 0.5) < sent.off_middle:
                 sent.distance_m, sent.off_middle = distance, abs(place - 0.5)
@@ -182,6 +189,12 @@ class ErrorCounter:
     def _whole(self, array: int, sent: _Sent) -> bool:
         """Whether the packet was filmed from its first pattern to its last."""
         return sent.frames >= self._packet_s(array) * self._settings.channel.camera.fps - 1
+
+    def _lost_before(self, time_s: float) -> list[float]:
+        """Times of the frames dropped between the last one and this."""
+        period = self._settings.channel.camera.frame_period_s
+        steps = 1 if self._last_s is None else round((time_s - self._last_s) / period)
+        return [time_s - k * period for k in range(1, steps)]
 
     def _packet_s(self, array: int) -> float:
         return self._settings.signal.packet_s * (1 + self._settings.channel.arrays[array].clock_ppm * 1e-6)

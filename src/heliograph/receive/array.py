@@ -140,7 +140,7 @@ class ArrayReceiver:
             tracked = self.tracker.follow(pattern, inverted)
         else:
             # all LEDs show in a pair's sum; of data without inverses only its reading knows what shows
-            tracked = packet.reading.follow(pattern, inverted, self.tracker, self._sum_late_s)
+            tracked = packet.reading.follow(pattern, inverted, self.tracker, self._late_s(pattern))
         packet.frames += [pattern.index, inverted.index]
         packet.scores.append(tracked.fit.score)
         packet.poses.append(tracked.state.pose)
@@ -150,6 +150,10 @@ class ArrayReceiver:
         elif tracked.seen:
             packet.reading.take(place, pattern, inverted, tracked, self.tracker)
             packet.seen[place] = True
+
+    def _late_s(self, pattern: Frame) -> float:  # noqa: ARG002 - combined frames carry their own
+        """By how much the light of a data pair's sum comes after the middle of the exposures."""
+        return self._sum_late_s
 
     def _read_header(self, pair: int, pattern: Frame, inverted: Frame, tracked: TrackedPair) -> None:
         """Read what header pair `pair` names, and sharpen the pose by it."""

@@ -1,12 +1,14 @@
 """The receiver "plain": camera frames to packets."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Protocol
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.detect import Detection, Detector, apart
 from heliograph.receive.packets import Observer, Packet, ignore
+from heliograph.receive.pose import Pose
 from heliograph.receive.reading import MakeReading, PlainReading
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.packet import PacketFormat
@@ -14,6 +16,21 @@ from heliograph.signal.settings import SignalSettings
 
 STEP_TOLERANCE = 0.02
 """Largest departure of the camera's rate from the light's that the plain receiver takes, as a share."""
+
+
+class HeaderSearch(Protocol):
+    """Looks for headers in a stream of frames; see `Detector`."""
+
+    @property
+    def candidates_fitted(self) -> int:
+        """Candidates fitted so far."""
+
+    @property
+    def recent(self) -> Sequence[Frame]:
+        """The last frames, oldest first: enough to hold the header of an array just found."""
+
+    def push(self, frame: Frame, taken: Sequence[Pose] = (), /) -> list[Detection]:
+        """Take a frame; return the arrays whose header lies in the last frames."""
 
 
 class Receiver:
@@ -32,11 +49,13 @@ class Receiver:
         Gets (stage, data) of each stage.
     """
 
+    array: type[ArrayReceiver] = ArrayReceiver
+
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings | None = None, observe: Observer = ignore):
         self._settings = settings or ReceiveSettings()
         self._form = PacketFormat(signal)
         self._observe = observe
-        self._detector = Detector(self._settings, signal)
+        self._detector: HeaderSearch = Detector(self._settings, signal)
         self._arrays: list[ArrayReceiver] = []
         self._last: Frame | None = None
         self.detections = 0
@@ -72,7 +91,7 @@ class Receiver:
         """Begin to follow an array, its header's frames first."""
         self.detections += 1
         self._observe("detect", {"detection": detection, "frames": tuple(self._detector.recent)})
-        array = ArrayReceiver(detection, self._form, self._settings, self._observe, self._reading(detection.identity))
+        array = self.array(detection, self._form, self._settings, self._observe, self._reading(detection.identity))
         self._arrays.append(array)
         for frame in self._detector.recent:
             yield from array.push(frame)

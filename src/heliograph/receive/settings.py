@@ -27,12 +27,16 @@ class CalibrationSettings:
         Pitch of the LEDs.
     blur_px
         First guess of the blur's standard deviation; it is estimated from then on.
+    exposure_s
+        Exposure of the camera where it is known; None leaves it to the receiver "soft" to find, which takes it for the
+        frame period unless headers or brightness tell otherwise.
     """
 
     focal_m: Positive = 0.035
     pixel_m: Positive = 12e-6
     pitch_m: Positive = 0.02
     blur_px: Annotated[float, Field(ge=0.2, le=5)] = 0.55
+    exposure_s: Positive | None = None
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
@@ -136,6 +140,9 @@ class SoftSettings:
     ----------
     min_side_px
         Smallest array looked for, in place of ``detect.min_side_px``: it reads farther.
+    regularity
+        Least ratio of the weakest to the mean alternation, in place of ``detect.regularity``: a camera out of step
+        sees a header alternate unevenly. What the header's clock cannot explain is sorted out after.
     rounds
         Most rounds between equaliser and turbo decoder.
     algorithm
@@ -150,6 +157,7 @@ class SoftSettings:
     """
 
     min_side_px: Annotated[float, Field(ge=3)] = 4.0
+    regularity: Share = 0.15
     rounds: Annotated[int, Field(ge=1, le=100)] = 24
     algorithm: Literal["max-log", "log-map"] = "log-map"
     feedback: Literal["none", "decoded", "soft"] = "soft"

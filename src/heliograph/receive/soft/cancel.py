@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 from heliograph.receive.decode import LARGEST_LLR, codeword_of, hard
 from heliograph.receive.packets import Codeword, Observer, ignore
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.soft import squares
 from heliograph.receive.soft.cells import Cells
 from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
-from heliograph.receive.soft.look import Look
+from heliograph.receive.soft.look import LEAST_NOISE, Look
 from heliograph.receive.soft.memory import Memory, faithful
+from heliograph.receive.soft.mix import Mix
 from heliograph.signal.block import check
 from heliograph.signal.packet import LayerFormat, PacketFormat
+from heliograph.signal.pwm import SLOTS
 from heliograph.signal.turbo import TurboCode
 
 Floats = NDArray[np.float64]
@@ -38,12 +41,17 @@ class Light:
     gain: float
     noise: float
 
-    def update(self, moments: Floats) -> None:
-        """Maximise the likelihood of the gain by the moments of `_moments`, summed over looks."""
-        match, norm = moments
+    def update(self, moments: Floats, mixed: bool) -> None:
+        """Maximise the likelihood of the gain by the moments of `_moments`, summed over looks.
+
+        Of `mixed` looks that of the noise too: their sums are no even light, by which it could be told beforehand.
+        """
+        match, norm, power, pixels = moments
         if norm > 0:
             # g = <d, B m + o> / E|B c + o|^2
             self.gain = match / norm
+        if mixed:
+            self.noise = max((power - 2 * self.gain * match + self.gain**2 * norm) / pixels, LEAST_NOISE)
 
 
 LookAgain = Callable[[Floats, Floats, Light], Sequence[Look | None]]
@@ -132,9 +140,13 @@ def decode_looks(
     """
     layers = {name: _Layer.unknown(layer) for name, layer in form.layers.items()}
     cells = Cells(form)
+    # of what a name dims the side of one half remains
+    header = form.header_pattern(identity) > SLOTS // 2
+    # a combined pair's poses are not sharpened: its cells are seen through products
+    sharpen = settings.soft.sharpen and not _mixed(looks)
     for _ in range(settings.soft.rounds):
         before = _open(layers)
-        _equalise_all(looks, light, layers, cells)
+        _equalise_all(looks, light, layers, cells, header)
         observe("equalise", {"identity": identity, "llr": {name: layer.llr for name, layer in layers.items()}})
         for name, layer in layers.items():
             if not layer.recalled:
@@ -146,15 +158,20 @@ def decode_looks(
         now = _open(layers)
         if not now.any() or (before - now).max() < PROGRESS or settings.soft.feedback == "none":
             break
-        if settings.soft.sharpen and np.count_nonzero(now) < np.count_nonzero(before):
+        if sharpen and np.count_nonzero(now) < np.count_nonzero(before):
             looks = again(*_known(layers, cells), light)
     if settings.soft.looks:
-        _remember(looks, light, layers, cells, memory)
+        _remember(looks, light, layers, cells, memory, header)
     return {name: tuple(layer.words) for name, layer in layers.items()}
 
 
 def _remember(
-    looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer], cells: Cells, memory: Memory
+    looks: Sequence[Look | None],
+    light: Light,
+    layers: dict[str, _Layer],
+    cells: Cells,
+    memory: Memory,
+    header: NDArray[np.bool_],
 ) -> None:
     """Keep what this look says of the codewords that it alone did not give.
 
@@ -168,7 +185,7 @@ def _remember(
         for i, word in enumerate(layer.words):
             if word.status == "crc_fail":
                 layer.soft[i], layer.variance[i] = 0.0, 1.0
-    _equalise_all(looks, light, layers, cells)
+    _equalise_all(looks, light, layers, cells, header)
     for name, numbers in wanted.items():
         for i in numbers:
             memory.keep((name, layers[name].form.code), layers[name].llr[i], layers[name].recalled[i])
@@ -185,27 +202,68 @@ def _known(layers: dict[str, _Layer], cells: Cells) -> tuple[Floats, Floats]:
     return cells.expected([layer.mean() for layer in values], [layer.variances() for layer in values])
 
 
-def _equalise_all(looks: Sequence[Look | None], light: Light, layers: dict[str, _Layer], cells: Cells) -> None:
+def _mixed(looks: Sequence[Look | None]) -> bool:
+    """Whether any pair was combined of frames out of step."""
+    return any(look is not None and look.mix is not None for look in looks)
+
+
+def _equalise_all(
+    looks: Sequence[Look | None],
+    light: Light,
+    layers: dict[str, _Layer],
+    cells: Cells,
+    header: NDArray[np.bool_],
+) -> None:
     """Equalise every look with what is known now; then the gain by expectation and maximisation."""
     mean, variance = _known(layers, cells)
-    llr, moments = np.zeros_like(mean), np.zeros(2)
+    llr, moments = np.zeros_like(mean), np.zeros(4)
     for number, look in enumerate(looks):
-        if look is not None:
+        if look is None:
+            continue
+        if look.mix is None:
             estimate = equalise(look, light.gain, light.noise, mean[number], variance[number])
             llr[number] = estimate.llr
-            moments += _moments(look, estimate)
-    light.update(moments)
+        else:
+            around = [mean[k] if 0 <= k < len(mean) else None for k in (number - 1, number + 1)]
+            llr[number], estimate = _equalise_mixed(look, look.mix, light, mean[number], around, header)
+        moments += _moments(look, estimate)
+    light.update(moments, _mixed(looks))
     parts = cells.bits(llr, [layer.mean() for layer in layers.values()])
     for layer, part in zip(layers.values(), parts, strict=True):
         layer.llr = layer.form.deinterleave(np.clip(part, -LARGEST_LLR, LARGEST_LLR))
 
 
+def _equalise_mixed(
+    look: Look, mix: Mix, light: Light, mean: Floats, around: Sequence[Floats | None], header: NDArray[np.bool_]
+) -> tuple[Floats, Estimate]:
+    """LLRs of the cells of a pair combined of frames out of step.
+
+    What is equalised is the cells as seen: functions of the four cells of a square, and what is seen of the pairs
+    `around`, which are the header where they are None. From them the cells follow square by square.
+    """
+    seen, spread = squares.moments(mix.table, mean)
+    leak, leak_spread = np.zeros_like(mean), np.zeros_like(mean)
+    for table, slots, other, leaky in zip(mix.leaks, mix.slots[[0, 2]], around, mix.leaky, strict=True):
+        if not leaky:
+            continue
+        if other is None:
+            leak += squares.seen_of_levels(slots, header)
+            continue
+        part, more = squares.moments(table, other)
+        leak, leak_spread = leak + part, leak_spread + more
+    prior = seen + leak, spread + leak_spread
+    estimate = equalise(look, light.gain, light.noise, *prior)
+    precision, weighted = estimate.added(*prior)
+    precision = np.maximum(precision, 1e-6)
+    return squares.true_llrs(mix.table, weighted / precision - leak, 1 / precision + leak_spread, mean), estimate
+
+
 def _moments(look: Look, estimate: Estimate) -> Floats:
-    """<d, B m + o> and E|B c + o|^2."""
+    """<d, B m + o>, E|B c + o|^2, |d|^2 and the number of pixels."""
     m = estimate.mean
     match = float(m @ look.seen) + look.cross
     norm = float(m @ (look.gram @ m)) + estimate.trace + 2 * float(m @ look.offset) + look.drift
-    return np.array([match, norm])
+    return np.array([match, norm, look.power, look.pixels])
 
 
 def _decode_layer(layer: _Layer, name: str, identity: int, settings: ReceiveSettings) -> None:

@@ -42,6 +42,17 @@ class Estimate:
     covariance: NDArray[np.float32]
     trace: float
 
+    def added(self, mean: Floats, variance: Floats) -> tuple[Floats, Floats]:
+        """What the look adds to a prior of `mean` and `variance` (cells,), as a Gaussian: precision and it times mean.
+
+        Both are 0 for known cells.
+        """
+        precision, weighted = np.zeros_like(mean), np.zeros_like(mean)
+        u, spread = self.unknown, self.covariance.diagonal().astype(np.float64)
+        precision[u] = np.maximum(1 / spread - 1 / variance[u], 0.0)
+        weighted[u] = self.mean[u] / spread - mean[u] / variance[u]
+        return precision, weighted
+
 
 def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floats) -> Estimate:
     """Estimate the cells.

@@ -23,6 +23,7 @@ from heliograph.receive.detect import cut_out
 from heliograph.receive.fit import window_around
 from heliograph.receive.pose import Pose
 from heliograph.receive.soft import kernels
+from heliograph.receive.soft.mix import Mix
 
 Floats = NDArray[np.float64]
 Shares = tuple[Floats, Floats, NDArray[np.int64]]
@@ -59,6 +60,8 @@ class Glance:
         Where the light of the data was in each frame: in the middle of the exposure; one or two.
     still
         Of a single frame, where the light of the levels' mean was, which is earlier.
+    mix
+        What the pair was combined of; None if it is two frames in step.
     """
 
     total: Floats
@@ -66,6 +69,7 @@ class Glance:
     corner: tuple[int, int]
     poses: tuple[Pose, ...]
     still: Pose | None = None
+    mix: Mix | None = None
 
     @property
     def middle(self) -> Pose:
@@ -103,6 +107,10 @@ class Look:
         B^T W o, (cells,).
     cross, drift
         d^T W o and o^T W o.
+    power, pixels
+        d^T W d and the number of pixels.
+    mix
+        What the pair was combined of; None if it is two frames in step.
     """
 
     gram: NDArray[np.float32]
@@ -110,6 +118,9 @@ class Look:
     offset: Floats
     cross: float
     drift: float
+    power: float = 0.0
+    pixels: int = 0
+    mix: Mix | None = None
 
     def scaled(self, weight: float) -> "Look":
         """The same with a weight, as if its noise were larger."""
@@ -119,6 +130,9 @@ class Look:
             weight * self.offset,
             weight * self.cross,
             weight * self.drift,
+            weight * self.power,
+            self.pixels,
+            self.mix,
         )
 
     def plus(self, other: "Look") -> "Look":
@@ -129,10 +143,13 @@ class Look:
             self.offset + other.offset,
             self.cross + other.cross,
             self.drift + other.drift,
+            self.power + other.power,
+            self.pixels + other.pixels,
+            self.mix,
         )
 
 
-def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side: int) -> Glance:
+def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side: int, mix: Mix | None = None) -> Glance:
     """Cut a pair of frames out.
 
     Parameters
@@ -143,11 +160,13 @@ def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side:
         See `Glance`.
     side
         LEDs in a row.
+    mix
+        See `Glance`.
     """
     middle = Pose.between(*poses)
     x0, y0, cols, rows = window_around(middle, side, MARGIN_PX + RING_PX)
     up, down = (cut_out(frame, x0, y0, cols, rows) for frame in (pattern, inverted))
-    return Glance(up + down, up - down, (x0, y0), poses)
+    return Glance(up + down, up - down, (x0, y0), poses, mix=mix)
 
 
 def of_squares(grid: Floats) -> Floats:
@@ -196,7 +215,9 @@ def take_look(glance: Glance, noise: Noise, side: int, shares: Floats | None = N
     The noise of a pixel follows its light: s^2 = dark + (lit - dark) f(x) f(y), f the profile of the array from 0 to 1.
     W is taken as a product of a function of x and one of y, so that LEDs weighted by its root are such products too.
     """
-    return weigh(glance, noise, side, shares).look()
+    look = weigh(glance, noise, side, shares).look(glance.mix)
+    # combined frames have another noise than a difference of two
+    return look if glance.mix is None else look.scaled(1 / glance.mix.noise)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,13 +242,22 @@ class Weighted:
     shares: tuple[Shares, ...]
     between: Shares
 
-    def look(self) -> Look:
-        """What remains of it for the equaliser."""
+    def look(self, mix: Mix | None = None) -> Look:
+        """What remains of it for the equaliser, combined of frames by a mix."""
         size = len(self.between[0])
         gram = np.empty((size, size), np.float32)
         kernels.gram(*self.between, gram)
         d, o = self.change, self.still
-        return Look(gram, self.correlated(d), self.correlated(o), float((d * o).sum()), float((o * o).sum()))
+        return Look(
+            gram,
+            self.correlated(d),
+            self.correlated(o),
+            cross=float((d * o).sum()),
+            drift=float((o * o).sum()),
+            power=float((d * d).sum()),
+            pixels=int((self.root > 0).sum()),
+            mix=mix,
+        )
 
     def correlated(self, image: Floats) -> Floats:
         """B^T W^(1/2) image, (cells,)."""
@@ -255,7 +285,9 @@ def weigh(glance: Glance, noise: Noise, side: int, shares: Floats | None = None)
     root = weights[1][:, None] * weights[0]
     lights = tuple(_dimmed(_weighted(_placed(pose, corner, shape, side), weights), shares) for pose in glance.poses)
     if glance.still is None:
-        still = 0.5 * (_all_on(lights[0], shape) - _all_on(lights[-1], shape))
+        # the mean light of combined frames is not half of the array's
+        levels = (0.5, 0.5) if glance.mix is None else glance.mix.levels
+        still = levels[0] * _all_on(lights[0], shape) - levels[1] * _all_on(lights[-1], shape)
     else:
         still = root * image_of(np.ones((side, side)) if shares is None else shares, glance.still, corner, shape)
     return Weighted(root, root * glance.change, still, lights, _dimmed(_weighted(between, weights), shares))
@@ -337,7 +369,11 @@ def _unevenness(glance: Glance, gain: float, side: int, shares: Floats | None) -
     residual[inside] = (glance.total[inside] - fitted) * np.sqrt(len(x) / max(len(x) - columns.shape[1], 1))
     # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
     moved = gain**2 / 16 * kernels.difference(*placed[0], *placed[1]) / (side * glance.middle.pitch) ** 2
-    return _Uneven(residual, glance.corner, glance.change[whole < BESIDE], float(moved))
+    beside = glance.change[whole < BESIDE]
+    if glance.mix is None:
+        return _Uneven(residual, glance.corner, beside, float(moved))
+    # as if of two frames; of combined ones only a header's sum is even, in which nothing moves
+    return _Uneven(residual / np.sqrt(glance.mix.total_noise), glance.corner, beside / np.sqrt(glance.mix.noise), 0.0)
 
 
 def _apart(one: _Uneven, other: _Uneven) -> Floats:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.kalman import PoseState
 from heliograph.receive.packets import Codeword, Observer
+from heliograph.receive.pose import Pose
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.behind import Header
 from heliograph.receive.soft.cancel import Light, decode_looks
@@ -23,6 +24,7 @@ from heliograph.receive.soft.look import (
     take_look,
 )
 from heliograph.receive.soft.memory import Memory
+from heliograph.receive.soft.mix import mix_of
 from heliograph.receive.soft.naming import NameReader
 from heliograph.receive.soft.shares import LedShares
 from heliograph.receive.soft.sharpen import sharpen
@@ -53,6 +55,7 @@ class SoftReading:
         self._shares = shares or LedShares(self._side)
         self._glances: list[Glance | None] = []
         self._looks: list[Look | None] = []
+        self._header: Glance | None = None
         self._noise = Noise(LEAST_NOISE, LEAST_NOISE)
         self._gain = 0.0
         self._name = NameReader(identity, self._side)
@@ -77,8 +80,8 @@ class SoftReading:
         self._gain = tracker.data_gain
 
     def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> bool:
-        """Find which LEDs give their light."""
-        if np.any(np.abs(header) != 1):
+        """Find which LEDs give their light; combined frames do not tell."""
+        if mix_of(pattern) is not None or np.any(np.abs(header) != 1):
             # dimmed where it names a format: another pattern than the looks that are summed up
             return False
         glance = self._glance(pattern, inverted, tracker.state)
@@ -106,6 +109,10 @@ class SoftReading:
         poses = tuple(pose for glance in glances for pose in glance.poses)
         self._observe("extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": poses})
 
+    def take_even(self, pattern: Frame, inverted: Frame, pose: Pose) -> None:
+        """Take all frames of a header combined to one pair: its sum is even and tells the noise."""
+        self._header = take_glance(pattern, inverted, (pose, pose), self._side, mix_of(pattern))
+
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode all that was kept."""
         form, observe = self._known(), self._observe
@@ -126,10 +133,15 @@ class SoftReading:
 
     def _measure(self) -> None:
         seen = [glance for glance in self._glances if glance is not None]
-        if self._singles is None:
-            self._noise = measure_noise(seen, self._gain, self._side, self._shares.values)
-        else:
+        shares = self._shares.values
+        if self._singles is not None:
             self._noise = Noise(self._singles.noise.lit, noise_beside(seen, self._side))
+            return
+        noise = self._noise = measure_noise(seen, self._gain, self._side, shares)
+        if self._header is not None and any(glance.mix for glance in seen):
+            # of pairs out of step the sum is uneven, not so that of a header
+            even = measure_noise([self._header], self._gain, self._side, shares)
+            self._noise = Noise(min(even.lit, noise.lit), noise.dark)
 
     def _look(self) -> list[Look | None]:
         side, shares = self._side, self._shares.values
@@ -144,8 +156,12 @@ class SoftReading:
         return SoftReading(self._memory, self._identity, self._agreed, self._settings, self._observe, self._shares)
 
     def _glance(self, pattern: Frame, inverted: Frame, state: PoseState) -> Glance:
-        first, second = (state.pose_at(frame.time_s + self._later_s) for frame in (pattern, inverted))
-        return take_glance(pattern, inverted, (first, second), self._side)
+        mix, later_s = mix_of(pattern), (self._later_s, self._later_s)
+        if mix is not None:
+            period_s = self._agreed.settings.pattern_period_s
+            later_s = (mix.data[0] - mix.light) * period_s, (mix.data[1] - mix.light) * period_s
+        poses = state.pose_at(pattern.time_s + later_s[0]), state.pose_at(inverted.time_s + later_s[1])
+        return take_glance(pattern, inverted, poses, self._side, mix)
 
     def shown(self) -> Mapping[str, Any]:
         """The pairs as they were kept."""

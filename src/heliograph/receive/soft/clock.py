@@ -1,0 +1,248 @@
+"""When the patterns are: the light's clock against the camera's, measured by each header and carried on between.
+
+Two things tell when a frame was exposed. How much of the header less its inverse it shows, from -1 to 1, is the mean of
+a square wave over the exposure, which is 0 outside of the header. And PWM lights an array brightly at the start of a
+pattern and dimly at its end (15, 11, 5 and 1 sixteenths of the LEDs in the slots of random data), but evenly through a
+header. Both are compared, for all frames around a header, with what starts and exposures between bounds would give; the
+likelihood over both is the measurement. The exposure stays, so its likelihoods multiply from header to header. The
+start goes into a Kalman filter of time and rate.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.detect import cut_out
+from heliograph.receive.fit import window_around
+from heliograph.receive.pose import Pose
+from heliograph.receive.soft.mix import SlotLight
+from heliograph.signal.pwm import SLOTS
+from heliograph.signal.settings import SignalSettings
+
+Floats = NDArray[np.float64]
+
+AROUND = 2
+"""Patterns before and after a header whose frames are looked at too: at its ends most is learned."""
+
+DEVIATION = 0.03
+"""Standard deviation of what random data look like as a header, and of their brightness: 1/4 of each LED, over 256."""
+
+EXPOSURES = 20
+"""Exposures tried, up to the whole frame period."""
+
+LONGER, WHOLE = 20.0, 3.0
+"""Log odds beforehand of an exposure of the whole frame period against one of none, and on top of them of the very
+whole. Exposures of any length about the middle of a pattern, or about its end, look the same in headers and have the
+same brightness: the longest is taken."""
+
+STARTS = 121
+"""Starts of the header tried."""
+
+REACH = 1.25
+"""Patterns either way that the start may differ from the detection's."""
+
+RATE = 2.5e-4
+"""Standard deviation of the light's rate against the camera's before it is measured: both may be 200 ppm off."""
+
+RATE_WALK = 2e-6
+"""Its random walk per square root of a second."""
+
+LEAST_S = 0.004
+"""Least standard deviation of a measured start in T_b."""
+
+MARGIN_PX = 3.0
+"""Surroundings of the array against which its brightness is measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeaderView:
+    """What the frames around a header show.
+
+    Attributes
+    ----------
+    times_s
+        (frames,) starts of the exposures.
+    alternation
+        (frames,) the header less its inverse in gray levels.
+    brightness
+        (frames,) the array in gray levels, but for a constant.
+    """
+
+    times_s: Floats
+    alternation: Floats
+    brightness: Floats
+
+
+class Clock:
+    """The light's clock in the camera's time.
+
+    Parameters
+    ----------
+    start_s
+        When a header roughly began.
+    period_s
+        The camera's frame period.
+    signal
+        What the light speaks.
+    exposure_s
+        The camera's exposure where it is known, else None.
+    """
+
+    def __init__(self, start_s: float, period_s: float, signal: SignalSettings, exposure_s: float | None = None):
+        self._signal = signal
+        self._light = SlotLight(signal.slot_order)
+        self.start_s = start_s
+        self.rate = 0.0
+        """Its pattern period is longer by this share than the nominal one."""
+        self.gain = 0.0
+        """Light of the array with all LEDs on in the last header, in gray levels."""
+        self.explained = 0.0
+        """Share of what the frames around the last header show that the header explains, in squares."""
+        self._pattern = 0
+        self._covariance = np.diag([0.0, RATE**2])
+        self._measured = False
+        longest = min(period_s / signal.pattern_period_s, 1.0)
+        self._exposures = longest * np.linspace(1 / EXPOSURES, 1.0, EXPOSURES)
+        if exposure_s is not None:
+            self._exposures = np.array([min(exposure_s / signal.pattern_period_s, longest)])
+        self._evidence = LONGER * self._exposures / longest
+        self._evidence[-1] += WHOLE
+
+    @property
+    def period_s(self) -> float:
+        """Pattern period by the camera's clock."""
+        return self._signal.pattern_period_s * (1 + self.rate)
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of the patterns' starts by the last header, in T_b."""
+        return float(np.sqrt(self._covariance[0, 0])) / self.period_s
+
+    @property
+    def exposure(self) -> float:
+        """Exposure in T_b."""
+        chance = np.exp(self._evidence - self._evidence.max())
+        return float(chance @ self._exposures / chance.sum())
+
+    def time_s(self, pattern: float) -> float:
+        """Time of a pattern's start, patterns counted from the header of the detection."""
+        return self.start_s + (pattern - self._pattern) * self.period_s
+
+    def place(self, time_s: float | Floats) -> Floats:
+        """Patterns since the header of the detection began."""
+        return np.asarray(self._pattern + (np.asarray(time_s) - self.start_s) / self.period_s)
+
+    def alternation(self, starts: Floats, first: float) -> Floats:
+        """Of a header that starts with pattern `first`, what frames show that start at places `starts`."""
+        return _mean_over(starts - first, self.exposure, *self._square_wave())
+
+    def measure(self, view: HeaderView, pattern: int) -> None:
+        """Take the header that begins with a pattern."""
+        self._move(pattern)
+        spread = self.deviation
+        reach = min(max(6 * spread, 0.1), 0.5) if self._measured else REACH
+        offset = np.linspace(-reach, reach, STARTS)
+        cost = self._cost(view, offset)
+        if self._measured:
+            cost = cost + 0.5 * (offset / max(spread, LEAST_S)) ** 2
+        by_exposure = -cost.min(1) + np.log(np.exp(cost.min(1)[:, None] - cost).sum(1))
+        self._evidence += by_exposure - by_exposure.max()
+        chance = np.exp((self._evidence - self._evidence.max() - by_exposure)[:, None] - cost)
+        chance = chance.sum(0) / chance.sum()
+        mean = float(chance @ offset)
+        variance = float(chance @ (offset - mean) ** 2) + LEAST_S**2
+        self._take(mean * self.period_s, variance * self.period_s**2)
+
+    def _move(self, pattern: int) -> None:
+        """Predict the start of the header at a pattern."""
+        steps = pattern - self._pattern
+        nominal = steps * self._signal.pattern_period_s
+        self.start_s, self._pattern = self.time_s(pattern), pattern
+        move = np.array([[1.0, nominal], [0.0, 1.0]])
+        self._covariance = move @ self._covariance @ move.T + np.diag([0.0, RATE_WALK**2 * nominal])
+
+    def _take(self, error_s: float, variance: float) -> None:
+        """Correct start and rate by a start measured; the variance is that of the posterior."""
+        if not self._measured:
+            self.start_s += error_s
+            self._covariance[0, 0] = variance
+            self._measured = True
+            return
+        prior = self._covariance[0, 0]
+        # the likelihood held the prior: x += K S^-1 (posterior - prior) as in `PoseState.condition`
+        gain = self._covariance[:, 0] / max(prior, 1e-30)
+        self.start_s += error_s
+        self.rate += float(gain[1]) * error_s
+        self._covariance = self._covariance + np.outer(gain, gain) * (min(variance, prior) - prior)
+
+    def _cost(self, view: HeaderView, offset: Floats) -> Floats:
+        """Negative log likelihood (exposures, offsets) of starts `offset` patterns after the predicted one."""
+        place = (view.times_s - self.start_s) / self.period_s
+        starts = place - offset[:, None]
+        wave = np.stack([_mean_over(starts, e, *self._square_wave()) for e in self._exposures])
+        bright = np.stack([_mean_over(starts, e, *self._brightness()) for e in self._exposures])
+        bright -= bright.mean(-1, keepdims=True)
+        shown = view.brightness - view.brightness.mean()
+        # a header of gain g: alternation g wave / 2, brightness g bright and a constant
+        match = (wave * 2 * view.alternation).sum(-1) + (bright * shown).sum(-1)
+        norm = (wave**2).sum(-1) + (bright**2).sum(-1)
+        gain = np.maximum(match, 0) / np.maximum(norm, 1e-9)
+        energy = float((4 * view.alternation**2).sum() + (shown**2).sum())
+        left = energy - gain * np.maximum(match, 0)
+        best = np.unravel_index(np.argmin(left), left.shape)
+        # what the model leaves unexplained counts as noise
+        freedom = max(2 * len(place) - 4, 1)
+        self.gain = float(gain[best])
+        self.explained = 1 - float(left[best]) / max(energy, 1e-9)
+        variance = max((DEVIATION * self.gain) ** 2, float(left[best]) / freedom, 1e-9)
+        return np.asarray(0.5 * left / variance)
+
+    def _square_wave(self) -> tuple[Floats, Floats]:
+        """Edges and values of the header less its inverse, in patterns from its start."""
+        count = 2 * self._signal.header_pairs
+        return np.arange(count + 1.0), np.where(np.arange(count) % 2, -1.0, 1.0)
+
+    def _brightness(self) -> tuple[Floats, Floats]:
+        """Edges and values of the mean light around a header, all but a constant."""
+        first, count = -AROUND - 2, 2 * self._signal.header_pairs + 2 * AROUND + 4
+        edges = first + np.arange(count * SLOTS + 1) / SLOTS
+        values = np.tile(self._light.mean[:SLOTS] - 0.5, count)
+        values[(edges[:-1] >= 0) & (edges[:-1] < 2 * self._signal.header_pairs)] = 0.0
+        return edges, values
+
+
+def view_header(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderView:
+    """Measure what frames show.
+
+    Parameters
+    ----------
+    frames
+        Those around a header.
+    poses
+        The array's in each.
+    lit
+        (n, n) the header, +-1; 0 where it is hidden.
+    """
+    shown = np.array([_shown(frame, pose, lit) for frame, pose in zip(frames, poses, strict=True)])
+    return HeaderView(np.array([f.time_s for f in frames]), shown[:, 0], shown[:, 1])
+
+
+def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
+    """Amplitudes of the header and of the array all on, before an even background, in gray levels."""
+    from heliograph.receive import kernels  # Numba is slow to import
+
+    x0, y0, width, height = window_around(pose, len(lit), MARGIN_PX)
+    cut = cut_out(frame, x0, y0, width, height)
+    model = np.empty((2, 6, height, width))
+    kernels.render(pose.full_vector(), lit, float(x0), float(y0), model[0])
+    kernels.render(pose.full_vector(), np.abs(lit), float(x0), float(y0), model[1])
+    columns = np.stack([model[0, 0].ravel(), model[1, 0].ravel(), np.ones(cut.size)], axis=1)
+    return np.asarray(np.linalg.solve(columns.T @ columns, columns.T @ cut.ravel())[:2])
+
+
+def _mean_over(starts: Floats, exposure: float, edges: Floats, values: Floats) -> Floats:
+    """Mean over exposures of a function that is constant between edges and 0 outside of them."""
+    integral = np.concatenate([[0.0], np.cumsum(values * np.diff(edges))])
+    return np.asarray((np.interp(starts + exposure, edges, integral) - np.interp(starts, edges, integral)) / exposure)

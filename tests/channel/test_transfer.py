@@ -1,0 +1,72 @@
+"""Frames lost, repeated and stamped late on their way from the camera."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from heliograph.base.config import from_mapping
+from heliograph.base.errors import SettingsError
+from heliograph.base.frames import Frame
+from heliograph.channel.settings import CameraSettings
+from heliograph.channel.transfer import Transfer
+
+
+def frames(count: int, fps: float = 1000.0) -> list[Frame]:
+    return [Frame(k, k / fps, np.full((2, 2), k % 251, np.uint8), origin=(k, 0)) for k in range(count)]
+
+
+def deliver(camera: CameraSettings, count: int, seed: int = 1) -> list[Frame]:
+    transfer = Transfer(camera, seed)
+    return [out for f in frames(count, camera.fps) if (out := transfer(f)) is not None]
+
+
+def test_nothing_happens_unless_asked_for() -> None:
+    sent = frames(5)
+    transfer = Transfer(CameraSettings(), 0)
+    assert all(transfer(f) is f for f in sent)
+
+
+def test_dropped_frames_leave_gaps() -> None:
+    out = deliver(CameraSettings(dropped=0.1), 5000)
+    # five standard deviations of a share of 0.1
+    assert len(out) / 5000 == pytest.approx(0.9, abs=5 * np.sqrt(0.09 / 5000))
+    assert all(f.pixels[0, 0] == f.index % 251 and f.time_s == f.index / 1000 for f in out)
+
+
+def test_a_repeated_frame_is_the_one_delivered_before() -> None:
+    out = deliver(CameraSettings(repeated=0.1, dropped=0.05), 5000)
+    copies = [(a, b) for a, b in pairwise(out) if np.array_equal(a.pixels, b.pixels)]
+    assert len(copies) / 5000 == pytest.approx(0.1, abs=0.02)
+    # with stamps of their own, where the pixels come from
+    assert all(b.time_s == b.index / 1000 and a.origin == b.origin for a, b in copies)
+
+
+def test_jitter_moves_stamps_alone_and_in_order() -> None:
+    out = deliver(CameraSettings(fps=4000, exposure_s=2e-4, jitter_s=5e-5), 4000)
+    late = np.array([f.time_s - f.index / 4000 for f in out])
+    assert late.std() == pytest.approx(5e-5, rel=0.05)
+    assert np.diff([f.time_s for f in out]).min() > 0
+    assert [int(f.pixels[0, 0]) for f in out] == [k % 251 for k in range(4000)]
+
+
+def test_accidents_depend_on_seed_and_frame_alone() -> None:
+    camera = CameraSettings(dropped=0.1, jitter_s=1e-5)
+    whole = {f.index: f.time_s for f in deliver(camera, 300)}
+    late = Transfer(camera, 1)
+    part = [out for f in frames(300)[200:] if (out := late(f)) is not None]
+    assert all(whole[f.index] == f.time_s for f in part)
+    assert whole != {f.index: f.time_s for f in deliver(camera, 300, seed=2)}
+
+
+@pytest.mark.parametrize("bad", [{"dropped": 1.2}, {"repeated": -0.1}, {"jitter_s": -1e-6}])
+def test_settings_are_checked(bad: dict[str, float]) -> None:
+    with pytest.raises(SettingsError, match=next(iter(bad))):
+        from_mapping(CameraSettings, bad)
+
+
+def test_more_accidents_than_frames_are_refused() -> None:
+    with pytest.raises(SettingsError, match="at most 1 together"):
+        from_mapping(CameraSettings, {"dropped": 0.6, "repeated": 0.5})
+    assert replace(CameraSettings(), dropped=0.5, repeated=0.5).dropped == 0.5
