@@ -1,6 +1,6 @@
 """What a receiver claims of packets that were sent: likelihoods of bits and distances, beside the truth."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from heliograph.link.bench import block_settings, dithered, random_messages, window_margin_px
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import simulate, transmitters
+from heliograph.link.simulate import Messages, simulate, transmitters
 from heliograph.link.statistics import Clustered
 from heliograph.receive import Packet, make_receiver
+from heliograph.receive.packets import FrameReceiver
 from heliograph.signal.block import pack
 
 Floats = NDArray[np.float64]
@@ -136,17 +137,25 @@ def listen(block: Block) -> Told:
     (sender,) = transmitters(settings, messages)
     ear, out, distance = _Ear(), Told(block.case), dict[int, float]()
     receiver = make_receiver(settings.signal, settings.receive, ear)
-    for frame, truth in simulate(settings, messages, block.seed, None, window_margin_px(settings)):
-        distance[frame.index] = truth.arrays[0].distance_m
-        for packet in receiver.push(frame):
-            number = round(packet.start_time_s / settings.signal.packet_s)
-            blocks = sender.blocks(number)
-            layers = sender.format_of(number).layers
-            sent = {n: layers[n].code.encode([pack(b, layers[n].code.k) for b in blocks[n]]) for n in layers}
-            ear.tell(sent, out.claims)
-            true = distance[(packet.first_frame + packet.last_frame) // 2]
-            out.distances = np.vstack([out.distances, [true, _distance(packet), number]])
+    for packet in _received(receiver, settings, messages, block.seed, distance):
+        number = round(packet.start_time_s / settings.signal.packet_s)
+        blocks = sender.blocks(number)
+        layers = sender.format_of(number).layers
+        sent = {n: layers[n].code.encode([pack(b, layers[n].code.k) for b in blocks[n]]) for n in layers}
+        ear.tell(sent, out.claims)
+        true = distance[(packet.first_frame + packet.last_frame) // 2]
+        out.distances = np.vstack([out.distances, [true, _distance(packet), number]])
     return out
+
+
+def _received(
+    receiver: FrameReceiver, settings: LinkSettings, messages: Sequence[Messages], seed: int, distance: dict[int, float]
+) -> Iterator[Packet]:
+    """Packets of a film, the last one that its end completes included; the true distance of each frame is noted."""
+    for frame, truth in simulate(settings, messages, seed, None, window_margin_px(settings)):
+        distance[frame.index] = truth.arrays[0].distance_m
+        yield from receiver.push(frame)
+    yield from receiver.finish()
 
 
 def _distance(packet: Packet) -> float:
