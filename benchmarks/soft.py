@@ -44,6 +44,7 @@ def rate(settings: LinkSettings, frames: Sequence[Frame]) -> tuple[float, list[P
         start = time.process_time()
         for frame in frames:
             packets += receiver.push(frame)
+        packets += receiver.finish()
         rates.append(len(frames) / (time.process_time() - start))
     return float(np.median(rates)), packets
 

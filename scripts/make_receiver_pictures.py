@@ -13,7 +13,9 @@ from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose, make_receiver
 from heliograph.receive.soft import reference
-from heliograph.receive.soft.look import Glance, Noise, take_look, weigh
+from heliograph.receive.soft.glance import Glance
+from heliograph.receive.soft.look import weigh
+from heliograph.receive.soft.noise import Noise
 from heliograph.signal.block import pack
 from heliograph.signal.settings import LAYERS
 
@@ -103,7 +105,7 @@ def disturbers(packet: Packet) -> Figure:
     """The LLR by the statistic of a cell: two disturbers as +-1 against all of them as Gaussian."""
     glance = packet.glances[5]
     gain, noise = 150.0, 4.5
-    look = take_look(glance, Noise(noise, noise), SIDE)
+    look = weigh(glance, Noise(noise, noise), SIDE).look()
     s = np.linalg.inv(gain**2 / noise * look.gram.astype(np.float64) + np.eye(SIDE * SIDE))
     middle = range(SIDE**2 // 4, 3 * SIDE**2 // 4)
     i = max(middle, key=lambda n: float(np.sort(np.abs(np.delete(s[n], n)))[-2] ** 2 / (s[n, n] * (1 - s[n, n]))))

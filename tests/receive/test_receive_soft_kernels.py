@@ -9,9 +9,11 @@ from receive_scenes import SIDE, draw, pitch_at
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.soft import kernels, look, reference
+from heliograph.receive.soft import glance, kernels, reference
 from heliograph.receive.soft.equalise import KNOWN, equalise
-from heliograph.receive.soft.look import Look, Noise, measure_noise, take_glance, take_look
+from heliograph.receive.soft.glance import take_glance
+from heliograph.receive.soft.look import Look, weigh
+from heliograph.receive.soft.noise import Noise, measure_noise
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
@@ -34,8 +36,8 @@ POSES = [
 """The last lies partly beyond the window."""
 
 
-def placed(pose: Pose) -> look.Shares:
-    return look._placed(pose, (0, 0), SHAPE, SIDE)
+def placed(pose: Pose) -> glance.Shares:
+    return glance.placed(pose, (0, 0), SHAPE, SIDE)
 
 
 def cell_matrix(pose: Pose) -> Floats:
@@ -83,6 +85,9 @@ def test_gram(pose: Pose) -> None:
     want = cell_matrix(pose).T @ cell_matrix(pose)
     assert np.abs(out - want).max() < 4 * CUT * want.max()
     assert np.array_equal(out, out.T)
+    light = np.zeros((*SHAPE, CELLS), np.float32)
+    kernels.light(*placed(pose), light)
+    assert np.abs(light.reshape(-1, CELLS) - cell_matrix(pose)).max() < CUT
 
 
 @pytest.mark.parametrize("motion", [(0.0, 0.0), (0.3, -0.2), (1.2, 0.6)])
@@ -149,7 +154,7 @@ def test_look_is_what_remains_of_the_pixels(roll: float, motion: tuple[float, fl
     _, x = random_levels()
     poses = moving(80, roll, motion)
     whole = Whole(poses, pair(poses, x, noise=2.0), noise)
-    got, w = take_look(whole.glance, noise, SIDE), whole.w
+    got, w = weigh(whole.glance, noise, SIDE).look(), whole.w
     # a roll or the light beyond the reach of the kernels is not in the weights' profile to the last digit
     scale = float(w.max())
     assert np.abs(got.gram - whole.b.T @ (w[:, None] * whole.b)).max() < 4 * CUT * scale
@@ -201,7 +206,7 @@ def test_all_cells_known_leave_nothing_to_estimate() -> None:
     cells, x = random_levels()
     poses = moving(80, 0.0, (0.0, 0.0))
     whole = Whole(poses, pair(poses, x), Noise(4.0, 4.0))
-    got = equalise(take_look(whole.glance, Noise(4.0, 4.0), SIDE), GAIN, 4.0, cells, np.zeros(CELLS))
+    got = equalise(weigh(whole.glance, Noise(4.0, 4.0), SIDE).look(), GAIN, 4.0, cells, np.zeros(CELLS))
     assert np.array_equal(got.mean, cells)
     assert got.trace == 0
     assert not got.llr.any()

@@ -11,7 +11,7 @@ from heliograph.link.bench import BlockCounts, run_block
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, Pose
 from heliograph.receive.receivers import receive_frames
-from heliograph.receive.soft.look import take_glance
+from heliograph.receive.soft.glance import take_glance
 from heliograph.receive.soft.shares import LedShares
 from heliograph.signal.header import header_levels
 

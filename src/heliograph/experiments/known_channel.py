@@ -19,8 +19,9 @@ from heliograph.link.statistics import Count
 from heliograph.receive import Pose
 from heliograph.receive.packets import Packet
 from heliograph.receive.reading import MakeReading
-from heliograph.receive.soft.look import Noise, take_glance
+from heliograph.receive.soft.glance import take_glance
 from heliograph.receive.soft.memory import Memory
+from heliograph.receive.soft.noise import Noise
 from heliograph.receive.soft.reading import SoftReading
 from heliograph.receive.soft.receiver import SoftReceiver
 from heliograph.receive.track import TrackedPair, Tracker

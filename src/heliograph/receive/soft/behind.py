@@ -13,7 +13,8 @@ from heliograph.receive import kernels
 from heliograph.receive.detect import cut_out
 from heliograph.receive.fit import plane, window_around
 from heliograph.receive.pose import Pose
-from heliograph.receive.soft.look import BESIDE, MARGIN_PX, RING_PX, image_of
+from heliograph.receive.soft.glance import MARGIN_PX, RING_PX, image_of
+from heliograph.receive.soft.noise import BESIDE
 
 Floats = NDArray[np.float64]
 

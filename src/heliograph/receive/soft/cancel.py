@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import entr
 
 from heliograph.receive.decode import LARGEST_LLR, codeword_of, hard
 from heliograph.receive.packets import Codeword, Observer, ignore
@@ -12,9 +13,10 @@ from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft import squares
 from heliograph.receive.soft.cells import Cells
 from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
-from heliograph.receive.soft.look import LEAST_NOISE, Look
+from heliograph.receive.soft.look import Look
 from heliograph.receive.soft.memory import Memory, faithful
 from heliograph.receive.soft.mix import Mix
+from heliograph.receive.soft.noise import LEAST_NOISE
 from heliograph.signal.block import check
 from heliograph.signal.packet import LayerFormat, PacketFormat
 from heliograph.signal.pwm import SLOTS
@@ -22,8 +24,11 @@ from heliograph.signal.turbo import TurboCode
 
 Floats = NDArray[np.float64]
 
-PROGRESS = 0.001
-"""A round that lowers the variance of no open codeword by more is the last."""
+PROGRESS = 0.002
+"""A round in which the LLRs tell of no open codeword's bits this much more, in bit each, is the last."""
+
+HOPELESS = 0.3
+"""Share of a code's rate that LLRs must tell of each bit: of less nothing comes, and one iteration has to do."""
 
 
 @dataclass(slots=True)
@@ -55,7 +60,7 @@ class Light:
 
 
 LookAgain = Callable[[Floats, Floats, Light], Sequence[Look | None]]
-"""Mean and variance of the cells (pairs, cells) and the light -> looks with better poses; the light's noise is set."""
+"""Mean and variance of the cells (pairs, cells) and the light -> looks with better poses."""
 
 
 @dataclass(slots=True)
@@ -144,8 +149,9 @@ def decode_looks(
     header = form.header_pattern(identity) > SLOTS // 2
     # a combined pair's poses are not sharpened: its cells are seen through products
     sharpen = settings.soft.sharpen and not _mixed(looks)
+    told = np.zeros(sum(layer.codewords for layer in form.layers.values()))
     for _ in range(settings.soft.rounds):
-        before = _open(layers)
+        before, open_ = told, _open(layers)
         _equalise_all(looks, light, layers, cells, header)
         observe("equalise", {"identity": identity, "llr": {name: layer.llr for name, layer in layers.items()}})
         for name, layer in layers.items():
@@ -155,11 +161,13 @@ def decode_looks(
                     for llr in layer.llr
                 ]
             _decode_layer(layer, name, identity, settings)
-        now = _open(layers)
-        if not now.any() or (before - now).max() < PROGRESS or settings.soft.feedback == "none":
+        still, told = _open(layers), np.concatenate([information(layer.llr) for layer in layers.values()])
+        if not still.any() or settings.soft.feedback == "none":
             break
-        if sharpen and np.count_nonzero(now) < np.count_nonzero(before):
+        if sharpen and still.sum() < open_.sum():
             looks = again(*_known(layers, cells), light)
+        elif (told - before)[still].max() < PROGRESS:
+            break
     if settings.soft.looks:
         _remember(looks, light, layers, cells, memory, header)
     return {name: tuple(layer.words) for name, layer in layers.items()}
@@ -191,9 +199,16 @@ def _remember(
             memory.keep((name, layers[name].form.code), layers[name].llr[i], layers[name].recalled[i])
 
 
-def _open(layers: dict[str, _Layer]) -> Floats:
-    """Variance of each codeword, 0 where it is decoded."""
-    return np.concatenate([layer.variance.mean(1) for layer in layers.values()])
+def _open(layers: dict[str, _Layer]) -> NDArray[np.bool_]:
+    """Which codewords are not decoded."""
+    return np.array([word.status == "crc_fail" for layer in layers.values() for word in layer.words] or [True])
+
+
+def information(llr: Floats) -> Floats:
+    """What LLRs (..., E) tell of their bits if they are right, in bit each, (...,)."""
+    # I = 1 - h2(P(wrong)), P(wrong) = 1 / (1 + exp |L|)
+    wrong = 1 / (1 + np.exp(np.abs(llr)))
+    return np.asarray(1 - (entr(wrong) + entr(1 - wrong)).mean(-1) / np.log(2))
 
 
 def _known(layers: dict[str, _Layer], cells: Cells) -> tuple[Floats, Floats]:
@@ -299,10 +314,11 @@ def _decode(
     code: TurboCode, llr: Floats, identity: int, name: str, settings: ReceiveSettings
 ) -> tuple[Codeword, Floats]:
     """The codeword of LLRs (E,), and what the code adds to the LLRs of its coded bits."""
+    hopeless = information(llr) < HOPELESS * code.rate
     result = code.decode(
         llr[None],
         algorithm=settings.soft.algorithm,
-        iterations=settings.decode.iterations,
+        iterations=1 if hopeless else settings.decode.iterations,
         stop="crc",
         check=check,
         coded_output=True,

@@ -193,6 +193,24 @@ def gram(across, down, first, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def light(across, down, first, out):  # type: ignore[no-untyped-def]
+    """B, the light of each cell on each pixel, added to out (rows, columns, n n) float32."""
+    rows, cols, count = out.shape
+    squares, width = count // 4, across.shape[1]
+    for n in range(count):
+        x, y, q, k = first[n, 0], first[n, 1], n // 4, n % 4
+        a, b, c, d = _haar(1.0 * (k == 0), 1.0 * (k == 1), 1.0 * (k == 2), 1.0 * (k == 3))
+        for i in range(max(0, -y), min(width, rows - y)):
+            for j in range(max(0, -x), min(width, cols - x)):
+                value = down[n, i] * across[n, j]
+                pixel = out[y + i, x + j]
+                pixel[q] += a * value
+                pixel[squares + q] += b * value
+                pixel[2 * squares + q] += c * value
+                pixel[3 * squares + q] += d * value
+
+
+@njit(cache=True, nogil=True)
 def difference(across_1, down_1, first_1, across_2, down_2, first_2):  # type: ignore[no-untyped-def]
     """|A_1 - A_2|^2, the sum of squares over all LEDs and pixels; both of the same width."""
     width, total = across_1.shape[1], 0.0
@@ -202,6 +220,23 @@ def difference(across_1, down_1, first_1, across_2, down_2, first_2):  # type: i
         total += _overlap(across_2[k], across_2[k], 0, width) * _overlap(down_2[k], down_2[k], 0, width)
         total -= 2 * _overlap(across_1[k], across_2[k], dx, width) * _overlap(down_1[k], down_2[k], dy, width)
     return total
+
+
+@njit(cache=True, nogil=True)
+def precision(gram, unknown, scale, inverse, floor, size):  # type: ignore[no-untyped-def]
+    """Scale G + V^-1 of the unknown cells, V^-1 = diag of inverse; a unit matrix beside it up to `size` rows."""
+    count = unknown.shape[0]
+    out = np.empty((size, size), np.float32)
+    for i in range(count):
+        row = gram[unknown[i]]
+        for j in range(count):
+            out[i, j] = scale * row[unknown[j]] + floor
+        out[i, i] += inverse[i]
+        out[i, count:] = 0.0
+    out[count:] = 0.0
+    for i in range(count, size):
+        out[i, i] = 1.0
+    return out
 
 
 @njit(cache=True, nogil=True)
@@ -224,11 +259,12 @@ def extrinsic(covariance, posterior, mean, variance, out):  # type: ignore[no-un
     taken as Gaussian, the LLR would be 2 u_i / S_ii, too small where few neighbours shine in and all speak for the bit.
     """
     n = covariance.shape[0]
+    inverse = (1.0 / variance).astype(np.float32)
     for i in range(n):
         row = covariance[i]
-        first, second, most, more = -1, -1, 0.0, 0.0
+        first, second, most, more = -1, -1, np.float32(0.0), np.float32(0.0)
         for j in range(n):
-            weight = row[j] * row[j] / variance[j]
+            weight = row[j] * row[j] * inverse[j]
             if weight > more and j != i:
                 if weight > most:
                     first, second, most, more = j, first, weight, most

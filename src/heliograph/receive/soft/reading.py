@@ -13,21 +13,14 @@ from heliograph.receive.pose import Pose
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.behind import Header
 from heliograph.receive.soft.cancel import Light, decode_looks
-from heliograph.receive.soft.look import (
-    LEAST_NOISE,
-    Glance,
-    Look,
-    Noise,
-    measure_noise,
-    noise_beside,
-    take_glance,
-    take_look,
-)
+from heliograph.receive.soft.glance import Glance, take_glance
+from heliograph.receive.soft.look import Look, Weighted, weigh
 from heliograph.receive.soft.memory import Memory
 from heliograph.receive.soft.mix import mix_of
 from heliograph.receive.soft.naming import NameReader
+from heliograph.receive.soft.noise import LEAST_NOISE, Noise, measure_noise, noise_beside
 from heliograph.receive.soft.shares import LedShares
-from heliograph.receive.soft.sharpen import sharpen
+from heliograph.receive.soft.sharpen import Seen, moved, pose_errors
 from heliograph.receive.soft.single import Singles
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.formats import Format
@@ -54,6 +47,7 @@ class SoftReading:
         self._side = agreed.settings.side
         self._shares = shares or LedShares(self._side)
         self._glances: list[Glance | None] = []
+        self._weighed: list[Weighted | None] = []
         self._looks: list[Look | None] = []
         self._header: Glance | None = None
         self._noise = Noise(LEAST_NOISE, LEAST_NOISE)
@@ -117,19 +111,28 @@ class SoftReading:
         """Decode all that was kept."""
         form, observe = self._known(), self._observe
         self._measure()
-        light, looks = Light(self._gain, self._noise.lit), self._look()
-        return decode_looks(looks, light, form, self._identity, self._settings, self._memory, self._look_again, observe)
+        self._weighed = [None if glance is None else self._weigh(glance) for glance in self._glances]
+        self._looks = [None if weighed is None else weighed.look() for weighed in self._weighed]
+        light = Light(self._gain, self._noise.lit)
+        again = self._look_again
+        return decode_looks(self._looks, light, form, self._identity, self._settings, self._memory, again, observe)
 
     def _look_again(self, mean: Floats, variance: Floats, light: Light) -> list[Look | None]:
-        """Looks with the poses sharpened by what is decoded."""
+        """Looks anew where what is decoded shows that the array is not where it was taken to be."""
         if self._singles is not None:
             # its poses are those of decided data already
             return self._looks
-        known, seen = (light.gain, self._noise), self._shares.values
-        self._glances = sharpen(self._glances, self._looks, known, mean, variance, self._known(), seen)
-        self._measure()
-        light.noise = self._noise.lit
-        return self._look()
+        seen = Seen(self._glances, self._weighed, self._looks)
+        errors = pose_errors(seen, light.gain, light.noise, mean, variance, self._known(), self._shares.values)
+        for k, (glance, error) in enumerate(zip(self._glances, errors, strict=True)):
+            if glance is not None and moved(error):
+                glance = self._glances[k] = glance.moved(error)
+                weighed = self._weighed[k] = self._weigh(glance)
+                self._looks[k] = weighed.look()
+        return self._looks
+
+    def _weigh(self, glance: Glance) -> Weighted:
+        return weigh(glance, self._noise, self._side, self._shares.values)
 
     def _measure(self) -> None:
         seen = [glance for glance in self._glances if glance is not None]
@@ -142,13 +145,6 @@ class SoftReading:
             # of pairs out of step the sum is uneven, not so that of a header
             even = measure_noise([self._header], self._gain, self._side, shares)
             self._noise = Noise(min(even.lit, noise.lit), noise.dark)
-
-    def _look(self) -> list[Look | None]:
-        side, shares = self._side, self._shares.values
-        self._looks = [
-            None if glance is None else take_look(glance, self._noise, side, shares) for glance in self._glances
-        ]
-        return self._looks
 
     def following(self) -> "SoftReading":
         """The reading of the next packet; it knows the LEDs."""

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from heliograph.receive.soft import kernels
 from heliograph.receive.soft.equalise import equalise
-from heliograph.receive.soft.look import Glance, Look, Noise, measure_noise, of_squares, take_look
+from heliograph.receive.soft.glance import Glance, of_squares
+from heliograph.receive.soft.look import Look, weigh
+from heliograph.receive.soft.noise import Noise, measure_noise
 
 Floats = NDArray[np.float64]
 
@@ -83,7 +85,7 @@ class LedShares:
         """
         dark = measure_noise([glance], gain, self._side, self.values).dark
         # with failed LEDs a sum does not tell its noise
-        look = take_look(glance, Noise(LIT * dark, dark), self._side)
+        look = weigh(glance, Noise(LIT * dark, dark), self._side).look()
         seen = look if self._seen is None else self._seen.plus(look)
         for _ in range(2):
             shares = _estimate(seen, header, gain, LIT * dark + (MODEL * gain) ** 2)

@@ -11,14 +11,14 @@ the packet best.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from heliograph.receive import kernels as plain
-from heliograph.receive.pose import Pose
-from heliograph.receive.soft.equalise import KNOWN, equalise
-from heliograph.receive.soft.look import Floats, Glance, Look, Noise, weigh
+from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
+from heliograph.receive.soft.glance import Floats, Glance
+from heliograph.receive.soft.look import Look, Weighted
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 
@@ -31,6 +31,12 @@ SIZES = (0.01, 0.03, 0.1, 0.3, 1.0)
 MEMORY_PAIRS = 8.0
 """Pairs in which an error forgets itself."""
 
+STRIDE = 2
+"""Pairs of which one is asked: its neighbours are off alike."""
+
+LEAST_PX, REACH_PX = 0.01, 4.0
+"""Errors below this change no bit; a far array's rim is about so far from its middle."""
+
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
@@ -40,23 +46,26 @@ class Evidence:
     score: Floats
 
 
-def sharpen(
-    glances: Sequence[Glance | None],
-    looks: Sequence[Look | None],
-    light: tuple[float, Noise],
-    mean: Floats,
-    variance: Floats,
-    form: PacketFormat,
-    shares: Floats,
-) -> list[Glance | None]:
-    """Glances with better poses.
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A packet's glances, weighed, and as looks; None where the array was not seen."""
+
+    glances: Sequence[Glance | None]
+    weighed: Sequence[Weighted | None]
+    looks: Sequence[Look | None]
+
+
+def pose_errors(
+    seen: Seen, gain: float, noise: float, mean: Floats, variance: Floats, form: PacketFormat, shares: Floats
+) -> Floats:
+    """Errors (pairs, 4) in x, y, ln pitch and roll of the glances' poses.
 
     Parameters
     ----------
-    glances, looks
-        One a data pair; None where the array was not seen.
-    light
-        Gain, and noise inside and beside the array.
+    seen
+        The packet's data pairs.
+    gain, noise
+        Gray levels of a wide array with all LEDs on, and the variance of a pixel of a difference.
     mean, variance
         (pairs, cells) what is known of each cell.
     form
@@ -66,35 +75,38 @@ def sharpen(
     """
     known = np.where(variance < KNOWN, mean, 0.0)
     levels = 0.5 * haar.inverse_transform(form.join(known))
-    evidence = [
-        None
-        if glance is None or look is None or not known[k].any()
-        else _evidence(glance, look, light, (mean[k], variance[k]), levels[k], shares)
-        for k, (glance, look) in enumerate(zip(glances, looks, strict=True))
-    ]
-    errors = _smoothed(evidence)
-    return [None if glance is None else _moved(glance, e) for glance, e in zip(glances, errors, strict=True)]
+    evidence: list[Evidence | None] = [None] * len(known)
+    for k in range(0, len(known), STRIDE):
+        glance, weighed, look = seen.glances[k], seen.weighed[k], seen.looks[k]
+        if glance is not None and weighed is not None and look is not None and known[k].any():
+            estimate = equalise(look, gain, noise, mean[k], variance[k])
+            slopes = weighed.root * _slopes(glance, levels[k] * shares)
+            evidence[k] = _evidence(weighed, estimate, slopes, gain, noise)
+    return _smoothed(evidence)
 
 
-def _evidence(
-    glance: Glance, look: Look, light: tuple[float, Noise], cells: tuple[Floats, Floats], levels: Floats, shares: Floats
-) -> Evidence:
-    """Fisher's information and score of a look."""
-    gain, noise = light
-    side = len(levels)
-    estimate = equalise(look, gain, noise.lit, *cells)
-    weighted = weigh(glance, noise, side, shares)
+def moved(error: Floats) -> bool:
+    """Whether a pose's error (4,) is worth looking again: a hundredth of a pixel of the array's rim costs nothing."""
+    x, y, ln_pitch, roll = np.abs(error)
+    return bool(max(x, y) + REACH_PX * max(ln_pitch, roll) > LEAST_PX)
+
+
+def _slopes(glance: Glance, levels: Floats) -> Floats:
+    """Derivatives of the image of known LEDs (n, n) by x, y, ln pitch and roll, (4, rows, columns)."""
     image = np.empty((6, *glance.change.shape))
-    plain.render(glance.middle.full_vector(), levels * shares, float(glance.corner[0]), float(glance.corner[1]), image)
-    slopes = weighted.root * image[1:5]
-    residual = weighted.residual(gain, estimate.mean)
+    plain.render(glance.middle.full_vector(), levels, float(glance.corner[0]), float(glance.corner[1]), image)
+    return image[1:5]
+
+
+def _evidence(weighed: Weighted, estimate: Estimate, slopes: Floats, gain: float, noise: float) -> Evidence:
+    """Fisher's information and score of a look."""
     # score = g H^T W (d - g (B m + o)) / s^2
-    score = gain / noise.lit * np.tensordot(slopes, residual, 2)
-    scale = gain**2 / noise.lit
+    score = gain / noise * np.tensordot(slopes, weighed.residual(gain, estimate.mean), 2)
+    scale = gain**2 / noise
     information = scale * np.tensordot(slopes, slopes, ((1, 2), (1, 2)))
     if estimate.unknown.size:
         # less what the open cells can hide: g^2 / s^2 H^T W B_u S B_u^T W H g^2 / s^2
-        hidden = np.stack([weighted.correlated(slope)[estimate.unknown] for slope in slopes])
+        hidden = np.stack([weighed.correlated(slope)[estimate.unknown] for slope in slopes])
         information -= scale**2 * hidden @ estimate.covariance @ hidden.T
     return Evidence(np.asarray(0.5 * (information + information.T)), np.asarray(score))
 
@@ -125,10 +137,3 @@ def _filtered(information: Floats, score: Floats, spread: Floats) -> tuple[Float
     # ln p = s^T (P^-1 + J)^-1 s / 2 - ln det(P^-1 + J) / 2 + ln det(P^-1) / 2
     likelihood = 0.5 * (score.ravel() @ errors - np.linalg.slogdet(matrix)[1] + np.linalg.slogdet(prior)[1])
     return errors.reshape(count, 4), float(likelihood)
-
-
-def _moved(glance: Glance, error: Floats) -> Glance:
-    """The glance with its poses corrected."""
-    step = np.append(error, np.zeros(3))
-    first, second = (Pose.of(pose.full_vector() + step) for pose in glance.poses)
-    return replace(glance, poses=(first, second))

@@ -17,7 +17,9 @@ from heliograph.receive.pose import Pose
 from heliograph.receive.soft import kernels
 from heliograph.receive.soft.behind import COUNT, Header, images_behind, learn_behind, surroundings
 from heliograph.receive.soft.equalise import equalise
-from heliograph.receive.soft.look import Glance, Look, Noise, measure_noise, take_glance, weigh
+from heliograph.receive.soft.glance import Glance, take_glance
+from heliograph.receive.soft.look import Look, weigh
+from heliograph.receive.soft.noise import Noise, measure_noise
 from heliograph.receive.track import TrackedPair, Tracker
 
 Floats = NDArray[np.float64]
