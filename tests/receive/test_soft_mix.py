@@ -121,14 +121,17 @@ def test_a_pair_that_is_not_filmed_gives_no_mix() -> None:
 
 def test_a_headers_sum_is_free_of_it() -> None:
     shown = np.array([0.4, -0.4, 0.7, 0.1])
-    mix = mix_header(np.arange(4.0), 1.0, shown)
+    half = 0.5 * shown, np.array([0.5, 0.5, 0.6, 0.5])
+    mix = mix_header(np.arange(4.0), 1.0, shown, half)
     assert mix is not None
+    # cells of half the contrast; their light, where it is uneven, is seen with the weights of the frames
+    assert mix.dimmed == pytest.approx((0.5, 0.1 * mix.change[2]))
     assert mix.total @ shown == pytest.approx(0)
     assert mix.total.sum() == pytest.approx(2)
     assert mix.change @ shown == pytest.approx(2)
     assert mix.change.sum() == pytest.approx(0)
-    assert mix_header(np.arange(4.0), 1.0, np.array([0.0, 0.01, 0.0, 0.0])) is None
-    assert mix_header(np.zeros(0), 1.0, np.zeros(0)) is None
+    assert mix_header(np.arange(4.0), 1.0, np.array([0.0, 0.01, 0.0, 0.0]), half) is None
+    assert mix_header(np.zeros(0), 1.0, np.zeros(0), (np.zeros(0), np.zeros(0))) is None
 
 
 def test_moments_go_through_all_values_of_a_square() -> None:

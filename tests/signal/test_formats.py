@@ -8,7 +8,7 @@ import pytest
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import SettingsError
 from heliograph.signal.block import Block
-from heliograph.signal.formats import AGREED, MODES, RATES, Format, contrasts, format_of, words
+from heliograph.signal.formats import AGREED, DIMMED, MODES, RATES, Format, format_of, words
 from heliograph.signal.header import IDENTITIES, all_header_cells, header_levels, named_levels
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import RateSettings, SignalSettings
@@ -43,7 +43,8 @@ def test_format_0_leaves_the_header_as_it_is() -> None:
 def test_dimmed_cells_keep_their_sign() -> None:
     for number in NUMBERS[1::50]:
         levels, full = named_levels(7, number, 8).astype(int) - 2, header_levels(7, 8).astype(int) - 2
-        assert np.array_equal(levels, full * np.kron(contrasts(number), np.ones((2, 2))))
+        contrasts = np.where(words()[number], DIMMED, 1.0).reshape(4, 4)
+        assert np.array_equal(levels, full * np.kron(contrasts, np.ones((2, 2))))
         assert set(np.unique(np.abs(levels))) <= {1, 2}
 
 

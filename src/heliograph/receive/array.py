@@ -161,11 +161,14 @@ class ArrayReceiver:
         if tracked.seen:
             packet.reading.take_header(pair, pattern, inverted, self.tracker)
         # the later pairs are dimmed where a format is named
-        number = packet.reading.named.number if pair else 0
-        weights = named_levels(self.identity, number, self._form.settings.side) / 2.0 - 1.0
+        weights = self._header_weights(packet.reading.named.number if pair else 0, pattern)
         packet.header.append(self._alternation(pattern, inverted, tracked, weights * self.tracker.shares))
         if tracked.seen:
             self._learn(pattern, inverted, weights)
+
+    def _header_weights(self, number: int, pattern: Frame) -> NDArray[np.float64]:  # noqa: ARG002 - combined frames'
+        """Levels (n, n) of a header less its inverse, +-1, that names a format by its number."""
+        return named_levels(self.identity, number, self._form.settings.side) / 2.0 - 1.0
 
     def _learn(self, pattern: Frame, inverted: Frame, weights: NDArray[np.float64]) -> None:
         """Let tracker and reading learn from a header pair; again while they find what changes the pose."""

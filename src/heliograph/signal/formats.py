@@ -106,8 +106,3 @@ def words() -> NDArray[np.uint8]:
     found = ((numbers[:, None] >> np.arange(BITS) & 1) @ rows % 2).astype(np.uint8)
     found.setflags(write=False)
     return found
-
-
-def contrasts(number: int) -> NDArray[np.float64]:
-    """Contrast of each cell of the header in a packet's later header pairs, (4, 4): 1 or 1/2."""
-    return np.where(words()[number], DIMMED, 1.0).reshape(4, 4)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.signal.formats import contrasts
+from heliograph.signal.formats import DIMMED, words
 from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence
 from heliograph.signal.pwm import SLOTS
 
@@ -73,8 +73,13 @@ def header_levels(number: int, side: int = 16) -> NDArray[np.uint8]:
 def named_levels(number: int, form: int, side: int = 16) -> NDArray[np.uint8]:
     """Pattern of the later header pairs, which name a format, (side, side) uint8: levels 4 and 0, or 3 and 1."""
     lit = header_levels(number, side).astype(np.float64) - SLOTS // 2
-    block = np.ones((side // CELLS, side // CELLS))
-    return (SLOTS // 2 + lit * np.kron(contrasts(form), block)).astype(np.uint8)
+    return (SLOTS // 2 + lit * np.where(dimmed_leds(form, side), DIMMED, 1.0)).astype(np.uint8)
+
+
+def dimmed_leds(form: int, side: int = 16) -> NDArray[np.bool_]:
+    """Which LEDs are dimmed in the later header pairs, which name a format, (side, side)."""
+    block = np.ones((side // CELLS, side // CELLS), dtype=np.uint8)
+    return np.kron(words()[form].reshape(CELLS, CELLS), block) > 0
 
 
 def all_on_levels(side: int = 16) -> NDArray[np.uint8]:

@@ -17,7 +17,7 @@ from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.clock import AROUND, Clock, view_header
 from heliograph.receive.soft.mix import EXACT, Mix, SlotLight, VirtualFrame, mix_header, mix_of, mix_pair
 from heliograph.receive.soft.reading import SoftReading
-from heliograph.signal.header import header_levels
+from heliograph.signal.header import dimmed_leds, header_levels
 from heliograph.signal.packet import PacketFormat
 
 AHEAD = 1.0
@@ -165,6 +165,14 @@ class TimedArray(ArrayReceiver):
         """See `ArrayReceiver`; combined frames have the time of their light."""
         return super()._late_s(pattern) if mix_of(pattern) is None else 0.0
 
+    def _header_weights(self, number: int, pattern: Frame) -> NDArray[np.float64]:
+        """See `ArrayReceiver`; combined frames show dimmed cells otherwise than pattern and inverse do."""
+        mix = mix_of(pattern)
+        if mix is None:
+            return super()._header_weights(number, pattern)
+        contrast, light = mix.dimmed
+        return np.where(dimmed_leds(number, len(self._signs)), contrast * self._signs + light, self._signs)
+
     def _header_mix(self, clock: Clock, first: int, part: tuple[int, int]) -> tuple[list[Frame], Mix | None]:
         """Frames within the header that starts with pattern `first`, of a part of it, and how they combine."""
         low, high = max(part[0] - 1 + OVERHANG, -OVERHANG), min(part[1], self._header + OVERHANG)
@@ -174,7 +182,7 @@ class TimedArray(ArrayReceiver):
         within &= (starts + clock.exposure > part[0] + OVERHANG) & (starts < part[1] - OVERHANG)
         near = [f for f, yes in zip(near, within, strict=True) if yes]
         starts = starts[within]
-        return near, mix_header(starts, clock.exposure, clock.alternation(starts, 0.0))
+        return near, mix_header(starts, clock.exposure, clock.alternation(starts, 0.0), clock.dimmed(starts, 0.0))
 
     def _frames_of(self, clock: Clock, first: float, last: float) -> list[Frame]:
         """Frames that start between two places, in patterns."""

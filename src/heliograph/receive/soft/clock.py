@@ -3,8 +3,9 @@
 Two things tell when a frame was exposed. How much of the header less its inverse it shows, from -1 to 1, is the mean of
 a square wave over the exposure, which is 0 outside of the header. And PWM lights an array brightly at the start of a
 pattern and dimly at its end (15, 11, 5 and 1 sixteenths of the LEDs in the slots of random data), but evenly through a
-header. Both are compared, for all frames around a header, with what starts and exposures between bounds would give; the
-likelihood over both is the measurement. The exposure stays, so its likelihoods multiply from header to header. The
+header, but where cells are dimmed to name a format: what part of them is, is found along. Both are compared, for all
+frames around a header, with what starts and exposures between bounds would give; the likelihood over both is the
+measurement. The exposure stays, so its likelihoods multiply from header to header. The
 start goes into a Kalman filter of time and rate.
 """
 
@@ -36,6 +37,9 @@ LONGER, WHOLE = 20.0, 3.0
 """Log odds beforehand of an exposure of the whole frame period against one of none, and on top of them of the very
 whole. Exposures of any length about the middle of a pattern, or about its end, look the same in headers and have the
 same brightness: the longest is taken."""
+
+DIMMED_PARTS = np.array([0, 4, 6, 8, 10, 12, 16]) / 16
+"""Parts of a header's cells that words of formats dim."""
 
 STARTS = 121
 """Starts of the header tried."""
@@ -136,7 +140,14 @@ class Clock:
 
     def alternation(self, starts: Floats, first: float) -> Floats:
         """Of a header that starts with pattern `first`, what frames show that start at places `starts`."""
-        return _mean_over(starts - first, self.exposure, *self._square_wave())
+        edges, wave, _ = self._header(0.0)
+        return _mean_over(starts - first, self.exposure, edges, wave)
+
+    def dimmed(self, starts: Floats, first: float) -> tuple[Floats, Floats]:
+        """The same of cells that are dimmed in all pairs but the first, and their mean light."""
+        edges, wave, bright = self._header(1.0)
+        over = [_mean_over(starts - first, self.exposure, edges, values) for values in (wave, bright)]
+        return over[0], over[1]
 
     def measure(self, view: HeaderView, pattern: int) -> None:
         """Take the header that begins with a pattern."""
@@ -181,16 +192,18 @@ class Clock:
         """Negative log likelihood (exposures, offsets) of starts `offset` patterns after the predicted one."""
         place = (view.times_s - self.start_s) / self.period_s
         starts = place - offset[:, None]
-        wave = np.stack([_mean_over(starts, e, *self._square_wave()) for e in self._exposures])
-        bright = np.stack([_mean_over(starts, e, *self._brightness()) for e in self._exposures])
-        bright -= bright.mean(-1, keepdims=True)
-        shown = view.brightness - view.brightness.mean()
-        # a header of gain g: alternation g wave / 2, brightness g bright and a constant
-        match = (wave * 2 * view.alternation).sum(-1) + (bright * shown).sum(-1)
-        norm = (wave**2).sum(-1) + (bright**2).sum(-1)
-        gain = np.maximum(match, 0) / np.maximum(norm, 1e-9)
-        energy = float((4 * view.alternation**2).sum() + (shown**2).sum())
-        left = energy - gain * np.maximum(match, 0)
+        shown = np.concatenate([2 * view.alternation, view.brightness - view.brightness.mean()])
+        # a header of gain g: alternation g wave / 2, brightness g bright and a constant; a part of it is dimmed
+        none, all_ = (np.stack([self._model(starts, e, part) for e in self._exposures]) for part in (0.0, 1.0))
+        match, whole = none @ shown, all_ @ shown
+        norm, cross, square = (none**2).sum(-1), (none * all_).sum(-1), (all_**2).sum(-1)
+        energy, left = float((shown**2).sum()), np.full(match.shape, np.inf)
+        gain = np.zeros_like(match)
+        for part in DIMMED_PARTS:
+            m = np.maximum((1 - part) * match + part * whole, 0)
+            n = np.maximum((1 - part) ** 2 * norm + 2 * part * (1 - part) * cross + part**2 * square, 1e-9)
+            better = energy - m**2 / n < left
+            left, gain = np.where(better, energy - m**2 / n, left), np.where(better, m / n, gain)
         best = np.unravel_index(np.argmin(left), left.shape)
         # what the model leaves unexplained counts as noise
         freedom = max(2 * len(place) - 4, 1)
@@ -199,18 +212,33 @@ class Clock:
         variance = max((DEVIATION * self.gain) ** 2, float(left[best]) / freedom, 1e-9)
         return np.asarray(0.5 * left / variance)
 
-    def _square_wave(self) -> tuple[Floats, Floats]:
-        """Edges and values of the header less its inverse, in patterns from its start."""
-        count = 2 * self._signal.header_pairs
-        return np.arange(count + 1.0), np.where(np.arange(count) % 2, -1.0, 1.0)
+    def _model(self, starts: Floats, exposure: float, part: float) -> Floats:
+        """What frames that start at `starts` (..., frames) show of a header of gain 1 of which a part is dimmed.
 
-    def _brightness(self) -> tuple[Floats, Floats]:
-        """Edges and values of the mean light around a header, all but a constant."""
-        first, count = -AROUND - 2, 2 * self._signal.header_pairs + 2 * AROUND + 4
-        edges = first + np.arange(count * SLOTS + 1) / SLOTS
-        values = np.tile(self._light.mean[:SLOTS] - 0.5, count)
-        values[(edges[:-1] >= 0) & (edges[:-1] < 2 * self._signal.header_pairs)] = 0.0
-        return edges, values
+        Returns
+        -------
+        Twice its alternation and its brightness but for a constant, (..., 2 frames).
+        """
+        edges, wave, bright = self._header(part)
+        light = _mean_over(starts, exposure, edges, bright)
+        light -= light.mean(-1, keepdims=True)
+        return np.concatenate([_mean_over(starts, exposure, edges, wave), light], axis=-1)
+
+    def _header(self, part: float) -> tuple[Floats, Floats, Floats]:
+        """Slots' edges in patterns from its start, the header less its inverse, and the mean light less 1/2.
+
+        A part of its cells is dimmed in all pairs but the first.
+        """
+        count = 2 * self._signal.header_pairs
+        first, patterns = -AROUND - 2, count + 2 * AROUND + 4
+        edges = first + np.arange(patterns * SLOTS + 1) / SLOTS
+        number = np.floor(edges[:-1] + 1e-9).astype(int)
+        inside, later = (number >= 0) & (number < count), (number >= 2) & (number < count)
+        contrast, light = (np.tile(values, patterns) for values in self._light.dimmed)
+        wave = np.where(inside, np.where(number % 2, -1.0, 1.0), 0.0)
+        wave *= np.where(later, 1 - part + part * contrast, 1.0)
+        bright = np.where(inside, 0.0, np.tile(self._light.mean[:SLOTS] - 0.5, patterns))
+        return edges, wave, np.where(later, part * (light - 0.5), bright)
 
 
 def view_header(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderView:

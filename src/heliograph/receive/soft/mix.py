@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.soft import squares
+from heliograph.signal.formats import DIMMED
 from heliograph.signal.pwm import SLOTS
 
 Floats = NDArray[np.float64]
@@ -68,6 +69,8 @@ class Mix:
         When the mean light of the sum was, in T_b from the start of the pair.
     data
         (2,) when the light of the data was in the virtual pattern and in its inverse.
+    dimmed
+        Of a header, what D shows of a cell that is dimmed to name a format: contrast and light, 1/2 and 0 in step.
     """
 
     frames: NDArray[np.intp]
@@ -77,6 +80,7 @@ class Mix:
     levels: tuple[float, float]
     light: float
     data: tuple[float, float]
+    dimmed: tuple[float, float] = (DIMMED, 0.0)
 
     @property
     def noise(self) -> float:
@@ -146,6 +150,12 @@ class SlotLight:
         constant = (self.shows.sum((1, 2)) < 0).astype(np.float64)
         return np.asarray(self.shows.sum(1) @ squares.MEAN_LIT + constant)
 
+    @cached_property
+    def dimmed(self) -> tuple[Floats, Floats]:
+        """Contrast and mean light of each slot of a header's dimmed cells, (4,) each; 1 and 1/2 of others."""
+        high, low = (np.where(self.rank < SLOTS * (0.5 + sign * DIMMED / 2), 1.0, 0.0) for sign in (1, -1))
+        return high - low, 0.5 * (high + low)
+
 
 @dataclass(frozen=True, slots=True)
 class VirtualFrame(Frame):
@@ -208,7 +218,7 @@ def mix_pair(starts: Floats, exposure: float, light: SlotLight) -> Mix | None:
     )
 
 
-def mix_header(starts: Floats, exposure: float, shown: Floats) -> Mix | None:
+def mix_header(starts: Floats, exposure: float, shown: Floats, dimmed: tuple[Floats, Floats]) -> Mix | None:
     """Combine frames of a header alone: their sum is free of it, their difference shows it as in step.
 
     Parameters
@@ -217,6 +227,8 @@ def mix_header(starts: Floats, exposure: float, shown: Floats) -> Mix | None:
         See `mix_pair`.
     shown
         (frames,) how much of the header less its inverse each frame shows, -1 to 1.
+    dimmed
+        (frames,) the same of cells that are dimmed to name a format, and their mean light.
 
     Returns
     -------
@@ -230,7 +242,8 @@ def mix_header(starts: Floats, exposure: float, shown: Floats) -> Mix | None:
     total, change = 2 / len(shown) - 2 * shown.mean() / energy * about, 2 / energy * about
     # a header's LEDs are lit evenly
     middle = float(total @ (starts + exposure / 2)) / 2
-    return Mix(np.arange(len(shown)), change, total, np.zeros((3, SLOTS)), (0.5, 0.5), middle, (middle, middle))
+    slots, dim = np.zeros((3, SLOTS)), (0.5 * float(change @ dimmed[0]), float(change @ dimmed[1]))
+    return Mix(np.arange(len(shown)), change, total, slots, (0.5, 0.5), middle, (middle, middle), dim)
 
 
 def _shares(starts: Floats, exposure: float) -> tuple[Floats, Floats]:

@@ -1,13 +1,16 @@
 """The format a packet's header names, read coherently from the cells of its later pairs.
 
 With A_1 and A_2 what each cell of the header, all its LEDs on, gives each pixel in the two frames of a header pair, and
-v the cells' alternation (+-1, or +-1/2 where a bit of the word is 1), the difference of the frames is
+v the cells' alternation (+-1, or +-1/2 where a bit of the word is 1, or what combined frames show of it: `Mix.dimmed`),
+the difference of the frames is
 
     d = g (A_1 (1 + v) / 2 - A_2 (1 - v) / 2) + n = g (B v + o) + n,   B = (A_1 + A_2) / 2,   o = (A_1 - A_2) 1 / 2
 
 The first pair, whose v is the identity's, gives g; of the later ones the format is the one whose v has the least
 |d - g (B v + o)|^2.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +20,7 @@ from heliograph.receive import kernels
 from heliograph.receive.detect import cut_out
 from heliograph.receive.fit import window_around
 from heliograph.receive.pose import Pose
+from heliograph.receive.soft.mix import mix_of
 from heliograph.signal.formats import AGREED, DIMMED, Format, format_of, words
 from heliograph.signal.header import CELLS, header_cells
 
@@ -29,6 +33,23 @@ MARGIN_PX = 2.0
 
 UNDECIDED = 0.25
 """Share of two words' difference below which a header does not tell them apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """What a later header pair says: contrast and light of its dimmed cells, B^T B, B^T d and B^T o."""
+
+    dimmed: tuple[float, float]
+    gram: Floats
+    seen: Floats
+    offset: Floats
+
+    def cost(self, cells: Floats, g: float) -> Floats:
+        """Of each format |d - g (B v + o)|^2 but for what is the same in all, less the more probable."""
+        contrast, light = self.dimmed
+        v = np.where(words(), contrast * cells + light, cells)
+        cost = g * np.einsum("fi,ij,fj->f", v, self.gram, v) - 2 * v @ (self.seen - g * self.offset)
+        return np.asarray(np.sign(g) * cost)
 
 
 class NameReader:
@@ -48,8 +69,7 @@ class NameReader:
         self._masks = np.kron(np.eye(COUNT).reshape(COUNT, CELLS, CELLS), np.ones((side // CELLS, side // CELLS)))
         self._first: tuple[Frame, Frame, tuple[Pose, Pose]] | None = None
         self._moments = np.zeros(2)
-        self._gram, self._seen = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
-        self._offset = np.zeros(COUNT)
+        self._later: list[_Pair] = []
 
     def take(
         self, pair: int, pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], shares: Floats | None = None
@@ -64,9 +84,8 @@ class NameReader:
             return
         shares = np.ones((self._side, self._side)) if shares is None else shares
         each, offset, change = self._seen_of(pattern, inverted, poses, shares)
-        self._gram += each @ each.T
-        self._seen += each @ change
-        self._offset += each @ offset
+        mix = mix_of(pattern)
+        self._later.append(_Pair(mix.dimmed if mix else (DIMMED, 0.0), each @ each.T, each @ change, each @ offset))
         if self._first is not None:
             each, offset, change = self._seen_of(*self._first, shares)
             shown = self._cells @ each + offset
@@ -80,15 +99,12 @@ class NameReader:
         gain
             Gray levels of a wide array with all LEDs on, taken where the first pair was not seen.
         """
-        if not self._gram.any():
+        if not self._later:
             return AGREED
         g = self._moments[0] / self._moments[1] if self._moments[1] > 0 else gain
-        v = self._cells * np.where(words(), DIMMED, 1.0)
-        # |d - g (B v + o)|^2 but for what is the same in all
-        cost = g * np.einsum("fi,ij,fj->f", v, self._gram, v) - 2 * v @ (self._seen - g * self._offset)
-        cost *= np.sign(g)
+        cost = sum((pair.cost(self._cells, g) for pair in self._later), np.zeros(len(words())))
         # two words differ by four dimmed cells, g max B^T B together: where those are hidden it is the agreed format
-        cost[AGREED.number] -= UNDECIDED * abs(g) * self._gram.diagonal().max()
+        cost[AGREED.number] -= UNDECIDED * abs(g) * np.sum([pair.gram.diagonal() for pair in self._later], axis=0).max()
         return format_of(int(np.argmin(cost)))
 
     def _seen_of(
