@@ -66,3 +66,20 @@ def test_a_receiver_needs_no_rates() -> None:
     for name, layer in counts.layers.items():
         sent = sum(rate * (6144 if name == "middle" else 3072) for rate in rates[name])
         assert abs(layer.bits - sent) < 200
+
+
+@pytest.mark.parametrize(
+    ("fps", "start_s"), [(1000.0, 0.0), (1000.0, 2e-4), (1500.0, 8e-4), (2000.0, 2e-4), (2000.0, 6e-4)]
+)
+def test_formats_are_read_out_of_step(fps: float, start_s: float) -> None:
+    """Dimmed cells make a header neither early nor late, and combined frames show them otherwise than pairs do."""
+    settings = link(
+        "transmit.formats=[{high='1/2', middle='2/5', low='2/5'}]",
+        "receive.receiver=soft",
+        f"channel.camera.fps={fps}",
+        f"channel.camera.exposure_s={int(1e6 / fps)}e-6",
+        f"channel.arrays.0.start_s={start_s}",
+        distance_m=60.0,
+    )
+    counts = run_block(settings, 2)
+    assert [(c.codewords, c.codeword_errors) for c in counts.layers.values()] == [(1, 0), (2, 0), (1, 0)]

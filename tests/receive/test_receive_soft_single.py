@@ -163,6 +163,14 @@ def test_packets_without_inverses_are_read(rates: str, distance_m: float) -> Non
     assert counts.false_codewords == 0
 
 
+def test_rates_of_167_kb_s_are_read_at_80_m() -> None:
+    """Near the limit of the channel: a clock off by some hundredths of a pattern would lose most of it."""
+    named = "[{mode='single', high='9/10', middle='3/4', low='1/2'}]"
+    counts = run_block(link(f"transmit.formats={named}", "receive.receiver=soft", distance_m=80.0), 1, max_packets=1)
+    assert [(c.codewords, c.codeword_errors) for c in counts.layers.values()] == [(1, 0), (2, 0), (1, 0)]
+    assert counts.layers["high"].raw_errors < 0.01 * counts.layers["high"].raw_bits
+
+
 def test_a_moving_array_is_followed_without_inverses() -> None:
     """At 50 km/h on a rough road, packet after packet; the dimmed header leaves the gain as it is."""
     settings = link(

@@ -23,8 +23,11 @@ FINE = 2000
 SLOTS = np.array([15, 11, 5, 1]) / 16
 
 
-def header_view(start: float, exposure: float, period: float, seed: int = 0) -> HeaderView:
-    """What frames `period` patterns apart show of a header that begins `start` patterns late, by fine sums."""
+def header_view(start: float, exposure: float, period: float, seed: int = 0, dimmed: float = 0.0) -> HeaderView:
+    """What frames `period` patterns apart show of a header that begins `start` patterns late, by fine sums.
+
+    A part of its cells has the levels 3 and 1 in the second pair, as where a format is named.
+    """
     rng = np.random.default_rng(seed)
     times: Floats = np.arange(-2, 6 + 1e-9, period)
     steps = np.arange(-6 * FINE, 10 * FINE) / FINE
@@ -32,6 +35,10 @@ def header_view(start: float, exposure: float, period: float, seed: int = 0) -> 
     inside = (pattern >= 0) & (pattern < 4)
     wave = np.where(inside, np.where(pattern % 2, -1.0, 1.0), rng.normal(0, 0.03, 16)[(pattern + 6).astype(int)])
     bright = np.where(inside, 0.5, SLOTS[slot])
+    later = inside & (pattern >= 2)
+    # the fourth slot of level 3 and all but the first of level 1 are dark
+    wave *= np.where(later & ((slot == 0) | (slot == 3)), 1 - dimmed, 1.0)
+    bright += np.where(later, dimmed * np.array([0.5, 0.0, 0.0, -0.5])[slot], 0.0)
     shown = []
     for t in times:
         part = (steps >= t - start) & (steps < t - start + exposure)
@@ -48,6 +55,17 @@ def test_one_header_tells_start_and_exposure(start: float, exposure: float, peri
     assert clock.start_s == pytest.approx(start * 1e-3, abs=2e-5)
     assert clock.exposure == pytest.approx(exposure, abs=0.04)
     assert clock.gain == pytest.approx(200, rel=0.04)
+    assert clock.explained > 0.95
+
+
+@pytest.mark.parametrize("dimmed", [0.25, 0.5, 1.0])
+@pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37)])
+@pytest.mark.parametrize("start", [0.0, 0.3, -0.37])
+def test_dimmed_cells_do_not_mislead_the_clock(start: float, exposure: float, period: float, dimmed: float) -> None:
+    clock = Clock(0.0, period * 1e-3, SIGNAL)
+    clock.measure(header_view(start, exposure, period, dimmed=dimmed), 0)
+    assert clock.start_s == pytest.approx(start * 1e-3, abs=2e-5)
+    assert clock.gain == pytest.approx(200, rel=0.05)
     assert clock.explained > 0.95
 
 

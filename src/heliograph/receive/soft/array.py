@@ -16,6 +16,7 @@ from heliograph.receive.reading import MakeReading
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.clock import AROUND, Clock, view_header
 from heliograph.receive.soft.mix import EXACT, Mix, SlotLight, VirtualFrame, mix_header, mix_of, mix_pair
+from heliograph.receive.soft.naming import HeaderFrames
 from heliograph.receive.soft.reading import SoftReading
 from heliograph.signal.header import dimmed_leds, header_levels
 from heliograph.signal.packet import PacketFormat
@@ -135,6 +136,16 @@ class TimedArray(ArrayReceiver):
             first, second = self._virtual(clock, pattern, mix, inside, window)
             middle = self._poses[int(known[len(known) // 2])]
             reading.take_even(first, second, middle)
+            reading.take_names(self._header_frames(clock, pattern, inside, window, middle))
+
+    def _header_frames(
+        self, clock: Clock, pattern: int, frames: list[Frame], window: tuple[int, int, int, int], pose: Pose
+    ) -> HeaderFrames:
+        """Frames of the header that began with a pattern, and what they show of it."""
+        starts = _starts(clock, frames) - pattern
+        (full, even), (dimmed, uneven) = clock.header(starts, 0.0), clock.header(starts, 1.0)
+        shown, light = np.stack([full, dimmed]), np.stack([even, uneven])
+        return HeaderFrames(_cut(frames, window), (window[0], window[1]), pose, shown, light)
 
     def _combine(self, clock: Clock, pair: int) -> None:
         """Read a pair's virtual frames, if there are frames of it."""
@@ -182,7 +193,8 @@ class TimedArray(ArrayReceiver):
         within &= (starts + clock.exposure > part[0] + OVERHANG) & (starts < part[1] - OVERHANG)
         near = [f for f, yes in zip(near, within, strict=True) if yes]
         starts = starts[within]
-        return near, mix_header(starts, clock.exposure, clock.alternation(starts, 0.0), clock.dimmed(starts, 0.0))
+        dimmed, light = clock.header(starts, 1.0)
+        return near, mix_header(starts, clock.exposure, clock.header(starts, 0.0)[0], (dimmed, light))
 
     def _frames_of(self, clock: Clock, first: float, last: float) -> list[Frame]:
         """Frames that start between two places, in patterns."""
@@ -206,13 +218,10 @@ class TimedArray(ArrayReceiver):
 
         `place` is the pattern from which the mix counts.
         """
-        left, top, right, low = window
-        cut = np.stack(
-            [f.pixels[top - f.origin[1] : low - f.origin[1], left - f.origin[0] : right - f.origin[0]] for f in frames]
-        ).astype(np.float32)
+        cut = _cut(frames, window)
         parts = np.tensordot(np.stack([mix.total + mix.change, mix.total - mix.change]) / 2, cut, 1)
         # a frame's time is the start of its exposure, half a pattern before the middle for which it stands
-        time_s, corner = clock.time_s(place + mix.light - 0.5), (left, top)
+        time_s, corner = clock.time_s(place + mix.light - 0.5), (window[0], window[1])
         pattern, inverse = (
             VirtualFrame(f.index, time_s, part.astype(np.float32), f.bits, corner, mix)
             for f, part in zip((frames[0], frames[-1]), parts, strict=True)
@@ -230,6 +239,14 @@ class TimedArray(ArrayReceiver):
 def _in_step(clock: Clock, mix: Mix | None) -> bool:
     """Whether frames show a pair's pattern and inverse one by one, as far as the clock can tell."""
     return mix is not None and mix.departure < EXACT + clock.deviation
+
+
+def _cut(frames: list[Frame], window: tuple[int, int, int, int]) -> NDArray[np.float32]:
+    """A window of frames, (frames, rows, columns)."""
+    left, top, right, low = window
+    return np.stack(
+        [f.pixels[top - f.origin[1] : low - f.origin[1], left - f.origin[0] : right - f.origin[0]] for f in frames]
+    ).astype(np.float32)
 
 
 def _starts(clock: Clock, frames: list[Frame]) -> NDArray[np.float64]:

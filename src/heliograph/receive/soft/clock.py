@@ -138,16 +138,23 @@ class Clock:
         """Patterns since the header of the detection began."""
         return np.asarray(self._pattern + (np.asarray(time_s) - self.start_s) / self.period_s)
 
-    def alternation(self, starts: Floats, first: float) -> Floats:
-        """Of a header that starts with pattern `first`, what frames show that start at places `starts`."""
-        edges, wave, _ = self._header(0.0)
-        return _mean_over(starts - first, self.exposure, edges, wave)
+    def header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
+        """What frames show of a header, a part of whose cells is dimmed in all pairs but the first.
 
-    def dimmed(self, starts: Floats, first: float) -> tuple[Floats, Floats]:
-        """The same of cells that are dimmed in all pairs but the first, and their mean light."""
-        edges, wave, bright = self._header(1.0)
-        over = [_mean_over(starts - first, self.exposure, edges, values) for values in (wave, bright)]
-        return over[0], over[1]
+        Parameters
+        ----------
+        starts
+            (frames,) starts of the exposures, in patterns from the header's.
+        dimmed
+            That part.
+
+        Returns
+        -------
+        How much of the header less its inverse each shows, -1 to 1, and the mean light, (frames,) each.
+        """
+        edges, wave, bright = self._header(dimmed)
+        shown, light = (_mean_over(starts, self.exposure, edges, values) for values in (wave, bright))
+        return shown, 0.5 + light
 
     def measure(self, view: HeaderView, pattern: int) -> None:
         """Take the header that begins with a pattern."""

@@ -1,13 +1,17 @@
-"""The format a packet's header names, read coherently from the cells of its later pairs.
+"""The format a packet's header names, read coherently from the cells of its pairs.
 
 With A_1 and A_2 what each cell of the header, all its LEDs on, gives each pixel in the two frames of a header pair, and
-v the cells' alternation (+-1, or +-1/2 where a bit of the word is 1, or what combined frames show of it: `Mix.dimmed`),
-the difference of the frames is
+v the cells' alternation, the difference of the frames is
 
     d = g (A_1 (1 + v) / 2 - A_2 (1 - v) / 2) + n = g (B v + o) + n,   B = (A_1 + A_2) / 2,   o = (A_1 - A_2) 1 / 2
 
-The first pair, whose v is the identity's, gives g; of the later ones the format is the one whose v has the least
-|d - g (B v + o)|^2.
+v is +-1 but where a bit of the format's word is 1: there it is +-1/2 in the later pairs, or what combined frames show
+of it, see `Mix.dimmed`. The format is the one whose v, with the gain g that suits it best, explains most of d:
+
+    max over formats and g of 2 g <d, B v + o> - g^2 |B v + o|^2
+
+A camera that is not in step shows dimmed cells in some of its frames only. There each frame is taken by itself, r_k =
+g A v_k + b + n with v_k from the clock and b the same in all, which is taken off by their mean.
 """
 
 from dataclasses import dataclass
@@ -37,19 +41,90 @@ UNDECIDED = 0.25
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """What a later header pair says: contrast and light of its dimmed cells, B^T B, B^T d and B^T o."""
+    """What a header pair says.
+
+    Attributes
+    ----------
+    dimmed
+        Contrast and light of its dimmed cells.
+    gram, seen, offset
+        B^T B, B^T d and B^T o.
+    cross, drift
+        d^T o and o^T o.
+    """
 
     dimmed: tuple[float, float]
     gram: Floats
     seen: Floats
     offset: Floats
+    cross: float
+    drift: float
 
-    def cost(self, cells: Floats, g: float) -> Floats:
-        """Of each format |d - g (B v + o)|^2 but for what is the same in all, less the more probable."""
+    @property
+    def telling(self) -> float:
+        """Most that one dimmed cell changes, in squares of the gain."""
+        contrast, light = self.dimmed
+        return ((1 - contrast) ** 2 + light**2) * float(self.gram.diagonal().max())
+
+    def moments(self, cells: Floats) -> Floats:
+        """<d, B v + o> and |B v + o|^2 of each format, (2, formats)."""
         contrast, light = self.dimmed
         v = np.where(words(), contrast * cells + light, cells)
-        cost = g * np.einsum("fi,ij,fj->f", v, self.gram, v) - 2 * v @ (self.seen - g * self.offset)
-        return np.asarray(np.sign(g) * cost)
+        match, norm = v @ self.seen + self.cross, np.einsum("fi,ij,fj->f", v, self.gram, v)
+        return np.stack([match, norm + 2 * v @ self.offset + self.drift])
+
+
+@dataclass(frozen=True, slots=True)
+class HeaderFrames:
+    """Frames of a header by a camera out of step.
+
+    Attributes
+    ----------
+    images
+        (frames, rows, columns) about the array.
+    corner
+        (x, y) on the sensor of the first pixel.
+    pose
+        The array's.
+    alternation
+        (2, frames) how much of the header less its inverse each shows, -1 to 1: of cells that are not dimmed, and of
+        those that are.
+    light
+        (2, frames) mean light of these cells.
+    """
+
+    images: NDArray[np.float32]
+    corner: tuple[int, int]
+    pose: Pose
+    alternation: Floats
+    light: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class _Single:
+    """What frames out of step say: of each, the light and alternation of its cells, and A^T r."""
+
+    frames: HeaderFrames
+    gram: Floats
+    seen: Floats
+
+    @property
+    def telling(self) -> float:
+        """See `_Pair`."""
+        shown = np.diff(self.frames.light, axis=0), 0.5 * np.diff(self.frames.alternation, axis=0)
+        return float(sum(part.var() * part.size for part in shown) * self.gram.diagonal().max())
+
+    def moments(self, cells: Floats) -> Floats:
+        """See `_Pair`."""
+        # v_k = light + alternation / 2 of +-1
+        full, dimmed = (
+            light[:, None] + 0.5 * alternation[:, None] * cells
+            for light, alternation in zip(self.frames.light, self.frames.alternation, strict=True)
+        )
+        v = np.where(words()[:, None], dimmed, full)
+        v -= v.mean(1, keepdims=True)
+        match = np.einsum("fki,ki->f", v, self.seen)
+        return np.stack([match, ((v @ self.gram) * v).sum((1, 2))])
 
 
 class NameReader:
@@ -68,8 +143,7 @@ class NameReader:
         self._cells = header_cells(identity).reshape(COUNT).astype(np.float64)
         self._masks = np.kron(np.eye(COUNT).reshape(COUNT, CELLS, CELLS), np.ones((side // CELLS, side // CELLS)))
         self._first: tuple[Frame, Frame, tuple[Pose, Pose]] | None = None
-        self._moments = np.zeros(2)
-        self._later: list[_Pair] = []
+        self._pairs: dict[int, _Pair | _Single] = {}
 
     def take(
         self, pair: int, pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], shares: Floats | None = None
@@ -83,13 +157,14 @@ class NameReader:
             self._first = pattern, inverted, poses
             return
         shares = np.ones((self._side, self._side)) if shares is None else shares
-        each, offset, change = self._seen_of(pattern, inverted, poses, shares)
-        mix = mix_of(pattern)
-        self._later.append(_Pair(mix.dimmed if mix else (DIMMED, 0.0), each @ each.T, each @ change, each @ offset))
+        self._pairs[pair] = self._seen_of(DIMMED, pattern, inverted, poses, shares)
         if self._first is not None:
-            each, offset, change = self._seen_of(*self._first, shares)
-            shown = self._cells @ each + offset
-            self._moments[:] = change @ shown, shown @ shown
+            self._pairs[0] = self._seen_of(1.0, *self._first, shares)
+
+    def take_frames(self, frames: HeaderFrames, shares: Floats) -> None:
+        """Take a whole header out of step in place of its pairs; of its light each LED gives a share (n, n)."""
+        a = self._images(frames.pose, shares, *frames.corner, frames.images.shape[1:])
+        self._pairs = {0: _Single(frames, a @ a.T, frames.images.reshape(len(frames.images), -1) @ a.T)}
 
     def named(self, gain: float) -> Format:
         """The format named; without a later header pair the agreed one.
@@ -99,22 +174,26 @@ class NameReader:
         gain
             Gray levels of a wide array with all LEDs on, taken where the first pair was not seen.
         """
-        if not self._later:
+        if not self._pairs:
             return AGREED
-        g = self._moments[0] / self._moments[1] if self._moments[1] > 0 else gain
-        cost = sum((pair.cost(self._cells, g) for pair in self._later), np.zeros(len(words())))
-        # two words differ by four dimmed cells, g max B^T B together: where those are hidden it is the agreed format
-        cost[AGREED.number] -= UNDECIDED * abs(g) * np.sum([pair.gram.diagonal() for pair in self._later], axis=0).max()
-        return format_of(int(np.argmin(cost)))
+        match, norm = np.sum([pair.moments(self._cells) for pair in self._pairs.values()], axis=0)
+        g = np.maximum(match, 0) / np.maximum(norm, 1e-9) if 0 in self._pairs else gain
+        explained = 2 * g * match - g**2 * norm
+        # two words differ by four dimmed cells at least: where those are hidden it is the agreed format
+        explained[AGREED.number] += UNDECIDED * float(np.max(g)) ** 2 * 4 * sum(p.telling for p in self._pairs.values())
+        return format_of(int(np.argmax(explained)))
 
     def _seen_of(
-        self, pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], shares: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        """B (16, pixels), the cells' images as rows; o and d (pixels,)."""
+        self, contrast: float, pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], shares: Floats
+    ) -> _Pair:
+        """What a pair says whose dimmed cells have a contrast in step."""
         x0, y0, cols, rows = window_around(Pose.between(*poses), self._side, MARGIN_PX)
         up, down = (cut_out(frame, x0, y0, cols, rows).ravel() for frame in (pattern, inverted))
         first, second = (self._images(pose, shares, x0, y0, (rows, cols)) for pose in poses)
-        return 0.5 * (first + second), 0.5 * (first - second).sum(0), up - down
+        b, o, d = 0.5 * (first + second), 0.5 * (first - second).sum(0), up - down
+        mix = mix_of(pattern)
+        dimmed = mix.dimmed if mix else (contrast, 0.0)
+        return _Pair(dimmed, b @ b.T, b @ d, b @ o, float(d @ o), float(o @ o))
 
     def _images(self, pose: Pose, shares: Floats, x0: int, y0: int, shape: tuple[int, int]) -> Floats:
         """Image of each cell with all its LEDs on, (16, pixels)."""

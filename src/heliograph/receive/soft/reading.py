@@ -17,7 +17,7 @@ from heliograph.receive.soft.glance import Glance, take_glance
 from heliograph.receive.soft.look import Look, Weighted, weigh
 from heliograph.receive.soft.memory import Memory
 from heliograph.receive.soft.mix import mix_of
-from heliograph.receive.soft.naming import NameReader
+from heliograph.receive.soft.naming import HeaderFrames, NameReader
 from heliograph.receive.soft.noise import LEAST_NOISE, Noise, measure_noise, noise_beside
 from heliograph.receive.soft.shares import LedShares
 from heliograph.receive.soft.sharpen import Seen, moved, pose_errors
@@ -106,6 +106,10 @@ class SoftReading:
     def take_even(self, pattern: Frame, inverted: Frame, pose: Pose) -> None:
         """Take all frames of a header combined to one pair: its sum is even and tells the noise."""
         self._header = take_glance(pattern, inverted, (pose, pose), self._side, mix_of(pattern))
+
+    def take_names(self, frames: HeaderFrames) -> None:
+        """Take the frames of a header out of step, which tell the format one by one."""
+        self._name.take_frames(frames, self._shares.values)
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode all that was kept."""
