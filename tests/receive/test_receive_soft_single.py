@@ -199,3 +199,11 @@ def test_tilt_and_dead_leds_are_known_from_headers(place: dict[str, float]) -> N
     assert counts.layers["high"].codewords == 2
     assert [layer.codeword_errors for layer in counts.layers.values()] == [0, 0, 0]
     assert counts.false_codewords == 0
+
+
+@pytest.mark.parametrize("seed", [2, 7])
+def test_dimmed_headers_do_not_turn_the_array(seed: int) -> None:
+    """A tilt and dead LEDs were seen where the header's second pair is dimmed on one side."""
+    named = "[{mode='single', high='9/10', middle='3/4', low='1/2'}]"
+    counts = run_block(link(f"transmit.formats={named}", "receive.receiver=soft", distance_m=70.0), seed, max_packets=1)
+    assert [(c.codewords, c.codeword_errors) for c in counts.layers.values()] == [(1, 0), (2, 0), (1, 0)]

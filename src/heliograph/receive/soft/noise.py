@@ -24,6 +24,7 @@ LEAST_NOISE = 1 / 6
 ENOUGH = 4000
 """Pixels inside the array by which its noise is known well enough, to 3 %."""
 
+
 @dataclass(frozen=True, slots=True)
 class Noise:
     """Variance of a pixel of a difference of two frames in squared gray levels.
