@@ -67,7 +67,7 @@ def test_packets_come_as_soon_as_they_are_complete() -> None:
 
     def frames() -> Iterable[Frame]:
         nonlocal taken
-        for taken, frame in enumerate(two_and_a_half_packets()):  # noqa: B007
+        for taken, frame in enumerate(two_and_a_half_packets()):  # noqa: B007 - read outside
             yield frame
 
     assert [taken for _ in receive_frames(frames(), SIGNAL)] == [99, 199, 259]

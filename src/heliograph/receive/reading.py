@@ -74,7 +74,13 @@ class PlainReading:
     def take_header(self, pair: int, pattern: Frame, inverted: Frame, tracker: Tracker) -> None:
         """Nothing is read of it."""
 
-    def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> bool:  # noqa: ARG002
+    def learn(
+        self,
+        pattern: Frame,  # noqa: ARG002 - as all readings
+        inverted: Frame,  # noqa: ARG002
+        header: Floats,  # noqa: ARG002
+        tracker: Tracker,  # noqa: ARG002
+    ) -> bool:
         """Learn nothing."""
         return False
 

@@ -39,12 +39,8 @@ def receive_frames(
     ----------
     frames
         Camera frames in the order of time.
-    signal
-        What the light speaks.
-    settings
-        The receiver's settings.
-    observe
-        Gets (stage, data) of each stage.
+    signal, settings, observe
+        See `Receiver`.
 
     Raises
     ------

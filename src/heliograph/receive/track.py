@@ -65,7 +65,7 @@ class Tracker:
         self._settings = settings
         self.shares = detection.shares
         self._side = side
-        self.state = PoseState.start(detection.time_s, fit.vector, _widened(fit.covariance))
+        self.state = PoseState.start(detection.time_s, fit.vector, widened(fit.covariance))
         self._before = self.state
         self.last_seen_s = detection.time_s
         self.gain = fit.gain
@@ -173,7 +173,7 @@ class Tracker:
         return bool(0 <= x < frame.pixels.shape[1] and 0 <= y < frame.pixels.shape[0])
 
 
-def _widened(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def widened(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     """A detection's covariance with room for the motion since its middle."""
     wider = covariance.copy()
     wider[np.arange(5), np.arange(5)] += [1.0, 1.0, 1e-3, 1e-4, 1e-2]

@@ -40,7 +40,7 @@ class Still:
         """Keep the pose."""
         self._pose = found.fit.pose
 
-    def update(self, pattern: Frame, inverted: Frame) -> Pose:  # noqa: ARG002
+    def update(self, pattern: Frame, inverted: Frame) -> Pose:  # noqa: ARG002 - as all trackers
         """The pose kept."""
         return self._pose
 
@@ -59,7 +59,7 @@ class InvertedSignals:
     def __init__(self, settings: LinkSettings):
         self._settings = settings
 
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002
+    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
         """Start the receiver's tracker."""
         side = self._settings.signal.side
         self._weights = header_levels(found.identity, side) / 2.0 - 1.0

@@ -16,6 +16,7 @@ from heliograph.receive import Pose
 from heliograph.receive.detect import Detection, cut_out
 from heliograph.receive.fit import PANEL_MARGINS, window_around
 from heliograph.receive.kalman import PLAIN, SHOWN, PoseState
+from heliograph.receive.track import widened
 from heliograph.signal import haar
 from heliograph.signal.header import header_levels
 from heliograph.signal.pwm import SLOTS
@@ -72,9 +73,9 @@ class KnownPattern:
         self._settings = settings
         self._side = settings.signal.side
 
-    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002
+    def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
         """Begin at the detection."""
-        wider = found.fit.covariance[:SHOWN, :SHOWN] + np.diag([1.0, 1.0, 1e-3, 1e-4, 1e-2])
+        wider = widened(found.fit.covariance)[:SHOWN, :SHOWN]
         self._state = PoseState.start(found.time_s, found.fit.vector[:SHOWN], wider)
         self._start_s, self._gain = found.start_time_s, found.fit.gain
         self._pitch, self._lost = found.fit.pose.pitch, False

@@ -51,7 +51,6 @@ class TimedArray(ArrayReceiver):
         reading: MakeReading,
     ):
         super().__init__(detection, form, settings, observe, reading)
-        self._detection = detection
         self._frames: deque[Frame] = deque()
         self._clock: Clock | None = None
         self._light = SlotLight(form.settings.slot_order)
@@ -93,7 +92,7 @@ class TimedArray(ArrayReceiver):
             # the header would have begun before the film
             self._failed = True
             return clock
-        pose = self._detection.fit.pose
+        pose = self.found.fit.pose
         clock.measure(view_header(near, [pose] * len(near), self._signs * self.tracker.shares), 0)
         self._failed = clock.explained < EXPLAINED
         if not _in_step(clock, self._mix(clock, near, 0)):

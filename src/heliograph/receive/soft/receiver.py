@@ -22,14 +22,7 @@ from heliograph.signal.settings import SignalSettings
 class SoftReceiver(Receiver):
     """Detects and follows as the plain receiver does; equalises, cancels and decodes whole packets.
 
-    Parameters
-    ----------
-    signal
-        What the light speaks.
-    settings
-        The receiver's settings.
-    observe
-        Gets (stage, data) of each stage.
+    It takes what `Receiver` takes.
 
     Raises
     ------
