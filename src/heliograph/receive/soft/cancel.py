@@ -27,6 +27,9 @@ Floats = NDArray[np.float64]
 PROGRESS = 0.002
 """A round in which the LLRs tell of no open codeword's bits this much more, in bit each, is the last."""
 
+TRUST = 0.85
+"""Share at which a failed codeword's LLRs are fed back: a decoder's guesses come from the noise they are added to."""
+
 HOPELESS = 0.3
 """Share of a code's rate that LLRs must tell of each bit: of less nothing comes, and one iteration has to do."""
 
@@ -298,7 +301,7 @@ def _decode_layer(layer: _Layer, name: str, identity: int, settings: ReceiveSett
         if word.status == "crc_fail" and settings.soft.feedback != "soft":
             layer.soft[i], layer.variance[i] = 0.0, 1.0
         elif word.status == "crc_fail":
-            layer.soft[i] = np.tanh(0.5 * after)
+            layer.soft[i] = np.tanh(0.5 * TRUST * after)
             layer.variance[i] = np.maximum(1 - layer.soft[i] ** 2, 2 * KNOWN)
         else:
             layer.soft[i], layer.variance[i] = _signs(code, word), 0.0
