@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What a camera out of step sees of a pair of patterns, by computation: the tables of docs/receiver-clock.md.
+"""What a camera out of step sees of a pair of patterns, by computation: the tables of docs/receiver.md.
 
     python scripts/timing_loss.py
 
