@@ -15,30 +15,35 @@ from heliograph.receive import Packet, ReceiveSettings, receive_frames
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.soft.camera import FIRST, CameraClock
 from heliograph.receive.soft.clock import Clock, HeaderView
+from heliograph.signal.formats import words
+from heliograph.signal.header import header_cells
 from heliograph.signal.settings import SignalSettings
 
 Floats = NDArray[np.float64]
 SIGNAL = SignalSettings()
+IDENTITY = 29
 FINE = 2000
 SLOTS = np.array([15, 11, 5, 1]) / 16
 
 
-def header_view(start: float, exposure: float, period: float, seed: int = 0, dimmed: float = 0.0) -> HeaderView:
+def header_view(start: float, exposure: float, period: float, seed: int = 0, form: int = 0) -> HeaderView:
     """What frames `period` patterns apart show of a header that begins `start` patterns late, by fine sums.
 
-    A part of its cells has the levels 3 and 1 in the second pair, as where a format is named.
+    Its second pair names a format: dimmed cells have the levels 3 and 1.
     """
     rng = np.random.default_rng(seed)
     times: Floats = np.arange(-2, 6 + 1e-9, period)
     steps = np.arange(-6 * FINE, 10 * FINE) / FINE
     pattern, slot = np.floor(steps), np.floor(4 * (steps % 1)).astype(int)
-    inside = (pattern >= 0) & (pattern < 4)
-    wave = np.where(inside, np.where(pattern % 2, -1.0, 1.0), rng.normal(0, 0.03, 16)[(pattern + 6).astype(int)])
-    bright = np.where(inside, 0.5, SLOTS[slot])
-    later = inside & (pattern >= 2)
-    # the fourth slot of level 3 and all but the first of level 1 are dark
-    wave *= np.where(later & ((slot == 0) | (slot == 3)), 1 - dimmed, 1.0)
-    bright += np.where(later, dimmed * np.array([0.5, 0.0, 0.0, -0.5])[slot], 0.0)
+    cells, dimmed = header_cells(IDENTITY).ravel().astype(float), words()[form] > 0
+    wave = rng.normal(0, 0.03, 16)[(pattern + 6).astype(int)]
+    bright = SLOTS[slot]
+    for k in range(4):
+        sign = -1 if k % 2 else 1
+        levels = np.where(dimmed & (k >= 2), 2 + sign * cells, 2 + 2 * sign * cells)
+        lit = (levels > np.arange(4)[:, None]).astype(float)
+        here = pattern == k
+        wave[here], bright[here] = (2 * lit @ cells / 16)[slot[here]], lit.mean(1)[slot[here]]
     shown = []
     for t in times:
         part = (steps >= t - start) & (steps < t - start + exposure)
@@ -50,7 +55,7 @@ def header_view(start: float, exposure: float, period: float, seed: int = 0, dim
 @pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37), (0.25, 0.25)])
 @pytest.mark.parametrize("start", [0.3, -0.37, 0.12])
 def test_one_header_tells_start_and_exposure(start: float, exposure: float, period: float) -> None:
-    clock = Clock(0.0, period * 1e-3, SIGNAL)
+    clock = Clock(0.0, period * 1e-3, SIGNAL, IDENTITY)
     clock.measure(header_view(start, exposure, period), 0)
     assert clock.start_s == pytest.approx(start * 1e-3, abs=2e-5)
     assert clock.exposure == pytest.approx(exposure, abs=0.04)
@@ -58,13 +63,21 @@ def test_one_header_tells_start_and_exposure(start: float, exposure: float, peri
     assert clock.explained > 0.95
 
 
-@pytest.mark.parametrize("dimmed", [0.25, 0.5, 1.0])
+def telling_formats() -> list[int]:
+    """Formats that dim most lit cells, most dark ones, all cells, and as many of both."""
+    cells, dimmed = header_cells(IDENTITY).ravel(), words().astype(int)
+    lit, count = dimmed @ cells, dimmed.sum(1)
+    return [int(np.argmax(lit)), int(np.argmin(lit)), int(np.argmax(count)), int(np.argmax((lit == 0) & (count == 8)))]
+
+
+@pytest.mark.parametrize("form", telling_formats())
 @pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37)])
 @pytest.mark.parametrize("start", [0.0, 0.3, -0.37])
-def test_dimmed_cells_do_not_mislead_the_clock(start: float, exposure: float, period: float, dimmed: float) -> None:
-    clock = Clock(0.0, period * 1e-3, SIGNAL)
-    clock.measure(header_view(start, exposure, period, dimmed=dimmed), 0)
+def test_dimmed_cells_do_not_mislead_the_clock(start: float, exposure: float, period: float, form: int) -> None:
+    clock = Clock(0.0, period * 1e-3, SIGNAL, IDENTITY)
+    clock.measure(header_view(start, exposure, period, form=form), 0)
     assert clock.start_s == pytest.approx(start * 1e-3, abs=2e-5)
+    assert clock.exposure == pytest.approx(exposure, abs=0.04)
     assert clock.gain == pytest.approx(200, rel=0.05)
     assert clock.explained > 0.95
 
@@ -72,34 +85,34 @@ def test_dimmed_cells_do_not_mislead_the_clock(start: float, exposure: float, pe
 @pytest.mark.parametrize(("exposure", "period"), [(0.9, 1.0), (0.5, 1.0), (0.3, 2 / 3)])
 @pytest.mark.parametrize("start", [0.3, -0.37, 0.12])
 def test_with_a_short_exposure_known_one_header_tells_the_start(start: float, exposure: float, period: float) -> None:
-    clock = Clock(0.0, period * 1e-3, SIGNAL, exposure * 1e-3)
+    clock = Clock(0.0, period * 1e-3, SIGNAL, IDENTITY, exposure * 1e-3)
     clock.measure(header_view(start, exposure, period), 0)
     assert clock.start_s == pytest.approx(start * 1e-3, abs=5e-5)
 
 
 def test_of_exposures_that_look_alike_the_longest_is_taken() -> None:
     # six tenths about the middle of each pattern, and the whole of it
-    clock = Clock(0.0, 1e-3, SIGNAL)
+    clock = Clock(0.0, 1e-3, SIGNAL, IDENTITY)
     clock.measure(header_view(-0.2, 0.6, 1.0), 0)
     assert clock.exposure == pytest.approx(1, abs=0.05)
 
 
 def test_an_exposure_that_is_known_is_not_asked_for() -> None:
-    clock = Clock(0.0, 1e-3, SIGNAL, 0.45e-3)
+    clock = Clock(0.0, 1e-3, SIGNAL, IDENTITY, 0.45e-3)
     clock.measure(header_view(0.2, 0.45, 1.0), 0)
     assert clock.exposure == pytest.approx(0.45)
 
 
 def test_what_is_no_header_is_told() -> None:
     rng = np.random.default_rng(3)
-    clock = Clock(0.0, 1e-3, SIGNAL)
+    clock = Clock(0.0, 1e-3, SIGNAL, IDENTITY)
     alternation, brightness = (rng.normal(0, 50, 9) for _ in range(2))
     clock.measure(HeaderView(np.linspace(-2e-3, 6e-3, 9), alternation, brightness), 0)
     assert clock.explained < 0.7
 
 
 def test_rate_comes_from_header_to_header() -> None:
-    clock, rate = Clock(0.0, 0.66e-3, SIGNAL), -400e-6
+    clock, rate = Clock(0.0, 0.66e-3, SIGNAL, IDENTITY), -400e-6
     for packet in range(12):
         first = packet * 0.1 * (1 + rate)
         # frames fall where they do

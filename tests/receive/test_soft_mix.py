@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from heliograph.receive.soft import squares
-from heliograph.receive.soft.mix import SlotLight, mix_header, mix_pair
+from heliograph.receive.soft.mix import EXACT, SlotLight, mix_header, mix_pair
 from heliograph.signal import haar, pwm
 
 Floats = NDArray[np.float64]
@@ -87,7 +87,7 @@ def _values(cells: Floats) -> NDArray[np.intp]:
 def test_in_step_a_mix_is_two_frames() -> None:
     mix = mix_pair(np.arange(-1.0, 4.0), 1.0, SlotLight((0, 1, 2, 3)))
     assert mix is not None
-    assert mix.in_step
+    assert mix.departure < EXACT
     assert list(mix.frames) == [1, 2]
     assert list(mix.change) == pytest.approx([1, -1])
     assert list(mix.total) == pytest.approx([1, 1])
@@ -100,7 +100,7 @@ def test_in_step_a_mix_is_two_frames() -> None:
 def test_half_a_pattern_late_only_neighbours_differ() -> None:
     mix = mix_pair(np.arange(-1.5, 4.0), 1.0, SlotLight((0, 1, 2, 3)))
     assert mix is not None
-    assert not mix.in_step
+    assert mix.departure > EXACT
     # the frame within the pair is half lit whatever is sent: it serves the sum alone
     within = list(mix.frames).index(2)
     assert mix.change[within] == 0

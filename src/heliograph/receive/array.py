@@ -167,7 +167,7 @@ class ArrayReceiver:
             self._learn(pattern, inverted, weights)
 
     def _header_weights(self, number: int, pattern: Frame) -> NDArray[np.float64]:  # noqa: ARG002 - combined frames'
-        """Levels (n, n) of a header less its inverse, +-1, that names a format by its number."""
+        """Levels (n, n) of a header less its inverse that names a format: +-1, or +-1/2 where it is dimmed."""
         return named_levels(self.identity, number, self._form.settings.side) / 2.0 - 1.0
 
     def _learn(self, pattern: Frame, inverted: Frame, weights: NDArray[np.float64]) -> None:

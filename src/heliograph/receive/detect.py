@@ -47,8 +47,9 @@ HIDDEN, HIDDEN_SCORE, LIT_CELL = 0.32, 0.7, 0.4
 """Largest hidden share of an array that is found all the same; the least score of one worth the try; and alternation,
 as a share of the median cell's, from which on a cell is not hidden."""
 
-FIRST_SEEN = 0.7
-"""Share of the alternation that the first pair of a header shows at least where the camera is about in step."""
+FIRST_SEEN, LIKE = 0.7, 0.9
+"""Alternation and score of a header's first pair alone, as shares of the whole header's, from which on its pose is
+taken: out of step a header may begin amid a frame, and noise counts for more in two frames than in four."""
 
 SLACK = 2
 """Frames by which the start of the header may differ from the searched window's, either way."""
@@ -65,7 +66,7 @@ class Detection:
     start_time_s
         When the header's first pattern began to be exposed.
     fit
-        Pose and luminance at `time_s`, in the middle of the frames searched.
+        Pose and luminance at `time_s`, in the middle of the frames fitted.
     time_s
         Time of that pose.
     score
@@ -228,11 +229,11 @@ class Detector:
                 fit, shares = rest, np.asarray(part, np.float64)
         if fit is None or not self._convincing(fit, regularity, header[0].full_scale):
             return None
-        if self._settings.detect.impaired:
+        if self._settings.detect.impaired and self._span > 2:
             # where a format is named the later pairs are dimmed unevenly: of a tilt only the first one tells
             first = _change([f.pixels for f in header[:2]])
             shape = _fit_window(first, origin, fit.pose, shares * weights, self._side, tilt)
-            if shape is not None and shape.gain > FIRST_SEEN * fit.gain:
+            if shape is not None and shape.score > LIKE * fit.score and shape.gain > FIRST_SEEN * fit.gain:
                 fit, header = replace(shape, score=fit.score), header[:2]
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
         return Detection(number, header[0].time_s, fit, middle, fit.score, regularity, shares)

@@ -77,9 +77,9 @@ class PlainReading:
     def learn(
         self,
         pattern: Frame,  # noqa: ARG002 - as all readings
-        inverted: Frame,  # noqa: ARG002
-        header: Floats,  # noqa: ARG002
-        tracker: Tracker,  # noqa: ARG002
+        inverted: Frame,  # noqa: ARG002 - as all readings
+        header: Floats,  # noqa: ARG002 - as all readings
+        tracker: Tracker,  # noqa: ARG002 - as all readings
     ) -> bool:
         """Learn nothing."""
         return False

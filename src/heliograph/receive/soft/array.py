@@ -85,7 +85,8 @@ class TimedArray(ArrayReceiver):
         frames, light_s = list(self._frames), self._form.settings.pattern_period_s
         # the median passes over frames that were dropped
         period = float(np.median(np.diff([f.time_s for f in frames])))
-        clock = Clock(self._start_s, period, self._form.settings, self._settings.calibration.exposure_s)
+        exposure_s = self._settings.calibration.exposure_s
+        clock = Clock(self._start_s, period, self._form.settings, self.identity, exposure_s)
         end = self._start_s + (self._header + AROUND) * light_s
         near = [f for f in frames if self._start_s - AROUND * light_s <= f.time_s <= end]
         if len(near) <= self._header:
@@ -133,7 +134,7 @@ class TimedArray(ArrayReceiver):
         reading = self._packet.reading
         if mix is not None and window is not None and isinstance(reading, SoftReading):
             first, second = self._virtual(clock, pattern, mix, inside, window)
-            middle = self._poses[int(known[len(known) // 2])]
+            middle = self.tracker.state.pose_at(clock.time_s(pattern + self._header / 2))
             reading.take_even(first, second, middle)
             reading.take_names(self._header_frames(clock, pattern, inside, window, middle))
 

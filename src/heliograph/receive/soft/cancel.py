@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import entr
+from scipy.special import entr, expit
 
 from heliograph.receive.decode import LARGEST_LLR, codeword_of, hard
 from heliograph.receive.packets import Codeword, Observer, ignore
@@ -14,7 +14,7 @@ from heliograph.receive.soft import squares
 from heliograph.receive.soft.cells import Cells
 from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
 from heliograph.receive.soft.look import Look
-from heliograph.receive.soft.memory import Memory, faithful
+from heliograph.receive.soft.memory import Memory, SeenPacket, faithful
 from heliograph.receive.soft.mix import Mix
 from heliograph.receive.soft.noise import LEAST_NOISE
 from heliograph.signal.block import check
@@ -25,7 +25,8 @@ from heliograph.signal.turbo import TurboCode
 Floats = NDArray[np.float64]
 
 PROGRESS = 0.002
-"""A round in which the LLRs tell of no open codeword's bits this much more, in bit each, is the last."""
+"""A round in which nothing is decoded, and the LLRs tell of no open codeword's bits this much more, in bit each, is the
+last."""
 
 TRUST = 0.85
 """Share at which a failed codeword's LLRs are fed back: a decoder's guesses come from the noise they are added to."""
@@ -102,6 +103,17 @@ class _Layer:
         """Whether a codeword is not decoded, or only with the help of earlier looks."""
         return self.words[number].status == "crc_fail" or bool(self.recalled[number].any())
 
+    def sure_llrs(self) -> list[Floats]:
+        """LLRs (E,) of each codeword, those of a decoded one without doubt."""
+        known = self.variance.max(1) == 0
+        return [LARGEST_LLR * soft if sure else llr for llr, soft, sure in zip(self.llr, self.soft, known, strict=True)]
+
+    def forget_guesses(self) -> None:
+        """Know nothing any more of the codewords that are not decoded."""
+        for i, word in enumerate(self.words):
+            if word.status == "crc_fail":
+                self.soft[i], self.variance[i] = 0.0, 1.0
+
     def mean(self) -> Floats:
         """(pairs, cells) mean of each cell."""
         return self.form.interleave(self.soft * (1.0 - 2.0 * self.form.chips))
@@ -146,109 +158,155 @@ def decode_looks(
     -------
     Codewords by layer.
     """
-    layers = {name: _Layer.unknown(layer) for name, layer in form.layers.items()}
-    cells = Cells(form)
-    # of what a name dims the side of one half remains
-    header = form.header_pattern(identity) > SLOTS // 2
+    # an empty memory recalls nothing
+    memory = memory if settings.soft.looks else Memory()
+    packet = _Packet.begun(looks, light, form, identity)
     # a combined pair's poses are not sharpened: its cells are seen through products
-    sharpen = settings.soft.sharpen and not _mixed(looks)
-    told = np.zeros(sum(layer.codewords for layer in form.layers.values()))
-    for _ in range(settings.soft.rounds):
-        before, open_ = told, _open(layers)
-        _equalise_all(looks, light, layers, cells, header)
-        observe("equalise", {"identity": identity, "llr": {name: layer.llr for name, layer in layers.items()}})
-        for name, layer in layers.items():
-            if not layer.recalled:
-                layer.recalled = [
-                    memory.recall((name, layer.form.code), llr) if settings.soft.looks else np.zeros_like(llr)
-                    for llr in layer.llr
-                ]
+    sharpen = settings.soft.sharpen and not packet.mixed
+    for number in range(settings.soft.rounds):
+        before, open_ = packet.told, packet.open
+        packet.equalise()
+        if number == 0:
+            packet.recall(memory)
+        observe("equalise", {"identity": identity, "llr": {name: layer.llr for name, layer in packet.layers.items()}})
+        for name, layer in packet.layers.items():
             _decode_layer(layer, name, identity, settings)
-        still, told = _open(layers), np.concatenate([information(layer.llr) for layer in layers.values()])
+        still = packet.open
+        packet.told = np.concatenate([information(layer.llr) for layer in packet.layers.values()])
         if not still.any() or settings.soft.feedback == "none":
             break
         if sharpen and still.sum() < open_.sum():
-            looks = again(*_known(layers, cells), light)
-        elif (told - before)[still].max() < PROGRESS:
+            packet.look(again(*packet.known(), light))
+        elif (packet.told - before)[still].max() < PROGRESS:
             break
-    if settings.soft.looks:
-        _remember(looks, light, layers, cells, memory, header)
-    return {name: tuple(layer.words) for name, layer in layers.items()}
+    packet.remember(memory)
+    return {name: tuple(layer.words) for name, layer in packet.layers.items()}
 
 
-def _remember(
-    looks: Sequence[Look | None],
-    light: Light,
-    layers: dict[str, _Layer],
-    cells: Cells,
-    memory: Memory,
-    header: NDArray[np.bool_],
-) -> None:
-    """Keep what this look says of the codewords that it alone did not give.
+@dataclass(slots=True)
+class _Packet:
+    """A packet while it is decoded.
 
-    The looks are equalised anew with the decoded codewords known and no guess of the others: a guess fed back would be
-    counted as often as its codeword is seen.
+    Attributes
+    ----------
+    form
+        Its format.
+    looks
+        What is seen of its pairs, in earlier looks too.
+    light
+        Their gain and noise.
+    layers
+        What is known of its codewords.
+    cells
+        Passes between the layers' bits and the cells.
+    header
+        (n, n) LEDs that are lit in its header, all but those in doubt.
+    told
+        (codewords,) bits of information in the LLRs of the last round.
+    earlier
+        Earlier looks at the whole packet.
     """
-    wanted = {name: [i for i in range(len(layer.words)) if layer.unsure(i)] for name, layer in layers.items()}
-    if not any(wanted.values()):
-        return
-    for layer in layers.values():
-        for i, word in enumerate(layer.words):
-            if word.status == "crc_fail":
-                layer.soft[i], layer.variance[i] = 0.0, 1.0
-    _equalise_all(looks, light, layers, cells, header)
-    for name, numbers in wanted.items():
-        for i in numbers:
-            memory.keep((name, layers[name].form.code), layers[name].llr[i], layers[name].recalled[i])
 
+    form: PacketFormat
+    looks: Sequence[Look | None]
+    light: Light
+    layers: dict[str, _Layer]
+    cells: Cells
+    header: NDArray[np.bool_]
+    told: Floats
+    earlier: SeenPacket | None = None
 
-def _open(layers: dict[str, _Layer]) -> NDArray[np.bool_]:
-    """Which codewords are not decoded."""
-    return np.array([word.status == "crc_fail" for layer in layers.values() for word in layer.words] or [True])
+    @classmethod
+    def begun(cls, looks: Sequence[Look | None], light: Light, form: PacketFormat, identity: int) -> "_Packet":
+        """A packet of which nothing is known."""
+        layers = {name: _Layer.unknown(layer) for name, layer in form.layers.items()}
+        # of what a name dims the side of one half remains
+        header = form.header_pattern(identity) > SLOTS // 2
+        codewords = sum(layer.codewords for layer in form.layers.values())
+        return cls(form, looks, light, layers, Cells(form), header, np.zeros(codewords))
+
+    @property
+    def open(self) -> NDArray[np.bool_]:
+        """Which codewords are not decoded."""
+        words = [word for layer in self.layers.values() for word in layer.words]
+        return np.array([word.status == "crc_fail" for word in words] or [True] * len(self.told))
+
+    @property
+    def llrs(self) -> list[Floats]:
+        """LLRs (E,) of each codeword; see `_Layer.sure_llrs`."""
+        return [llr for layer in self.layers.values() for llr in layer.sure_llrs()]
+
+    @property
+    def mixed(self) -> bool:
+        """Whether any pair was combined of frames out of step."""
+        return any(look is not None and look.mix is not None for look in self.looks)
+
+    def known(self) -> tuple[Floats, Floats]:
+        """Mean and variance of all cells, (patterns, cells)."""
+        values = self.layers.values()
+        return self.cells.expected([layer.mean() for layer in values], [layer.variances() for layer in values])
+
+    def look(self, looks: Sequence[Look | None]) -> None:
+        """Take looks in place of those there were, beside the earlier ones."""
+        self.looks = looks if self.earlier is None else self.earlier.joined(looks)
+
+    def recall(self, memory: Memory) -> None:
+        """Add what was seen earlier, of the packet as a whole or else of each of its codewords."""
+        if not self.mixed:
+            self.earlier = memory.recall_packet(self.form.named, self.llrs)
+        for name, layer in self.layers.items():
+            kind = name, layer.form.code
+            layer.recalled = [
+                memory.recall(kind, llr) if self.earlier is None else np.zeros_like(llr) for llr in layer.llr
+            ]
+        if self.earlier is not None:
+            self.look(self.looks)
+            self.equalise()
+
+    def remember(self, memory: Memory) -> None:
+        """Keep what this look says of the codewords that it alone did not give.
+
+        The looks are equalised anew with the decoded codewords known and no guess of the others: a guess fed back would
+        be counted as often as its codeword is seen.
+        """
+        unsure = [(name, i) for name, layer in self.layers.items() for i in range(len(layer.words)) if layer.unsure(i)]
+        if not unsure and self.earlier is None:
+            return
+        for layer in self.layers.values():
+            layer.forget_guesses()
+        self.equalise()
+        if not self.mixed:
+            memory.keep_packet(SeenPacket(self.form.named, tuple(self.llrs), tuple(self.looks)))
+        # LLRs of several looks at the packet would be counted again with each
+        for name, i in unsure if self.earlier is None else ():
+            layer = self.layers[name]
+            memory.keep((name, layer.form.code), layer.llr[i], layer.recalled[i])
+
+    def equalise(self) -> None:
+        """Equalise every look with what is known now; then the gain by expectation and maximisation."""
+        light, (mean, variance) = self.light, self.known()
+        llr, moments = np.zeros_like(mean), np.zeros(4)
+        for number, look in enumerate(self.looks):
+            if look is None:
+                continue
+            if look.mix is None:
+                estimate = equalise(look, light.gain, light.noise, mean[number], variance[number])
+                llr[number] = estimate.llr
+            else:
+                around = [mean[k] if 0 <= k < len(mean) else None for k in (number - 1, number + 1)]
+                llr[number], estimate = _equalise_mixed(look, look.mix, light, mean[number], around, self.header)
+            moments += _moments(look, estimate)
+        light.update(moments, self.mixed)
+        parts = self.cells.bits(llr, [layer.mean() for layer in self.layers.values()])
+        for layer, part in zip(self.layers.values(), parts, strict=True):
+            layer.llr = layer.form.deinterleave(np.clip(part, -LARGEST_LLR, LARGEST_LLR))
 
 
 def information(llr: Floats) -> Floats:
     """What LLRs (..., E) tell of their bits if they are right, in bit each, (...,)."""
     # I = 1 - h2(P(wrong)), P(wrong) = 1 / (1 + exp |L|)
-    wrong = 1 / (1 + np.exp(np.abs(llr)))
+    wrong = expit(-np.abs(llr))
     return np.asarray(1 - (entr(wrong) + entr(1 - wrong)).mean(-1) / np.log(2))
-
-
-def _known(layers: dict[str, _Layer], cells: Cells) -> tuple[Floats, Floats]:
-    """Mean and variance of all cells, (patterns, cells)."""
-    values = layers.values()
-    return cells.expected([layer.mean() for layer in values], [layer.variances() for layer in values])
-
-
-def _mixed(looks: Sequence[Look | None]) -> bool:
-    """Whether any pair was combined of frames out of step."""
-    return any(look is not None and look.mix is not None for look in looks)
-
-
-def _equalise_all(
-    looks: Sequence[Look | None],
-    light: Light,
-    layers: dict[str, _Layer],
-    cells: Cells,
-    header: NDArray[np.bool_],
-) -> None:
-    """Equalise every look with what is known now; then the gain by expectation and maximisation."""
-    mean, variance = _known(layers, cells)
-    llr, moments = np.zeros_like(mean), np.zeros(4)
-    for number, look in enumerate(looks):
-        if look is None:
-            continue
-        if look.mix is None:
-            estimate = equalise(look, light.gain, light.noise, mean[number], variance[number])
-            llr[number] = estimate.llr
-        else:
-            around = [mean[k] if 0 <= k < len(mean) else None for k in (number - 1, number + 1)]
-            llr[number], estimate = _equalise_mixed(look, look.mix, light, mean[number], around, header)
-        moments += _moments(look, estimate)
-    light.update(moments, _mixed(looks))
-    parts = cells.bits(llr, [layer.mean() for layer in layers.values()])
-    for layer, part in zip(layers.values(), parts, strict=True):
-        layer.llr = layer.form.deinterleave(np.clip(part, -LARGEST_LLR, LARGEST_LLR))
 
 
 def _equalise_mixed(

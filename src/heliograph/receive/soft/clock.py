@@ -19,6 +19,8 @@ from heliograph.receive.detect import cut_out
 from heliograph.receive.fit import window_around
 from heliograph.receive.pose import Pose
 from heliograph.receive.soft.mix import SlotLight
+from heliograph.signal.formats import words
+from heliograph.signal.header import header_cells
 from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import SignalSettings
 
@@ -37,9 +39,6 @@ LONGER, WHOLE = 20.0, 3.0
 """Log odds beforehand of an exposure of the whole frame period against one of none, and on top of them of the very
 whole. Exposures of any length about the middle of a pattern, or about its end, look the same in headers and have the
 same brightness: the longest is taken."""
-
-DIMMED_PARTS = np.array([0, 4, 6, 8, 10, 12, 16]) / 16
-"""Parts of a header's cells that words of formats dim."""
 
 STARTS = 121
 """Starts of the header tried."""
@@ -90,12 +89,19 @@ class Clock:
         The camera's frame period.
     signal
         What the light speaks.
+    identity
+        The array's: its header is the one looked at.
     exposure_s
         The camera's exposure where it is known, else None.
     """
 
-    def __init__(self, start_s: float, period_s: float, signal: SignalSettings, exposure_s: float | None = None):
+    def __init__(
+        self, start_s: float, period_s: float, signal: SignalSettings, identity: int, exposure_s: float | None = None
+    ):
         self._signal = signal
+        # what words dim of the header: the part of its cells, and what of them is lit less what is dark
+        cells = words() / words().shape[1]
+        self._dimmed = np.unique(np.stack([cells.sum(1), cells @ header_cells(identity).ravel()], axis=1), axis=0)
         self._light = SlotLight(signal.slot_order)
         self.start_s = start_s
         self.rate = 0.0
@@ -200,17 +206,16 @@ class Clock:
         place = (view.times_s - self.start_s) / self.period_s
         starts = place - offset[:, None]
         shown = np.concatenate([2 * view.alternation, view.brightness - view.brightness.mean()])
-        # a header of gain g: alternation g wave / 2, brightness g bright and a constant; a part of it is dimmed
-        none, all_ = (np.stack([self._model(starts, e, part) for e in self._exposures]) for part in (0.0, 1.0))
-        match, whole = none @ shown, all_ @ shown
-        norm, cross, square = (none**2).sum(-1), (none * all_).sum(-1), (all_**2).sum(-1)
-        energy, left = float((shown**2).sum()), np.full(match.shape, np.inf)
-        gain = np.zeros_like(match)
-        for part in DIMMED_PARTS:
-            m = np.maximum((1 - part) * match + part * whole, 0)
-            n = np.maximum((1 - part) ** 2 * norm + 2 * part * (1 - part) * cross + part**2 * square, 1e-9)
-            better = energy - m**2 / n < left
-            left, gain = np.where(better, energy - m**2 / n, left), np.where(better, m / n, gain)
+        # a header of gain g: alternation g wave / 2, brightness g bright and a constant, linear in what is dimmed
+        model = np.stack([[self._model(starts, e, *dim) for e in self._exposures] for dim in ((0, 0), (1, 0), (0, 1))])
+        model[1:] -= model[0]
+        match, norm = model @ shown, np.einsum("aeof,beof->abeo", model, model)
+        energy, left, gain = float((shown**2).sum()), np.full(match.shape[1:], np.inf), np.zeros(match.shape[1:])
+        for part, lit in self._dimmed:
+            v = np.array([1.0, part, lit])
+            m, n = np.maximum(np.tensordot(v, match, 1), 0), np.einsum("a,b,abeo->eo", v, v, norm)
+            better = energy - m**2 / np.maximum(n, 1e-9) < left
+            left[better], gain[better] = (energy - m**2 / n)[better], (m / n)[better]
         best = np.unravel_index(np.argmin(left), left.shape)
         # what the model leaves unexplained counts as noise
         freedom = max(2 * len(place) - 4, 1)
@@ -219,22 +224,23 @@ class Clock:
         variance = max((DEVIATION * self.gain) ** 2, float(left[best]) / freedom, 1e-9)
         return np.asarray(0.5 * left / variance)
 
-    def _model(self, starts: Floats, exposure: float, part: float) -> Floats:
-        """What frames that start at `starts` (..., frames) show of a header of gain 1 of which a part is dimmed.
+    def _model(self, starts: Floats, exposure: float, part: float, lit: float) -> Floats:
+        """What frames that start at `starts` (..., frames) show of a header of gain 1 that is dimmed as in `_header`.
 
         Returns
         -------
         Twice its alternation and its brightness but for a constant, (..., 2 frames).
         """
-        edges, wave, bright = self._header(part)
+        edges, wave, bright = self._header(part, lit)
         light = _mean_over(starts, exposure, edges, bright)
         light -= light.mean(-1, keepdims=True)
         return np.concatenate([_mean_over(starts, exposure, edges, wave), light], axis=-1)
 
-    def _header(self, part: float) -> tuple[Floats, Floats, Floats]:
+    def _header(self, part: float, lit: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Slots' edges in patterns from its start, the header less its inverse, and the mean light less 1/2.
 
-        A part of its cells is dimmed in all pairs but the first.
+        A part of its cells is dimmed in all pairs but the first, `lit` more of them lit cells than dark ones: in slots
+        that show no dimmed cell so many of the others are missing.
         """
         count = 2 * self._signal.header_pairs
         first, patterns = -AROUND - 2, count + 2 * AROUND + 4
@@ -243,9 +249,11 @@ class Clock:
         inside, later = (number >= 0) & (number < count), (number >= 2) & (number < count)
         contrast, light = (np.tile(values, patterns) for values in self._light.dimmed)
         wave = np.where(inside, np.where(number % 2, -1.0, 1.0), 0.0)
-        wave *= np.where(later, 1 - part + part * contrast, 1.0)
+        # where more lit cells are dimmed than dark ones, light that their slots have or miss looks like the header
+        wave = np.where(later, (1 - part + part * contrast) * wave + 2 * lit * (light - 0.5), wave)
         bright = np.where(inside, 0.0, np.tile(self._light.mean[:SLOTS] - 0.5, patterns))
-        return edges, wave, np.where(later, part * (light - 0.5), bright)
+        missing = 0.5 * lit * (1 - contrast) * np.where(number % 2, -1.0, 1.0)
+        return edges, wave, np.where(later, part * (light - 0.5) - missing, bright)
 
 
 def view_header(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderView:

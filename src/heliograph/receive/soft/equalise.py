@@ -14,7 +14,6 @@ Floats = NDArray[np.float64]
 KNOWN = 1e-3
 """Variance of a cell below which its light is subtracted and it is not estimated any more."""
 
-
 PADDING = 4
 """Rows added to a matrix of a multiple of 64: rows a power of two apart fall on each other in the processor's cache."""
 
@@ -85,25 +84,26 @@ def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floa
     # (6) of Tuechler et al. 2002 in the cells: S = (g^2 / s^2 B^T B + V^-1)^-1, m = c + S B^T (d - g (B c + o)) g / s^2
     size = unknown.size + (PADDING if unknown.size % 64 == 0 else 0)
     matrix = kernels.precision(look.gram, unknown, ratio * gain, 1.0 / v, FLOOR, size)
-    covariance = _inverse(matrix)[: unknown.size, : unknown.size]
+    covariance = _inverse(matrix, unknown.size)
     m[unknown] += covariance @ rhs.astype(np.float32)
     part = np.empty(unknown.size)
     kernels.extrinsic(covariance, m[unknown], mean[unknown], v, part)
     llr = np.zeros_like(m)
     llr[unknown] = part
     # B^T B S g^2 / s^2 = I - V^-1 S
-    trace = float((1.0 - covariance.diagonal() / v).sum()) / (ratio * gain)
+    trace = float((1.0 - covariance.diagonal() / v).sum()) / max(ratio * gain, 1e-12)
     return Estimate(llr, m, unknown, covariance, trace)
 
 
-def _inverse(matrix: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Inverse of a positive definite matrix, which is overwritten."""
+def _inverse(matrix: NDArray[np.float32], size: int) -> NDArray[np.float32]:
+    """The first `size` rows and columns of the inverse of a positive definite matrix, which is overwritten."""
     # transposed it is as LAPACK wants it, and nothing is copied
-    factor, failed = lapack.spotrf(matrix.T, lower=1, clean=1, overwrite_a=1)
+    factor, failed = lapack.spotrf(matrix.T, lower=1, clean=0, overwrite_a=1)
     if failed:
         raise np.linalg.LinAlgError("the equaliser's matrix is not positive definite")
     # K = L L^T, K^-1 = L^-T L^-1; LAPACK's own inverse of a triangle takes twice as long
     half = blas.strsm(1.0, factor, np.eye(len(matrix), dtype=np.float32).T, lower=1, overwrite_b=1)
     whole, _ = lapack.slauum(half, lower=1, overwrite_c=1)
-    kernels.mirror(whole.T)
-    return np.asarray(whole.T)
+    inverse = np.empty((size, size), np.float32)
+    kernels.mirror(whole.T, inverse)
+    return inverse

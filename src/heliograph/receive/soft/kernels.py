@@ -240,11 +240,12 @@ def precision(gram, unknown, scale, inverse, floor, size):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True)
-def mirror(matrix):  # type: ignore[no-untyped-def]
-    """Make a matrix symmetric by its upper triangle."""
-    for i in range(matrix.shape[0]):
-        for j in range(i):
-            matrix[i, j] = matrix[j, i]
+def mirror(upper, out):  # type: ignore[no-untyped-def]
+    """The symmetric matrix of which the upper triangle is given, its first rows and columns into out."""
+    for i in range(out.shape[0]):
+        for j in range(i, out.shape[0]):
+            out[i, j] = upper[i, j]
+            out[j, i] = upper[i, j]
 
 
 @njit(cache=True, nogil=True)

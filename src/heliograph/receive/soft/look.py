@@ -134,9 +134,9 @@ class Weighted:
         light = np.zeros((*self.change.shape, size), np.float32)
         kernels.light(*self.between, light)
         # transposed it is as BLAS wants it, and nothing is copied
-        half = blas.ssyrk(1.0, light.reshape(-1, size).T, lower=1)
-        kernels.mirror(half.T)
-        return np.asarray(half.T)
+        half, gram = blas.ssyrk(1.0, light.reshape(-1, size).T, lower=1), np.empty((size, size), np.float32)
+        kernels.mirror(half.T, gram)
+        return gram
 
     def correlated(self, image: Floats) -> Floats:
         """B^T W^(1/2) image, (cells,)."""

@@ -1,10 +1,19 @@
-"""Several looks: codewords of a carousel that could not be decoded are kept, and added to when they come again."""
+"""Several looks: what could not be decoded is kept, and added to when it comes again.
+
+A whole packet that comes again, as the only one of a carousel does, is kept as its looks: added up they are one better
+look, equalised together. A codeword that comes again in other company is kept as its LLRs. LLRs of one and the same
+packet would not add: the light of its other layers disturbs them alike each time.
+"""
 
 from collections import defaultdict, deque
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.receive.soft.look import Look
+from heliograph.signal.formats import Format
 from heliograph.signal.turbo import TurboCode
 
 Floats = NDArray[np.float64]
@@ -22,16 +31,67 @@ FAITHFUL = 0.6
 """Share of the agreement to be expected that a look shows at least with what is its codeword."""
 
 
+KEPT_PACKETS = 4
+"""Packets of which the looks are kept, 13 MB each."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenPacket:
+    """A packet that was not decoded as a whole.
+
+    Attributes
+    ----------
+    named
+        Its format.
+    llrs
+        (E,) of each codeword, layer by layer; those of decoded ones without doubt.
+    looks
+        What was seen of each pair in all of its looks together; None for nothing.
+    """
+
+    named: Format
+    llrs: tuple[Floats, ...]
+    looks: tuple[Look | None, ...]
+
+    def joined(self, looks: Sequence[Look | None]) -> list[Look | None]:
+        """Further looks at its pairs, and these."""
+        return [a.plus(b) if a and b else a or b for a, b in zip(looks, self.looks, strict=True)]
+
+    def likeness(self, llrs: Sequence[Floats]) -> float:
+        """How far another look's codewords (E,) agree with these beyond chance; 0 where one contradicts."""
+        pairs = [agreement(a, b) for a, b in zip(llrs, self.llrs, strict=True)]
+        if any(found < 0.5 * expected - 2 for found, expected in pairs):
+            return 0.0
+        found, expected = np.array(pairs).T
+        return float(found @ expected / max(np.linalg.norm(expected), 1e-12))
+
+
 class Memory:
-    """LLRs of the codewords of one array that were seen but not decoded."""
+    """Codewords and packets of one array that were seen but not decoded."""
 
     def __init__(self) -> None:
         self._kept: dict[Kind, deque[Floats]] = defaultdict(lambda: deque(maxlen=KEPT))
+        self._packets: deque[SeenPacket] = deque(maxlen=KEPT_PACKETS)
+
+    def recall_packet(self, named: Format, llrs: Sequence[Floats]) -> SeenPacket | None:
+        """The packet of a format that a look with these LLRs shows again; it is not kept any more."""
+        alike = [(packet.likeness(llrs), packet) for packet in self._packets if packet.named == named]
+        best, found = max(alike, key=lambda one: one[0], default=(0.0, None))
+        if found is None or best < LIKENESS:
+            return None
+        others = [packet for packet in self._packets if packet is not found]
+        self._packets.clear()
+        self._packets.extend(others)
+        return found
+
+    def keep_packet(self, packet: SeenPacket) -> None:
+        """Keep a packet, in place of the oldest."""
+        self._packets.append(packet)
 
     def recall(self, kind: Kind, llr: Floats) -> Floats:
         """Sum of the LLRs (E,) of earlier looks at the codeword that a look with `llr` shows; zeros without any."""
         kept = self._kept[kind]
-        agreements = [agreement(llr, other) for other in kept]
+        agreements = [agreement(llr, other)[0] for other in kept]
         best = int(np.argmax(agreements)) if agreements else -1
         if best < 0 or agreements[best] < LIKENESS:
             return np.zeros_like(llr)
@@ -45,11 +105,15 @@ class Memory:
         kept.extend([*rest, llr + recalled])
 
 
-def agreement(a: Floats, b: Floats) -> float:
-    """How far two looks (E,) agree beyond chance, in standard deviations of looks at different codewords."""
+def agreement(a: Floats, b: Floats) -> tuple[float, float]:
+    """How far two looks (E,) agree beyond chance, and how far they would on the same codeword.
+
+    Both in standard deviations of looks at different codewords.
+    """
     # sum of E[bit | a] E[bit | b]; for bits that have nothing to do with each other of mean 0
     product = np.tanh(a / 2) * np.tanh(b / 2)
-    return float(product.sum() / np.sqrt(max(float((product**2).sum()), 1e-12)))
+    spread = float(np.sqrt((product**2).sum()))
+    return float(product.sum()) / max(spread, 1e-12), spread
 
 
 def faithful(llr: Floats, signs: Floats) -> bool:

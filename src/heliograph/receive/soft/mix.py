@@ -100,11 +100,6 @@ class Mix:
         two = np.array_equal(self.total > 0.5, [True, True]) and len(self.change) == 2
         return float(np.abs(self.slots - ideal).sum(1).max()) / 2 if two else float("inf")
 
-    @property
-    def in_step(self) -> bool:
-        """Whether D is a frame less the next, and these pattern and inverse."""
-        return self.departure < EXACT
-
     @cached_property
     def table(self) -> Floats:
         """Cells as seen by the values of the true ones, see `squares.seen`."""

@@ -62,7 +62,7 @@ class _Pair:
 
     @property
     def telling(self) -> float:
-        """Most that one dimmed cell changes, in squares of the gain."""
+        """Most that one dimmed cell changes, in squares of the gain, dark or lit."""
         contrast, light = self.dimmed
         return ((1 - contrast) ** 2 + light**2) * float(self.gram.diagonal().max())
 
@@ -101,8 +101,16 @@ class HeaderFrames:
 
 
 @dataclass(frozen=True, slots=True)
-class _Single:
-    """What frames out of step say: of each, the light and alternation of its cells, and A^T r."""
+class _Frames:
+    """What frames out of step say.
+
+    Attributes
+    ----------
+    frames
+        They.
+    gram, seen
+        A^T A, and A^T r of each, (frames, 16).
+    """
 
     frames: HeaderFrames
     gram: Floats
@@ -143,7 +151,7 @@ class NameReader:
         self._cells = header_cells(identity).reshape(COUNT).astype(np.float64)
         self._masks = np.kron(np.eye(COUNT).reshape(COUNT, CELLS, CELLS), np.ones((side // CELLS, side // CELLS)))
         self._first: tuple[Frame, Frame, tuple[Pose, Pose]] | None = None
-        self._pairs: dict[int, _Pair | _Single] = {}
+        self._pairs: dict[int, _Pair | _Frames] = {}
 
     def take(
         self, pair: int, pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], shares: Floats | None = None
@@ -164,7 +172,7 @@ class NameReader:
     def take_frames(self, frames: HeaderFrames, shares: Floats) -> None:
         """Take a whole header out of step in place of its pairs; of its light each LED gives a share (n, n)."""
         a = self._images(frames.pose, shares, *frames.corner, frames.images.shape[1:])
-        self._pairs = {0: _Single(frames, a @ a.T, frames.images.reshape(len(frames.images), -1) @ a.T)}
+        self._pairs = {0: _Frames(frames, a @ a.T, frames.images.reshape(len(frames.images), -1) @ a.T)}
 
     def named(self, gain: float) -> Format:
         """The format named; without a later header pair the agreed one.

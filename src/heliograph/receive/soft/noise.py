@@ -70,7 +70,7 @@ def measure_noise(glances: Sequence[Glance], gain: float, side: int, shares: Flo
         parts = [_variance(uneven[0].residual)]
     total, count = np.array(parts).sum(0)
     lit = float(total) / max(float(count), 1.0) - float(np.mean([one.moved for one in uneven]))
-    beside = np.concatenate([one.beside for one in uneven])
+    beside = np.concatenate([_beside(glance, side) for glance in glances])
     dark = float((beside**2).mean()) if beside.size else 0.0
     return Noise(max(lit, LEAST_NOISE), max(dark, LEAST_NOISE))
 
@@ -95,14 +95,13 @@ def _enough(glances: Sequence[Glance], side: int) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True)
 class _Uneven:
-    """What of a sum inside the array is not even, (rows, columns), NaN elsewhere; and the difference beside it.
+    """What of a sum inside the array is not even, (rows, columns), NaN elsewhere.
 
     `moved` is the variance that motion between the two frames leaves of the data.
     """
 
     residual: Floats
     corner: tuple[int, int]
-    beside: Floats
     moved: float
 
 
@@ -120,11 +119,17 @@ def _unevenness(glance: Glance, gain: float, side: int, shares: Floats | None) -
     residual[inside] = (glance.total[inside] - fitted) * np.sqrt(len(x) / max(len(x) - columns.shape[1], 1))
     # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
     moved = gain**2 / 16 * kernels.difference(*frames[0], *frames[1]) / (side * glance.middle.pitch) ** 2
-    beside = glance.change[whole < BESIDE]
     if glance.mix is None:
-        return _Uneven(residual, glance.corner, beside, float(moved))
+        return _Uneven(residual, glance.corner, float(moved))
     # as if of two frames; of combined ones only a header's sum is even, in which nothing moves
-    return _Uneven(residual / np.sqrt(glance.mix.total_noise), glance.corner, beside / np.sqrt(glance.mix.noise), 0.0)
+    return _Uneven(residual / np.sqrt(glance.mix.total_noise), glance.corner, 0.0)
+
+
+def _beside(glance: Glance, side: int) -> Floats:
+    """The difference beside the array, as if of two frames."""
+    lit = all_on(placed(glance.poses[0], glance.corner, glance.change.shape, side), glance.change.shape)
+    beside = glance.change[lit < BESIDE]
+    return beside if glance.mix is None else beside / np.sqrt(glance.mix.noise)
 
 
 def _apart(one: _Uneven, other: _Uneven) -> Floats:

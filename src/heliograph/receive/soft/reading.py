@@ -20,7 +20,7 @@ from heliograph.receive.soft.mix import mix_of
 from heliograph.receive.soft.naming import HeaderFrames, NameReader
 from heliograph.receive.soft.noise import LEAST_NOISE, Noise, measure_noise, noise_beside
 from heliograph.receive.soft.shares import LedShares
-from heliograph.receive.soft.sharpen import Seen, moved, pose_errors
+from heliograph.receive.soft.sharpen import Seen, pose_errors, worth_moving
 from heliograph.receive.soft.single import Singles
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.formats import Format
@@ -47,7 +47,7 @@ class SoftReading:
         self._side = agreed.settings.side
         self._shares = shares or LedShares(self._side)
         self._glances: list[Glance | None] = []
-        self._weighed: list[Weighted | None] = []
+        self._weighted: list[Weighted | None] = []
         self._looks: list[Look | None] = []
         self._header: Glance | None = None
         self._noise = Noise(LEAST_NOISE, LEAST_NOISE)
@@ -115,8 +115,8 @@ class SoftReading:
         """Decode all that was kept."""
         form, observe = self._known(), self._observe
         self._measure()
-        self._weighed = [None if glance is None else self._weigh(glance) for glance in self._glances]
-        self._looks = [None if weighed is None else weighed.look() for weighed in self._weighed]
+        self._weighted = [None if glance is None else self._weigh(glance) for glance in self._glances]
+        self._looks = [None if weighted is None else weighted.look() for weighted in self._weighted]
         light = Light(self._gain, self._noise.lit)
         again = self._look_again
         return decode_looks(self._looks, light, form, self._identity, self._settings, self._memory, again, observe)
@@ -126,13 +126,13 @@ class SoftReading:
         if self._singles is not None:
             # its poses are those of decided data already
             return self._looks
-        seen = Seen(self._glances, self._weighed, self._looks)
+        seen = Seen(self._glances, self._weighted, self._looks)
         errors = pose_errors(seen, light.gain, light.noise, mean, variance, self._known(), self._shares.values)
         for k, (glance, error) in enumerate(zip(self._glances, errors, strict=True)):
-            if glance is not None and moved(error):
+            if glance is not None and worth_moving(error):
                 glance = self._glances[k] = glance.moved(error)
-                weighed = self._weighed[k] = self._weigh(glance)
-                self._looks[k] = weighed.look()
+                weighted = self._weighted[k] = self._weigh(glance)
+                self._looks[k] = weighted.look()
         return self._looks
 
     def _weigh(self, glance: Glance) -> Weighted:

@@ -3,7 +3,7 @@
 With the light of the decoded cells known, the difference of a pair tells where the array is. For a small error e of the
 pose its likelihood is that of
 
-    d - g (B c + o) = g H e + g B_u (c_u - m_u) + n,   H = d(B_k c_k) / d pose
+    d - g (B m + o) = g H e + g B_u (c_u - m_u) + n,   H = d(B_k c_k) / d pose
 
 k the decoded cells and u the others, which the equaliser takes out as far as they can hide an error. Errors of
 successive pairs are alike: they are smoothed as a process that forgets itself in a few pairs, of the size that explains
@@ -48,10 +48,10 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A packet's glances, weighed, and as looks; None where the array was not seen."""
+    """A packet's glances, weighted, and as looks; None where the array was not seen."""
 
     glances: Sequence[Glance | None]
-    weighed: Sequence[Weighted | None]
+    weighted: Sequence[Weighted | None]
     looks: Sequence[Look | None]
 
 
@@ -76,16 +76,19 @@ def pose_errors(
     known = np.where(variance < KNOWN, mean, 0.0)
     levels = 0.5 * haar.inverse_transform(form.join(known))
     evidence: list[Evidence | None] = [None] * len(known)
-    for k in range(0, len(known), STRIDE):
-        glance, weighed, look = seen.glances[k], seen.weighed[k], seen.looks[k]
-        if glance is not None and weighed is not None and look is not None and known[k].any():
-            estimate = equalise(look, gain, noise, mean[k], variance[k])
-            slopes = weighed.root * _slopes(glance, levels[k] * shares)
-            evidence[k] = _evidence(weighed, estimate, slopes, gain, noise)
+    there = [k for k in range(len(known)) if seen.glances[k] is not None and known[k].any()]
+    for k in there[::STRIDE]:
+        glance, weighted, look = seen.glances[k], seen.weighted[k], seen.looks[k]
+        assert glance is not None  # it is there
+        assert weighted is not None  # it comes with it
+        assert look is not None
+        estimate = equalise(look, gain, noise, mean[k], variance[k])
+        slopes = weighted.root * _slopes(glance, levels[k] * shares)
+        evidence[k] = _evidence(weighted, estimate, slopes, gain, noise)
     return _smoothed(evidence)
 
 
-def moved(error: Floats) -> bool:
+def worth_moving(error: Floats) -> bool:
     """Whether a pose's error (4,) is worth looking again: a hundredth of a pixel of the array's rim costs nothing."""
     x, y, ln_pitch, roll = np.abs(error)
     return bool(max(x, y) + REACH_PX * max(ln_pitch, roll) > LEAST_PX)
@@ -98,15 +101,15 @@ def _slopes(glance: Glance, levels: Floats) -> Floats:
     return image[1:5]
 
 
-def _evidence(weighed: Weighted, estimate: Estimate, slopes: Floats, gain: float, noise: float) -> Evidence:
+def _evidence(weighted: Weighted, estimate: Estimate, slopes: Floats, gain: float, noise: float) -> Evidence:
     """Fisher's information and score of a look."""
     # score = g H^T W (d - g (B m + o)) / s^2
-    score = gain / noise * np.tensordot(slopes, weighed.residual(gain, estimate.mean), 2)
+    score = gain / noise * np.tensordot(slopes, weighted.residual(gain, estimate.mean), 2)
     scale = gain**2 / noise
     information = scale * np.tensordot(slopes, slopes, ((1, 2), (1, 2)))
     if estimate.unknown.size:
         # less what the open cells can hide: g^2 / s^2 H^T W B_u S B_u^T W H g^2 / s^2
-        hidden = np.stack([weighed.correlated(slope)[estimate.unknown] for slope in slopes])
+        hidden = np.stack([weighted.correlated(slope)[estimate.unknown] for slope in slopes])
         information -= scale**2 * hidden @ estimate.covariance @ hidden.T
     return Evidence(np.asarray(0.5 * (information + information.T)), np.asarray(score))
 

@@ -134,21 +134,21 @@ class Singles:
         corner, image = surroundings(frame, middle, self._side)
         behind = images_behind(middle, corner, image.shape, self._half)
         above = 2 * (image - np.tensordot(at[SHOWN + 1 :], behind[:, 0], 1))
-        weighed = weigh(Glance(above, above, corner, (data,), still), self.noise, self._side, self._shares)
-        look = weighed.look()
+        weighted = weigh(Glance(above, above, corner, (data,), still), self.noise, self._side, self._shares)
+        look = weighted.look()
         known, unknown = self._decided(look, gain)
         lit = self._images(known, still, data, corner, image.shape)
         slopes = gain * lit[1:] + np.tensordot(at[SHOWN + 1 :], behind[:, 1:], 1)
-        left = weighed.change - 2 * gain * weighed.root * lit[0]
-        columns = 2 * weighed.root * np.concatenate([slopes, lit[:1], behind[:, 0]])
+        left = weighted.change - 2 * gain * weighted.root * lit[0]
+        columns = 2 * weighted.root * np.concatenate([slopes, lit[:1], behind[:, 0]])
         flat = np.concatenate([columns, left[None]]).reshape(len(columns) + 1, -1)
-        cells = np.stack([weighed.correlated(column)[unknown] for column in (*columns, left)])
+        cells = np.stack([weighted.correlated(column)[unknown] for column in (*columns, left)])
         ratio = gain**2 / self.noise.lit
         inner = np.float32(ratio) * look.gram[np.ix_(unknown, unknown)]
         inner[np.diag_indices(unknown.size)] += 1
         solved = cho_solve(cho_factor(inner, lower=True, check_finite=False), cells.T, check_finite=False)
         products = (flat[:-1] @ flat.T - ratio * (cells[:-1] @ solved)) / self.noise.lit
-        score = correlation(weighed.change, weighed.root * 2 * gain * lit[0])
+        score = correlation(weighted.change, weighted.root * 2 * gain * lit[0])
         return products[:, :-1], products[:, -1], score
 
     def _decided(self, look: Look, gain: float) -> tuple[Floats, NDArray[np.intp]]:
