@@ -21,8 +21,8 @@ from heliograph.receive import Packet, make_receiver
 from heliograph.receive.soft.equalise import PADDING, _inverse
 
 RUNS = 5
-FRAMES = 200
-"""Two packets."""
+FRAMES = 400
+"""Four packets."""
 
 DISTANCES = (30, 50, 80, 110, 150)
 

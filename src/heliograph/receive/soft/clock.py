@@ -40,6 +40,9 @@ LONGER, WHOLE = 20.0, 3.0
 whole. Exposures of any length about the middle of a pattern, or about its end, look the same in headers and have the
 same brightness: the longest is taken."""
 
+GIVEN_UP = 40.0
+"""Log odds against an exposure from which on it is not tried any more."""
+
 STARTS = 121
 """Starts of the header tried."""
 
@@ -168,11 +171,13 @@ class Clock:
         spread = self.deviation
         reach = min(max(6 * spread, 0.1), 0.5) if self._measured else REACH
         offset = np.linspace(-reach, reach, STARTS)
+        likely = self._evidence > self._evidence.max() - GIVEN_UP
+        self._exposures, self._evidence = self._exposures[likely], self._evidence[likely]
         cost = self._cost(view, offset)
         if self._measured:
             cost = cost + 0.5 * (offset / max(spread, LEAST_S)) ** 2
         by_exposure = -cost.min(1) + np.log(np.exp(cost.min(1)[:, None] - cost).sum(1))
-        self._evidence += by_exposure - by_exposure.max()
+        self._evidence = self._evidence + by_exposure - by_exposure.max()
         chance = np.exp((self._evidence - self._evidence.max() - by_exposure)[:, None] - cost)
         chance = chance.sum(0) / chance.sum()
         mean = float(chance @ offset)

@@ -16,10 +16,6 @@ REACH = 3.7
 """Standard deviations after which an LED's light is taken for nothing (2e-4 of it)."""
 
 
-LEAST = -1e300
-"""Logarithm of a probability of 0."""
-
-
 def support(sigma: float) -> int:
     """Pixels across which an LED of a blur is counted."""
     return 2 * math.ceil(REACH * sigma + 0.5) + 1
@@ -243,9 +239,9 @@ def precision(gram, unknown, scale, inverse, floor, size):  # type: ignore[no-un
 def mirror(upper, out):  # type: ignore[no-untyped-def]
     """The symmetric matrix of which the upper triangle is given, its first rows and columns into out."""
     for i in range(out.shape[0]):
-        for j in range(i, out.shape[0]):
-            out[i, j] = upper[i, j]
-            out[j, i] = upper[i, j]
+        for j in range(i):
+            out[i, j] = upper[j, i]
+        out[i, i:] = upper[i, i : out.shape[0]]
 
 
 @njit(cache=True, nogil=True)
@@ -261,6 +257,7 @@ def extrinsic(covariance, posterior, mean, variance, out):  # type: ignore[no-un
     """
     n = covariance.shape[0]
     inverse = (1.0 / variance).astype(np.float32)
+    chance, up, down = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
     for i in range(n):
         row = covariance[i]
         first, second, most, more = -1, -1, np.float32(0.0), np.float32(0.0)
@@ -281,17 +278,17 @@ def extrinsic(covariance, posterior, mean, variance, out):  # type: ignore[no-un
             b, q = row[second] / variance[second], mean[second]
             rest -= b * b * variance[second]
         rest = max(rest, 0.02 * k * spread, 1e-12)
-        plus, minus = LEAST, LEAST
-        for s in (-1.0, 1.0):
-            for t in (-1.0, 1.0):
-                prior = math.log(max(0.25 * (1.0 + s * p) * (1.0 + t * q), 1e-12))
-                x = u + a * (s - p) + b * (t - q)
-                plus = _log_add(plus, prior - 0.5 * (x - k) ** 2 / rest)
-                minus = _log_add(minus, prior - 0.5 * (x + k) ** 2 / rest)
-        out[i] = plus - minus
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _log_add(a, b):  # type: ignore[no-untyped-def]
-    """ln(exp a + exp b)."""
-    return max(a, b) + math.log1p(math.exp(-abs(a - b)))
+        # ln sum P(s, t) exp(-(x -+ k)^2 / 2 r), less x^2 + k^2 that both share, by their largest exponents
+        most, more = -np.inf, -np.inf
+        for s in range(2):
+            for t in range(2):
+                x = u + a * (2 * s - 1 - p) + b * (2 * t - 1 - q)
+                chance[s, t] = max(0.25 * (1.0 + (2 * s - 1) * p) * (1.0 + (2 * t - 1) * q), 1e-12)
+                up[s, t], down[s, t] = (k - 0.5 * x) * x / rest, (-k - 0.5 * x) * x / rest
+                most, more = max(most, up[s, t]), max(more, down[s, t])
+        plus, minus = 0.0, 0.0
+        for s in range(2):
+            for t in range(2):
+                plus += chance[s, t] * math.exp(up[s, t] - most)
+                minus += chance[s, t] * math.exp(down[s, t] - more)
+        out[i] = most - more + math.log(plus / minus)

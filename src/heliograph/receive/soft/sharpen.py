@@ -28,10 +28,13 @@ SPREAD = np.array([0.2, 0.2, 0.004, 0.02])
 SIZES = (0.01, 0.03, 0.1, 0.3, 1.0)
 """Sizes of the errors tried, as shares of that."""
 
+DOUBT = 2.0
+"""By how much less, as a logarithm, a smaller size may explain a packet: most poses of sums are right."""
+
 MEMORY_PAIRS = 8.0
 """Pairs in which an error forgets itself."""
 
-STRIDE = 2
+STRIDE = 3
 """Pairs of which one is asked: its neighbours are off alike."""
 
 LEAST_PX, REACH_PX = 0.01, 4.0
@@ -122,8 +125,8 @@ def _smoothed(evidence: Sequence[Evidence | None]) -> Floats:
         if one is not None:
             information[k], score[k] = one.information, one.score
     tried = [_filtered(information, score, size * SPREAD) for size in SIZES]
-    errors, _ = max(tried, key=lambda result: result[1])
-    return errors
+    best = max(likelihood for _, likelihood in tried)
+    return next(errors for errors, likelihood in tried if likelihood > best - DOUBT)
 
 
 def _filtered(information: Floats, score: Floats, spread: Floats) -> tuple[Floats, float]:
