@@ -72,9 +72,9 @@ def decoded(
     settings = ReceiveSettings(receiver="soft")
     settings = replace(settings, soft=replace(settings.soft, rounds=rounds, feedback=feedback))
 
-    def same(mean: Floats, variance: Floats, light: Light) -> Sequence[Look | None]:
+    def same(mean: Floats, variance: Floats, light: Light) -> tuple[Sequence[Look | None], bool]:
         """Poses are known: looking again shows the same."""
-        return looks
+        return looks, False
 
     return decode_looks(looks, light or Light(GAIN, NOISE), FORM, identity, settings, memory or Memory(), same)
 

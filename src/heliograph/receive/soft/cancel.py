@@ -28,6 +28,9 @@ PROGRESS = 0.002
 """A round in which nothing is decoded, and the LLRs tell of no open codeword's bits this much more, in bit each, is the
 last."""
 
+STEPS = 6
+"""Most times that a packet's poses are sharpened: after each layer, and again where that moved them far."""
+
 TRUST = 0.85
 """Share at which a failed codeword's LLRs are fed back: a decoder's guesses come from the noise they are added to."""
 
@@ -63,8 +66,8 @@ class Light:
             self.noise = max((power - 2 * self.gain * match + self.gain**2 * norm) / pixels, LEAST_NOISE)
 
 
-LookAgain = Callable[[Floats, Floats, Light], Sequence[Look | None]]
-"""Mean and variance of the cells (pairs, cells) and the light -> looks with better poses."""
+LookAgain = Callable[[Floats, Floats, Light], tuple[Sequence[Look | None], bool]]
+"""Mean and variance of the cells (pairs, cells) and the light -> looks with better poses; whether any is another."""
 
 
 @dataclass(slots=True)
@@ -162,7 +165,8 @@ def decode_looks(
     memory = memory if settings.soft.looks else Memory()
     packet = _Packet.begun(looks, light, form, identity)
     # a combined pair's poses are not sharpened: its cells are seen through products
-    sharpen = settings.soft.sharpen and not packet.mixed
+    steps = STEPS if settings.soft.sharpen and not packet.mixed else 0
+    moved = False
     for number in range(settings.soft.rounds):
         before, open_ = packet.told, packet.open
         packet.equalise()
@@ -175,8 +179,12 @@ def decode_looks(
         packet.told = np.concatenate([information(layer.llr) for layer in packet.layers.values()])
         if not still.any() or settings.soft.feedback == "none":
             break
-        if sharpen and still.sum() < open_.sum():
-            packet.look(again(*packet.known(), light))
+        if steps and (moved or still.sum() < open_.sum()):
+            looks, moved = again(*packet.known(), light)
+            packet.look(looks)
+            if moved:
+                packet.forget_guesses()
+            steps -= 1
         elif (packet.told - before)[still].max() < PROGRESS:
             break
     packet.remember(memory)
@@ -250,6 +258,11 @@ class _Packet:
         """Take looks in place of those there were, beside the earlier ones."""
         self.looks = looks if self.earlier is None else self.earlier.joined(looks)
 
+    def forget_guesses(self) -> None:
+        """Know nothing any more of the codewords that are not decoded."""
+        for layer in self.layers.values():
+            layer.forget_guesses()
+
     def recall(self, memory: Memory) -> None:
         """Add what was seen earlier, of the packet as a whole or else of each of its codewords."""
         if not self.mixed:
@@ -272,8 +285,7 @@ class _Packet:
         unsure = [(name, i) for name, layer in self.layers.items() for i in range(len(layer.words)) if layer.unsure(i)]
         if not unsure and self.earlier is None:
             return
-        for layer in self.layers.values():
-            layer.forget_guesses()
+        self.forget_guesses()
         self.equalise()
         if not self.mixed:
             memory.keep_packet(SeenPacket(self.form.named, tuple(self.llrs), tuple(self.looks)))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
+from heliograph.receive import kernels as plain
 from heliograph.receive.detect import cut_out
 from heliograph.receive.fit import window_around
 from heliograph.receive.pose import Pose
@@ -54,6 +55,12 @@ class Glance:
     def middle(self) -> Pose:
         """The pose between the two."""
         return Pose.between(self.poses[0], self.poses[-1])
+
+    def slopes(self, levels: Floats) -> Floats:
+        """Derivatives of the image of LEDs of given levels (n, n) by x, y, ln pitch and roll, (4, rows, columns)."""
+        image = np.empty((6, *self.change.shape))
+        plain.render(self.middle.full_vector(), levels, float(self.corner[0]), float(self.corner[1]), image)
+        return image[1:5]
 
     def moved(self, error: Floats) -> "Glance":
         """The glance with its poses off by `error` in x, y, ln pitch and roll."""

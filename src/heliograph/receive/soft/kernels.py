@@ -279,16 +279,16 @@ def extrinsic(covariance, posterior, mean, variance, out):  # type: ignore[no-un
             rest -= b * b * variance[second]
         rest = max(rest, 0.02 * k * spread, 1e-12)
         # ln sum P(s, t) exp(-(x -+ k)^2 / 2 r), less x^2 + k^2 that both share, by their largest exponents
-        most, more = -np.inf, -np.inf
+        top, below = -np.inf, -np.inf
         for s in range(2):
             for t in range(2):
                 x = u + a * (2 * s - 1 - p) + b * (2 * t - 1 - q)
                 chance[s, t] = max(0.25 * (1.0 + (2 * s - 1) * p) * (1.0 + (2 * t - 1) * q), 1e-12)
                 up[s, t], down[s, t] = (k - 0.5 * x) * x / rest, (-k - 0.5 * x) * x / rest
-                most, more = max(most, up[s, t]), max(more, down[s, t])
+                top, below = max(top, up[s, t]), max(below, down[s, t])
         plus, minus = 0.0, 0.0
         for s in range(2):
             for t in range(2):
-                plus += chance[s, t] * math.exp(up[s, t] - most)
-                minus += chance[s, t] * math.exp(down[s, t] - more)
-        out[i] = most - more + math.log(plus / minus)
+                plus += chance[s, t] * math.exp(up[s, t] - top)
+                minus += chance[s, t] * math.exp(down[s, t] - below)
+        out[i] = top - below + math.log(plus / minus)

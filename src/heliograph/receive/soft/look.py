@@ -10,7 +10,7 @@ A single frame of known background b is the same with 2 (r - b) = g (B c + o) + 
 With W the pixels' weights, all that remains of them is B^T W d, beside B^T W B and B^T W o which the poses decide.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,6 +137,19 @@ class Weighted:
         half, gram = blas.ssyrk(1.0, light.reshape(-1, size).T, lower=1), np.empty((size, size), np.float32)
         kernels.mirror(half.T, gram)
         return gram
+
+    def without(self, slopes: Floats, precision: Floats) -> Look:
+        """What remains where the image may have any share of slopes (k, rows, columns) as well, W^(1/2) on them.
+
+        Their shares e are marginalised, of a precision (k, k) beforehand in units of g^2 / s^2.
+        """
+        # d = g (B c + o + H e) + n: G - C K C^T and B^T d - C K H^T d, C = B^T H, K = (H^T H + P^-1)^-1
+        c = np.stack([self.correlated(slope) for slope in slopes], axis=1)
+        flat = slopes.reshape(len(slopes), -1)
+        part = np.linalg.solve(flat @ flat.T + precision, np.column_stack([c.T, flat @ self.change.ravel()]))
+        look = self.look()
+        gram = look.gram - (c @ part[:, :-1]).astype(np.float32)
+        return replace(look, gram=gram, seen=look.seen - c @ part[:, -1])
 
     def correlated(self, image: Floats) -> Floats:
         """B^T W^(1/2) image, (cells,)."""

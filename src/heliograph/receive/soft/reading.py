@@ -49,6 +49,7 @@ class SoftReading:
         self._glances: list[Glance | None] = []
         self._weighted: list[Weighted | None] = []
         self._looks: list[Look | None] = []
+        self._errors = np.zeros((0, 4))
         self._header: Glance | None = None
         self._noise = Noise(LEAST_NOISE, LEAST_NOISE)
         self._gain = 0.0
@@ -117,23 +118,28 @@ class SoftReading:
         self._measure()
         self._weighted = [None if glance is None else self._weigh(glance) for glance in self._glances]
         self._looks = [None if weighted is None else weighted.look() for weighted in self._weighted]
+        self._errors = np.zeros((len(self._glances), 4))
         light = Light(self._gain, self._noise.lit)
         again = self._look_again
         return decode_looks(self._looks, light, form, self._identity, self._settings, self._memory, again, observe)
 
-    def _look_again(self, mean: Floats, variance: Floats, light: Light) -> list[Look | None]:
+    def _look_again(self, mean: Floats, variance: Floats, light: Light) -> tuple[list[Look | None], bool]:
         """Looks anew where what is decoded shows that the array is not where it was taken to be."""
         if self._singles is not None:
             # its poses are those of decided data already
-            return self._looks
-        seen = Seen(self._glances, self._weighted, self._looks)
-        errors = pose_errors(seen, light.gain, light.noise, mean, variance, self._known(), self._shares.values)
-        for k, (glance, error) in enumerate(zip(self._glances, errors, strict=True)):
+            return self._looks, False
+        seen = Seen(self._glances, self._weighted, self._looks, self._errors)
+        brightness, cells = (light.gain, light.noise), (mean, variance)
+        steps = pose_errors(seen, brightness, cells, self._known(), self._shares.values) - self._errors
+        another = False
+        for k, (glance, error) in enumerate(zip(self._glances, steps, strict=True)):
             if glance is not None and worth_moving(error):
+                another = True
+                self._errors[k] += error
                 glance = self._glances[k] = glance.moved(error)
                 weighted = self._weighted[k] = self._weigh(glance)
                 self._looks[k] = weighted.look()
-        return self._looks
+        return self._looks, another
 
     def _weigh(self, glance: Glance) -> Weighted:
         return weigh(glance, self._noise, self._side, self._shares.values)

@@ -5,7 +5,8 @@ pattern, whether dark, lit or hidden, is missing. With h the header as +-1 and w
 
     d = g A (h w) + n,
 
-which is the equaliser's problem with h w in place of the data: w comes by linear MMSE around w = 1.
+which is the equaliser's problem with h w in place of the data: w comes by linear MMSE around w = 1. A bright background
+may have pulled the pose away, and the LEDs of a rim then seem to miss: what an error of the pose explains is left out.
 """
 
 import numpy as np
@@ -31,6 +32,9 @@ CHANGED = 0.5
 
 LIT = 4.0
 """Noise inside the array over that beside it, as variances; photons make it 2.4 in the reference link."""
+
+PULLED = np.array([0.2, 0.2, 0.004, 0.02])
+"""Standard deviations of errors of a pose in x, y, ln pitch and roll before a bright background."""
 
 MODEL = 0.02
 """Error of the image that errors of the pose leave, as a share of the light."""
@@ -85,10 +89,12 @@ class LedShares:
         """
         dark = measure_noise([glance], gain, self._side, self.values).dark
         # with failed LEDs a sum does not tell its noise
-        look = weigh(glance, Noise(LIT * dark, dark), self._side).look()
+        weighted, noise = weigh(glance, Noise(LIT * dark, dark), self._side), LIT * dark + (MODEL * gain) ** 2
+        slopes = weighted.root * glance.slopes(header)
+        look = weighted.without(slopes, np.diag(noise / (gain * PULLED) ** 2))
         seen = look if self._seen is None else self._seen.plus(look)
         for _ in range(2):
-            shares = _estimate(seen, header, gain, LIT * dark + (MODEL * gain) ** 2)
+            shares = _estimate(seen, header, gain, noise)
             # the median LED is a sound one
             scale = float(np.clip(np.median(shares), 0.5, 2.0))
             gain *= scale

@@ -6,33 +6,32 @@ pose its likelihood is that of
     d - g (B m + o) = g H e + g B_u (c_u - m_u) + n,   H = d(B_k c_k) / d pose
 
 k the decoded cells and u the others, which the equaliser takes out as far as they can hide an error. Errors of
-successive pairs are alike: they are smoothed as a process that forgets itself in a few pairs, of the size that explains
-the packet best.
+successive pairs are alike: some stay as long as the background does, others come and go with the shake. Both are taken
+for Gauss-Markov processes, of the sizes that explain the packet best.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from heliograph.receive import kernels as plain
 from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
 from heliograph.receive.soft.glance import Floats, Glance
 from heliograph.receive.soft.look import Look, Weighted
+from heliograph.receive.soft.shares import PULLED
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 
-SPREAD = np.array([0.2, 0.2, 0.004, 0.02])
-"""Standard deviations of the errors of x, y, ln pitch and roll before a background that pulls hard."""
-
-SIZES = (0.01, 0.03, 0.1, 0.3, 1.0)
-"""Sizes of the errors tried, as shares of that."""
+SLOW_SIZES, FAST_SIZES = (0.0, 0.03, 0.1, 0.3, 1.0, 2.0), (0.01, 0.03, 0.1, 0.3, 1.0)
+"""Sizes tried, as shares of `PULLED`, of errors that stay through a packet and of those that come with the shake."""
 
 DOUBT = 2.0
 """By how much less, as a logarithm, a smaller size may explain a packet: most poses of sums are right."""
 
-MEMORY_PAIRS = 8.0
-"""Pairs in which an error forgets itself."""
+SLOW_PAIRS, FAST_PAIRS = 200.0, 8.0
+"""Pairs in which such errors forget themselves."""
 
 STRIDE = 3
 """Pairs of which one is asked: its neighbours are off alike."""
@@ -51,57 +50,57 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A packet's glances, weighted, and as looks; None where the array was not seen."""
+    """A packet's glances, weighted, and as looks; None where the array was not seen.
+
+    The errors (pairs, 4) are what was taken off the poses of sums so far: a prior holds for the whole of it.
+    """
 
     glances: Sequence[Glance | None]
     weighted: Sequence[Weighted | None]
     looks: Sequence[Look | None]
+    errors: Floats
 
 
 def pose_errors(
-    seen: Seen, gain: float, noise: float, mean: Floats, variance: Floats, form: PacketFormat, shares: Floats
+    seen: Seen, light: tuple[float, float], cells: tuple[Floats, Floats], form: PacketFormat, shares: Floats
 ) -> Floats:
-    """Errors (pairs, 4) in x, y, ln pitch and roll of the glances' poses.
+    """Errors (pairs, 4) in x, y, ln pitch and roll of the poses that sums gave.
 
     Parameters
     ----------
     seen
         The packet's data pairs.
-    gain, noise
+    light
         Gray levels of a wide array with all LEDs on, and the variance of a pixel of a difference.
-    mean, variance
-        (pairs, cells) what is known of each cell.
+    cells
+        Mean and variance of each, (pairs, cells).
     form
         The packet's format.
     shares
         (n, n) share of its light that each LED gives.
     """
-    known = np.where(variance < KNOWN, mean, 0.0)
+    (gain, noise), (mean, variance) = light, cells
+    # guesses come from the poses that are in doubt
+    decided = variance < KNOWN
+    known, unknown = np.where(decided, mean, 0.0), np.where(decided, 0.0, 1.0)
     levels = 0.5 * haar.inverse_transform(form.join(known))
-    evidence: list[Evidence | None] = [None] * len(known)
+    evidence = dict[int, Evidence]()
     there = [k for k in range(len(known)) if seen.glances[k] is not None and known[k].any()]
     for k in there[::STRIDE]:
         glance, weighted, look = seen.glances[k], seen.weighted[k], seen.looks[k]
         assert glance is not None  # it is there
         assert weighted is not None  # it comes with it
         assert look is not None
-        estimate = equalise(look, gain, noise, mean[k], variance[k])
-        slopes = weighted.root * _slopes(glance, levels[k] * shares)
+        estimate = equalise(look, gain, noise, known[k], unknown[k])
+        slopes = weighted.root * glance.slopes(levels[k] * shares)
         evidence[k] = _evidence(weighted, estimate, slopes, gain, noise)
-    return _smoothed(evidence)
+    return _smoothed(evidence, seen.errors)
 
 
 def worth_moving(error: Floats) -> bool:
     """Whether a pose's error (4,) is worth looking again: a hundredth of a pixel of the array's rim costs nothing."""
     x, y, ln_pitch, roll = np.abs(error)
     return bool(max(x, y) + REACH_PX * max(ln_pitch, roll) > LEAST_PX)
-
-
-def _slopes(glance: Glance, levels: Floats) -> Floats:
-    """Derivatives of the image of known LEDs (n, n) by x, y, ln pitch and roll, (4, rows, columns)."""
-    image = np.empty((6, *glance.change.shape))
-    plain.render(glance.middle.full_vector(), levels, float(glance.corner[0]), float(glance.corner[1]), image)
-    return image[1:5]
 
 
 def _evidence(weighted: Weighted, estimate: Estimate, slopes: Floats, gain: float, noise: float) -> Evidence:
@@ -117,29 +116,29 @@ def _evidence(weighted: Weighted, estimate: Estimate, slopes: Floats, gain: floa
     return Evidence(np.asarray(0.5 * (information + information.T)), np.asarray(score))
 
 
-def _smoothed(evidence: Sequence[Evidence | None]) -> Floats:
-    """Errors (pairs, 4) most probable by all looks, of the size that makes the looks most probable."""
-    count = len(evidence)
-    information, score = np.zeros((count, 4, 4)), np.zeros((count, 4))
-    for k, one in enumerate(evidence):
-        if one is not None:
-            information[k], score[k] = one.information, one.score
-    tried = [_filtered(information, score, size * SPREAD) for size in SIZES]
-    best = max(likelihood for _, likelihood in tried)
-    return next(errors for errors, likelihood in tried if likelihood > best - DOUBT)
+def _smoothed(evidence: dict[int, Evidence], before: Floats) -> Floats:
+    """Errors (pairs, 4) most probable by all looks, of the sizes that make the looks most probable.
 
-
-def _filtered(information: Floats, score: Floats, spread: Floats) -> tuple[Floats, float]:
-    """Errors (pairs, 4) of a Gauss-Markov process of a spread, and the log-likelihood of the looks less a constant."""
-    # e_k = a e_(k-1) + w, w of variance (1 - a^2) P: the joint precision is block tridiagonal
-    count, a = len(score), float(np.exp(-1 / MEMORY_PAIRS))
-    chain = np.diag(np.full(count, 1 + a**2)) - a * (np.eye(count, k=1) + np.eye(count, k=-1))
-    chain[0, 0] = chain[-1, -1] = 1.0
-    prior = np.kron(chain / (1 - a**2), np.diag(1 / spread**2))
-    matrix = prior.copy()
-    for k, block in enumerate(information):
-        matrix[4 * k : 4 * k + 4, 4 * k : 4 * k + 4] += block
-    errors = np.linalg.solve(matrix, score.ravel())
-    # ln p = s^T (P^-1 + J)^-1 s / 2 - ln det(P^-1 + J) / 2 + ln det(P^-1) / 2
-    likelihood = 0.5 * (score.ravel() @ errors - np.linalg.slogdet(matrix)[1] + np.linalg.slogdet(prior)[1])
-    return errors.reshape(count, 4), float(likelihood)
+    `before` (pairs, 4) was taken off the poses that the evidence is about, and is counted in.
+    """
+    asked = np.array(sorted(evidence))
+    if not asked.size:
+        return before
+    information = block_diag(*(evidence[k].information for k in asked))
+    # about the first poses: J (e - e_0) = s
+    score = np.concatenate([evidence[k].score for k in asked]) + information @ before[asked].ravel()
+    apart = np.abs(np.arange(len(before))[:, None] - asked)
+    tried = []
+    for slow, fast in sorted(product(SLOW_SIZES, FAST_SIZES), key=lambda sizes: np.hypot(*sizes)):
+        # of two independent Gauss-Markov processes
+        alike = slow**2 * np.exp(-apart / SLOW_PAIRS) + fast**2 * np.exp(-apart / FAST_PAIRS)
+        prior = np.kron(alike, np.diag(PULLED**2))
+        there = prior.reshape(len(before), 4, -1)[asked].reshape(score.size, -1)
+        # e = P (1 + J P)^-1 s, ln p = s^T e / 2 - ln det(1 + J P) / 2 and a constant
+        matrix = np.eye(score.size) + information @ there
+        weights = np.linalg.solve(matrix, score)
+        likelihood = 0.5 * (score @ there @ weights - np.linalg.slogdet(matrix)[1])
+        tried.append((likelihood, prior, weights))
+    best = max(likelihood for likelihood, _, _ in tried)
+    prior, weights = next((prior, weights) for likelihood, prior, weights in tried if likelihood > best - DOUBT)
+    return np.asarray((prior @ weights).reshape(before.shape))
