@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from receive_scenes import SIDE, pitch_at
 
 from heliograph.receive import Pose, ReceiveSettings
-from heliograph.receive.packets import Codeword
+from heliograph.receive.packets import Codeword, Observer, ignore
 from heliograph.receive.soft import reference
 from heliograph.receive.soft.cancel import Light, decode_looks
 from heliograph.receive.soft.look import Look
@@ -67,6 +67,7 @@ def decoded(
     memory: Memory | None = None,
     identity: int = IDENTITY,
     feedback: Feedback = "soft",
+    observe: Observer = ignore,
 ) -> dict[str, tuple[Codeword, ...]]:
     """What the soft receiver makes of looks."""
     settings = ReceiveSettings(receiver="soft")
@@ -76,7 +77,8 @@ def decoded(
         """Poses are known: looking again shows the same."""
         return looks, False
 
-    return decode_looks(looks, light or Light(GAIN, NOISE), FORM, identity, settings, memory or Memory(), same)
+    light, memory = light or Light(GAIN, NOISE), memory or Memory()
+    return decode_looks(looks, light, FORM, identity, settings, memory, same, observe)
 
 
 def right(words: dict[str, tuple[Codeword, ...]], blocks: Blocks) -> list[bool]:

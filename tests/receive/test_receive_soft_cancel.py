@@ -9,7 +9,7 @@ from soft_looks import FORM, GAIN, IDENTITY, NOISE, cells_of, decoded, looks_at,
 from heliograph.link.statistics import clopper_pearson
 from heliograph.receive.decode import ERASED
 from heliograph.receive.packets import Codeword
-from heliograph.receive.soft.cancel import Light
+from heliograph.receive.soft.cancel import Light, information
 from heliograph.receive.soft.equalise import equalise
 
 
@@ -69,6 +69,18 @@ def test_gain_is_found_along_with_the_cells(factor: float) -> None:
     assert all(right(decoded(looks_at(blocks, 90), light=light), blocks))
     # each round it comes nearer
     assert abs(light.gain / GAIN - 1) < 0.4 * abs(factor - 1)
+
+
+def test_information_of_llrs() -> None:
+    llr = np.array([[0.0] * 4, [50.0] * 4, [-1e4] * 4, [np.log(9)] * 4])
+    # P(wrong) = 1/2, 0, 0 and 1/10
+    assert information(llr) == pytest.approx([0, 1, 1, 1 + 0.1 * np.log2(0.1) + 0.9 * np.log2(0.9)])
+
+
+def test_rounds_end_where_nothing_is_told_any_more() -> None:
+    rounds: list[str] = []
+    decoded(looks_at(random_blocks(0), 300), observe=lambda stage, _: rounds.append(stage))
+    assert rounds == ["equalise"] * 2
 
 
 def test_codewords_of_another_array_are_not_used() -> None:

@@ -9,7 +9,7 @@ from receive_scenes import SIDE, draw, pitch_at
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.soft import glance, kernels, reference
+from heliograph.receive.soft import glance, kernels, look, reference
 from heliograph.receive.soft.equalise import KNOWN, equalise
 from heliograph.receive.soft.glance import take_glance
 from heliograph.receive.soft.look import Look, weigh
@@ -164,6 +164,30 @@ def test_look_is_what_remains_of_the_pixels(roll: float, motion: tuple[float, fl
     assert got.drift == pytest.approx(float(whole.o @ (w * whole.o)), rel=2e-2, abs=1e-3)
     if motion == (0.0, 0.0):
         assert not got.offset.any()
+
+
+@pytest.mark.parametrize("z", [50, 80, 150])
+def test_products_of_light_are_the_same_either_way(z: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = Whole(moving(z, 0.03, (0.1, 0.0)), pair(moving(z, 0.03, (0.1, 0.0)), random_levels()[1]), Noise(4.5, 1.4))
+    weighted, grams = weigh(whole.glance, Noise(4.5, 1.4), SIDE), []
+    for few in (0, 10**6):
+        monkeypatch.setattr(look, "FEW", few)
+        grams.append(weighted.look().gram)
+    assert np.abs(grams[0] - grams[1]).max() < 1e-6 * grams[0].max()
+    assert np.array_equal(grams[1], grams[1].T)
+
+
+@pytest.mark.parametrize("unknown", [1, 63, 64, 128, 200])
+def test_covariance_of_any_number_of_cells(unknown: int) -> None:
+    """Sizes that are padded and sizes that are not."""
+    whole = Whole(moving(90, 0.0, (0.0, 0.0)), pair(moving(90, 0.0, (0.0, 0.0)), random_levels()[1]), Noise(4.0, 4.0))
+    view, cells = weigh(whole.glance, Noise(4.0, 4.0), SIDE).look(), random_levels()[0]
+    variance = np.where(np.arange(CELLS) < unknown, 0.7, 0.0)
+    got = equalise(view, GAIN, 4.0, np.where(variance > 0, 0.0, cells), variance)
+    gram = view.gram[:unknown, :unknown].astype(np.float64)
+    want = np.linalg.inv(GAIN**2 / 4.0 * gram + np.eye(unknown) / 0.7)
+    assert np.abs(got.covariance - want).max() < 1e-5
+    assert got.trace == pytest.approx(float(np.trace(gram @ want)), rel=1e-3)
 
 
 def whole_look(b: Floats, d: Floats, o: Floats, w: Floats) -> Look:

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,9 @@ EXPLAINED = 0.7
 
 OVERHANG = 0.04
 """Share of T_b by which an exposure may exceed the header and still be taken for one of it."""
+
+TICKS = 9
+"""Decimal places of a frame's start in patterns."""
 
 MARGIN = 0.5
 """Margin of virtual frames about the array, as a share of its side, and at least `MARGIN_PX`."""
@@ -170,7 +174,8 @@ class TimedArray(ArrayReceiver):
 
     def _mix(self, clock: Clock, frames: list[Frame], pattern: int) -> Mix | None:
         """How frames combine for the pair that begins with a pattern."""
-        return mix_pair(_starts(clock, frames) - pattern, clock.exposure, self._light)
+        starts = np.round(_starts(clock, frames) - pattern, TICKS)
+        return _mix(tuple(starts.tolist()), clock.exposure, self._light)
 
     def _late_s(self, pattern: Frame) -> float:
         """See `ArrayReceiver`; combined frames have the time of their light."""
@@ -234,6 +239,12 @@ class TimedArray(ArrayReceiver):
             self._frames.popleft()
         oldest = self._next - self._form.settings.header_pairs - AROUND
         self._poses = {k: pose for k, pose in self._poses.items() if k >= oldest}
+
+
+@lru_cache(maxsize=64)  # in step, and at rates that repeat, the pairs of a packet are combined alike
+def _mix(starts: tuple[float, ...], exposure: float, light: SlotLight) -> Mix | None:
+    """`mix_pair` for starts rounded to `TICKS` places."""
+    return mix_pair(np.array(starts), exposure, light)
 
 
 def _in_step(clock: Clock, mix: Mix | None) -> bool:
