@@ -3,11 +3,15 @@
 from dataclasses import replace
 
 import pytest
+from receive_scenes import film
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from heliograph.base.errors import SettingsError
 from heliograph.link.bench import run_block
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.receive import ReceiveSettings, make_receiver
+from heliograph.receive import ReceiveSettings, make_receiver, receive_frames
+from heliograph.receive.packets import Codeword
+from heliograph.receive.soft import reading
 from heliograph.receive.soft.receiver import SoftReceiver
 
 
@@ -48,3 +52,19 @@ def test_another_modulation_is_refused_in_one_line() -> None:
     with pytest.raises(SettingsError, match=r'reads signal\.modulation = "haar", not "ook"') as caught:
         make_receiver(signal, ReceiveSettings(receiver="soft"))
     assert "\n" not in str(caught.value)
+
+
+def test_its_algebra_runs_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever calls it: many threads share small matrices slowly."""
+    threads: list[int] = []
+
+    def counting(*_: object) -> dict[str, tuple[Codeword, ...]]:
+        threads.extend(info["num_threads"] for info in threadpool_info() if info["user_api"] == "blas")
+        return {}
+
+    monkeypatch.setattr(reading, "decode_looks", counting)
+    settings = link("static", "soft", "channel.distance_m=50")
+    with threadpool_limits(limits=2, user_api="blas"):
+        list(receive_frames(film(settings, 101), settings.signal, settings.receive))
+    assert threads
+    assert set(threads) == {1}

@@ -22,6 +22,7 @@ from heliograph.receive.soft.noise import LEAST_NOISE, Noise, measure_noise, noi
 from heliograph.receive.soft.shares import LedShares
 from heliograph.receive.soft.sharpen import Seen, pose_errors, worth_moving
 from heliograph.receive.soft.single import Singles
+from heliograph.receive.soft.threads import one_thread
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
@@ -84,6 +85,7 @@ class SoftReading:
         tracker.shares = self._shares.values
         return changed
 
+    @one_thread()
     def follow(self, pattern: Frame, inverted: Frame, tracker: Tracker, late_s: float) -> TrackedPair:
         """By the sum, or where there are no inverses by decisions, frame by frame."""
         if not self._known().single:
@@ -112,6 +114,7 @@ class SoftReading:
         """Take the frames of a header out of step, which tell the format one by one."""
         self._name.take_frames(frames, self._shares.values)
 
+    @one_thread()
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode all that was kept."""
         form, observe = self._known(), self._observe

@@ -1,0 +1,19 @@
+"""One thread for the equaliser's algebra: sharing matrices of 256 rows among threads makes it many times slower."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+
+from threadpoolctl import ThreadpoolController
+
+
+@lru_cache(maxsize=1)  # finding the libraries takes some milliseconds
+def _libraries() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Hold BLAS to one thread for a while."""
+    with _libraries().limit(limits=1, user_api="blas"):
+        yield
