@@ -62,6 +62,21 @@ class Glance:
         plain.render(self.middle.full_vector(), levels, float(self.corner[0]), float(self.corner[1]), image)
         return image[1:5]
 
+    def steadied(self, gain: float, shares: Floats) -> "Glance":
+        """The glance without the light from behind that does not cancel: it moves with the array between the frames.
+
+        The sum of a pair is twice what is behind, and the array with all LEDs on, of a gain and shares (n, n) of each
+        LED's light.
+        """
+        if len(self.poses) != 2 or self.mix is not None:
+            return self
+        first, second = self.poses
+        lit = sum(image_of(shares, pose, self.corner, self.total.shape) for pose in self.poses)
+        behind = 0.5 * (self.total - 0.5 * gain * lit)
+        # b(x - p_1) - b(x - p_2) = (p_2 - p_1) grad b
+        down, right = np.gradient(behind)
+        return replace(self, change=self.change - (second.x - first.x) * right - (second.y - first.y) * down)
+
     def moved(self, error: Floats) -> "Glance":
         """The glance with its poses off by `error` in x, y, ln pitch and roll."""
         step = np.append(error, np.zeros(3))

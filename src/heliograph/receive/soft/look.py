@@ -131,12 +131,16 @@ class Weighted:
             gram = np.empty((size, size), np.float32)
             kernels.gram(*self.between, gram)
             return gram
-        light = np.zeros((*self.change.shape, size), np.float32)
-        kernels.light(*self.between, light)
         # transposed it is as BLAS wants it, and nothing is copied
-        half, gram = blas.ssyrk(1.0, light.reshape(-1, size).T, lower=1), np.empty((size, size), np.float32)
+        half, gram = blas.ssyrk(1.0, self._light().T, lower=1), np.empty((size, size), np.float32)
         kernels.mirror(half.T, gram)
         return gram
+
+    def _light(self) -> NDArray[np.float32]:
+        """W^(1/2) B, (pixels, cells)."""
+        light = np.zeros((*self.change.shape, len(self.between[0])), np.float32)
+        kernels.light(*self.between, light)
+        return light.reshape(self.change.size, -1)
 
     def without(self, slopes: Floats, precision: Floats) -> Look:
         """What remains where the image may have any share of slopes (k, rows, columns) as well, W^(1/2) on them.
@@ -144,12 +148,13 @@ class Weighted:
         Their shares e are marginalised, of a precision (k, k) beforehand in units of g^2 / s^2.
         """
         # d = g (B c + o + H e) + n: G - C K C^T and B^T d - C K H^T d, C = B^T H, K = (H^T H + P^-1)^-1
-        c = np.stack([self.correlated(slope) for slope in slopes], axis=1)
-        flat = slopes.reshape(len(slopes), -1)
-        part = np.linalg.solve(flat @ flat.T + precision, np.column_stack([c.T, flat @ self.change.ravel()]))
-        look = self.look()
-        gram = look.gram - (c @ part[:, :-1]).astype(np.float32)
-        return replace(look, gram=gram, seen=look.seen - c @ part[:, -1])
+        b, h = self._light().astype(np.float64), slopes.reshape(len(slopes), -1)
+        seen = np.stack([self.change.ravel(), self.still.ravel()], axis=1)
+        c = b.T @ h.T
+        part = np.linalg.solve(h @ h.T + precision, np.column_stack([c.T, h @ seen]))
+        d, o = (b.T @ seen - c @ part[:, -2:]).T
+        # all by one B, else the difference of two large matrices would be no matrix of squares
+        return replace(self.look(), gram=(b.T @ b - c @ part[:, :-2]).astype(np.float32), seen=d, offset=o)
 
     def correlated(self, image: Floats) -> Floats:
         """B^T W^(1/2) image, (cells,)."""

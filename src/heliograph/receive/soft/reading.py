@@ -47,6 +47,7 @@ class SoftReading:
         self._identity, self._agreed, self._settings, self._observe = identity, agreed, settings, observe
         self._side = agreed.settings.side
         self._shares = shares or LedShares(self._side)
+        self._lit = self._shares.values
         self._glances: list[Glance | None] = []
         self._weighted: list[Weighted | None] = []
         self._looks: list[Look | None] = []
@@ -80,7 +81,7 @@ class SoftReading:
         if mix_of(pattern) is not None or np.any(np.abs(header) != 1):
             # dimmed where it names a format: another pattern than the looks that are summed up
             return False
-        glance = self._glance(pattern, inverted, tracker.state)
+        glance = self._glance(pattern, inverted, tracker.state, tracker.gain)
         tracker.data_gain, changed = self._shares.learn(glance, header, tracker.data_gain)
         tracker.shares = self._shares.values
         return changed
@@ -99,7 +100,7 @@ class SoftReading:
         """Keep a pair."""
         self._gain = tracker.data_gain
         if self._singles is None:
-            glances: tuple[Glance, ...] = (self._glance(pattern, inverted, tracked.state),)
+            glances: tuple[Glance, ...] = (self._glance(pattern, inverted, tracked.state, tracker.gain),)
         else:
             glances = self._singles.glances
         self._glances[len(glances) * place : len(glances) * (place + 1)] = glances
@@ -117,14 +118,26 @@ class SoftReading:
     @one_thread()
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode all that was kept."""
-        form, observe = self._known(), self._observe
+        words = self._attempt(self._shares.values, self._memory)
+        if not _open(words) or (self._shares.values == 1).all():
+            return words
+        # a header before a bright background may have made LEDs seem dead that are not
+        sound = self._attempt(np.ones_like(self._lit), Memory())
+        if _open(sound) < _open(words):
+            self._shares.acquit()
+        return {name: tuple(map(_better, words[name], sound[name])) for name in words}
+
+    def _attempt(self, shares: Floats, memory: Memory) -> dict[str, tuple[Codeword, ...]]:
+        """Decode all that was kept, each LED giving a share (n, n) of its light."""
+        form, kept, self._lit = self._known(), [*self._glances], shares
         self._measure()
         self._weighted = [None if glance is None else self._weigh(glance) for glance in self._glances]
         self._looks = [None if weighted is None else weighted.look() for weighted in self._weighted]
         self._errors = np.zeros((len(self._glances), 4))
-        light = Light(self._gain, self._noise.lit)
-        again = self._look_again
-        return decode_looks(self._looks, light, form, self._identity, self._settings, self._memory, again, observe)
+        light, again = Light(self._gain, self._noise.lit), self._look_again
+        words = decode_looks(self._looks, light, form, self._identity, self._settings, memory, again, self._observe)
+        self._glances = kept
+        return words
 
     def _look_again(self, mean: Floats, variance: Floats, light: Light) -> tuple[list[Look | None], bool]:
         """Looks anew where what is decoded shows that the array is not where it was taken to be."""
@@ -133,7 +146,7 @@ class SoftReading:
             return self._looks, False
         seen = Seen(self._glances, self._weighted, self._looks, self._errors)
         brightness, cells = (light.gain, light.noise), (mean, variance)
-        steps = pose_errors(seen, brightness, cells, self._known(), self._shares.values) - self._errors
+        steps = pose_errors(seen, brightness, cells, self._known(), self._lit) - self._errors
         another = False
         for k, (glance, error) in enumerate(zip(self._glances, steps, strict=True)):
             if glance is not None and worth_moving(error):
@@ -145,11 +158,11 @@ class SoftReading:
         return self._looks, another
 
     def _weigh(self, glance: Glance) -> Weighted:
-        return weigh(glance, self._noise, self._side, self._shares.values)
+        return weigh(glance, self._noise, self._side, self._lit)
 
     def _measure(self) -> None:
         seen = [glance for glance in self._glances if glance is not None]
-        shares = self._shares.values
+        shares = self._lit
         if self._singles is not None:
             self._noise = Noise(self._singles.noise.lit, noise_beside(seen, self._side))
             return
@@ -164,13 +177,13 @@ class SoftReading:
         self._shares.forget()
         return SoftReading(self._memory, self._identity, self._agreed, self._settings, self._observe, self._shares)
 
-    def _glance(self, pattern: Frame, inverted: Frame, state: PoseState) -> Glance:
+    def _glance(self, pattern: Frame, inverted: Frame, state: PoseState, gain: float) -> Glance:
         mix, later_s = mix_of(pattern), (self._later_s, self._later_s)
         if mix is not None:
             period_s = self._agreed.settings.pattern_period_s
             later_s = (mix.data[0] - mix.light) * period_s, (mix.data[1] - mix.light) * period_s
         poses = state.pose_at(pattern.time_s + later_s[0]), state.pose_at(inverted.time_s + later_s[1])
-        return take_glance(pattern, inverted, poses, self._side, mix)
+        return take_glance(pattern, inverted, poses, self._side, mix).steadied(gain, self._shares.values)
 
     def shown(self) -> Mapping[str, Any]:
         """The pairs as they were kept."""
@@ -182,3 +195,13 @@ class SoftReading:
             self._form = PacketFormat(self._agreed.settings, self.named)
             self._glances = [None] * self._form.layers["high"].pairs
         return self._form
+
+
+def _open(words: dict[str, tuple[Codeword, ...]]) -> int:
+    """Codewords that are not decoded."""
+    return sum(word.status == "crc_fail" for by in words.values() for word in by)
+
+
+def _better(one: Codeword, other: Codeword) -> Codeword:
+    """The one that was decoded."""
+    return other if one.status == "crc_fail" else one

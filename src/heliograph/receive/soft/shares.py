@@ -67,6 +67,10 @@ class LedShares:
         if self._seen is not None:
             self._seen = self._seen.scaled(FORGET)
 
+    def acquit(self) -> None:
+        """Take all LEDs for sound again."""
+        self._seen, self.values = None, np.ones((self._side, self._side))
+
     def learn(self, glance: Glance, header: Floats, gain: float) -> tuple[float, bool]:
         """Take a header pair.
 
