@@ -34,6 +34,9 @@ EXPLAINED = 0.7
 OVERHANG = 0.04
 """Share of T_b by which an exposure may exceed the header and still be taken for one of it."""
 
+DOUBT = 1.5
+"""Standard deviations of the clock by which frames may be off and still be taken for those of a camera in step."""
+
 TICKS = 9
 """Decimal places of a frame's start in patterns."""
 
@@ -156,7 +159,9 @@ class TimedArray(ArrayReceiver):
         place, number = 2 * pair, self._pair_in_packet(pair)
         near = self._frames_of(clock, place - BEHIND, place + 2 + AHEAD)
         mix = self._mix(clock, near, place)
-        stepped = _in_step(clock, mix)
+        # data without inverses are read frame by frame or not at all
+        alone = number >= self._form.settings.header_pairs and self._packet.reading.named.mode == "single"
+        stepped = _in_step(clock, mix) or (alone and mix is not None and np.isfinite(mix.departure))
         if number < self._form.settings.header_pairs and not stepped:
             near, mix = self._header_mix(clock, place - 2 * number, (2 * number, 2 * number + 2))
         if mix is None:
@@ -249,7 +254,7 @@ def _mix(starts: tuple[float, ...], exposure: float, light: SlotLight) -> Mix | 
 
 def _in_step(clock: Clock, mix: Mix | None) -> bool:
     """Whether frames show a pair's pattern and inverse one by one, as far as the clock can tell."""
-    return mix is not None and mix.departure < EXACT + clock.deviation
+    return mix is not None and mix.departure < EXACT + DOUBT * clock.deviation
 
 
 def _cut(frames: list[Frame], window: tuple[int, int, int, int]) -> NDArray[np.float32]:
