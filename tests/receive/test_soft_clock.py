@@ -11,10 +11,11 @@ from receive_scenes import film, link
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
-from heliograph.receive import Packet, ReceiveSettings, receive_frames
+from heliograph.receive import Packet, ReceiveSettings, make_receiver, receive_frames
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.soft.camera import FIRST, CameraClock
 from heliograph.receive.soft.clock import Clock, HeaderView
+from heliograph.receive.soft.mix import VirtualFrame
 from heliograph.signal.formats import words
 from heliograph.signal.header import header_cells
 from heliograph.signal.settings import SignalSettings
@@ -61,6 +62,28 @@ def test_one_header_tells_start_and_exposure(start: float, exposure: float, peri
     assert clock.exposure == pytest.approx(exposure, abs=0.04)
     assert clock.gain == pytest.approx(200, rel=0.04)
     assert clock.explained > 0.95
+
+
+def test_the_brightness_of_a_clipped_array_is_not_used() -> None:
+    """At 25 m single LEDs are at full scale; the clock was then off by 0.3 T_b."""
+    view = header_view(0.0, 1.0, 1.0)
+    wrong = replace(view, brightness=np.roll(view.brightness, 3) * 2, clipped=True)
+    clock = Clock(0.0, 1e-3, SIGNAL, IDENTITY)
+    clock.measure(wrong, 0)
+    assert clock.start_s == pytest.approx(0, abs=3e-5)
+    assert clock.explained > 0.95
+    frames: list[object] = []
+    settings = link("receive.receiver=soft", distance_m=25.0)
+    receiver = make_receiver(
+        settings.signal,
+        settings.receive,
+        lambda stage, data: frames.extend(data["frames"]) if stage == "extract" else None,
+    )
+    for frame in film(settings, 101, roi_margin_px=30):
+        list(receiver.push(frame))
+    list(receiver.finish())
+    assert frames
+    assert not any(isinstance(frame, VirtualFrame) for frame in frames)
 
 
 def telling_formats() -> list[int]:

@@ -58,6 +58,9 @@ RATE_WALK = 2e-6
 LEAST_S = 0.004
 """Least standard deviation of a measured start in T_b."""
 
+CLIPPED = 0.02
+"""Share of an array's pixels at full scale from which on its brightness is not used."""
+
 MARGIN_PX = 3.0
 """Surroundings of the array against which its brightness is measured."""
 
@@ -74,11 +77,14 @@ class HeaderView:
         (frames,) the header less its inverse in gray levels.
     brightness
         (frames,) the array in gray levels, but for a constant.
+    clipped
+        Whether pixels were at full scale: the brightness of a near array tells nothing then.
     """
 
     times_s: Floats
     alternation: Floats
     brightness: Floats
+    clipped: bool = False
 
 
 class Clock:
@@ -213,6 +219,8 @@ class Clock:
         shown = np.concatenate([2 * view.alternation, view.brightness - view.brightness.mean()])
         # a header of gain g: alternation g wave / 2, brightness g bright and a constant, linear in what is dimmed
         model = np.stack([[self._model(starts, e, *dim) for e in self._exposures] for dim in ((0, 0), (1, 0), (0, 1))])
+        if view.clipped:
+            shown, model = shown[: len(place)], model[..., : len(place)]
         model[1:] -= model[0]
         match, norm = model @ shown, np.einsum("aeof,beof->abeo", model, model)
         energy, left, gain = float((shown**2).sum()), np.full(match.shape[1:], np.inf), np.zeros(match.shape[1:])
@@ -274,11 +282,11 @@ def view_header(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderVi
         (n, n) the header, +-1; 0 where it is hidden.
     """
     shown = np.array([_shown(frame, pose, lit) for frame, pose in zip(frames, poses, strict=True)])
-    return HeaderView(np.array([f.time_s for f in frames]), shown[:, 0], shown[:, 1])
+    return HeaderView(np.array([f.time_s for f in frames]), shown[:, 0], shown[:, 1], shown[:, 2].max() > CLIPPED)
 
 
 def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
-    """Amplitudes of the header and of the array all on, before an even background, in gray levels."""
+    """Amplitudes of the header and of the array all on before an even background; the share of its pixels that clip."""
     from heliograph.receive import kernels  # Numba is slow to import
 
     x0, y0, width, height = window_around(pose, len(lit), MARGIN_PX)
@@ -287,7 +295,9 @@ def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
     kernels.render(pose.full_vector(), lit, float(x0), float(y0), model[0])
     kernels.render(pose.full_vector(), np.abs(lit), float(x0), float(y0), model[1])
     columns = np.stack([model[0, 0].ravel(), model[1, 0].ravel(), np.ones(cut.size)], axis=1)
-    return np.asarray(np.linalg.solve(columns.T @ columns, columns.T @ cut.ravel())[:2])
+    inside = model[1, 0] > 0.5 * model[1, 0].max()
+    clipped = (cut[inside] >= frame.full_scale).mean()
+    return np.append(np.linalg.solve(columns.T @ columns, columns.T @ cut.ravel())[:2], clipped)
 
 
 def _mean_over(starts: Floats, exposure: float, edges: Floats, values: Floats) -> Floats:
