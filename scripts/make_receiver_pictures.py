@@ -38,6 +38,7 @@ class Packet:
         receiver = make_receiver(settings.signal, settings.receive, self._watch)
         for frame, _ in simulate(settings, messages, seed, roi_margin_px=12):
             list(receiver.push(frame))
+        list(receiver.finish())
         (sender,) = transmitters(settings, messages)
         blocks, layers = sender.blocks(0), sender.format.layers
         self.sent = {n: layers[n].code.encode([pack(b, layers[n].code.k) for b in blocks[n]]) for n in LAYERS}
