@@ -9,7 +9,8 @@ from soft_looks import FORM, GAIN, IDENTITY, NOISE, cells_of, decoded, looks_at,
 from heliograph.link.statistics import clopper_pearson
 from heliograph.receive.decode import ERASED
 from heliograph.receive.packets import Codeword
-from heliograph.receive.soft.cancel import Light, information
+from heliograph.receive.soft.cancel import Light
+from heliograph.receive.soft.codewords import information
 from heliograph.receive.soft.equalise import equalise
 
 

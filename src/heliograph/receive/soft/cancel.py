@@ -1,26 +1,24 @@
 """From looks to codewords: what is decoded is subtracted, what is not is fed back softly, until nothing changes."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import entr, expit
 
-from heliograph.receive.decode import LARGEST_LLR, codeword_of, hard
+from heliograph.receive.decode import LARGEST_LLR
 from heliograph.receive.packets import Codeword, Observer, ignore
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft import squares
 from heliograph.receive.soft.cells import Cells
-from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
+from heliograph.receive.soft.codewords import Layer, decode_layer, information
+from heliograph.receive.soft.equalise import Estimate, equalise
 from heliograph.receive.soft.look import Look
-from heliograph.receive.soft.memory import Memory, SeenPacket, faithful
+from heliograph.receive.soft.memory import Memory, SeenPacket
 from heliograph.receive.soft.mix import Mix
 from heliograph.receive.soft.noise import LEAST_NOISE
-from heliograph.signal.block import check
-from heliograph.signal.packet import LayerFormat, PacketFormat
+from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
-from heliograph.signal.turbo import TurboCode
 
 Floats = NDArray[np.float64]
 
@@ -30,12 +28,6 @@ last."""
 
 STEPS = 6
 """Most times that a packet's poses are sharpened: after each layer, and again where that moved them far."""
-
-TRUST = 0.85
-"""Share at which a failed codeword's LLRs are fed back: a decoder's guesses come from the noise they are added to."""
-
-HOPELESS = 0.3
-"""Share of a code's rate that LLRs must tell of each bit: of less nothing comes, and one iteration has to do."""
 
 
 @dataclass(slots=True)
@@ -68,62 +60,6 @@ class Light:
 
 LookAgain = Callable[[Floats, Floats, Light], tuple[Sequence[Look | None], bool]]
 """Mean and variance of the cells (pairs, cells) and the light -> looks with better poses; whether any is another."""
-
-
-@dataclass(slots=True)
-class _Layer:
-    """What is known of a layer's codewords.
-
-    Attributes
-    ----------
-    form
-        Its format.
-    llr
-        (codewords, E) of the equaliser's last round.
-    soft
-        (codewords, E) mean of each coded bit, 1 for 0 and -1 for 1.
-    variance
-        (codewords, E) variance of each.
-    recalled
-        LLRs (E,) of earlier looks at each codeword.
-    words
-        The codewords by the last decoding.
-    """
-
-    form: LayerFormat
-    llr: Floats
-    soft: Floats
-    variance: Floats
-    recalled: list[Floats]
-    words: list[Codeword]
-
-    @classmethod
-    def unknown(cls, form: LayerFormat) -> "_Layer":
-        shape = form.codewords, form.code.length
-        return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), [], [])
-
-    def unsure(self, number: int) -> bool:
-        """Whether a codeword is not decoded, or only with the help of earlier looks."""
-        return self.words[number].status == "crc_fail" or bool(self.recalled[number].any())
-
-    def sure_llrs(self) -> list[Floats]:
-        """LLRs (E,) of each codeword, those of a decoded one without doubt."""
-        known = self.variance.max(1) == 0
-        return [LARGEST_LLR * soft if sure else llr for llr, soft, sure in zip(self.llr, self.soft, known, strict=True)]
-
-    def forget_guesses(self) -> None:
-        """Know nothing any more of the codewords that are not decoded."""
-        for i, word in enumerate(self.words):
-            if word.status == "crc_fail":
-                self.soft[i], self.variance[i] = 0.0, 1.0
-
-    def mean(self) -> Floats:
-        """(pairs, cells) mean of each cell."""
-        return self.form.interleave(self.soft * (1.0 - 2.0 * self.form.chips))
-
-    def variances(self) -> Floats:
-        """(pairs, cells) variance of each cell."""
-        return self.form.interleave(self.variance)
 
 
 def decode_looks(
@@ -174,7 +110,7 @@ def decode_looks(
             packet.recall(memory)
         observe("equalise", {"identity": identity, "llr": {name: layer.llr for name, layer in packet.layers.items()}})
         for name, layer in packet.layers.items():
-            _decode_layer(layer, name, identity, settings)
+            decode_layer(layer, name, identity, settings)
         still = packet.open
         packet.told = np.concatenate([information(layer.llr) for layer in packet.layers.values()])
         if not still.any() or settings.soft.feedback == "none":
@@ -218,7 +154,7 @@ class _Packet:
     form: PacketFormat
     looks: Sequence[Look | None]
     light: Light
-    layers: dict[str, _Layer]
+    layers: dict[str, Layer]
     cells: Cells
     header: NDArray[np.bool_]
     told: Floats
@@ -227,7 +163,7 @@ class _Packet:
     @classmethod
     def begun(cls, looks: Sequence[Look | None], light: Light, form: PacketFormat, identity: int) -> "_Packet":
         """A packet of which nothing is known."""
-        layers = {name: _Layer.unknown(layer) for name, layer in form.layers.items()}
+        layers = {name: Layer.unknown(layer) for name, layer in form.layers.items()}
         # of what a name dims the side of one half remains
         header = form.header_pattern(identity) > SLOTS // 2
         codewords = sum(layer.codewords for layer in form.layers.values())
@@ -241,7 +177,7 @@ class _Packet:
 
     @property
     def llrs(self) -> list[Floats]:
-        """LLRs (E,) of each codeword; see `_Layer.sure_llrs`."""
+        """LLRs (E,) of each codeword; see `Layer.sure_llrs`."""
         return [llr for layer in self.layers.values() for llr in layer.sure_llrs()]
 
     @property
@@ -314,13 +250,6 @@ class _Packet:
             layer.llr = layer.form.deinterleave(np.clip(part, -LARGEST_LLR, LARGEST_LLR))
 
 
-def information(llr: Floats) -> Floats:
-    """What LLRs (..., E) tell of their bits if they are right, in bit each, (...,)."""
-    # I = 1 - h2(P(wrong)), P(wrong) = 1 / (1 + exp |L|)
-    wrong = expit(-np.abs(llr))
-    return np.asarray(1 - (entr(wrong) + entr(1 - wrong)).mean(-1) / np.log(2))
-
-
 def _equalise_mixed(
     look: Look, mix: Mix, light: Light, mean: Floats, around: Sequence[Floats | None], header: NDArray[np.bool_]
 ) -> tuple[Floats, Estimate]:
@@ -352,51 +281,3 @@ def _moments(look: Look, estimate: Estimate) -> Floats:
     match = float(m @ look.seen) + look.cross
     norm = float(m @ (look.gram @ m)) + estimate.trace + 2 * float(m @ look.offset) + look.drift
     return np.array([match, norm, look.power, look.pixels])
-
-
-def _decode_layer(layer: _Layer, name: str, identity: int, settings: ReceiveSettings) -> None:
-    """Decode the codewords still open and tell what is known of their bits by now."""
-    code, words = layer.form.code, []
-    for i, llr in enumerate(layer.llr):
-        if layer.words and layer.words[i].status != "crc_fail":
-            words.append(layer.words[i])
-            continue
-        recalled = layer.recalled[i]
-        word, after = _decode(code, llr + recalled, identity, name, settings)
-        if recalled.any() and word.status != "crc_fail" and not faithful(llr, _signs(code, word)):
-            # another codeword, like the one recalled
-            layer.recalled[i] = np.zeros_like(llr)
-            word, after = _decode(code, llr, identity, name, settings)
-        words.append(replace(word, raw=hard(llr)))
-        if word.status == "crc_fail" and settings.soft.feedback != "soft":
-            layer.soft[i], layer.variance[i] = 0.0, 1.0
-        elif word.status == "crc_fail":
-            layer.soft[i] = np.tanh(0.5 * TRUST * after)
-            layer.variance[i] = np.maximum(1 - layer.soft[i] ** 2, 2 * KNOWN)
-        else:
-            layer.soft[i], layer.variance[i] = _signs(code, word), 0.0
-    layer.words = words
-
-
-def _signs(code: TurboCode, word: Codeword) -> Floats:
-    """Coded bits (E,) of a codeword, 1 for 0 and -1 for 1."""
-    return np.asarray(1.0 - 2.0 * code.encode(word.bits))
-
-
-def _decode(
-    code: TurboCode, llr: Floats, identity: int, name: str, settings: ReceiveSettings
-) -> tuple[Codeword, Floats]:
-    """The codeword of LLRs (E,), and what the code adds to the LLRs of its coded bits."""
-    hopeless = information(llr) < HOPELESS * code.rate
-    result = code.decode(
-        llr[None],
-        algorithm=settings.soft.algorithm,
-        iterations=1 if hopeless else settings.decode.iterations,
-        stop="crc",
-        check=check,
-        coded_output=True,
-    )
-    assert result.coded_extrinsic is not None  # it was asked for
-    decoded = result.bits[0], int(result.iterations[0]), float(np.abs(result.llr).mean())
-    after = np.clip(result.coded_extrinsic[0].astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
-    return codeword_of(decoded, llr, identity, name), after

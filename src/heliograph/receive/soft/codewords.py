@@ -1,0 +1,136 @@
+"""A layer's codewords while their packet is decoded: what is known of their bits, and what the turbo decoder adds."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import entr, expit
+
+from heliograph.receive.decode import LARGEST_LLR, codeword_of, hard
+from heliograph.receive.packets import Codeword
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.soft.equalise import KNOWN
+from heliograph.receive.soft.memory import faithful
+from heliograph.signal.block import check
+from heliograph.signal.packet import LayerFormat
+from heliograph.signal.turbo import TurboCode
+
+Floats = NDArray[np.float64]
+
+TRUST = 0.85
+"""Share at which a failed codeword's LLRs are fed back: a decoder's guesses come from the noise they are added to."""
+
+HOPELESS = 0.3
+"""Share of a code's rate that LLRs must tell of each bit: of less nothing comes, and one iteration has to do."""
+
+
+@dataclass(slots=True)
+class Layer:
+    """What is known of a layer's codewords.
+
+    Attributes
+    ----------
+    form
+        Its format.
+    llr
+        (codewords, E) of the equaliser's last round.
+    soft
+        (codewords, E) mean of each coded bit, 1 for 0 and -1 for 1.
+    variance
+        (codewords, E) variance of each.
+    recalled
+        LLRs (E,) of earlier looks at each codeword.
+    words
+        The codewords by the last decoding.
+    """
+
+    form: LayerFormat
+    llr: Floats
+    soft: Floats
+    variance: Floats
+    recalled: list[Floats]
+    words: list[Codeword]
+
+    @classmethod
+    def unknown(cls, form: LayerFormat) -> "Layer":
+        """A layer of which nothing is known."""
+        shape = form.codewords, form.code.length
+        return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), [], [])
+
+    def unsure(self, number: int) -> bool:
+        """Whether a codeword is not decoded, or only with the help of earlier looks."""
+        return self.words[number].status == "crc_fail" or bool(self.recalled[number].any())
+
+    def sure_llrs(self) -> list[Floats]:
+        """LLRs (E,) of each codeword, those of a decoded one without doubt."""
+        known = self.variance.max(1) == 0
+        return [LARGEST_LLR * soft if sure else llr for llr, soft, sure in zip(self.llr, self.soft, known, strict=True)]
+
+    def forget_guesses(self) -> None:
+        """Know nothing any more of the codewords that are not decoded."""
+        for i, word in enumerate(self.words):
+            if word.status == "crc_fail":
+                self.soft[i], self.variance[i] = 0.0, 1.0
+
+    def mean(self) -> Floats:
+        """(pairs, cells) mean of each cell."""
+        return self.form.interleave(self.soft * (1.0 - 2.0 * self.form.chips))
+
+    def variances(self) -> Floats:
+        """(pairs, cells) variance of each cell."""
+        return self.form.interleave(self.variance)
+
+
+def information(llr: Floats) -> Floats:
+    """What LLRs (..., E) tell of their bits if they are right, in bit each, (...,)."""
+    # I = 1 - h2(P(wrong)), P(wrong) = 1 / (1 + exp |L|)
+    wrong = expit(-np.abs(llr))
+    return np.asarray(1 - (entr(wrong) + entr(1 - wrong)).mean(-1) / np.log(2))
+
+
+def decode_layer(layer: Layer, name: str, identity: int, settings: ReceiveSettings) -> None:
+    """Decode the codewords still open and tell what is known of their bits by now."""
+    code, words = layer.form.code, []
+    for i, llr in enumerate(layer.llr):
+        if layer.words and layer.words[i].status != "crc_fail":
+            words.append(layer.words[i])
+            continue
+        recalled = layer.recalled[i]
+        word, after = _decode(code, llr + recalled, identity, name, settings)
+        if recalled.any() and word.status != "crc_fail" and not faithful(llr, _signs(code, word)):
+            # another codeword, like the one recalled
+            layer.recalled[i] = np.zeros_like(llr)
+            word, after = _decode(code, llr, identity, name, settings)
+        words.append(replace(word, raw=hard(llr)))
+        if word.status == "crc_fail" and settings.soft.feedback != "soft":
+            layer.soft[i], layer.variance[i] = 0.0, 1.0
+        elif word.status == "crc_fail":
+            layer.soft[i] = np.tanh(0.5 * TRUST * after)
+            layer.variance[i] = np.maximum(1 - layer.soft[i] ** 2, 2 * KNOWN)
+        else:
+            layer.soft[i], layer.variance[i] = _signs(code, word), 0.0
+    layer.words = words
+
+
+def _signs(code: TurboCode, word: Codeword) -> Floats:
+    """Coded bits (E,) of a codeword, 1 for 0 and -1 for 1."""
+    return np.asarray(1.0 - 2.0 * code.encode(word.bits))
+
+
+def _decode(
+    code: TurboCode, llr: Floats, identity: int, name: str, settings: ReceiveSettings
+) -> tuple[Codeword, Floats]:
+    """The codeword of LLRs (E,), and what the code adds to the LLRs of its coded bits."""
+    hopeless = information(llr) < HOPELESS * code.rate
+    result = code.decode(
+        llr[None],
+        algorithm=settings.soft.algorithm,
+        iterations=1 if hopeless else settings.decode.iterations,
+        stop="crc",
+        check=check,
+        coded_output=True,
+    )
+    assert result.coded_extrinsic is not None  # it was asked for
+    decoded = result.bits[0], int(result.iterations[0]), float(np.abs(result.llr).mean())
+    after = np.clip(result.coded_extrinsic[0].astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
+    return codeword_of(decoded, llr, identity, name), after
