@@ -67,11 +67,12 @@ def decoded(
     memory: Memory | None = None,
     identity: int = IDENTITY,
     feedback: Feedback = "soft",
+    propagate: bool = True,
     observe: Observer = ignore,
 ) -> dict[str, tuple[Codeword, ...]]:
     """What the soft receiver makes of looks."""
     settings = ReceiveSettings(receiver="soft")
-    settings = replace(settings, soft=replace(settings.soft, rounds=rounds, feedback=feedback))
+    settings = replace(settings, soft=replace(settings.soft, rounds=rounds, feedback=feedback, propagate=propagate))
 
     def same(mean: Floats, variance: Floats, light: Light) -> tuple[Sequence[Look | None], bool]:
         """Poses are known: looking again shows the same."""

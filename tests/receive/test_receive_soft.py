@@ -37,6 +37,14 @@ def test_it_reads_while_driving() -> None:
     assert wrong(settings) == {"high": 0, "middle": 0, "low": 0}
 
 
+@pytest.mark.parametrize("z", [180, 215])
+def test_far_away_no_pair_is_taken_for_an_array_out_of_sight(z: float) -> None:
+    settings = link("static", "soft", f"channel.distance_m={z}")
+    (packet,) = receive_frames(film(settings, 101), settings.signal, settings.receive)
+    assert packet.pairs_seen == 1
+    assert packet.layers["high"][0].status == "ok"
+
+
 def test_near_it_reads_as_the_plain_receiver_does() -> None:
     for receiver in ("plain", "soft"):
         assert wrong(link("static", receiver, "channel.distance_m=25")) == {"high": 0, "middle": 0, "low": 0}

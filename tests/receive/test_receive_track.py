@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from receive_scenes import drawn_film, film, link
+from scipy.ndimage import gaussian_filter1d
 
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.receive import Packet, receive_frames
-from heliograph.receive.track import TrackedPair
+from heliograph.receive import Packet, Pose, receive_frames
+from heliograph.receive.track import TrackedPair, contrast
 
 Floats = NDArray[np.float64]
 
@@ -155,3 +156,14 @@ def test_what_is_no_array_is_given_up() -> None:
     assert len(watch.found) == len(watch.lost) == 1
     assert len(packets) <= 3
     assert all(word.status != "ok" for p in packets for words in p.layers.values() for word in words)
+
+
+@pytest.mark.parametrize(("pitch", "blur"), [(0.3, 0.5), (0.7, 0.5), (4.0, 0.2)])
+def test_contrast_is_what_blur_leaves_of_a_cell(pitch: float, blur: float) -> None:
+    x = np.linspace(-20, 20, 40001)
+    sharp = (np.abs(x) < pitch).astype(float)
+    sigma = np.hypot(blur, 12**-0.5)
+    blurred = gaussian_filter1d(sharp, sigma / (x[1] - x[0]), mode="constant")
+    # along x and along y
+    left = ((blurred**2).sum() / (sharp**2).sum()) ** 2
+    assert contrast(Pose(0, 0, pitch, 0, blur)) == pytest.approx(np.sqrt(left), rel=1e-2)

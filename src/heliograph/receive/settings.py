@@ -98,7 +98,8 @@ class TrackSettings:
     expansion_s2
         The same for the second derivative of the logarithm of the pitch.
     activity
-        Least rms difference of pattern and inverse, as a share of the array's luminance, with which it is seen.
+        Least rms difference of pattern and inverse with which it is seen, as a share of the array's luminance less
+        what blur takes of the contrast of 2 x 2 LEDs.
     score
         Least correlation with which a header sharpens pitch and blur.
     coast_s
@@ -150,6 +151,8 @@ class SoftSettings:
     feedback
         What the equaliser gets back from the turbo decoder: "none", the "decoded" codewords, whose light is
         subtracted, or "soft" values of the others too.
+    propagate
+        Whether cells that are not decoded count as -1 or +1 to the others, by expectation propagation, not as Gaussian.
     sharpen
         Whether poses are sharpened by what is decoded.
     looks
@@ -161,6 +164,7 @@ class SoftSettings:
     rounds: Annotated[int, Field(ge=1, le=100)] = 24
     algorithm: Literal["max-log", "log-map"] = "log-map"
     feedback: Literal["none", "decoded", "soft"] = "soft"
+    propagate: bool = True
     sharpen: bool = True
     looks: bool = True
 

@@ -1,6 +1,7 @@
 """Tracking: the sum of a pattern and its inverse shows every LED, so each pair gives the pose anew."""
 
 from dataclasses import dataclass, replace
+from math import erf, exp, pi, sqrt
 
 import cv2
 import numpy as np
@@ -18,6 +19,9 @@ Floats = NDArray[np.float64]
 MARGIN_PITCHES, MARGIN_PX = 1.5, 1.5
 """Width of the array's surroundings that are fitted too: they hold its edge, the panel's and the background."""
 
+
+PIXEL = 12**-0.5
+"""Standard deviation in pixels of a pixel's own width."""
 
 RESOLVED_PX = 1.0
 """Pitch from which on single LEDs show in a sum."""
@@ -165,12 +169,20 @@ class Tracker:
         x, y = pose.x - corner[0], pose.y - corner[1]
         rows, cols = (slice(max(0, round(c - half)), max(0, round(c + half)) + 1) for c in (y, x))
         inner = change[rows, cols]
-        return bool(inner.size and np.sqrt(np.mean(inner**2)) >= self._settings.activity * self.gain)
+        least = self._settings.activity * contrast(pose) * self.gain
+        return bool(inner.size and np.sqrt(np.mean(inner**2)) >= least)
 
     def _inside(self, fit: Fit, frame: Frame) -> bool:
         """Whether the array's centre is in the frame."""
         x, y = fit.vector[0] - frame.origin[0], fit.vector[1] - frame.origin[1]
         return bool(0 <= x < frame.pixels.shape[1] and 0 <= y < frame.pixels.shape[0])
+
+
+def contrast(pose: Pose) -> float:
+    """Share of the contrast of cells of 2 x 2 LEDs, the coarsest there are, that blur and pixels leave, 0 to 1."""
+    # along x and y alike: int (box * Gaussian)^2 / w = erf u - (1 - exp(-u^2)) / (sqrt(pi) u), u = w / 2 s
+    u = pose.pitch / float(np.hypot(pose.blur, PIXEL))
+    return erf(u) - (1 - exp(-(u**2))) / (sqrt(pi) * u)
 
 
 def widened(covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,6 +17,7 @@ from heliograph.receive.soft.look import Look
 from heliograph.receive.soft.memory import Memory, SeenPacket
 from heliograph.receive.soft.mix import Mix
 from heliograph.receive.soft.noise import LEAST_NOISE
+from heliograph.receive.soft.sites import Sites
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
 
@@ -100,7 +101,10 @@ def decode_looks(
     # an empty memory recalls nothing
     memory = memory if settings.soft.looks else Memory()
     packet = _Packet.begun(looks, light, form, identity)
-    # a combined pair's poses are not sharpened: its cells are seen through products
+    if settings.soft.propagate and not packet.mixed:
+        # a combined pair's cells are seen through products, which are more than two values
+        packet.sites = Sites.begun((len(looks), form.settings.side**2))
+    # nor are its poses sharpened
     steps = STEPS if settings.soft.sharpen and not packet.mixed else 0
     moved = False
     for number in range(settings.soft.rounds):
@@ -147,6 +151,8 @@ class _Packet:
         (n, n) LEDs that are lit in its header, all but those in doubt.
     told
         (codewords,) bits of information in the LLRs of the last round.
+    sites
+        What cells being +-1 adds; None if they are taken as Gaussian.
     earlier
         Earlier looks at the whole packet.
     """
@@ -158,6 +164,7 @@ class _Packet:
     cells: Cells
     header: NDArray[np.bool_]
     told: Floats
+    sites: Sites | None = None
     earlier: SeenPacket | None = None
 
     @classmethod
@@ -195,9 +202,11 @@ class _Packet:
         self.looks = looks if self.earlier is None else self.earlier.joined(looks)
 
     def forget_guesses(self) -> None:
-        """Know nothing any more of the codewords that are not decoded."""
+        """Know nothing any more of the codewords, and cells, that are not decoded."""
         for layer in self.layers.values():
             layer.forget_guesses()
+        if self.sites:
+            self.sites.forget()
 
     def recall(self, memory: Memory) -> None:
         """Add what was seen earlier, of the packet as a whole or else of each of its codewords."""
@@ -234,12 +243,14 @@ class _Packet:
         """Equalise every look with what is known now; then the gain by expectation and maximisation."""
         light, (mean, variance) = self.light, self.known()
         llr, moments = np.zeros_like(mean), np.zeros(4)
+        priors = self.sites.priors(mean, variance) if self.sites else (mean, variance)
         for number, look in enumerate(self.looks):
             if look is None:
                 continue
             if look.mix is None:
-                estimate = equalise(look, light.gain, light.noise, mean[number], variance[number])
-                llr[number] = estimate.llr
+                prior = priors[0][number], priors[1][number]
+                estimate = equalise(look, light.gain, light.noise, *prior)
+                llr[number] = self.sites.take(number, estimate, *prior) if self.sites else estimate.llr
             else:
                 around = [mean[k] if 0 <= k < len(mean) else None for k in (number - 1, number + 1)]
                 llr[number], estimate = _equalise_mixed(look, look.mix, light, mean[number], around, self.header)
