@@ -31,7 +31,7 @@ def trial_settings(seed: int, within: int, changes: Sequence[str]) -> tuple[Link
     rng = np.random.default_rng([seed, 5])
     base = load_settings("paper", None, changes)
     period, patterns = base.signal.pattern_period_s, base.signal.packet_patterns
-    lead = int(rng.integers(0, min(within, patterns) + 1))
+    lead = int(rng.integers(0, min(within, patterns - 1) + 1))
     first = ON_S + lead * period
     pixel_m = base.channel.distance_m / base.channel.camera.focal_px
     x, y = np.array([1.5, -1.0]) + rng.uniform(-0.5, 0.5, 2) * pixel_m

@@ -34,7 +34,7 @@ from heliograph.link.simulate import Recordings, default_messages, simulate
 from heliograph.link.statistics import Count
 from heliograph.link.truth import open_truth, truth_path
 from heliograph.media import open_film
-from heliograph.receive import Packet, Receiver, receive_frames
+from heliograph.receive import Packet, make_receiver, receive_frames
 
 REAL = ("channel.background.kind='footage'", "channel.shake='imu'")
 EMPTY = ("channel.arrays=[]", "transmit.identities=[]")
@@ -100,7 +100,7 @@ def empty(args: argparse.Namespace) -> None:
     for clip in args.clips:
         settings, recordings = scene(args, clip, *EMPTY, f"channel.duration_s={args.seconds}")
         film = (frame for frame, _ in simulate(settings, [], args.seed, recordings))
-        receiver, packets, frames = Receiver(settings.signal, settings.receive), list[Packet](), 0
+        receiver, packets, frames = make_receiver(settings.signal, settings.receive), list[Packet](), 0
         for frame in islice(native_frames(clip, settings) if args.native else film, args.frames):
             packets += receiver.push(frame)
             frames += 1

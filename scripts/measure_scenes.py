@@ -39,7 +39,7 @@ STILL: Mapping[str, Sequence[str]] = {
 }
 """One array at rest, a packet a block; what each changes."""
 
-OFF = ("channel.duration_s=1", f"{ARRAY}off_s=[[0.23, 0.53]]", f"{ARRAY}vx_m_s=0.5")
+OFF = ("channel.duration_s=1", f"{ARRAY}off_s=[[0.23, 0.53]]")
 
 SIX = (
     "transmit.identities=[0, 7, 12, 3, 20, 9]",

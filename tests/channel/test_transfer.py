@@ -60,13 +60,13 @@ def test_accidents_depend_on_seed_and_frame_alone() -> None:
     assert whole != {f.index: f.time_s for f in deliver(camera, 300, seed=2)}
 
 
-@pytest.mark.parametrize("bad", [{"dropped": 1.2}, {"repeated": -0.1}, {"jitter_s": -1e-6}])
+@pytest.mark.parametrize("bad", [{"dropped": 1.0}, {"repeated": -0.1}, {"jitter_s": -1e-6}])
 def test_settings_are_checked(bad: dict[str, float]) -> None:
     with pytest.raises(SettingsError, match=next(iter(bad))):
         from_mapping(CameraSettings, bad)
 
 
 def test_more_accidents_than_frames_are_refused() -> None:
-    with pytest.raises(SettingsError, match="at most 1 together"):
+    with pytest.raises(SettingsError, match="below 1 together"):
         from_mapping(CameraSettings, {"dropped": 0.6, "repeated": 0.5})
-    assert replace(CameraSettings(), dropped=0.5, repeated=0.5).dropped == 0.5
+    assert replace(CameraSettings(), dropped=0.5, repeated=0.4).dropped == 0.5

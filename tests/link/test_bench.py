@@ -130,7 +130,8 @@ def test_static_blocks_have_a_packet_and_drives_their_length() -> None:
     static, drive = link("static"), link("paper", "channel.duration_s=0.5")
     assert stands_still(static)
     assert not stands_still(drive)
-    assert not stands_still(link("static", "channel.arrays.0.vx_m_s=1"))
+    for changed in ("vx_m_s=1", "vy_m_s=1", "vz_m_s=1", "off_s=[[0.02,0.03]]"):
+        assert not stands_still(link("static", f"channel.arrays.0.{changed}"))
     assert frames_of(block_settings(static)) == 20
     assert frames_of(block_settings(static, 3)) == 3 * 20
     assert frames_of(block_settings(drive)) == 500

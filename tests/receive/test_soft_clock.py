@@ -12,7 +12,6 @@ from receive_scenes import film, link
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive import Packet, ReceiveSettings, make_receiver, receive_frames
-from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.soft.camera import FIRST, CameraClock
 from heliograph.receive.soft.clock import Clock, HeaderView
 from heliograph.receive.soft.mix import VirtualFrame
@@ -177,7 +176,7 @@ def test_even_stamps_stay() -> None:
 
 @pytest.mark.parametrize("numbered", [True, False])
 def test_dropped_frames_leave_a_gap_in_time(numbered: bool) -> None:
-    kept = [k for k in range(400) if k not in (50, 51, 120, 300)]
+    kept = [k for k in range(400) if k not in (8, 50, 51, 120, 300)]
     frames = stamped([k / 1500 for k in kept], kept if numbered else None)
     assert [f.time_s for f in timed(frames)] == pytest.approx([k / 1500 for k in kept], abs=1e-6)
 
@@ -227,7 +226,7 @@ def soft_packets(
 def assert_read(packets: Sequence[Packet], start_s: float, count: int) -> None:
     assert [p.status for p in packets[:count]] == ["ok"] * count
     starts = [start_s + 0.036 * k for k in range(count)]
-    assert [p.start_time_s for p in packets[:count]] == pytest.approx(starts, abs=1e-4)
+    assert [p.start_time_s for p in packets[:count]] == pytest.approx(starts, abs=1.5e-4)
 
 
 @pytest.mark.parametrize(
@@ -253,7 +252,7 @@ def test_dropped_repeated_and_jittered_frames() -> None:
 
 @pytest.mark.parametrize("fps", [1000.0, 1300.0])
 def test_clocks_apart_are_followed(fps: float) -> None:
-    # 2000 ppm stand for 200 ppm in a film ten times as long
+    # 800 ppm stand for 400 ppm in a film twice as long
     packets = soft_packets(
         ["channel.arrays.0.clock_ppm=-400"], 400, start_s=2.05e-3, fps=fps, exposure_s=0.75e-3, clock_ppm=400.0
     )
@@ -270,13 +269,53 @@ def test_any_chunking_gives_the_same() -> None:
     channel = replace(settings.channel, camera=replace(settings.channel.camera, fps=1500.0, exposure_s=6e-4))
     frames = film(replace(settings, channel=channel), 80)
     soft = ReceiveSettings(receiver="soft")
-    whole = [(p.start_time_s, p.status) for p in receive_frames(frames, settings.signal, soft)]
-    again = [(p.start_time_s, p.status) for p in receive_frames(iter(frames), settings.signal, soft)]
-    assert whole == again
-    assert [status for _, status in whole] == ["ok", "ok"]
+    whole, receiver = list(receive_frames(iter(frames), settings.signal, soft)), make_receiver(settings.signal, soft)
+    single = [packet for frame in frames for packet in receiver.push(frame)] + list(receiver.finish())
+    assert [p.status for p in whole] == ["ok", "ok"]
+    assert [replace(p, layers={}) for p in single] == [replace(p, layers={}) for p in whole]
+    words = [[w.block for by in p.layers.values() for w in by] for p in single]
+    assert words == [[w.block for by in p.layers.values() for w in by] for p in whole]
 
 
 def test_the_exposure_may_be_told() -> None:
-    told = CalibrationSettings(exposure_s=0.5e-3)
-    assert told.exposure_s == 0.5e-3
-    assert_read(soft_packets(["receive.calibration.exposure_s=0.0005"], exposure_s=0.5e-3), 0.0, 2)
+    # exposures of half a pattern in the middle of it, or of the whole pattern, show the same of a header
+    told = soft_packets(["receive.calibration.exposure_s=0.0005"], start_s=0.3e-3, exposure_s=0.5e-3)
+    assert told[0].start_time_s == pytest.approx(0.3e-3, abs=3e-5)
+    assert abs(soft_packets([], start_s=0.3e-3, exposure_s=0.5e-3)[0].start_time_s - 0.3e-3) > 1e-4
+
+
+@pytest.mark.parametrize("period", [1.0, 0.5])
+@pytest.mark.parametrize("clipped", [False, True])
+def test_a_header_is_as_sure_as_it_is(period: float, clipped: bool) -> None:
+    """Errors of the start are those claimed, the first header seen once more with other noise or not."""
+    for again in (False, True):
+        errors = []
+        for seed in range(60):
+            rng, clock = np.random.default_rng([seed, 3]), Clock(0.0, period * 1e-3, SIGNAL, IDENTITY)
+            view = replace(header_view(0.3, period, period, seed), clipped=clipped)
+            noisy = replace(view, alternation=view.alternation + rng.normal(0, 4, len(view.times_s)))
+            assert clock.measure(noisy, 0)
+            if again:
+                assert clock.measure(noisy, 0, again=True)
+            errors.append((clock.time_s(0) * 1e3 - 0.3) / clock.deviation)
+        assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+def test_a_header_that_is_not_seen_leaves_the_clock_alone() -> None:
+    clock = Clock(0.0, 1e-3, SIGNAL, IDENTITY)
+    assert clock.measure(header_view(0.2, 1.0, 1.0), 0)
+    before = clock.time_s(50), clock.gain, clock.exposure
+    rng = np.random.default_rng(0)
+    times = (50.0 + np.arange(-2, 7)) * np.float64(1e-3)
+    assert not clock.measure(HeaderView(times, rng.normal(0, 3, 9), rng.normal(0, 3, 9)), 50)
+    assert (clock.time_s(50), clock.gain, clock.exposure) == pytest.approx(before)
+
+
+@pytest.mark.parametrize(("fps", "start_s"), [(1000.0, 2.3e-3), (1500.0, 2.0e-3), (2500.0, 2.0e-3)])
+def test_a_packet_whose_header_is_dark_is_read_by_the_clock(fps: float, start_s: float) -> None:
+    dark = (start_s + 0.036 - 1.5e-3, start_s + 0.036 + 5.5e-3)
+    packets = soft_packets([f"channel.arrays.0.off_s=[{list(dark)}]"], 116, start_s, 60.0, fps=fps, exposure_s=1 / fps)
+    assert [p.status != "no_header" for p in packets] == [True] * len(packets)
+    assert_read(packets[:1], start_s, 1)
+    assert packets[1].layers["high"][0].status == "ok"
+    assert_read(packets[2:], start_s + 0.072, 1)

@@ -71,6 +71,15 @@ def test_lost_while_off_and_found_by_the_next_header() -> None:
     assert all(p.status != "ok" or p.identity == 0 for p in packets)
 
 
+@pytest.mark.parametrize("off_s", [0.101, 0.103])
+@pytest.mark.parametrize("distance_m", [50.0, 80.0])
+def test_an_array_switched_off_amid_its_header(off_s: float, distance_m: float) -> None:
+    settings = soft(distance_m, {"off_s": [(off_s, 0.35)]})
+    packets = list(receive_frames(film(settings, 620), settings.signal, settings.receive))
+    read = [p for p in packets if p.status == "ok"]
+    assert [round(p.start_time_s, 3) for p in read] == [0.0, 0.4, 0.5]
+
+
 def test_an_array_passes_before_another() -> None:
     # the nearer one is right before the other at 0.25 s
     near = {"x_m": -0.6, "y_m": 0.0, "z_offset_m": -15.0, "vx_m_s": 2.4}

@@ -12,6 +12,7 @@ from heliograph.base.config import CONFIG
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=4)]
+Chance = Annotated[float, Field(ge=0, lt=1)]
 Ppm = Annotated[float, Field(ge=-1e4, le=1e4)]
 Tilt = Annotated[float, Field(gt=-90, lt=90)]
 Part = Annotated[float, Field(ge=0, le=1)]
@@ -110,16 +111,16 @@ class CameraSettings:
     pixel_m: Positive = 12e-6
     blur_px: Annotated[float, Field(ge=0.05, le=20)] = 0.5
     clock_ppm: Ppm = 0.0
-    dropped: Share = 0.0
-    repeated: Share = 0.0
+    dropped: Chance = 0.0
+    repeated: Chance = 0.0
     jitter_s: NotNegative = 0.0
 
     @model_validator(mode="after")
     def _consistent(self) -> "CameraSettings":
         if self.exposure_s * self.fps > 1 + 1e-9:
             raise ValueError(f"exposure_s is at most 1 / fps = {1 / self.fps:g} s, not {self.exposure_s:g} s")
-        if self.dropped + self.repeated > 1:
-            raise ValueError(f"dropped and repeated are at most 1 together, not {self.dropped + self.repeated:g}")
+        if self.dropped + self.repeated >= 1:
+            raise ValueError(f"dropped and repeated are below 1 together, not {self.dropped + self.repeated:g}")
         return self
 
     @property

@@ -5,7 +5,6 @@ Only here, in an experiment, does a receiver see the truth; everything else abou
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from heliograph.link.simulate import simulate, transmitters
 from heliograph.link.statistics import Count
 from heliograph.receive import Pose
 from heliograph.receive.packets import Packet
-from heliograph.receive.reading import MakeReading
+from heliograph.receive.reading import Reading
 from heliograph.receive.soft.glance import take_glance
 from heliograph.receive.soft.memory import Memory
 from heliograph.receive.soft.noise import Noise
@@ -57,8 +56,8 @@ class KnownReceiver(SoftReceiver):
         super().__init__(link.signal, replace(link.receive, soft=soft))
         self._link, self._truths = link, truths
 
-    def _reading(self, identity: int) -> MakeReading:  # noqa: ARG002 - one array
-        return partial(KnownReading, self._link, self._truths, Memory())
+    def _reading(self, identity: int) -> Reading:
+        return KnownReading(self._link, self._truths, identity, self._setup, Memory())
 
 
 def true_pose(truth: ArrayTruth, link: LinkSettings) -> Pose:

@@ -198,8 +198,8 @@ def block_settings(settings: LinkSettings, max_packets: int | None = None) -> Li
     """The settings with the length of film that `run_block` takes."""
     channel, signal = settings.channel, settings.signal
     packets = max_packets or 1
-    slowest = 1 + 1e-6 * max(0.0, *(p.clock_ppm for p in channel.arrays))
-    latest = max(channel.camera.start_s, *(p.start_s for p in channel.arrays))
+    slowest = 1 + 1e-6 * max([0.0, *(p.clock_ppm for p in channel.arrays)])
+    latest = max([channel.camera.start_s, *(p.start_s for p in channel.arrays)])
     if stands_still(settings):
         return _lasting(settings, latest + packets * signal.packet_s * slowest)
     if max_packets is None:
@@ -226,7 +226,7 @@ def stands_still(settings: LinkSettings) -> bool:
     return (
         not channel.moves
         and channel.shake != "imu"
-        and not any(p.vx_m_s or p.vy_m_s or p.vz_m_s for p in channel.arrays)
+        and not any(p.vx_m_s or p.vy_m_s or p.vz_m_s or p.off_s for p in channel.arrays)
     )
 
 

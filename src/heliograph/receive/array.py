@@ -8,13 +8,11 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.detect import CLEAR, Detection, project
-from heliograph.receive.packets import Codeword, Observer, Packet, Status
+from heliograph.receive.packets import Codeword, Packet, Status
 from heliograph.receive.pose import Pose
-from heliograph.receive.reading import MakeReading, Reading
-from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.reading import Reading, Setup
 from heliograph.receive.track import TrackedPair, Tracker
 from heliograph.signal.header import named_levels
-from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
 
 HEADER_SEEN = 0.5
@@ -43,35 +41,25 @@ class ArrayReceiver:
     ----------
     detection
         Where and when its header was found.
-    form
-        The packet's format.
-    settings
-        The receiver's.
-    observe
-        Gets what each stage produces.
+    setup
+        What it shares with the receiver.
     reading
-        Makes what reads the data of a packet.
+        Reads the data of the first packet, and tells what reads those that follow.
     """
 
-    def __init__(
-        self,
-        detection: Detection,
-        form: PacketFormat,
-        settings: ReceiveSettings,
-        observe: Observer,
-        reading: MakeReading,
-    ):
+    def __init__(self, detection: Detection, setup: Setup, reading: Reading):
         self.identity = detection.identity
         self.found = detection
         self._proven = False
-        self.tracker = Tracker(detection, form.settings.side, settings.track)
+        self._form, self._settings, self._observe = setup.form, setup.settings, setup.observe
+        form = setup.form
+        self.tracker = Tracker(detection, form.settings.side, self._settings.track)
         self._start_s = detection.start_time_s
-        self._form, self._settings, self._observe = form, settings, observe
         mean, _ = light_centroids(form.settings.slot_order)
         self._sum_late_s = (mean - 0.5) * form.settings.pattern_period_s
         self._held: Frame | None = None
         self._pair = 0
-        self._packet = self._empty(reading(self.identity, form, settings, observe))
+        self._packet = self._empty(reading)
         self._failed = False
         self._now_s = detection.time_s
 

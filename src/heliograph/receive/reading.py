@@ -1,6 +1,7 @@
 """Reading of a packet's data: what is done with each of its pairs, and at its end."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -53,16 +54,31 @@ class Reading(Protocol):
         """What an observer of the stage "decode" gets beside the packet."""
 
 
-MakeReading = Callable[[int, PacketFormat, ReceiveSettings, Observer], Reading]
-"""Identity, format, settings, observer -> the reading of a packet that begins."""
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What the parts of a receiver share.
+
+    Attributes
+    ----------
+    form
+        The agreed format of packets.
+    settings
+        The receiver's.
+    observe
+        Gets what each stage produces.
+    """
+
+    form: PacketFormat
+    settings: ReceiveSettings
+    observe: Observer
 
 
 class PlainReading:
     """The paper's own: the luminance at each LED's image position, FHWT, turbo decoder."""
 
-    def __init__(self, identity: int, form: PacketFormat, settings: ReceiveSettings, observe: Observer):
-        self._identity, self._form, self._settings, self._observe = identity, form, settings, observe
-        pairs, side = form.settings.data_pairs, form.settings.side
+    def __init__(self, identity: int, setup: Setup):
+        self._identity, self._setup = identity, setup
+        pairs, side = setup.form.settings.data_pairs, setup.form.settings.side
         self._luminances = np.zeros((pairs, side, side))
         self._seen = np.zeros(pairs, dtype=bool)
 
@@ -91,20 +107,21 @@ class PlainReading:
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Read the luminances of a pair."""
         poses = (tracked.state.pose_at(pattern.time_s), tracked.state.pose_at(inverted.time_s))
-        side, equaliser = self._form.settings.side, self._settings.equaliser
+        side, equaliser = self._setup.form.settings.side, self._setup.settings.equaliser
         x = pair_luminances(pattern, inverted, poses, tracker.gain, side, equaliser)
         self._luminances[place], self._seen[place] = x, True
-        self._observe(
+        self._setup.observe(
             "extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": poses, "luminances": x}
         )
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode what was read."""
-        return decode_packet(self._luminances, self._seen, self._form, self._identity, self._settings.decode)
+        form, settings = self._setup.form, self._setup.settings.decode
+        return decode_packet(self._luminances, self._seen, form, self._identity, settings)
 
     def following(self) -> "PlainReading":
         """The reading of the next packet."""
-        return PlainReading(self._identity, self._form, self._settings, self._observe)
+        return PlainReading(self._identity, self._setup)
 
     def shown(self) -> Mapping[str, Any]:
         """The luminances, (pairs, n, n)."""

@@ -9,7 +9,7 @@ from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.detect import Detection, Detector, apart
 from heliograph.receive.packets import Observer, Packet, ignore
 from heliograph.receive.pose import Pose
-from heliograph.receive.reading import MakeReading, PlainReading
+from heliograph.receive.reading import PlainReading, Reading, Setup
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
@@ -52,10 +52,8 @@ class Receiver:
     array: type[ArrayReceiver] = ArrayReceiver
 
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings | None = None, observe: Observer = ignore):
-        self._settings = settings or ReceiveSettings()
-        self._form = PacketFormat(signal)
-        self._observe = observe
-        self._detector: HeaderSearch = Detector(self._settings, signal)
+        self._setup = Setup(PacketFormat(signal), settings or ReceiveSettings(), observe)
+        self._detector: HeaderSearch = Detector(self._setup.settings, signal)
         self._arrays: list[ArrayReceiver] = []
         self._last: Frame | None = None
         self.detections = 0
@@ -85,27 +83,27 @@ class Receiver:
 
     def _apart(self, array: ArrayReceiver, detection: Detection) -> bool:
         """Whether a detection lies beside an array that is followed."""
-        return apart(array.tracker.state.pose, detection.fit.pose, self._form.settings.side)
+        return apart(array.tracker.state.pose, detection.fit.pose, self._setup.form.settings.side)
 
     def _take_up(self, detection: Detection) -> Iterator[Packet]:
         """Begin to follow an array, its header's frames first."""
         self.detections += 1
-        self._observe("detect", {"detection": detection, "frames": tuple(self._detector.recent)})
-        array = self.array(detection, self._form, self._settings, self._observe, self._reading(detection.identity))
+        self._setup.observe("detect", {"detection": detection, "frames": tuple(self._detector.recent)})
+        array = self.array(detection, self._setup, self._reading(detection.identity))
         self._arrays.append(array)
         for frame in self._detector.recent:
             yield from array.push(frame)
 
-    def _reading(self, identity: int) -> MakeReading:  # noqa: ARG002 - others keep something for each array
-        """How the packets of an array are read."""
-        return PlainReading
+    def _reading(self, identity: int) -> Reading:
+        """What reads the packets of an array."""
+        return PlainReading(identity, self._setup)
 
     def _drop(self, array: ArrayReceiver) -> Iterator[Packet]:
         yield from array.flush()
         self._forget(array)
 
     def _forget(self, array: ArrayReceiver) -> None:
-        self._observe("lost", {"identity": array.identity, "time_s": array.tracker.state.time_s})
+        self._setup.observe("lost", {"identity": array.identity, "time_s": array.tracker.state.time_s})
         self._arrays.remove(array)
 
     def _check(self, frame: Frame) -> None:
@@ -117,7 +115,7 @@ class Receiver:
                 f"frames must follow in time: frame {frame.index} at {frame.time_s:.6f} s came after "
                 f"frame {self._last.index} at {self._last.time_s:.6f} s"
             )
-        period = self._form.settings.pattern_period_s
+        period = self._setup.form.settings.pattern_period_s
         if abs(gap / steps - period) > STEP_TOLERANCE * period:
             raise HeliographError(
                 f"the plain receiver needs one frame a pattern: the film has {steps / gap:.1f} frames/s, the light "

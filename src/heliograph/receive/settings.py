@@ -178,7 +178,7 @@ class ReceiveSettings:
     receiver
         Its name: "plain" is the paper's own, "soft" reads as far as the channel allows.
     equaliser
-        How the LEDs are read: "none", the luminance at each one's position, as in the paper, or "inverse", all by
+        How "plain" reads the LEDs: "none", the luminance at each one's position, as in the paper, or "inverse", all by
         least squares with the blur known, as Kasashima et al. 2013 did.
     """
 
@@ -189,3 +189,10 @@ class ReceiveSettings:
     track: TrackSettings = TrackSettings()
     decode: DecodeSettings = DecodeSettings()
     soft: SoftSettings = SoftSettings()
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "ReceiveSettings":
+        smallest, largest = self.soft.min_side_px, self.detect.max_side_px
+        if smallest >= largest:
+            raise ValueError(f"soft.min_side_px must be below detect.max_side_px, not {smallest} and {largest}")
+        return self

@@ -11,25 +11,20 @@ from heliograph.base.frames import Frame
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.detect import Detection
 from heliograph.receive.fit import window_around
-from heliograph.receive.packets import Observer, Packet
+from heliograph.receive.packets import Packet
 from heliograph.receive.pose import Pose
-from heliograph.receive.reading import MakeReading
-from heliograph.receive.settings import ReceiveSettings
-from heliograph.receive.soft.clock import AROUND, Clock, view_header
+from heliograph.receive.reading import Reading, Setup
+from heliograph.receive.soft.clock import AROUND, EXPLAINED, Clock, view_header
 from heliograph.receive.soft.mix import EXACT, Mix, SlotLight, VirtualFrame, mix_header, mix_of, mix_pair
 from heliograph.receive.soft.naming import HeaderFrames
 from heliograph.receive.soft.reading import SoftReading
 from heliograph.signal.header import dimmed_leds, header_levels
-from heliograph.signal.packet import PacketFormat
 
 AHEAD = 1.0
 """Patterns after the end of a pair whose frames are awaited: some hold of the pair still."""
 
 BEHIND = 1.0
 """Patterns before its start whose frames are used."""
-
-EXPLAINED = 0.7
-"""Share of what the frames around a detection show that a header must explain: clutter is sorted out here."""
 
 OVERHANG = 0.04
 """Share of T_b by which an exposure may exceed the header and still be taken for one of it."""
@@ -49,15 +44,9 @@ MARGIN_PX = 8.0
 class TimedArray(ArrayReceiver):
     """Follows an array by its own clock, which it finds and keeps by the headers; see `ArrayReceiver`."""
 
-    def __init__(
-        self,
-        detection: Detection,
-        form: PacketFormat,
-        settings: ReceiveSettings,
-        observe: Observer,
-        reading: MakeReading,
-    ):
-        super().__init__(detection, form, settings, observe, reading)
+    def __init__(self, detection: Detection, setup: Setup, reading: Reading):
+        super().__init__(detection, setup, reading)
+        form = setup.form
         self._frames: deque[Frame] = deque()
         self._clock: Clock | None = None
         self._light = SlotLight(form.settings.slot_order)
@@ -131,8 +120,8 @@ class TimedArray(ArrayReceiver):
         known = np.array(sorted(self._poses))
         pairs = 0.5 * (_starts(clock, near) - 0.5)
         poses = [self._poses[int(known[np.argmin(np.abs(known - k))])] for k in pairs]
-        clock.measure(view_header(near, poses, self._signs * self.tracker.shares), pattern)
-        if _in_step(clock, self._mix(clock, near, pattern)):
+        seen = clock.measure(view_header(near, poses, self._signs * self.tracker.shares), pattern, again=pattern == 0)
+        if not seen or _in_step(clock, self._mix(clock, near, pattern)):
             return
         # a sum hardly tells the array's light from that of its panel
         self.tracker.gain = clock.gain
@@ -212,7 +201,7 @@ class TimedArray(ArrayReceiver):
         return [f for f in self._frames if low <= f.time_s <= high]
 
     def _window(self, frames: list[Frame], time_s: float) -> tuple[int, int, int, int] | None:
-        """Columns and rows around the array that all frames have: first x, first y, last x, last y, less 1."""
+        """Columns and rows around the array that all frames have: first x and y, and those after the last."""
         pose, side = self.tracker.state.pose_at(time_s), self._form.settings.side
         margin = max(MARGIN_PX, MARGIN * side * pose.pitch)
         x, y, width, height = window_around(pose, side, margin)

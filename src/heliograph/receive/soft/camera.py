@@ -71,11 +71,12 @@ class CameraClock:
         held, self._held = self._held, []
         if len(held) < 2:
             return
-        number = np.array([f.index for f in held], np.float64)
         times = np.array([f.time_s for f in held])
+        gaps = np.diff(times)
+        # the median passes over frames that were dropped; their numbers may run on all the same
+        number = np.append(0.0, np.cumsum(np.maximum(np.round(gaps / np.median(gaps)), 1)))
         centred = number - number.mean()
-        slope = float(centred @ times / max(centred @ centred, 1e-9))
-        self.period_s = slope if slope > 0 else float(np.diff(times).mean())
+        self.period_s = float(centred @ times / (centred @ centred))
         self._time_s = float(times.mean() + (number[0] - number.mean() - 1) * self.period_s)
         self._spread = np.diag([1.0, 12 / len(held) ** 2]) * JITTER**2
         for frame in held:

@@ -55,7 +55,10 @@ RATE = 2.5e-4
 RATE_WALK = 2e-6
 """Its random walk per square root of a second."""
 
-LEAST_S = 0.004
+EXPLAINED = 0.7
+"""Share of what frames show of a header that it must explain: the rest is clutter, or the array is dark."""
+
+LEAST_DEVIATION = 0.004
 """Least standard deviation of a measured start in T_b."""
 
 CLIPPED = 0.02
@@ -113,6 +116,7 @@ class Clock:
         self._dimmed = np.unique(np.stack([cells.sum(1), cells @ header_cells(identity).ravel()], axis=1), axis=0)
         self._light = SlotLight(signal.slot_order)
         self.start_s = start_s
+        """Start of the last header measured."""
         self.rate = 0.0
         """Its pattern period is longer by this share than the nominal one."""
         self.gain = 0.0
@@ -128,6 +132,7 @@ class Clock:
             self._exposures = np.array([min(exposure_s / signal.pattern_period_s, longest)])
         self._evidence = LONGER * self._exposures / longest
         self._evidence[-1] += WHOLE
+        self._beforehand = self._evidence
 
     @property
     def period_s(self) -> float:
@@ -171,24 +176,45 @@ class Clock:
         shown, light = (_mean_over(starts, self.exposure, edges, values) for values in (wave, bright))
         return shown, 0.5 + light
 
-    def measure(self, view: HeaderView, pattern: int) -> None:
-        """Take the header that begins with a pattern."""
+    def measure(self, view: HeaderView, pattern: int, again: bool = False) -> bool:
+        """Take the header that begins with a pattern.
+
+        Parameters
+        ----------
+        view
+            What frames show of it.
+        pattern
+            Its first.
+        again
+            Whether it is the first header once more, seen with better poses: what it told before does not count.
+
+        Returns
+        -------
+        Whether a header was seen; if not, the clock goes on as it was.
+        """
         self._move(pattern)
-        spread = self.deviation
+        spread, gain = self.deviation, self.gain
         reach = min(max(6 * spread, 0.1), 0.5) if self._measured else REACH
         offset = np.linspace(-reach, reach, STARTS)
         likely = self._evidence > self._evidence.max() - GIVEN_UP
         self._exposures, self._evidence = self._exposures[likely], self._evidence[likely]
+        self._beforehand = self._beforehand[likely]
         cost = self._cost(view, offset)
+        if self._measured and self.explained < EXPLAINED:
+            self.gain = gain
+            return False
+        if again:
+            self._evidence, self._measured = self._beforehand, False
         if self._measured:
-            cost = cost + 0.5 * (offset / max(spread, LEAST_S)) ** 2
+            cost = cost + 0.5 * (offset / max(spread, LEAST_DEVIATION)) ** 2
         by_exposure = -cost.min(1) + np.log(np.exp(cost.min(1)[:, None] - cost).sum(1))
         self._evidence = self._evidence + by_exposure - by_exposure.max()
         chance = np.exp((self._evidence - self._evidence.max() - by_exposure)[:, None] - cost)
         chance = chance.sum(0) / chance.sum()
         mean = float(chance @ offset)
-        variance = float(chance @ (offset - mean) ** 2) + LEAST_S**2
+        variance = float(chance @ (offset - mean) ** 2) + LEAST_DEVIATION**2
         self._take(mean * self.period_s, variance * self.period_s**2)
+        return True
 
     def _move(self, pattern: int) -> None:
         """Predict the start of the header at a pattern."""
@@ -226,12 +252,12 @@ class Clock:
         energy, left, gain = float((shown**2).sum()), np.full(match.shape[1:], np.inf), np.zeros(match.shape[1:])
         for part, lit in self._dimmed:
             v = np.array([1.0, part, lit])
-            m, n = np.maximum(np.tensordot(v, match, 1), 0), np.einsum("a,b,abeo->eo", v, v, norm)
-            better = energy - m**2 / np.maximum(n, 1e-9) < left
+            m, n = np.maximum(np.tensordot(v, match, 1), 0), np.maximum(np.einsum("a,b,abeo->eo", v, v, norm), 1e-9)
+            better = energy - m**2 / n < left
             left[better], gain[better] = (energy - m**2 / n)[better], (m / n)[better]
         best = np.unravel_index(np.argmin(left), left.shape)
         # what the model leaves unexplained counts as noise
-        freedom = max(2 * len(place) - 4, 1)
+        freedom = max(len(shown) - 4, 1)
         self.gain = float(gain[best])
         self.explained = 1 - float(left[best]) / max(energy, 1e-9)
         variance = max((DEVIATION * self.gain) ** 2, float(left[best]) / freedom, 1e-9)
@@ -295,9 +321,10 @@ def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
     kernels.render(pose.full_vector(), lit, float(x0), float(y0), model[0])
     kernels.render(pose.full_vector(), np.abs(lit), float(x0), float(y0), model[1])
     columns = np.stack([model[0, 0].ravel(), model[1, 0].ravel(), np.ones(cut.size)], axis=1)
-    inside = model[1, 0] > 0.5 * model[1, 0].max()
+    inside = model[1, 0] >= 0.5 * model[1, 0].max()
     clipped = (cut[inside] >= frame.full_scale).mean()
-    return np.append(np.linalg.solve(columns.T @ columns, columns.T @ cut.ravel())[:2], clipped)
+    # where only lit LEDs or only dark ones are left the two images are one
+    return np.append(np.linalg.lstsq(columns, cut.ravel(), rcond=1e-6)[0][:2], clipped)
 
 
 def _mean_over(starts: Floats, exposure: float, edges: Floats, values: Floats) -> Floats:

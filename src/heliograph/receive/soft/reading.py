@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.kalman import PoseState
-from heliograph.receive.packets import Codeword, Observer
+from heliograph.receive.packets import Codeword
 from heliograph.receive.pose import Pose
-from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.reading import Setup
 from heliograph.receive.soft.behind import Header
 from heliograph.receive.soft.cancel import Light, decode_looks
 from heliograph.receive.soft.glance import Glance, take_glance
@@ -34,18 +34,9 @@ Floats = NDArray[np.float64]
 class SoftReading:
     """Equalises, cancels and decodes; `memory` holds earlier looks at the array's codewords."""
 
-    def __init__(
-        self,
-        memory: Memory,
-        identity: int,
-        agreed: PacketFormat,
-        settings: ReceiveSettings,
-        observe: Observer,
-        shares: LedShares | None = None,
-    ):
-        self._memory = memory
-        self._identity, self._agreed, self._settings, self._observe = identity, agreed, settings, observe
-        self._side = agreed.settings.side
+    def __init__(self, identity: int, setup: Setup, memory: Memory, shares: LedShares | None = None):
+        self._identity, self._setup, self._memory = identity, setup, memory
+        self._agreed, self._side = setup.form.settings, setup.form.settings.side
         self._shares = shares or LedShares(self._side)
         self._lit = self._shares.values
         self._glances: list[Glance | None] = []
@@ -59,9 +50,9 @@ class SoftReading:
         self._form: PacketFormat | None = None
         self._headers: list[Header] = []
         self._singles: Singles | None = None
-        _, data = light_centroids(agreed.settings.slot_order)
+        _, data = light_centroids(self._agreed.slot_order)
         # where the light of the data was: in the middle of the exposure, or about it
-        self._later_s = (data - 0.5) * agreed.settings.pattern_period_s
+        self._later_s = (data - 0.5) * self._agreed.pattern_period_s
 
     @property
     def named(self) -> Format:
@@ -105,7 +96,7 @@ class SoftReading:
             glances = self._singles.glances
         self._glances[len(glances) * place : len(glances) * (place + 1)] = glances
         poses = tuple(pose for glance in glances for pose in glance.poses)
-        self._observe("extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": poses})
+        self._setup.observe("extract", {"identity": self._identity, "frames": (pattern, inverted), "poses": poses})
 
     def take_even(self, pattern: Frame, inverted: Frame, pose: Pose) -> None:
         """Take all frames of a header combined to one pair: its sum is even and tells the noise."""
@@ -135,7 +126,8 @@ class SoftReading:
         self._looks = [None if weighted is None else weighted.look() for weighted in self._weighted]
         self._errors = np.zeros((len(self._glances), 4))
         light, again = Light(self._gain, self._noise.lit), self._look_again
-        words = decode_looks(self._looks, light, form, self._identity, self._settings, memory, again, self._observe)
+        settings, observe = self._setup.settings, self._setup.observe
+        words = decode_looks(self._looks, light, form, self._identity, settings, memory, again, observe)
         self._glances = kept
         return words
 
@@ -175,12 +167,12 @@ class SoftReading:
     def following(self) -> "SoftReading":
         """The reading of the next packet; it knows the LEDs."""
         self._shares.forget()
-        return SoftReading(self._memory, self._identity, self._agreed, self._settings, self._observe, self._shares)
+        return SoftReading(self._identity, self._setup, self._memory, self._shares)
 
     def _glance(self, pattern: Frame, inverted: Frame, state: PoseState, gain: float) -> Glance:
         mix, later_s = mix_of(pattern), (self._later_s, self._later_s)
         if mix is not None:
-            period_s = self._agreed.settings.pattern_period_s
+            period_s = self._agreed.pattern_period_s
             later_s = (mix.data[0] - mix.light) * period_s, (mix.data[1] - mix.light) * period_s
         poses = state.pose_at(pattern.time_s + later_s[0]), state.pose_at(inverted.time_s + later_s[1])
         return take_glance(pattern, inverted, poses, self._side, mix).steadied(gain, self._shares.values)
@@ -192,7 +184,7 @@ class SoftReading:
     def _known(self) -> PacketFormat:
         """The packet's format, once its header is over."""
         if self._form is None:
-            self._form = PacketFormat(self._agreed.settings, self.named)
+            self._form = PacketFormat(self._agreed, self.named)
             self._glances = [None] * self._form.layers["high"].pairs
         return self._form
 

@@ -3,12 +3,11 @@
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
 from heliograph.receive.packets import Observer, Packet, ignore
-from heliograph.receive.reading import MakeReading
+from heliograph.receive.reading import Reading
 from heliograph.receive.receiver import Receiver
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft.array import TimedArray
@@ -39,22 +38,17 @@ class SoftReceiver(Receiver):
                 f'set receive.receiver = "plain"'
             )
         settings = settings or ReceiveSettings(receiver="soft")
-        detect, soft = settings.detect, settings.soft
-        detect = replace(
-            detect,
-            min_side_px=min(detect.min_side_px, soft.min_side_px),
-            regularity=min(detect.regularity, soft.regularity),
-            impaired=True,
-        )
+        soft = settings.soft
+        detect = replace(settings.detect, min_side_px=soft.min_side_px, regularity=soft.regularity, impaired=True)
         super().__init__(signal, replace(settings, detect=detect), observe)
         self._camera = CameraClock()
-        self._search = Search(self._settings, signal)
+        self._search = Search(self._setup.settings, signal)
         self._detector = self._search
         # by identity, not by array: one lost and found again goes on with its carousel
         self._memories: dict[int, Memory] = defaultdict(Memory)
 
-    def _reading(self, identity: int) -> MakeReading:
-        return partial(SoftReading, self._memories[identity])
+    def _reading(self, identity: int) -> Reading:
+        return SoftReading(identity, self._setup, self._memories[identity])
 
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packets it completes.
