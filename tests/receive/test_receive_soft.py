@@ -1,17 +1,20 @@
 """The soft receiver as a whole."""
 
 from dataclasses import replace
+from types import ModuleType
+from typing import Any
 
 import pytest
-from receive_scenes import film
+from receive_scenes import film, pitch_at
+from receive_scenes import link as scene
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from heliograph.base.errors import SettingsError
 from heliograph.link.bench import run_block
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.receive import ReceiveSettings, make_receiver, receive_frames
-from heliograph.receive.packets import Codeword
-from heliograph.receive.soft import reading
+from heliograph.receive.soft import cancel, shares, single
+from heliograph.receive.soft.equalise import Estimate, equalise
 from heliograph.receive.soft.receiver import SoftReceiver
 
 
@@ -55,24 +58,40 @@ def test_it_is_chosen_by_its_name() -> None:
     assert not isinstance(make_receiver(load_settings().signal), SoftReceiver)
 
 
-def test_another_modulation_is_refused_in_one_line() -> None:
-    signal = replace(load_settings().signal, modulation="ook")
-    with pytest.raises(SettingsError, match=r'reads signal\.modulation = "haar", not "ook"') as caught:
+@pytest.mark.parametrize(
+    ("setting", "read", "other"), [("modulation", "haar", "ook"), ("header", "m_sequence", "all_on")]
+)
+def test_another_light_is_refused_in_one_line(setting: str, read: str, other: str) -> None:
+    signal = load_settings("static", None, [f"signal.{setting}={other}"]).signal
+    with pytest.raises(SettingsError, match=rf'reads signal\.{setting} = "{read}", not "{other}"') as caught:
         make_receiver(signal, ReceiveSettings(receiver="soft"))
     assert "\n" not in str(caught.value)
 
 
-def test_its_algebra_runs_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("room", [cancel, shares, single])
+def test_its_algebra_runs_in_one_thread(room: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever calls it: many threads share small matrices slowly."""
     threads: list[int] = []
 
-    def counting(*_: object) -> dict[str, tuple[Codeword, ...]]:
+    def counting(*given: Any) -> Estimate:
         threads.extend(info["num_threads"] for info in threadpool_info() if info["user_api"] == "blas")
-        return {}
+        return equalise(*given)
 
-    monkeypatch.setattr(reading, "decode_looks", counting)
-    settings = link("static", "soft", "channel.distance_m=50")
+    monkeypatch.setattr(room, "equalise", counting)
+    settings = link("static", "soft", "channel.distance_m=50", "transmit.formats=[{mode='single'}]")
     with threadpool_limits(limits=2, user_api="blas"):
         list(receive_frames(film(settings, 101), settings.signal, settings.receive))
     assert threads
     assert set(threads) == {1}
+
+
+@pytest.mark.parametrize("cut_px", [0, 1])
+def test_an_array_at_the_rim_of_the_picture_is_read(cut_px: int) -> None:
+    """Pixels that are not there count for nothing."""
+    settings = scene("receive.receiver=soft", distance_m=80.0)
+    frames = film(settings, 205)
+    first = next(iter(receive_frames(frames, settings.signal, settings.receive)))
+    right = round(first.pose.x + 8 * pitch_at(80.0) - cut_px)
+    frames = [replace(f, pixels=f.pixels[:, :right].copy()) if f.index > 101 else f for f in frames]
+    packets = list(receive_frames(frames, settings.signal, settings.receive))
+    assert [p.status for p in packets] == ["ok", "ok"]

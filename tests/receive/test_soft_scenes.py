@@ -1,5 +1,6 @@
 """The soft receiver where arrays are tilted, partly hidden, failed in part, dim, in the sun, off, or many."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,22 @@ def test_every_codeword_read(
     distance_m: float, place: dict[str, Any], channel: dict[str, Any], expected: list[int]
 ) -> None:
     assert wrong(run_block(soft(distance_m, place, **channel), 1)) == expected
+
+
+@pytest.mark.parametrize("distance_m", [50.0, 80.0])
+def test_hidden_leds_are_known_out_of_step_too(distance_m: float) -> None:
+    assert wrong(run_block(soft(distance_m, {**QUARTER, "start_s": 0.00015}), 1)) == [0, 0, 0]
+
+
+def test_what_passes_before_an_array_without_inverses_is_not_behind_it() -> None:
+    settings = link("transmit.formats=[{mode='single'}]", "receive.receiver=soft", distance_m=70.0)
+    rng, frames = np.random.default_rng(0), film(settings, 101)
+    for k in range(30, 44):
+        gray = np.clip(np.round(200 + rng.normal(0, 1.5, frames[k].pixels.shape)), 0, 255).astype(np.uint8)
+        frames[k] = replace(frames[k], pixels=gray)
+    (packet,) = receive_frames(frames, settings.signal, settings.receive)
+    assert packet.pairs_seen < 0.9
+    assert packet.status == "ok"
 
 
 def test_half_an_array_gives_no_wrong_codeword() -> None:

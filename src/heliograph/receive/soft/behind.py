@@ -55,13 +55,13 @@ def learn_behind(headers: list[Header], gain: float, shares: Floats) -> tuple[fl
     views = [_view(header, gain, shares) for header in headers]
 
     def loss(half: float) -> float:
-        return sum(float(_fitted(*view, half)[1].sum()) for view in views)
+        return sum(float(_fitted(*view[:3], half)[1].sum()) for view in views)
 
     halves = 0.5 * len(shares) + MARGINS
     near = float(halves[int(np.argmin([loss(half) for half in halves]))])
     step = float(MARGINS[1] - MARGINS[0])
     half = float(minimize_scalar(loss, bounds=(near - step, near + step), method="bounded", options={"xatol": 5e-3}).x)
-    found = [_fitted(*view, half) for view in views]
+    found = [_fitted(*view[:3], half) for view in views]
     beside = np.concatenate([squares[view[3]] for view, (_, squares) in zip(views, found, strict=True)])
     return half, np.mean([one for one, _ in found], axis=0), float(beside.mean()) if beside.size else 0.0
 
@@ -80,9 +80,7 @@ def _view(header: Header, gain: float, shares: Floats) -> View:
     return 0.5 * (up + down - 0.5 * gain * lit), middle, corner, beside
 
 
-def _fitted(
-    behind: Floats, pose: Pose, corner: tuple[int, int], _beside: NDArray[np.bool_], half: float
-) -> tuple[Floats, Floats]:
+def _fitted(behind: Floats, pose: Pose, corner: tuple[int, int], half: float) -> tuple[Floats, Floats]:
     """Least squares coefficients of the images, and the squares of what they leave."""
     columns = images_behind(pose, corner, behind.shape, half)[:, 0].reshape(COUNT, -1).T
     coefficients = np.asarray(np.linalg.lstsq(columns, behind.ravel(), rcond=1e-6)[0], np.float64)

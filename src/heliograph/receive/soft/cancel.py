@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 PROGRESS = 0.002
 """A round in which nothing is decoded, and the LLRs tell of no open codeword's bits this much more, in bit each, is the
-last."""
+last, but for those that begin with no guesses."""
 
 STEPS = 6
 """Most times that a packet's poses are sharpened: after each layer, and again where that moved them far."""
@@ -56,6 +56,7 @@ class Light:
             # g = <d, B m + o> / E|B c + o|^2
             self.gain = match / norm
         if mixed:
+            # s^2 = E|d - g (B c + o)|^2 / pixels
             self.noise = max((power - 2 * self.gain * match + self.gain**2 * norm) / pixels, LEAST_NOISE)
 
 
@@ -100,33 +101,15 @@ def decode_looks(
     """
     # an empty memory recalls nothing
     memory = memory if settings.soft.looks else Memory()
-    packet = _Packet.begun(looks, light, form, identity)
-    if settings.soft.propagate and not packet.mixed:
-        # a combined pair's cells are seen through products, which are more than two values
-        packet.sites = Sites.begun((len(looks), form.settings.side**2))
-    # nor are its poses sharpened
-    steps = STEPS if settings.soft.sharpen and not packet.mixed else 0
-    moved = False
-    for number in range(settings.soft.rounds):
-        before, open_ = packet.told, packet.open
-        packet.equalise()
-        if number == 0:
-            packet.recall(memory)
-        observe("equalise", {"identity": identity, "llr": {name: layer.llr for name, layer in packet.layers.items()}})
-        for name, layer in packet.layers.items():
-            decode_layer(layer, name, identity, settings)
-        still = packet.open
-        packet.told = np.concatenate([information(layer.llr) for layer in packet.layers.values()])
-        if not still.any() or settings.soft.feedback == "none":
-            break
-        if steps and (moved or still.sum() < open_.sum()):
-            looks, moved = again(*packet.known(), light)
-            packet.look(looks)
-            if moved:
-                packet.forget_guesses()
-            steps -= 1
-        elif (packet.told - before)[still].max() < PROGRESS:
-            break
+    packet = _Packet.begun(looks, light, form, identity, settings)
+    packet.decode(memory, again, observe)
+    if packet.earlier is not None and packet.open.any():
+        # what it was taken for may be another packet, which stands in its way
+        alone = _Packet.begun(looks, light, form, identity, settings)
+        alone.decode(Memory(), again, observe)
+        if alone.open.sum() < packet.open.sum():
+            memory.keep_packet(packet.earlier)
+            packet = alone
     packet.remember(memory)
     return {name: tuple(layer.words) for name, layer in packet.layers.items()}
 
@@ -139,6 +122,10 @@ class _Packet:
     ----------
     form
         Its format.
+    identity
+        The array's.
+    settings
+        The receiver's.
     looks
         What is seen of its pairs, in earlier looks too.
     light
@@ -148,7 +135,7 @@ class _Packet:
     cells
         Passes between the layers' bits and the cells.
     header
-        (n, n) LEDs that are lit in its header, all but those in doubt.
+        (n, n) LEDs that are lit in its header, as if none were dimmed.
     told
         (codewords,) bits of information in the LLRs of the last round.
     sites
@@ -158,6 +145,8 @@ class _Packet:
     """
 
     form: PacketFormat
+    identity: int
+    settings: ReceiveSettings
     looks: Sequence[Look | None]
     light: Light
     layers: dict[str, Layer]
@@ -168,13 +157,55 @@ class _Packet:
     earlier: SeenPacket | None = None
 
     @classmethod
-    def begun(cls, looks: Sequence[Look | None], light: Light, form: PacketFormat, identity: int) -> "_Packet":
+    def begun(
+        cls,
+        looks: Sequence[Look | None],
+        light: Light,
+        form: PacketFormat,
+        identity: int,
+        settings: ReceiveSettings,
+    ) -> "_Packet":
         """A packet of which nothing is known."""
         layers = {name: Layer.unknown(layer) for name, layer in form.layers.items()}
-        # of what a name dims the side of one half remains
         header = form.header_pattern(identity) > SLOTS // 2
         codewords = sum(layer.codewords for layer in form.layers.values())
-        return cls(form, looks, light, layers, Cells(form), header, np.zeros(codewords))
+        packet = cls(form, identity, settings, looks, light, layers, Cells(form), header, np.zeros(codewords))
+        if settings.soft.propagate and not packet.mixed:
+            # a combined pair's cells are seen through products, which are more than two values
+            packet.sites = Sites.begun((len(looks), form.settings.side**2))
+        return packet
+
+    def decode(self, memory: Memory, again: LookAgain, observe: Observer) -> None:
+        """Rounds between equaliser and decoder; see `decode_looks`."""
+        # of a combined pair poses are not sharpened
+        steps = STEPS if self.settings.soft.sharpen and not self.mixed else 0
+        moved = False
+        for number in range(self.settings.soft.rounds):
+            before, open_ = self.told, self.open
+            self.equalise()
+            if number == 0:
+                self.recall(memory)
+            llr = {name: layer.llr for name, layer in self.layers.items()}
+            observe("equalise", {"identity": self.identity, "llr": llr})
+            for name, layer in self.layers.items():
+                decode_layer(layer, name, self.identity, self.settings)
+            still = self.open
+            self.told = np.concatenate([information(layer.llr) for layer in self.layers.values()])
+            if not still.any() or self.settings.soft.feedback == "none":
+                break
+            decoded = still.sum() < open_.sum()
+            if steps and (moved or decoded):
+                looks, moved = again(*self.known(), self.light)
+                self.look(looks)
+                if moved:
+                    self.forget_guesses()
+                steps -= 1
+            elif moved:
+                # nothing was guessed in this round
+                moved = False
+            elif not decoded and (self.told - before)[still].max() < PROGRESS:
+                break
+        self.doubt()
 
     @property
     def open(self) -> NDArray[np.bool_]:
@@ -199,7 +230,7 @@ class _Packet:
 
     def look(self, looks: Sequence[Look | None]) -> None:
         """Take looks in place of those there were, beside the earlier ones."""
-        self.looks = looks if self.earlier is None else self.earlier.joined(looks)
+        self.looks = looks if self.earlier is None else self.earlier.joined(looks, self.light.gain, self.light.noise)
 
     def forget_guesses(self) -> None:
         """Know nothing any more of the codewords, and cells, that are not decoded."""
@@ -210,34 +241,45 @@ class _Packet:
 
     def recall(self, memory: Memory) -> None:
         """Add what was seen earlier, of the packet as a whole or else of each of its codewords."""
+        for layer in self.layers.values():
+            layer.own = np.where(layer.telling, layer.llr, 0.0)
         if not self.mixed:
-            self.earlier = memory.recall_packet(self.form.named, self.llrs)
-        for name, layer in self.layers.items():
-            kind = name, layer.form.code
-            layer.recalled = [
-                memory.recall(kind, llr) if self.earlier is None else np.zeros_like(llr) for llr in layer.llr
-            ]
+            self.earlier = memory.recall_packet(self.form.named, [own for by in self.layers.values() for own in by.own])
         if self.earlier is not None:
             self.look(self.looks)
             self.equalise()
+            return
+        for name, layer in self.layers.items():
+            layer.recalled = np.stack([memory.recall((name, layer.form.code), own) for own in layer.own])
+
+    def doubt(self) -> None:
+        """Take nothing for this packet's own that only earlier looks speak for: they may be of another."""
+        if self.earlier is not None:
+            for layer in self.layers.values():
+                layer.doubt()
 
     def remember(self, memory: Memory) -> None:
         """Keep what this look says of the codewords that it alone did not give.
 
         The looks are equalised anew with the decoded codewords known and no guess of the others: a guess fed back would
-        be counted as often as its codeword is seen.
+        be counted as often as its codeword is seen. Of a codeword that is known by now nothing is added.
         """
-        unsure = [(name, i) for name, layer in self.layers.items() for i in range(len(layer.words)) if layer.unsure(i)]
-        if not unsure and self.earlier is None:
+        if not self.open.any() or all(look is None for look in self.looks):
+            if self.earlier is not None:
+                memory.keep_packet(self.earlier)
             return
         self.forget_guesses()
         self.equalise()
         if not self.mixed:
-            memory.keep_packet(SeenPacket(self.form.named, tuple(self.llrs), tuple(self.looks)))
-        # LLRs of several looks at the packet would be counted again with each
-        for name, i in unsure if self.earlier is None else ():
-            layer = self.layers[name]
-            memory.keep((name, layer.form.code), layer.llr[i], layer.recalled[i])
+            light = self.light.gain, self.light.noise
+            memory.keep_packet(SeenPacket(self.form.named, tuple(self.llrs), tuple(self.looks), *light))
+        if self.earlier is not None:
+            # LLRs of several looks at the packet would be counted again with each
+            return
+        for name, layer in self.layers.items():
+            for i in range(len(layer.words)):
+                if layer.unsure(i):
+                    memory.keep((name, layer.form.code), layer.llr[i], layer.recalled[i])
 
     def equalise(self) -> None:
         """Equalise every look with what is known now; then the gain by expectation and maximisation."""

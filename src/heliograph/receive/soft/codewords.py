@@ -14,6 +14,7 @@ from heliograph.receive.soft.memory import faithful
 from heliograph.signal.block import check
 from heliograph.signal.packet import LayerFormat
 from heliograph.signal.turbo import TurboCode
+from heliograph.signal.turbo.rate_match import STREAMS
 
 Floats = NDArray[np.float64]
 
@@ -38,8 +39,10 @@ class Layer:
         (codewords, E) mean of each coded bit, 1 for 0 and -1 for 1.
     variance
         (codewords, E) variance of each.
+    own
+        (codewords, E) what this look tells codewords apart by: the `telling` of its LLRs, nothing else known.
     recalled
-        LLRs (E,) of earlier looks at each codeword.
+        (codewords, E) LLRs of earlier looks at each codeword.
     words
         The codewords by the last decoding.
     """
@@ -48,14 +51,29 @@ class Layer:
     llr: Floats
     soft: Floats
     variance: Floats
-    recalled: list[Floats]
+    own: Floats
+    recalled: Floats
     words: list[Codeword]
 
     @classmethod
     def unknown(cls, form: LayerFormat) -> "Layer":
         """A layer of which nothing is known."""
         shape = form.codewords, form.code.length
-        return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), [], [])
+        return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), np.zeros(shape), np.zeros(shape), [])
+
+    @property
+    def telling(self) -> NDArray[np.bool_]:
+        """(E,) coded bits that differ by chance in different codewords: those of the second encoder.
+
+        The bits of blocks are much alike, as are texts and filling, and those of the first encoder with them.
+        """
+        return np.asarray(self.form.code.positions % STREAMS == STREAMS - 1)
+
+    def doubt(self) -> None:
+        """Take codewords for wrong that this look alone does not speak for."""
+        for i, (word, own) in enumerate(zip(self.words, self.own, strict=True)):
+            if word.status != "crc_fail" and not faithful(own, _signs(self.form.code, word)):
+                self.words[i] = replace(word, status="crc_fail", block=None)
 
     def unsure(self, number: int) -> bool:
         """Whether a codeword is not decoded, or only with the help of earlier looks."""
@@ -97,10 +115,11 @@ def decode_layer(layer: Layer, name: str, identity: int, settings: ReceiveSettin
             continue
         recalled = layer.recalled[i]
         word, after = _decode(code, llr + recalled, identity, name, settings)
-        if recalled.any() and word.status != "crc_fail" and not faithful(llr, _signs(code, word)):
-            # another codeword, like the one recalled
-            layer.recalled[i] = np.zeros_like(llr)
-            word, after = _decode(code, llr, identity, name, settings)
+        if recalled.any() and (word.status == "crc_fail" or not faithful(layer.own[i], _signs(code, word))):
+            # it may be another codeword, like the one recalled
+            alone, after_alone = _decode(code, llr, identity, name, settings)
+            if word.status != "crc_fail" or alone.status != "crc_fail":
+                layer.recalled[i], word, after = 0.0, alone, after_alone
         words.append(replace(word, raw=hard(llr)))
         if word.status == "crc_fail" and settings.soft.feedback != "soft":
             layer.soft[i], layer.variance[i] = 0.0, 1.0

@@ -1,5 +1,6 @@
 """Glances: pairs of frames cut out about the array, and the light its LEDs give the pixels of such a window."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -42,6 +43,8 @@ class Glance:
         Of a single frame, where the light of the levels' mean was, which is earlier.
     mix
         What the pair was combined of; None if it is two frames in step.
+    inside
+        1 in columns, and rows, that all frames have, 0 in those that repeat a frame's border; None if they have all.
     """
 
     total: Floats
@@ -50,6 +53,7 @@ class Glance:
     poses: tuple[Pose, ...]
     still: Pose | None = None
     mix: Mix | None = None
+    inside: tuple[Floats, Floats] | None = None
 
     @property
     def middle(self) -> Pose:
@@ -100,13 +104,32 @@ def take_glance(pattern: Frame, inverted: Frame, poses: tuple[Pose, Pose], side:
     middle = Pose.between(*poses)
     x0, y0, cols, rows = window_around(middle, side, MARGIN_PX + RING_PX)
     up, down = (cut_out(frame, x0, y0, cols, rows) for frame in (pattern, inverted))
-    return Glance(up + down, up - down, (x0, y0), poses, mix=mix)
+    return Glance(
+        up + down, up - down, (x0, y0), poses, mix=mix, inside=within((pattern, inverted), (x0, y0), up.shape)
+    )
+
+
+def within(frames: Sequence[Frame], corner: tuple[int, int], shape: tuple[int, int]) -> tuple[Floats, Floats] | None:
+    """See `Glance.inside`; of a window with a corner (x, y) and a shape (rows, columns)."""
+    sides = []
+    for axis in (0, 1):
+        first = max(frame.origin[axis] for frame in frames)
+        end = min(frame.origin[axis] + frame.pixels.shape[1 - axis] for frame in frames)
+        place = corner[axis] + np.arange(shape[1 - axis])
+        sides.append(((place >= first) & (place < end)).astype(np.float64))
+    return None if sides[0].all() and sides[1].all() else (sides[0], sides[1])
 
 
 def of_squares(grid: Floats) -> Floats:
     """Values of LEDs (n, n) in the order of the squares of 2 x 2, (n n,)."""
     half = len(grid) // 2
     return np.ascontiguousarray(grid.reshape(half, 2, half, 2).transpose(0, 2, 1, 3)).ravel()
+
+
+def to_grid(values: Floats) -> Floats:
+    """Values of LEDs (n n,) in the order of the squares of 2 x 2 back in their places, (n, n)."""
+    half = round(len(values) ** 0.5) // 2
+    return np.ascontiguousarray(values.reshape(half, half, 2, 2).transpose(0, 2, 1, 3)).reshape(2 * half, 2 * half)
 
 
 def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:

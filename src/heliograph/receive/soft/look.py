@@ -56,14 +56,15 @@ class Look:
     pixels: int = 0
     mix: Mix | None = None
 
-    def scaled(self, weight: float) -> "Look":
-        """The same with a weight, as if its noise were larger."""
+    def scaled(self, weight: float, gain: float = 1.0) -> "Look":
+        """The same with a weight, as if its noise were larger, and for a light so many times dimmer."""
+        # B and o are gain times what they are, d is what it is
         return Look(
-            np.float32(weight) * self.gram,
-            weight * self.seen,
-            weight * self.offset,
-            weight * self.cross,
-            weight * self.drift,
+            np.float32(weight * gain**2) * self.gram,
+            weight * gain * self.seen,
+            weight * gain**2 * self.offset,
+            weight * gain * self.cross,
+            weight * gain**2 * self.drift,
             weight * self.power,
             self.pixels,
             self.mix,
@@ -110,9 +111,13 @@ class Weighted:
 
     def look(self) -> Look:
         """What remains of it for the equaliser."""
+        return self._reduced(self._gram())
+
+    def _reduced(self, gram: NDArray[np.float32]) -> Look:
+        """A look of a B^T W B, (cells, cells)."""
         d, o = self.change, self.still
         look = Look(
-            self._gram(),
+            gram,
             self.correlated(d),
             self.correlated(o),
             cross=float((d * o).sum()),
@@ -154,7 +159,7 @@ class Weighted:
         part = np.linalg.solve(h @ h.T + precision, np.column_stack([c.T, h @ seen]))
         d, o = (b.T @ seen - c @ part[:, -2:]).T
         # all by one B, else the difference of two large matrices would be no matrix of squares
-        return replace(self.look(), gram=(b.T @ b - c @ part[:, :-2]).astype(np.float32), seen=d, offset=o)
+        return replace(self._reduced((b.T @ b - c @ part[:, :-2]).astype(np.float32)), seen=d, offset=o)
 
     def correlated(self, image: Floats) -> Floats:
         """B^T W^(1/2) image, (cells,)."""
@@ -185,6 +190,8 @@ def weigh(glance: Glance, noise: Noise, side: int, shares: Floats | None = None)
     motion = 0.5 * (last.x - first.x), 0.5 * (last.y - first.y)
     between = placed(glance.middle, corner, shape, side, motion)
     weights = _weights(between, noise, shape)
+    if glance.inside is not None:
+        weights = weights[0] * glance.inside[0], weights[1] * glance.inside[1]
     root = weights[1][:, None] * weights[0]
     lights = tuple(dimmed(_weighted(placed(pose, corner, shape, side), weights), shares) for pose in glance.poses)
     if glance.still is None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.receive.decode import LARGEST_LLR
 from heliograph.receive.soft.look import Look
 from heliograph.signal.formats import Format
 from heliograph.signal.turbo import TurboCode
@@ -25,19 +26,22 @@ KEPT = 32
 """Codewords kept of each kind."""
 
 LIKENESS = 5.5
-"""Standard deviations of agreement from which two codewords are taken for the same: 2e-8 by chance."""
+"""Standard deviations of agreement from which two codewords are taken for the same: 2e-8 by chance, in coded bits that
+differ by chance."""
 
 FAITHFUL = 0.6
 """Share of the agreement to be expected that a look shows at least with what is its codeword."""
 
+SPOKEN = 4.0
+"""Standard deviations of agreement with another codeword that it shows at least: 3e-5 by chance."""
 
 KEPT_PACKETS = 4
-"""Packets of which the looks are kept, 13 MB each."""
+"""Packets of which the looks are kept: 13 MB each of 48 pairs, twice that without inverses."""
 
 
 @dataclass(frozen=True, slots=True)
 class SeenPacket:
-    """A packet that was not decoded as a whole.
+    """A packet that was not decoded as a whole, or not by one look.
 
     Attributes
     ----------
@@ -47,23 +51,33 @@ class SeenPacket:
         (E,) of each codeword, layer by layer; those of decoded ones without doubt.
     looks
         What was seen of each pair in all of its looks together; None for nothing.
+    gain, noise
+        Of the looks; see `cancel.Light`.
     """
 
     named: Format
     llrs: tuple[Floats, ...]
     looks: tuple[Look | None, ...]
+    gain: float = 1.0
+    noise: float = 1.0
 
-    def joined(self, looks: Sequence[Look | None]) -> list[Look | None]:
-        """Further looks at its pairs, and these."""
-        return [a.plus(b) if a and b else a or b for a, b in zip(looks, self.looks, strict=True)]
+    def joined(self, looks: Sequence[Look | None], gain: float, noise: float) -> list[Look | None]:
+        """Further looks at its pairs, of a gain and noise, and these as if they were of the same."""
+        # B g_0 = (B g_0 / g) g, and weights are in units of the noise
+        weight, dimmer = noise / self.noise, self.gain / gain
+        kept = (None if look is None else look.scaled(weight, dimmer) for look in self.looks)
+        return [a.plus(b) if a and b else a or b for a, b in zip(looks, kept, strict=True)]
 
     def likeness(self, llrs: Sequence[Floats]) -> float:
-        """How far another look's codewords (E,) agree with these beyond chance; 0 where one contradicts."""
-        pairs = [agreement(a, b) for a, b in zip(llrs, self.llrs, strict=True)]
-        if any(found < 0.5 * expected - 2 for found, expected in pairs):
+        """How far another look's codewords (E,) agree with these beyond chance; 0 where they contradict.
+
+        Packets of a carousel may share a codeword that is decoded: then it is the others that tell.
+        """
+        found, expected = np.array([agreement(a, b) for a, b in zip(llrs, self.llrs, strict=True)]).T
+        open_ = np.array([bool((np.abs(llr) < LARGEST_LLR).any()) for llr in self.llrs])
+        if (found < 0.5 * expected - 2).any() or _along(found, expected, open_) < 0.5 * np.linalg.norm(expected[open_]):
             return 0.0
-        found, expected = np.array(pairs).T
-        return float(found @ expected / max(np.linalg.norm(expected), 1e-12))
+        return _along(found, expected, np.ones_like(open_))
 
 
 class Memory:
@@ -83,6 +97,18 @@ class Memory:
         self._packets.clear()
         self._packets.extend(others)
         return found
+
+    def copy(self) -> "Memory":
+        """A memory of the same that goes its own way."""
+        other = Memory()
+        other.become(self)
+        return other
+
+    def become(self, other: "Memory") -> None:
+        """Remember what another one does, and nothing else."""
+        self._packets = other._packets.copy()
+        self._kept.clear()
+        self._kept.update({kind: kept.copy() for kind, kept in other._kept.items()})
 
     def keep_packet(self, packet: SeenPacket) -> None:
         """Keep a packet, in place of the oldest."""
@@ -105,6 +131,12 @@ class Memory:
         kept.extend([*rest, llr + recalled])
 
 
+def _along(found: Floats, expected: Floats, chosen: NDArray[np.bool_]) -> float:
+    """Agreement of the chosen codewords together, those weighing most that may agree most."""
+    weights = expected[chosen]
+    return float(found[chosen] @ weights / np.sqrt(max(float(weights @ weights), 1e-24)))
+
+
 def agreement(a: Floats, b: Floats) -> tuple[float, float]:
     """How far two looks (E,) agree beyond chance, and how far they would on the same codeword.
 
@@ -117,12 +149,12 @@ def agreement(a: Floats, b: Floats) -> tuple[float, float]:
 
 
 def faithful(llr: Floats, signs: Floats) -> bool:
-    """Whether a look (E,) alone speaks for a codeword's bits, 1 for 0 and -1 for 1, as far as it speaks at all.
+    """Whether a look (E,) alone speaks for a codeword's bits, 1 for 0 and -1 for 1.
 
     A codeword decoded with the help of earlier looks might be theirs alone, of which this one differs in some bits.
     """
     soft = np.tanh(llr / 2)
-    # E[soft * sign] = soft^2 where the LLRs are right
+    # E[soft * sign] = soft^2 where the LLRs are right, and 0 of another codeword, whose variance is the sum of soft^2
     expected = float((soft**2).sum())
     spread = float(np.sqrt((soft**2 * (1 - soft**2)).sum()))
-    return bool(soft @ signs >= FAITHFUL * expected - 3 * spread)
+    return float(soft @ signs) >= max(FAITHFUL * expected - 3 * spread, SPOKEN * expected**0.5)

@@ -37,7 +37,7 @@ class SoftReading:
     def __init__(self, identity: int, setup: Setup, memory: Memory, shares: LedShares | None = None):
         self._identity, self._setup, self._memory = identity, setup, memory
         self._agreed, self._side = setup.form.settings, setup.form.settings.side
-        self._shares = shares or LedShares(self._side)
+        self._shares, self._begun = shares or LedShares(self._side), shares is not None
         self._lit = self._shares.values
         self._glances: list[Glance | None] = []
         self._weighted: list[Weighted | None] = []
@@ -61,12 +61,17 @@ class SoftReading:
 
     def take_header(self, pair: int, pattern: Frame, inverted: Frame, tracker: Tracker) -> None:
         """Read what the header names."""
+        if not self._begun:
+            # cells may be known to be hidden since the detection
+            self._shares.values, self._begun = tracker.shares, True
+        tracker.shares = self._shares.values
         state = tracker.state  # as the pairs before have refined it
         poses = (state.pose_at(pattern.time_s), state.pose_at(inverted.time_s))
         self._name.take(pair, pattern, inverted, poses, self._shares.values)
         self._headers.append((pattern, inverted, poses))
         self._gain = tracker.data_gain
 
+    @one_thread()
     def learn(self, pattern: Frame, inverted: Frame, header: Floats, tracker: Tracker) -> bool:
         """Find which LEDs give their light; combined frames do not tell."""
         if mix_of(pattern) is not None or np.any(np.abs(header) != 1):
@@ -103,20 +108,25 @@ class SoftReading:
         self._header = take_glance(pattern, inverted, (pose, pose), self._side, mix_of(pattern))
 
     def take_names(self, frames: HeaderFrames) -> None:
-        """Take the frames of a header out of step, which tell the format one by one."""
-        self._name.take_frames(frames, self._shares.values)
+        """Take the frames of a header out of step in which the array was seen; they tell the format one by one."""
+        if self._headers:
+            self._name.take_frames(frames, self._shares.values)
 
     @one_thread()
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Decode all that was kept."""
-        words = self._attempt(self._shares.values, self._memory)
-        if not _open(words) or (self._shares.values == 1).all():
-            return words
-        # a header before a bright background may have made LEDs seem dead that are not
-        sound = self._attempt(np.ones_like(self._lit), Memory())
-        if _open(sound) < _open(words):
-            self._shares.acquit()
-        return {name: tuple(map(_better, words[name], sound[name])) for name in words}
+        kept = self._memory.copy()
+        words = self._attempt(self._shares.values, kept)
+        if _open(words) and not (self._shares.values == 1).all():
+            # a header before a bright background may have made LEDs seem dead that are not
+            acquitted = self._memory.copy()
+            sound = self._attempt(np.ones_like(self._lit), acquitted)
+            if _open(sound) < _open(words):
+                self._shares.acquit()
+                kept = acquitted
+            words = {name: tuple(map(_better, words[name], sound[name])) for name in words}
+        self._memory.become(kept)
+        return words
 
     def _attempt(self, shares: Floats, memory: Memory) -> dict[str, tuple[Codeword, ...]]:
         """Decode all that was kept, each LED giving a share (n, n) of its light."""

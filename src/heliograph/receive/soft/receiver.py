@@ -26,7 +26,7 @@ class SoftReceiver(Receiver):
     Raises
     ------
     SettingsError
-        The light does not speak the hierarchical code.
+        The light does not speak the hierarchical code, or its headers have no M-sequence.
     """
 
     array = TimedArray
@@ -35,6 +35,11 @@ class SoftReceiver(Receiver):
         if signal.modulation != "haar":
             raise SettingsError(
                 f'the soft receiver reads signal.modulation = "haar", not "{signal.modulation}"; '
+                f'set receive.receiver = "plain"'
+            )
+        if signal.header != "m_sequence":
+            raise SettingsError(
+                f'the soft receiver reads signal.header = "m_sequence", not "{signal.header}"; '
                 f'set receive.receiver = "plain"'
             )
         settings = settings or ReceiveSettings(receiver="soft")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from heliograph.receive.soft import kernels
 from heliograph.receive.soft.equalise import equalise
-from heliograph.receive.soft.glance import Glance, of_squares
+from heliograph.receive.soft.glance import Glance, of_squares, to_grid
 from heliograph.receive.soft.look import Look, weigh
 from heliograph.receive.soft.noise import Noise, measure_noise
 
@@ -112,9 +112,8 @@ class LedShares:
 
 def _estimate(seen: Look, header: Floats, gain: float, noise: float) -> Floats:
     """Share of each LED's light, (n, n), by linear MMSE."""
-    signs, half = of_squares(header), len(header) // 2
+    signs = of_squares(header)
     mean = kernels.cells(signs)
     # of h w of the variance s^2 the cells have the variance 4 s^2, T T^T being 1/4
     cells = equalise(seen, gain, noise, mean, np.full(mean.size, 4 * SPREAD**2)).mean
-    shares = (kernels.leds(cells) / signs).reshape(half, half, 2, 2)
-    return np.asarray(shares.transpose(0, 2, 1, 3).reshape(header.shape))
+    return to_grid(kernels.leds(cells) / signs)

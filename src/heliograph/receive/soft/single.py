@@ -17,7 +17,7 @@ from heliograph.receive.pose import Pose
 from heliograph.receive.soft import kernels
 from heliograph.receive.soft.behind import COUNT, Header, images_behind, learn_behind, surroundings
 from heliograph.receive.soft.equalise import equalise
-from heliograph.receive.soft.glance import Glance, take_glance
+from heliograph.receive.soft.glance import Glance, take_glance, to_grid, within
 from heliograph.receive.soft.look import Look, weigh
 from heliograph.receive.soft.noise import Noise, measure_noise
 from heliograph.receive.track import TrackedPair, Tracker
@@ -73,14 +73,15 @@ class Singles:
 
     def follow(self, first: Frame, second: Frame, tracker: Tracker) -> TrackedPair:
         """Find the array in two frames and move the filter on; what they show of the data becomes `glances`."""
-        before = tracker.state
+        before, behind = tracker.state, self._behind
         for frame in (first, second):
             fit = self._step(frame, tracker)
         seen = tracker.sees(first, second, fit)
         if seen:
             tracker.last_seen_s = tracker.state.time_s
         else:
-            tracker.state = before
+            # what passes before the array is not behind it
+            tracker.state, self._behind = before, behind
             tracker.state = tracker.predict(second.time_s)
         # the earlier pose too is known better now
         self.glances = tuple(self._glance(frame, tracker.state) for frame in (first, second))
@@ -101,7 +102,7 @@ class Singles:
         corner, image = surroundings(frame, middle, self._side)
         behind = images_behind(middle, corner, image.shape, self._half)[:, 0]
         above = image - np.tensordot(self._behind, behind, 1)
-        return Glance(2 * above, 2 * above, corner, (data,), still)
+        return Glance(2 * above, 2 * above, corner, (data,), still, inside=within((frame,), corner, image.shape))
 
     def _fit(self, frame: Frame, state: PoseState) -> Fit:
         """Most probable pose, gain and background.
@@ -134,7 +135,9 @@ class Singles:
         corner, image = surroundings(frame, middle, self._side)
         behind = images_behind(middle, corner, image.shape, self._half)
         above = 2 * (image - np.tensordot(at[SHOWN + 1 :], behind[:, 0], 1))
-        weighted = weigh(Glance(above, above, corner, (data,), still), self.noise, self._side, self._shares)
+        inside = within((frame,), corner, image.shape)
+        glance = Glance(above, above, corner, (data,), still, inside=inside)
+        weighted = weigh(glance, self.noise, self._side, self._shares)
         look = weighted.look()
         known, unknown = self._decided(look, gain)
         lit = self._images(known, still, data, corner, image.shape)
@@ -162,9 +165,8 @@ class Singles:
         self, known: Floats, still: Pose, data: Pose, corner: tuple[int, int], shape: tuple[int, int]
     ) -> Floats:
         """Image of the known cells and of the levels' mean, and its derivatives by the pose, (6, rows, columns)."""
-        half, x, y = self._side // 2, float(corner[0]), float(corner[1])
-        squares = 0.5 * kernels.leds(known).reshape(half, half, 2, 2)
-        levels = np.ascontiguousarray(squares.swapaxes(1, 2).reshape(self._side, self._side))
+        x, y = float(corner[0]), float(corner[1])
+        levels = to_grid(0.5 * kernels.leds(known))
         varied, mean = np.empty((6, *shape)), np.empty((6, *shape))
         images.render(data.full_vector(), levels * self._shares, x, y, varied)
         images.render(still.full_vector(), 0.5 * self._shares, x, y, mean)
