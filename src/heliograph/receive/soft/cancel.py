@@ -11,7 +11,7 @@ from heliograph.receive.packets import Codeword, Observer, ignore
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft import squares
 from heliograph.receive.soft.cells import Cells
-from heliograph.receive.soft.codewords import Layer, decode_layer, information
+from heliograph.receive.soft.codewords import HOPELESS, Layer, decode_layer, information
 from heliograph.receive.soft.equalise import Estimate, equalise
 from heliograph.receive.soft.look import Look
 from heliograph.receive.soft.memory import Memory, SeenPacket
@@ -24,8 +24,8 @@ from heliograph.signal.pwm import SLOTS
 Floats = NDArray[np.float64]
 
 PROGRESS = 0.002
-"""A round in which nothing is decoded, and the LLRs tell of no open codeword's bits this much more, in bit each, is the
-last, but for those that begin with no guesses."""
+"""A round in which nothing is decoded, and the LLRs tell of no open codeword's bits this much more, in bit each, or too
+little of all, is the last, but for those that begin with no guesses."""
 
 STEPS = 6
 """Most times that a packet's poses are sharpened: after each layer, and again where that moved them far."""
@@ -203,7 +203,7 @@ class _Packet:
             elif moved:
                 # nothing was guessed in this round
                 moved = False
-            elif not decoded and (self.told - before)[still].max() < PROGRESS:
+            elif not decoded and ((self.told - before)[still].max() < PROGRESS or self.hopeless[still].all()):
                 break
         self.doubt()
 
@@ -212,6 +212,12 @@ class _Packet:
         """Which codewords are not decoded."""
         words = [word for layer in self.layers.values() for word in layer.words]
         return np.array([word.status == "crc_fail" for word in words] or [True] * len(self.told))
+
+    @property
+    def hopeless(self) -> NDArray[np.bool_]:
+        """Which codewords the LLRs of the last round tell too little of."""
+        rates = [layer.form.code.rate for layer in self.layers.values() for _ in layer.llr]
+        return self.told < HOPELESS * np.array(rates)
 
     @property
     def llrs(self) -> list[Floats]:
@@ -290,9 +296,8 @@ class _Packet:
             if look is None:
                 continue
             if look.mix is None:
-                prior = priors[0][number], priors[1][number]
-                estimate = equalise(look, light.gain, light.noise, *prior)
-                llr[number] = self.sites.take(number, estimate, *prior) if self.sites else estimate.llr
+                estimate = equalise(look, light.gain, light.noise, priors[0][number], priors[1][number])
+                llr[number] = self.sites.take(number, estimate) if self.sites else estimate.llr
             else:
                 around = [mean[k] if 0 <= k < len(mean) else None for k in (number - 1, number + 1)]
                 llr[number], estimate = _equalise_mixed(look, look.mix, light, mean[number], around, self.header)
@@ -323,7 +328,7 @@ def _equalise_mixed(
         leak, leak_spread = leak + part, leak_spread + more
     prior = seen + leak, spread + leak_spread
     estimate = equalise(look, light.gain, light.noise, *prior)
-    precision, weighted = estimate.added(*prior)
+    precision, weighted = estimate.added
     precision = np.maximum(precision, 1e-6)
     return squares.true_llrs(mix.table, weighted / precision - leak, 1 / precision + leak_spread, mean), estimate
 

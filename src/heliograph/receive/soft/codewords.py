@@ -108,19 +108,18 @@ def information(llr: Floats) -> Floats:
 
 def decode_layer(layer: Layer, name: str, identity: int, settings: ReceiveSettings) -> None:
     """Decode the codewords still open and tell what is known of their bits by now."""
-    code, words = layer.form.code, []
-    for i, llr in enumerate(layer.llr):
-        if layer.words and layer.words[i].status != "crc_fail":
-            words.append(layer.words[i])
-            continue
-        recalled = layer.recalled[i]
-        word, after = _decode(code, llr + recalled, identity, name, settings)
+    code = layer.form.code
+    open_ = [i for i in range(len(layer.llr)) if not layer.words or layer.words[i].status == "crc_fail"]
+    words = dict(enumerate(layer.words))
+    found = _decode(code, (layer.llr + layer.recalled)[open_], identity, name, settings)
+    for i, (word, after) in zip(open_, found, strict=True):
+        llr, recalled = layer.llr[i], layer.recalled[i]
         if recalled.any() and (word.status == "crc_fail" or not faithful(layer.own[i], _signs(code, word))):
             # it may be another codeword, like the one recalled
-            alone, after_alone = _decode(code, llr, identity, name, settings)
+            ((alone, after_alone),) = _decode(code, llr[None], identity, name, settings)
             if word.status != "crc_fail" or alone.status != "crc_fail":
                 layer.recalled[i], word, after = 0.0, alone, after_alone
-        words.append(replace(word, raw=hard(llr)))
+        words[i] = replace(word, raw=hard(llr))
         if word.status == "crc_fail" and settings.soft.feedback != "soft":
             layer.soft[i], layer.variance[i] = 0.0, 1.0
         elif word.status == "crc_fail":
@@ -128,7 +127,7 @@ def decode_layer(layer: Layer, name: str, identity: int, settings: ReceiveSettin
             layer.variance[i] = np.maximum(1 - layer.soft[i] ** 2, 2 * KNOWN)
         else:
             layer.soft[i], layer.variance[i] = _signs(code, word), 0.0
-    layer.words = words
+    layer.words = [words[i] for i in range(len(layer.llr))]
 
 
 def _signs(code: TurboCode, word: Codeword) -> Floats:
@@ -138,18 +137,26 @@ def _signs(code: TurboCode, word: Codeword) -> Floats:
 
 def _decode(
     code: TurboCode, llr: Floats, identity: int, name: str, settings: ReceiveSettings
-) -> tuple[Codeword, Floats]:
-    """The codeword of LLRs (E,), and what the code adds to the LLRs of its coded bits."""
-    hopeless = information(llr) < HOPELESS * code.rate
+) -> list[tuple[Codeword, Floats]]:
+    """The codewords of LLRs (codewords, E), and what the code adds to the LLRs of their coded bits.
+
+    They are decoded together, which takes no longer than one of them; where all are hopeless one iteration has to do.
+    """
+    few = (information(llr) < HOPELESS * code.rate).all()
     result = code.decode(
-        llr[None],
+        llr,
         algorithm=settings.soft.algorithm,
-        iterations=1 if hopeless else settings.decode.iterations,
+        iterations=1 if few else settings.decode.iterations,
         stop="crc",
         check=check,
         coded_output=True,
     )
     assert result.coded_extrinsic is not None  # it was asked for
-    decoded = result.bits[0], int(result.iterations[0]), float(np.abs(result.llr).mean())
-    after = np.clip(result.coded_extrinsic[0].astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
-    return codeword_of(decoded, llr, identity, name), after
+    after = np.clip(result.coded_extrinsic.astype(np.float64), -LARGEST_LLR, LARGEST_LLR)
+    margins = np.abs(result.llr).mean(-1)
+    decoded = zip(result.bits, result.iterations, margins, strict=True)
+    words = [
+        codeword_of((bits, int(count), float(margin)), one, identity, name)
+        for (bits, count, margin), one in zip(decoded, llr, strict=True)
+    ]
+    return list(zip(words, after, strict=True))

@@ -28,8 +28,8 @@ class Estimate:
 
     Attributes
     ----------
-    llr
-        (cells,) extrinsic LLR = ln P(c=+1)/P(c=-1): what the look adds to what was known; 0 for known cells.
+    prior, variance
+        (cells,) mean and variance of what was known beforehand.
     mean
         (cells,) posterior mean.
     unknown, covariance
@@ -38,21 +38,32 @@ class Estimate:
         Trace of B^T W B times that covariance.
     """
 
-    llr: Floats
+    prior: Floats
+    variance: Floats
     mean: Floats
     unknown: NDArray[np.intp]
     covariance: NDArray[np.float32]
     trace: float
 
-    def added(self, mean: Floats, variance: Floats) -> tuple[Floats, Floats]:
-        """What the look adds to a prior of `mean` and `variance` (cells,), as a Gaussian: precision and it times mean.
+    @property
+    def llr(self) -> Floats:
+        """(cells,) extrinsic LLR = ln P(c=+1)/P(c=-1): what the look adds to what was known; 0 for known cells."""
+        u, llr = self.unknown, np.zeros_like(self.mean)
+        part = np.empty(u.size)
+        kernels.extrinsic(self.covariance, self.mean[u], self.prior[u], self.variance[u], part)
+        llr[u] = part
+        return llr
+
+    @property
+    def added(self) -> tuple[Floats, Floats]:
+        """What the look adds to what was known, as a Gaussian: precision and it times mean, (cells,).
 
         Both are 0 for known cells.
         """
-        precision, weighted = np.zeros_like(mean), np.zeros_like(mean)
+        precision, weighted = np.zeros_like(self.mean), np.zeros_like(self.mean)
         u, spread = self.unknown, self.covariance.diagonal().astype(np.float64)
-        precision[u] = np.maximum(1 / spread - 1 / variance[u], 0.0)
-        weighted[u] = self.mean[u] / spread - mean[u] / variance[u]
+        precision[u] = np.maximum(1 / spread - 1 / self.variance[u], 0.0)
+        weighted[u] = self.mean[u] / spread - self.prior[u] / self.variance[u]
         return precision, weighted
 
 
@@ -77,7 +88,7 @@ def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floa
     unknown = np.flatnonzero(variance >= KNOWN)
     m, v = mean.copy(), variance[unknown]
     if not unknown.size:
-        return Estimate(np.zeros_like(m), m, unknown, np.zeros((0, 0), np.float32), 0.0)
+        return Estimate(mean, variance, m, unknown, np.zeros((0, 0), np.float32), 0.0)
     ratio = gain / noise
     known_too = look.gram @ mean.astype(np.float32)
     rhs = ratio * (look.seen - gain * (look.offset + known_too))[unknown]
@@ -86,13 +97,9 @@ def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floa
     matrix = kernels.precision(look.gram, unknown, ratio * gain, 1.0 / v, FLOOR, size)
     covariance = _inverse(matrix, unknown.size)
     m[unknown] += covariance @ rhs.astype(np.float32)
-    part = np.empty(unknown.size)
-    kernels.extrinsic(covariance, m[unknown], mean[unknown], v, part)
-    llr = np.zeros_like(m)
-    llr[unknown] = part
     # B^T B S g^2 / s^2 = I - V^-1 S
     trace = float((1.0 - covariance.diagonal() / v).sum()) / max(ratio * gain, 1e-12)
-    return Estimate(llr, m, unknown, covariance, trace)
+    return Estimate(mean, variance, m, unknown, covariance, trace)
 
 
 def _inverse(matrix: NDArray[np.float32], size: int) -> NDArray[np.float32]:

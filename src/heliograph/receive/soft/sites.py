@@ -66,9 +66,9 @@ class Sites:
         known = variance < KNOWN
         return np.where(known, mean, self.weighted / self.precision), np.where(known, variance, 1 / self.precision)
 
-    def take(self, number: int, estimate: Estimate, mean: Floats, variance: Floats) -> Floats:
-        """Keep the cavities of a look equalised with these priors; what it tells of its cells, LLRs (cells,)."""
+    def take(self, number: int, estimate: Estimate) -> Floats:
+        """Keep the cavities of a look equalised with its sites; what it tells of its cells, LLRs (cells,)."""
         first = not self.cavity[number].any()
-        self.cavity[number], self.cavity_weighted[number] = estimate.added(mean, variance)
+        self.cavity[number], self.cavity_weighted[number] = estimate.added
         # L = ln N(1) / N(-1) = 2 G; at first the neighbours that weigh most are drawn from +-1, which is nearer
         return estimate.llr if first else 2 * self.cavity_weighted[number]
