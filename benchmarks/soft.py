@@ -27,10 +27,13 @@ FRAMES = 400
 DISTANCES = (30, 50, 80, 110, 150)
 
 
-def film(distance_m: float) -> tuple[LinkSettings, list[Frame]]:
+SINGLE = 'transmit.formats=[{mode="single", high="9/10", middle="3/4", low="1/2"}]'
+
+
+def film(distance_m: float, *changes: str) -> tuple[LinkSettings, list[Frame]]:
     """Windows about an array at rest, as a camera that follows it would send them."""
-    changes = [f"channel.distance_m={distance_m}", f"channel.duration_s={FRAMES * 1e-3}", "receive.receiver=soft"]
-    settings = load_settings("static", None, changes)
+    own = (f"channel.distance_m={distance_m}", f"channel.duration_s={FRAMES * 1e-3}", "receive.receiver=soft")
+    settings = load_settings("static", None, [*own, *changes])
     margin = window_margin_px(settings)
     frames = [frame for frame, _ in simulate(settings, default_messages(settings), 1, None, margin)]
     return settings, frames
@@ -74,15 +77,16 @@ def read(packets: Sequence[Packet]) -> str:
 
 def main() -> None:
     limit_threads()
-    films = {z: film(z) for z in DISTANCES}
-    rate(*films[DISTANCES[-1]])  # compiles
+    films = {f"array at {z} m": film(z) for z in DISTANCES}
+    films["without inverses, 80 m"] = film(80, SINGLE)
+    for one in list(films.values())[-2:]:
+        rate(*one)  # compiles
     inverse = inverse_ms()
     print(f"following one array, medians of {RUNS} runs, one core; asked are 500 frames/s")
     print(f"{'inverse, 256 x 256 float32':30} {inverse:8.3f} ms")
-    for z, (settings, frames) in films.items():
+    for name, (settings, frames) in films.items():
         per_s, packets = rate(settings, frames)
         ms = 1e3 / per_s
-        name = f"array at {z} m"
         print(f"{name:30} {ms:8.3f} ms {per_s:7.0f} frames/s {ms / inverse:6.2f} inverses a frame   {read(packets)}")
 
 

@@ -152,7 +152,8 @@ class Tracker:
         # an even square stands for the array as long as all of it shines
         failed = bool((self.shares < 1).any())
         wide = Prior(vector, covariance, prior.gain)
-        fit = fit_array(smooth, corner, wide, self.shares, self._settings.iterations, panel=True, resolved=failed)
+        # it need come near only: one step
+        fit = fit_array(smooth, corner, wide, self.shares, 1, panel=True, resolved=failed)
         found = fit.vector.copy()
         found[4] = prior.vector[4]
         return found
