@@ -9,7 +9,8 @@ start of the packet; missed if it does not by the end of the second header. Wind
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -48,11 +49,15 @@ def trial_settings(seed: int, within: int, changes: Sequence[str]) -> tuple[Link
 
 def acquired(settings: LinkSettings, first_s: float, seed: int) -> tuple[int, int]:
     """Headers until the array was found, 0 if it was not; and the number of wrong detections on the way."""
+    detected: list[Detection] = []
     found: list[Detection] = []
 
-    def watch(stage: str, data: object, /) -> None:
+    def watch(stage: str, data: Mapping[str, Any], /) -> None:
         if stage == "detect":
-            found.append(data["detection"])  # type: ignore[index]
+            detected.append(data["detection"])
+        elif stage == "track":
+            # the last one found is the one followed, as soon as its header is seen to be one
+            found.extend(one for one in detected[-1:] if one.identity == data["identity"] and one not in found)
 
     receiver = make_receiver(settings.signal, settings.receive, watch)
     identity, period = settings.transmit.identities[0], settings.signal.pattern_period_s
@@ -63,8 +68,8 @@ def acquired(settings: LinkSettings, first_s: float, seed: int) -> tuple[int, in
         for one in found:
             headers, rest = divmod((one.start_time_s - first_s) / packet_s + 0.5, 1.0)
             if one.identity == identity and abs(rest - 0.5) * packet_s < 0.5 * period:
-                return int(headers) + 1, len(found) - 1
-    return 0, len(found)
+                return int(headers) + 1, len(detected) - 1
+    return 0, len(detected)
 
 
 def main() -> None:

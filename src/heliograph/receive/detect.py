@@ -107,7 +107,8 @@ class Detector:
         self._cells = _templates(settings)
         self._sides = _sizes(settings.detect.min_side_px, settings.detect.max_side_px)
         self._span = min(self._header, 4)
-        self._frames: deque[Frame] = deque(maxlen=self._header + 2 * SLACK)
+        self._window = self._header + 2 * SLACK
+        self._frames: deque[Frame] = deque(maxlen=self._window)
         self.candidates_fitted = 0
 
     @property
@@ -132,7 +133,7 @@ class Detector:
             self._frames.extend(_before(frame, SLACK))
         self._frames.append(frame)
         every = 2 if self._header >= 4 else 1
-        if len(self._frames) < self._frames.maxlen or frame.index % every:  # type: ignore[operator]
+        if len(self._frames) < self._window or frame.index % every:
             return []
         return self._search(list(self._frames), taken)
 

@@ -107,7 +107,7 @@ def _shares(centres: Floats, count: int, sigma: float) -> Floats:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _dot(a, b, count):  # type: ignore[no-untyped-def]
+def _dot(a, b, count):
     total = 0.0
     for k in range(count):
         total += a[k] * b[k]
@@ -115,7 +115,7 @@ def _dot(a, b, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _solve(across, down, light, loading, out):  # type: ignore[no-untyped-def]
+def _solve(across, down, light, loading, out):
     """Solve (A^T A + loading I) out = light by Cholesky's factors L L^T.
 
     <a_i, a_j> = <across_i, across_j> <down_i, down_j>, across (n, columns), down (n, rows), light and out (n,).

@@ -12,7 +12,7 @@ REACH = 4.0
 
 
 @njit(cache=True, nogil=True)
-def _axis(centre, sigma, first, count, g, dg, ds):  # type: ignore[no-untyped-def]
+def _axis(centre, sigma, first, count, g, dg, ds):
     """Share of a Gaussian on `count` pixels from `first` on, and its derivatives by centre and by ln sigma."""
     # g_j = Phi((j + 1/2 - c) / sigma) - Phi((j - 1/2 - c) / sigma)
     z = (first - 0.5 - centre) / sigma
@@ -28,7 +28,7 @@ def _axis(centre, sigma, first, count, g, dg, ds):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _tilt(pose):  # type: ignore[no-untyped-def]
+def _tilt(pose):
     """Stretch and shear of a pose vector (5,) or (7,)."""
     if pose.shape[0] == 7:
         return pose[5], pose[6]
@@ -36,7 +36,7 @@ def _tilt(pose):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def render(pose, weights, x0, y0, out):  # type: ignore[no-untyped-def]
+def render(pose, weights, x0, y0, out):
     """Image of LEDs of given weights and its derivatives by (x, y, ln pitch, roll, ln blur, stretch, shear).
 
     pose (5,) or (7,) float64, weights (n, n) float64, window corner (x0, y0); out (6 or 8, rows, columns) float64 is
@@ -96,7 +96,7 @@ def render(pose, weights, x0, y0, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _edge(t, sigma):  # type: ignore[no-untyped-def]
+def _edge(t, sigma):
     """Phi(t / sigma) and its derivative by t."""
     z = t / sigma
     if z > REACH:
@@ -107,7 +107,7 @@ def _edge(t, sigma):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def render_box(pose, half_leds, x0, y0, out):  # type: ignore[no-untyped-def]
+def render_box(pose, half_leds, x0, y0, out):
     """Blurred square of half width `half_leds` pitches about the array's centre, and its derivatives by the pose.
 
     out (6 or 8, rows, columns) as in `render`; a pixel's box is taken as its variance, 1/12; the derivatives by blur
@@ -151,7 +151,7 @@ def render_box(pose, half_leds, x0, y0, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def normal_equations(image, shapes, plane, linear, rough, matrix, vector):  # type: ignore[no-untyped-def]
+def normal_equations(image, shapes, plane, linear, rough, matrix, vector):
     """Gauss-Newton normal equations of image = linear . (shapes(pose), plane), weights by Tukey's biweight.
 
     shapes (m, 1 + p, rows, columns): images and their derivatives by p parameters of the pose; plane (3, rows,
@@ -196,7 +196,7 @@ def normal_equations(image, shapes, plane, linear, rough, matrix, vector):  # ty
 
 
 @njit(cache=True, nogil=True)
-def residuals(image, shapes, plane, linear, out):  # type: ignore[no-untyped-def]
+def residuals(image, shapes, plane, linear, out):
     """Image - linear . (shapes(pose), plane), as for `normal_equations`; out (rows, columns) is overwritten."""
     for i in range(image.shape[0]):
         for j in range(image.shape[1]):
@@ -204,7 +204,7 @@ def residuals(image, shapes, plane, linear, out):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _residual(image, shapes, plane, linear, i, j):  # type: ignore[no-untyped-def]
+def _residual(image, shapes, plane, linear, i, j):
     m = shapes.shape[0]
     r = image[i, j]
     for n in range(m):
@@ -215,7 +215,7 @@ def _residual(image, shapes, plane, linear, i, j):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def alternation(f0, f1, f2, f3, out):  # type: ignore[no-untyped-def]
+def alternation(f0, f1, f2, f3, out):
     """(f0 - 3 f1 + 3 f2 - f3) / 4: a header stays, what moves evenly or accelerates evenly cancels."""
     rows, cols = out.shape
     for i in range(rows):
@@ -227,7 +227,7 @@ def alternation(f0, f1, f2, f3, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def block_means(image, size, out):  # type: ignore[no-untyped-def]
+def block_means(image, size, out):
     """Mean magnitude over blocks of size x size pixels."""
     columns = np.empty(out.shape[1] * size, np.float32)
     for bi in range(out.shape[0]):
@@ -244,7 +244,7 @@ def block_means(image, size, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _corner(integral, y, x):  # type: ignore[no-untyped-def]
+def _corner(integral, y, x):
     """Integral image between its grid points."""
     i, j = int(y), int(x)
     fy, fx = y - i, x - j
@@ -254,7 +254,7 @@ def _corner(integral, y, x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _box(integral, y, x, height, width):  # type: ignore[no-untyped-def]
+def _box(integral, y, x, height, width):
     return (
         _corner(integral, y + height, x + width)
         - _corner(integral, y, x + width)
@@ -264,13 +264,13 @@ def _box(integral, y, x, height, width):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _to_grid(start, step):  # type: ignore[no-untyped-def]
+def _to_grid(start, step):
     """How far the next multiple of a step is from a start."""
     return math.ceil(start / step - 1e-9) * step - start
 
 
 @njit(cache=True, nogil=True)
-def search(total, square, busy, block, cells, sides, contrast, threshold, corner, best):  # type: ignore[no-untyped-def]
+def search(total, square, busy, block, cells, sides, contrast, threshold, corner, best):
     """Correlate the alternation with all headers over scale and position.
 
     total, square: integral images (rows + 1, columns + 1) of the alternation and of its square; busy: coarse map of
@@ -320,7 +320,7 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, corner
 
 
 @njit(cache=True, nogil=True)
-def _keep(best, found, score, x, y, side, identity):  # type: ignore[no-untyped-def]
+def _keep(best, found, score, x, y, side, identity):
     """Insert a candidate unless a better one lies on the same place; drop worse ones there."""
     i = 0
     while i < found:
@@ -346,7 +346,7 @@ def _keep(best, found, score, x, y, side, identity):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def sample_cubic(image, points, out):  # type: ignore[no-untyped-def]
+def sample_cubic(image, points, out):
     """Image at points (n, 2) of (x, y) by cubic convolution (Keys 1981, a = -1/2); the border repeats."""
     rows, cols = image.shape
     wx, wy = np.empty(4), np.empty(4)

@@ -21,9 +21,6 @@ STATIC, DRIVING, WHOLE = "at rest", "driving", "whole drives"
 QUICK_M = (40.0, 80.0, 125.0)
 FULL_M = (25.0, 40.0, 60.0, 70.0, 80.0, 90.0, 100.0, 125.0, 150.0, 180.0)
 
-LIKELY_M = 60.0
-"""Distance from which on likelihoods are compared: nearer hardly a bit is wrong."""
-
 TOLERANCE = 0.1
 """Departure of observed from claimed error probability that is allowed, as a share."""
 

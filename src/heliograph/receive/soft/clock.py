@@ -1,12 +1,11 @@
 """When the patterns are: the light's clock against the camera's, measured by each header and carried on between.
 
-Two things tell when a frame was exposed. How much of the header less its inverse it shows, from -1 to 1, is the mean of
-a square wave over the exposure, which is 0 outside of the header. And PWM lights an array brightly at the start of a
-pattern and dimly at its end (15, 11, 5 and 1 sixteenths of the LEDs in the slots of random data), but evenly through a
-header, but where cells are dimmed to name a format: what part of them is, is found along. Both are compared, for all
-frames around a header, with what starts and exposures between bounds would give; the likelihood over both is the
-measurement. The exposure stays, so its likelihoods multiply from header to header. The
-start goes into a Kalman filter of time and rate.
+How much of the header less its inverse a frame shows, from -1 to 1, is the mean of a square wave over the exposure,
+which is 0 outside of the header. And PWM lights an array brightly at the start of a pattern and dimly at its end (15,
+11, 5 and 1 sixteenths of the LEDs in the slots of random data), but evenly through a header, but where cells are
+dimmed to name a format: what part of them is, is found along. Both are compared, for all frames around a header, with
+what starts and exposures between bounds would give; the likelihood over both is the measurement. The exposure stays,
+so its likelihoods multiply from header to header. The start goes into a Kalman filter of time and rate.
 """
 
 from dataclasses import dataclass

@@ -22,7 +22,7 @@ def support(sigma: float) -> int:
 
 
 @njit(cache=True, nogil=True)
-def place(pose, rows, cols, across, down, first):  # type: ignore[no-untyped-def]
+def place(pose, rows, cols, across, down, first):
     """Light of each LED on the columns and rows of a window's pixels about it.
 
     pose (9,): x, y in the window; from one LED to the next dx by column and by row, dy by column and by row; the pitch;
@@ -46,7 +46,7 @@ def place(pose, rows, cols, across, down, first):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _shares(centre, sigma, first, count, scale, out):  # type: ignore[no-untyped-def]
+def _shares(centre, sigma, first, count, scale, out):
     """Share of a Gaussian in each pixel from `first` on, times a scale; 0 beyond the window's `count` pixels."""
     # g_j = Phi((j + 1/2 - c) / sigma) - Phi((j - 1/2 - c) / sigma)
     cdf = math.erf((first - 0.5 - centre) / (sigma * SQRT2))
@@ -57,7 +57,7 @@ def _shares(centre, sigma, first, count, scale, out):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True)
-def roots(shares, first, lit, dark, ring, out):  # type: ignore[no-untyped-def]
+def roots(shares, first, lit, dark, ring, out):
     """Roots of the weights of a window's columns or rows, out (pixels,): W = lit / s^2, 0 in the outer `ring` pixels.
 
     s^2 = dark + (lit - dark) f, f what all LEDs together give, 0 to 1; shares (n n, width) and first (n n,).
@@ -74,7 +74,7 @@ def roots(shares, first, lit, dark, ring, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def weighted(shares, first, root, out):  # type: ignore[no-untyped-def]
+def weighted(shares, first, root, out):
     """Shares with each pixel's weight on them, out (n n, width), root (pixels,)."""
     for k in range(shares.shape[0]):
         for i in range(shares.shape[1]):
@@ -83,13 +83,13 @@ def weighted(shares, first, root, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _haar(a, b, c, d):  # type: ignore[no-untyped-def]
+def _haar(a, b, c, d):
     """A square of LEDs (0, 0), (0, 1), (1, 0), (1, 1) to its four cells: 1/4 H t H^T."""
     return 0.25 * (a + b + c + d), 0.25 * (a - b + c - d), 0.25 * (a + b - c - d), 0.25 * (a - b - c + d)
 
 
 @njit(cache=True, nogil=True)
-def seen_by_cells(image, across, down, first, out):  # type: ignore[no-untyped-def]
+def seen_by_cells(image, across, down, first, out):
     """B^T image: the image's correlation with that of each cell; image (rows, columns), out (n n,)."""
     squares, width = across.shape[0] // 4, across.shape[1]
     rows, cols = image.shape
@@ -108,7 +108,7 @@ def seen_by_cells(image, across, down, first, out):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True, nogil=True)
-def leds(cells):  # type: ignore[no-untyped-def]
+def leds(cells):
     """Levels about their mean of LEDs in the order of `place`, t = 1/4 H^T D H, of cells (n n,)."""
     squares = cells.shape[0] // 4
     out = np.empty(4 * squares)
@@ -119,7 +119,7 @@ def leds(cells):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def cells(leds):  # type: ignore[no-untyped-def]
+def cells(leds):
     """The inverse of `leds`: D = H t H^T."""
     squares = leds.shape[0] // 4
     out = np.empty(4 * squares)
@@ -130,7 +130,7 @@ def cells(leds):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def shine(leds, across, down, first, out):  # type: ignore[no-untyped-def]
+def shine(leds, across, down, first, out):
     """Add the image of LEDs of given weights (n n,), in the order of `place`, to out (rows, columns)."""
     width = across.shape[1]
     rows, cols = out.shape
@@ -143,7 +143,7 @@ def shine(leds, across, down, first, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _overlap(a, b, shift, width):  # type: ignore[no-untyped-def]
+def _overlap(a, b, shift, width):
     """Sum of a[i + shift] b[i]."""
     total = 0.0
     for i in range(max(0, -shift), min(width, width - shift)):
@@ -152,7 +152,7 @@ def _overlap(a, b, shift, width):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def gram(across, down, first, out):  # type: ignore[no-untyped-def]
+def gram(across, down, first, out):
     """B^T B of the cells, out (n n, n n) float32.
 
     <led_i, led_j> = <across_i, across_j> <down_i, down_j>, then the Haar transform on both sides.
@@ -189,7 +189,7 @@ def gram(across, down, first, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def light(across, down, first, out):  # type: ignore[no-untyped-def]
+def light(across, down, first, out):
     """B, the light of each cell on each pixel, added to out (rows, columns, n n) float32."""
     rows, cols, count = out.shape
     squares, width = count // 4, across.shape[1]
@@ -207,7 +207,7 @@ def light(across, down, first, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def difference(across_1, down_1, first_1, across_2, down_2, first_2):  # type: ignore[no-untyped-def]
+def difference(across_1, down_1, first_1, across_2, down_2, first_2):
     """|A_1 - A_2|^2, the sum of squares over all LEDs and pixels; both of the same width."""
     width, total = across_1.shape[1], 0.0
     for k in range(across_1.shape[0]):
@@ -219,7 +219,7 @@ def difference(across_1, down_1, first_1, across_2, down_2, first_2):  # type: i
 
 
 @njit(cache=True, nogil=True)
-def precision(gram, unknown, scale, inverse, floor, size):  # type: ignore[no-untyped-def]
+def precision(gram, unknown, scale, inverse, floor, size):
     """Scale G + V^-1 of the unknown cells, V^-1 = diag of inverse; a unit matrix beside it up to `size` rows."""
     count = unknown.shape[0]
     out = np.empty((size, size), np.float32)
@@ -236,7 +236,7 @@ def precision(gram, unknown, scale, inverse, floor, size):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True)
-def mirror(upper, out):  # type: ignore[no-untyped-def]
+def mirror(upper, out):
     """The symmetric matrix of which the upper triangle is given, its first rows and columns into out."""
     for i in range(out.shape[0]):
         for j in range(i):
@@ -245,7 +245,7 @@ def mirror(upper, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def extrinsic(covariance, posterior, mean, variance, out):  # type: ignore[no-untyped-def]
+def extrinsic(covariance, posterior, mean, variance, out):
     """Extrinsic LLR of each cell, out (n,), of a linear MMSE estimate: S (n, n), m, prior c_0 and v (n,).
 
     m is linear in the cells: m_i - c_0i = sum_j R_ij (c_j - c_0j) + noise with R = 1 - S V^-1. Of the statistic
