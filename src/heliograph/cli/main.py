@@ -71,7 +71,7 @@ def transmit(
 def receive(
     film: Annotated[Path, typer.Argument(help="Film to read.")],
     receiver: Annotated[
-        str | None, typer.Option(help="Receiver to use; default of the preset.", show_default=False)
+        str | None, typer.Option(help="Receiver to use, plain or soft; default of the preset.", show_default=False)
     ] = None,
     output: Annotated[
         Path | None,

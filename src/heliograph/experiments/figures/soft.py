@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 STATIC, DRIVING, WHOLE = "at rest", "driving", "whole drives"
 
 QUICK_M = (40.0, 80.0, 125.0)
-FULL_M = (25.0, 40.0, 60.0, 70.0, 80.0, 90.0, 100.0, 125.0, 150.0, 180.0)
+FULL_M = (25.0, 40.0, 60.0, 70.0, 80.0, 90.0, 100.0, 125.0, 150.0, 180.0, 210.0)
 
 TOLERANCE = 0.1
 """Departure of observed from claimed error probability that is allowed, as a share."""
@@ -30,7 +30,7 @@ ENOUGH = 30
 GOOD_M, GOOD_TO_M = 0.25, 80.0
 """Rms error of distance that is asked for, and up to where."""
 
-DISTANCE_BINS = (22.5, 32.5, 50.0, 65.0, 75.0, 82.5, 95.0, 110.0, 140.0, 165.0, 200.0)
+DISTANCE_BINS = (22.5, 32.5, 50.0, 65.0, 75.0, 82.5, 95.0, 110.0, 140.0, 165.0, 195.0, 225.0)
 
 TEXT = (
     "Packets of the reference link at rest (one packet a film, the array at its own place on the pixel grid) and on "
