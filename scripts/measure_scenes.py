@@ -18,7 +18,7 @@ ARRAY = "channel.arrays.0."
 NIGHT = ("channel.emitter.panel_level=0", "channel.background.level=0")
 
 STILL: Mapping[str, Sequence[str]] = {
-    "plain": (),
+    "upright": (),
     **{f"yaw {a}": (f"{ARRAY}yaw_deg={a}",) for a in (10, 20, 30, 40)},
     "tilted": (f"{ARRAY}yaw_deg=25", f"{ARRAY}pitch_deg=15", f"{ARRAY}roll_deg=5"),
     "hidden quarter": (f"{ARRAY}hidden=[0,0,0.5,0.5]",),

@@ -210,6 +210,7 @@ def test_all_on_detector_names_nobody_elses_data() -> None:
     packets = list(receive_frames(frames, SIGNAL, settings))
     # it does follow the array, under the wrong number, and reads whole packets: one high, two middle, one low codeword
     assert packets
-    assert {(p.identity, p.status) for p in packets} == {(0, "no_header")}
+    assert {p.identity for p in packets} == {0}
+    assert {p.status for p in packets} <= {"no_header", "no_array"}
     for packet in packets:
         assert [w.status for words in packet.layers.values() for w in words] == ["crc_fail"] * 4

@@ -42,6 +42,8 @@ def test_a_codeword_in_other_company_is_added_to() -> None:
         others = {**random_blocks(seed), "middle": blocks["middle"]}
         words = decoded(looks_at(others, FAR, seed), memory=memory)
     assert right(words, others)[1:3] == [True, True]
+    # of each one sum is kept
+    assert len(memory._kept["middle", FORM.layers["middle"].code]) == 2
 
 
 def test_only_looks_of_one_format_are_joined() -> None:
@@ -67,7 +69,7 @@ def test_a_codeword_that_contradicts_makes_another_packet() -> None:
 
 def test_packets_that_share_a_codeword_are_told_apart() -> None:
     """Also where little is seen of the second: nothing of the first one's may be passed for its own."""
-    joined = 0
+    count = 0
     for z, pairs in ((150, 3), (180, 5), (180, 24), (240, 10)):
         first = random_blocks(50)
         second, memory = {**random_blocks(51), "high": first["high"]}, Memory()
@@ -79,8 +81,8 @@ def test_packets_that_share_a_codeword_are_told_apart() -> None:
         assert sum(right(words, second)) == len(read)
         # what one look gives is given with the memory too
         assert sum(right(words, second)) >= sum(right(decoded(looks), second))
-        joined += len(read)
-    assert joined
+        count += len(read)
+    assert count
 
 
 def test_blocks_that_are_much_alike_are_told_apart() -> None:
@@ -144,6 +146,7 @@ def test_a_look_must_speak_for_what_others_helped_to_read() -> None:
     assert not faithful(np.where(np.arange(1000) < 20, llr, 0.0), signs)
     some = np.where(rng.uniform(size=1000) < 0.25, -1, 1) * signs
     assert not faithful(3 * llr, some)
+    assert not faithful(np.zeros(1000), signs)
 
 
 def test_codewords_kept_are_bounded() -> None:

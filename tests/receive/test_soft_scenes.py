@@ -88,6 +88,19 @@ def test_lost_while_off_and_found_by_the_next_header() -> None:
     assert all(p.status != "ok" or p.identity == 0 for p in packets)
 
 
+@pytest.mark.parametrize("distance_m", [80.0, 110.0])
+def test_noise_is_no_dim_array(distance_m: float) -> None:
+    """Ten times dimmer and off: lost within the time that arrays are coasted, and nothing of noise is kept."""
+    night = {"emitter": {"all_on": 0.08, "panel_level": 0.0}, "background": {"level": 0.1}}
+    settings = soft(distance_m, {"off_s": [(0.103, 0.403)]}, **night)
+    lost: list[float] = []
+    watch = lambda stage, data: lost.append(data["time_s"]) if stage == "lost" else None  # noqa: E731 - a watch
+    packets = list(receive_frames(film(settings, 410), settings.signal, settings.receive, watch))
+    assert len(lost) == 1
+    assert lost[0] < 0.103 + 0.07
+    assert [p.start_time_s < 0.05 for p in packets if p.pairs_seen > 0.3] == [True]
+
+
 @pytest.mark.parametrize("off_s", [0.101, 0.103])
 @pytest.mark.parametrize("distance_m", [50.0, 80.0])
 def test_an_array_switched_off_amid_its_header(off_s: float, distance_m: float) -> None:

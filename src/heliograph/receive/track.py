@@ -23,6 +23,9 @@ MARGIN_PITCHES, MARGIN_PX = 1.5, 1.5
 PIXEL = 12**-0.5
 """Standard deviation in pixels of a pixel's own width."""
 
+NOISY = 1.5
+"""Change that noise may give, in its variance: that of some hundred pixels is known to a fifth."""
+
 RESOLVED_PX = 1.0
 """Pitch from which on single LEDs show in a sum."""
 
@@ -166,12 +169,15 @@ class Tracker:
 
     def _active(self, change: Floats, pose: Pose, corner: tuple[int, int]) -> bool:
         """Whether pattern and inverse differ where the array should be: a hidden or dark array shows no change."""
-        half = max(0.5 * self._side * pose.pitch - 1, 1)
-        x, y = pose.x - corner[0], pose.y - corner[1]
-        rows, cols = (slice(max(0, round(c - half)), max(0, round(c + half)) + 1) for c in (y, x))
-        inner = change[rows, cols]
+        half = 0.5 * self._side * pose.pitch
+        rows, cols = (np.arange(n) for n in change.shape)
+        away = np.maximum(
+            *np.meshgrid(np.abs(rows + corner[1] - pose.y), np.abs(cols + corner[0] - pose.x), indexing="ij")
+        )
+        inner, around = change[away <= max(half - 1, 1) + 0.5], np.abs(change[away > half + 1])
+        noise = 1.4826 * float(np.median(around)) if around.size else 0.0
         least = self._settings.activity * contrast(pose) * self.gain
-        return bool(inner.size and np.sqrt(np.mean(inner**2)) >= least)
+        return bool(inner.size and np.mean(inner**2) >= least**2 + NOISY * noise**2)
 
     def _inside(self, fit: Fit, frame: Frame) -> bool:
         """Whether the array's centre is in the frame."""

@@ -104,13 +104,14 @@ def decode_looks(
     packet = _Packet.begun(looks, light, form, identity, settings)
     packet.decode(memory, again, observe)
     if packet.earlier is not None and packet.open.any():
-        # what it was taken for may be another packet, which stands in its way
+        # what it was taken for may be another packet, which stands in its way; poses that were sharpened stay
         alone = _Packet.begun(looks, light, form, identity, settings)
         alone.decode(Memory(), again, observe)
         if alone.open.sum() < packet.open.sum():
             memory.keep_packet(packet.earlier)
             packet = alone
-    packet.remember(memory)
+    if settings.soft.looks:
+        packet.remember(memory)
     return {name: tuple(layer.words) for name, layer in packet.layers.items()}
 
 
@@ -190,7 +191,7 @@ class _Packet:
             for name, layer in self.layers.items():
                 decode_layer(layer, name, self.identity, self.settings)
             still = self.open
-            self.told = np.concatenate([information(layer.llr) for layer in self.layers.values()])
+            self.told = np.concatenate([information(layer.llr + layer.recalled) for layer in self.layers.values()])
             if not still.any() or self.settings.soft.feedback == "none":
                 break
             decoded = still.sum() < open_.sum()
@@ -253,6 +254,8 @@ class _Packet:
             self.earlier = memory.recall_packet(self.form.named, [own for by in self.layers.values() for own in by.own])
         if self.earlier is not None:
             self.look(self.looks)
+            if self.sites:
+                self.sites.forget()
             self.equalise()
             return
         for name, layer in self.layers.items():

@@ -115,7 +115,7 @@ class Clock:
         self._dimmed = np.unique(np.stack([cells.sum(1), cells @ header_cells(identity).ravel()], axis=1), axis=0)
         self._light = SlotLight(signal.slot_order)
         self.start_s = start_s
-        """Start of the last header measured."""
+        """Start of the last header that was due, as measured or, where it was not seen, as predicted."""
         self.rate = 0.0
         """Its pattern period is longer by this share than the nominal one."""
         self.gain = 0.0
@@ -185,7 +185,8 @@ class Clock:
         pattern
             Its first.
         again
-            Whether it is the first header once more, seen with better poses: what it told before does not count.
+            Whether it is the first header once more, seen with better poses: what it told before counts only for where
+            to look.
 
         Returns
         -------

@@ -22,7 +22,8 @@ TRUST = 0.85
 """Share at which a failed codeword's LLRs are fed back: a decoder's guesses come from the noise they are added to."""
 
 HOPELESS = 0.3
-"""Share of a code's rate that LLRs must tell of each bit: of less nothing comes, and one iteration has to do."""
+"""Share of a code's rate that LLRs must tell of each bit: of less nothing comes, and where all open codewords of a
+layer tell less, one iteration has to do."""
 
 
 @dataclass(slots=True)
@@ -111,15 +112,14 @@ def decode_layer(layer: Layer, name: str, identity: int, settings: ReceiveSettin
     code = layer.form.code
     open_ = [i for i in range(len(layer.llr)) if not layer.words or layer.words[i].status == "crc_fail"]
     words = dict(enumerate(layer.words))
-    found = _decode(code, (layer.llr + layer.recalled)[open_], identity, name, settings)
-    for i, (word, after) in zip(open_, found, strict=True):
-        llr, recalled = layer.llr[i], layer.recalled[i]
-        if recalled.any() and (word.status == "crc_fail" or not faithful(layer.own[i], _signs(code, word))):
-            # it may be another codeword, like the one recalled
-            ((alone, after_alone),) = _decode(code, llr[None], identity, name, settings)
-            if word.status != "crc_fail" or alone.status != "crc_fail":
-                layer.recalled[i], word, after = 0.0, alone, after_alone
-        words[i] = replace(word, raw=hard(llr))
+    found = dict(zip(open_, _decode(code, (layer.llr + layer.recalled)[open_], identity, name, settings), strict=True))
+    doubtful = [i for i, (word, _) in found.items() if _doubtful(layer, i, word)]
+    for i, (word, after) in zip(doubtful, _decode(code, layer.llr[doubtful], identity, name, settings), strict=True):
+        # what was recalled may be another codeword, like this one
+        if found[i][0].status != "crc_fail" or word.status != "crc_fail":
+            layer.recalled[i], found[i] = 0.0, (word, after)
+    for i, (word, after) in found.items():
+        words[i] = replace(word, raw=hard(layer.llr[i]))
         if word.status == "crc_fail" and settings.soft.feedback != "soft":
             layer.soft[i], layer.variance[i] = 0.0, 1.0
         elif word.status == "crc_fail":
@@ -128,6 +128,13 @@ def decode_layer(layer: Layer, name: str, identity: int, settings: ReceiveSettin
         else:
             layer.soft[i], layer.variance[i] = _signs(code, word), 0.0
     layer.words = [words[i] for i in range(len(layer.llr))]
+
+
+def _doubtful(layer: Layer, number: int, word: Codeword) -> bool:
+    """Whether a codeword was not read with what was recalled, or by that alone."""
+    if not layer.recalled[number].any():
+        return False
+    return word.status == "crc_fail" or not faithful(layer.own[number], _signs(layer.form.code, word))
 
 
 def _signs(code: TurboCode, word: Codeword) -> Floats:
@@ -142,6 +149,8 @@ def _decode(
 
     They are decoded together, which takes no longer than one of them; where all are hopeless one iteration has to do.
     """
+    if not len(llr):
+        return []
     few = (information(llr) < HOPELESS * code.rate).all()
     result = code.decode(
         llr,

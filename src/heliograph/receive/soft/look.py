@@ -10,7 +10,7 @@ A single frame of known background b is the same with 2 (r - b) = g (B c + o) + 
 With W the pixels' weights, all that remains of them is B^T W d, beside B^T W B and B^T W o which the poses decide.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,15 +111,15 @@ class Weighted:
 
     def look(self) -> Look:
         """What remains of it for the equaliser."""
-        return self._reduced(self._gram())
+        return self._reduced(self._gram(), self.correlated(self.change), self.correlated(self.still))
 
-    def _reduced(self, gram: NDArray[np.float32]) -> Look:
-        """A look of a B^T W B, (cells, cells)."""
+    def _reduced(self, gram: NDArray[np.float32], seen: Floats, offset: Floats) -> Look:
+        """A look of a B^T W B, (cells, cells), B^T W d and B^T W o, (cells,)."""
         d, o = self.change, self.still
         look = Look(
             gram,
-            self.correlated(d),
-            self.correlated(o),
+            seen,
+            offset,
             cross=float((d * o).sum()),
             drift=float((o * o).sum()),
             power=float((d * d).sum()),
@@ -159,7 +159,7 @@ class Weighted:
         part = np.linalg.solve(h @ h.T + precision, np.column_stack([c.T, h @ seen]))
         d, o = (b.T @ seen - c @ part[:, -2:]).T
         # all by one B, else the difference of two large matrices would be no matrix of squares
-        return replace(self._reduced((b.T @ b - c @ part[:, :-2]).astype(np.float32)), seen=d, offset=o)
+        return self._reduced((b.T @ b - c @ part[:, :-2]).astype(np.float32), d, o)
 
     def correlated(self, image: Floats) -> Floats:
         """B^T W^(1/2) image, (cells,)."""

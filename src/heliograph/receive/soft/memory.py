@@ -75,9 +75,10 @@ class SeenPacket:
         """
         found, expected = np.array([agreement(a, b) for a, b in zip(llrs, self.llrs, strict=True)]).T
         open_ = np.array([bool((np.abs(llr) < LARGEST_LLR).any()) for llr in self.llrs])
-        if (found < 0.5 * expected - 2).any() or _along(found, expected, open_) < 0.5 * np.linalg.norm(expected[open_]):
+        least = 0.5 * float(np.linalg.norm(expected[open_]))
+        if (found < 0.5 * expected - 2).any() or _along(found[open_], expected[open_]) < least:
             return 0.0
-        return _along(found, expected, np.ones_like(open_))
+        return _along(found, expected)
 
 
 class Memory:
@@ -126,15 +127,14 @@ class Memory:
     def keep(self, kind: Kind, llr: Floats, recalled: Floats) -> None:
         """Keep what is known of a codeword that this look alone did not give, in place of what was recalled."""
         kept = self._kept[kind]
-        rest = [other for other in kept if other is not recalled]
+        rest = [other for other in kept if not np.array_equal(other, recalled)]
         kept.clear()
         kept.extend([*rest, llr + recalled])
 
 
-def _along(found: Floats, expected: Floats, chosen: NDArray[np.bool_]) -> float:
-    """Agreement of the chosen codewords together, those weighing most that may agree most."""
-    weights = expected[chosen]
-    return float(found[chosen] @ weights / np.sqrt(max(float(weights @ weights), 1e-24)))
+def _along(found: Floats, expected: Floats) -> float:
+    """Agreement of codewords together, those weighing most that may agree most."""
+    return float(found @ expected / np.sqrt(max(float(expected @ expected), 1e-24)))
 
 
 def agreement(a: Floats, b: Floats) -> tuple[float, float]:
@@ -157,4 +157,4 @@ def faithful(llr: Floats, signs: Floats) -> bool:
     # E[soft * sign] = soft^2 where the LLRs are right, and 0 of another codeword, whose variance is the sum of soft^2
     expected = float((soft**2).sum())
     spread = float(np.sqrt((soft**2 * (1 - soft**2)).sum()))
-    return float(soft @ signs) >= max(FAITHFUL * expected - 3 * spread, SPOKEN * expected**0.5)
+    return float(soft @ signs) > max(FAITHFUL * expected - 3 * spread, SPOKEN * expected**0.5)

@@ -177,7 +177,7 @@ class SoftReading:
     def following(self) -> "SoftReading":
         """The reading of the next packet; it knows the LEDs."""
         self._shares.forget()
-        return SoftReading(self._identity, self._setup, self._memory, self._shares)
+        return SoftReading(self._identity, self._setup, self._memory, self._shares if self._begun else None)
 
     def _glance(self, pattern: Frame, inverted: Frame, state: PoseState, gain: float) -> Glance:
         mix, later_s = mix_of(pattern), (self._later_s, self._later_s)
