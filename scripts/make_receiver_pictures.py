@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -29,8 +30,8 @@ SIDE, PITCH_M_PX = 16, 58.33
 class Packet:
     """One packet received from a distance at rest, with all that the receiver shows of it and what was sent."""
 
-    def __init__(self, distance_m: float, seed: int = 0):
-        changes = [f"channel.distance_m={distance_m}", "channel.duration_s=0.1", "receive.receiver=soft"]
+    def __init__(self, distance_m: float, *other: str, seed: int = 0):
+        changes = [f"channel.distance_m={distance_m}", "channel.duration_s=0.1", "receive.receiver=soft", *other]
         settings = load_settings("static", None, changes)
         messages = default_messages(settings)
         self.rounds: list[dict[str, Floats]] = []
@@ -44,6 +45,13 @@ class Packet:
         self.sent = {n: layers[n].code.encode([pack(b, layers[n].code.k) for b in blocks[n]]) for n in LAYERS}
         bits = np.concatenate([layers[n].encode(blocks[n]) for n in LAYERS], axis=1)
         self.cells = 1.0 - 2.0 * bits
+
+    def told(self, name: str, word: int) -> tuple[NDArray[np.intp], list[float]]:
+        """Rounds in which a codeword was open, and what its LLRs told of each bit, in bit."""
+        llr = np.array([one[name][word] for one in self.rounds])
+        sent = 1.0 - 2.0 * self.sent[name][word]
+        open_ = np.flatnonzero((llr != 0).any(1))
+        return 1 + open_, [float(1 - np.mean(np.logaddexp(0, -row * sent)) / np.log(2)) for row in llr[open_]]
 
     def _watch(self, stage: str, data: Mapping[str, Any], /) -> None:
         if stage == "equalise":
@@ -131,28 +139,43 @@ def rounds(packet: Packet) -> Figure:
     axes = figure.subplots()
     for name in LAYERS:
         for word in range(len(packet.sent[name])):
-            llr = np.array([one[name][word] for one in packet.rounds])
-            sent = 1.0 - 2.0 * packet.sent[name][word]
-            open_ = (llr != 0).any(1)
-            told = [1 - np.mean(np.logaddexp(0, -row * sent)) / np.log(2) for row in llr[open_]]
-            axes.plot(1 + np.flatnonzero(open_), told, "o-", color=COLOURS[name], label=None if word else name)
-    axes.axhline(0.43, color="#8a929b", lw=0.8, ls="--")
-    axes.set(xlabel="round", ylabel="information in the LLRs (bit a bit)", xticks=range(1, 1 + len(packet.rounds)))
-    axes.legend(frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
+            axes.plot(*packet.told(name, word), "o-", color=COLOURS[name], label=None if word else name)
+    _finish(axes, len(packet.rounds))
     figure.tight_layout()
     return figure
+
+
+def sites(kinds: Mapping[str, Packet]) -> Figure:
+    """What is told of the high layer by round, cells taken as Gaussian and as -1 and +1."""
+    figure = Figure(figsize=(6, 3.2))
+    axes = figure.subplots()
+    for (name, packet), style in zip(kinds.items(), ("o--", "o-"), strict=True):
+        axes.plot(*packet.told("high", 0), style, color=COLOURS["high"], label=name)
+    _finish(axes, max(len(packet.rounds) for packet in kinds.values()))
+    figure.tight_layout()
+    return figure
+
+
+def _finish(axes: Axes, count: int) -> None:
+    """Name the axes of information by round."""
+    axes.axhline(0.43, color="#8a929b", lw=0.8, ls="--")
+    axes.set(xlabel="round", ylabel="information in the LLRs (bit a bit)", xticks=range(1, 1 + count))
+    axes.legend(frameon=False)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def main() -> None:
     PICTURES.mkdir(exist_ok=True)
     near, far = Packet(80), Packet(115)
+    gaussian = Packet(230, "receive.soft.propagate=false")
+    kinds = {"Gaussian cells": gaussian, "cells of -1 and +1": Packet(230)}
     for name, figure in (
         ("pair", pair(Packet(60))),
         ("gram", gram()),
         ("first-round", first_round(near)),
         ("disturbers", disturbers(near)),
         ("rounds", rounds(far)),
+        ("sites", sites(kinds)),
     ):
         figure.savefig(PICTURES / f"soft-{name}.png", dpi=110, bbox_inches="tight")
 
