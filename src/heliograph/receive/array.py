@@ -52,11 +52,11 @@ class ArrayReceiver:
         self.found = detection
         self._proven = False
         self._form, self._settings, self._observe = setup.form, setup.settings, setup.observe
-        form = setup.form
-        self.tracker = Tracker(detection, form.settings.side, self._settings.track)
+        signal = setup.form.settings
+        self.tracker = Tracker(detection, signal.side, self._settings.track)
         self._start_s = detection.start_time_s
-        mean, _ = light_centroids(form.settings.slot_order)
-        self._sum_late_s = (mean - 0.5) * form.settings.pattern_period_s
+        mean, _ = light_centroids(signal.slot_order)
+        self._sum_late_s = (mean - 0.5) * signal.pattern_period_s
         self._held: Frame | None = None
         self._pair = 0
         self._packet = self._empty(reading)

@@ -170,10 +170,11 @@ class Tracker:
     def _active(self, change: Floats, pose: Pose, corner: tuple[int, int]) -> bool:
         """Whether pattern and inverse differ where the array should be: a hidden or dark array shows no change."""
         half = 0.5 * self._side * pose.pitch
-        rows, cols = (np.arange(n) for n in change.shape)
-        away = np.maximum(
-            *np.meshgrid(np.abs(rows + corner[1] - pose.y), np.abs(cols + corner[0] - pose.x), indexing="ij")
+        down, right = (
+            np.abs(np.arange(n) + c)
+            for n, c in zip(change.shape, (corner[1] - pose.y, corner[0] - pose.x), strict=True)
         )
+        away = np.maximum(down[:, None], right)
         inner, around = change[away <= max(half - 1, 1) + 0.5], np.abs(change[away > half + 1])
         noise = 1.4826 * float(np.median(around)) if around.size else 0.0
         least = self._settings.activity * contrast(pose) * self.gain

@@ -46,14 +46,14 @@ class TimedArray(ArrayReceiver):
 
     def __init__(self, detection: Detection, setup: Setup, reading: Reading):
         super().__init__(detection, setup, reading)
-        form = setup.form
+        signal = setup.form.settings
         self._frames: deque[Frame] = deque()
         self._clock: Clock | None = None
-        self._light = SlotLight(form.settings.slot_order)
+        self._light = SlotLight(signal.slot_order)
         self._next = 0
         self._poses: dict[int, Pose] = {}
-        self._header = 2 * form.settings.header_pairs
-        self._signs = header_levels(detection.identity, form.settings.side) / 2.0 - 1.0
+        self._header = 2 * signal.header_pairs
+        self._signs = header_levels(detection.identity, signal.side) / 2.0 - 1.0
 
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take a frame; yield the packet it completes."""

@@ -102,7 +102,7 @@ class Singles:
         corner, image = surroundings(frame, middle, self._side)
         behind = images_behind(middle, corner, image.shape, self._half)[:, 0]
         above = image - np.tensordot(self._behind, behind, 1)
-        return Glance(2 * above, 2 * above, corner, (data,), still, inside=within((frame,), corner, image.shape))
+        return _glance_of(frame, above, corner, data, still)
 
     def _fit(self, frame: Frame, state: PoseState) -> Fit:
         """Most probable pose, gain and background.
@@ -134,10 +134,8 @@ class Singles:
         still, data = (middle.moved(*(late_s * state.mean[RATES][:2])) for late_s in self._late_s)
         corner, image = surroundings(frame, middle, self._side)
         behind = images_behind(middle, corner, image.shape, self._half)
-        above = 2 * (image - np.tensordot(at[SHOWN + 1 :], behind[:, 0], 1))
-        inside = within((frame,), corner, image.shape)
-        glance = Glance(above, above, corner, (data,), still, inside=inside)
-        weighted = weigh(glance, self.noise, self._side, self._shares)
+        above = image - np.tensordot(at[SHOWN + 1 :], behind[:, 0], 1)
+        weighted = weigh(_glance_of(frame, above, corner, data, still), self.noise, self._side, self._shares)
         look = weighted.look()
         known, unknown = self._decided(look, gain)
         lit = self._images(known, still, data, corner, image.shape)
@@ -171,3 +169,8 @@ class Singles:
         images.render(data.full_vector(), levels * self._shares, x, y, varied)
         images.render(still.full_vector(), 0.5 * self._shares, x, y, mean)
         return np.asarray(varied + mean)
+
+
+def _glance_of(frame: Frame, above: Floats, corner: tuple[int, int], data: Pose, still: Pose) -> Glance:
+    """A glance of a single frame, by what it shows above the background."""
+    return Glance(2 * above, 2 * above, corner, (data,), still, inside=within((frame,), corner, above.shape))
