@@ -64,6 +64,9 @@ class Prior:
     gain: float = 0.0
 
 
+CLOSE_PX, CLOSE = 5e-3, 1e-2
+"""Steps of the array's rim, and of ln blur, from which on a fit has come to its end: the next is a tenth of it."""
+
 GAIN_SPREAD = 0.15
 """Standard deviation of an expected gain, as a share of it."""
 
@@ -91,7 +94,7 @@ def fit_array(
     weights
         (n, n) luminance of each LED: 1 for all on, +-1 for a header minus its inverse.
     iterations
-        Gauss-Newton steps.
+        Most Gauss-Newton steps.
     panel
         Whether a panel darker or brighter than the background may surround the LEDs: it does in a sum of frames, it
         cancels in a difference.
@@ -122,6 +125,8 @@ def fit_array(
         limit = _step_limits(vector)[:free]
         vector[:free] += np.clip(step[:free], -limit, limit)
         linear = linear + step[free:]
+        if _rim_px(step[:free], vector, len(weights)) < CLOSE_PX and abs(step[4]) < CLOSE:
+            break
         scene.place(vector)
     covariance = np.linalg.inv(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3))[:free, :free]
     residual = scene.residual(linear)
@@ -130,7 +135,7 @@ def fit_array(
         np.asarray(covariance, np.float64),
         float(linear[0]),
         correlation(image, image - residual),
-        _spread_of(residual),
+        _noise_of(residual),
     )
 
 
@@ -174,7 +179,7 @@ class _Scene:
         """Normal equations of steps in pose and coefficients, in units of the noise found."""
         size = self._shapes.shape[1] - 1 + len(linear)
         matrix, rhs = np.empty((size, size)), np.empty(size)
-        rough = BIWEIGHT * _spread_of(self.residual(linear))
+        rough = BIWEIGHT * _noise_of(self.residual(linear))
         mass, loss = self._kernels.normal_equations(self._image, self._shapes, self._plane, linear, rough, matrix, rhs)
         noise = max(loss / max(mass - size, 1.0), 0.08)
         return matrix / noise, rhs / noise
@@ -199,16 +204,28 @@ def plane(rows: int, cols: int) -> Floats:
     return np.stack([np.ones((rows, cols)), x, y])
 
 
-def _spread_of(residual: Floats) -> float:
-    """Standard deviation by the median magnitude, at least half a gray level."""
-    middle = residual.size // 2
-    return max(1.4826 * float(np.partition(np.abs(residual).ravel(), middle)[middle]), 0.5)
+def spread_of(values: Floats) -> float:
+    """Standard deviation of values about 0, by their median magnitude; NumPy's own median takes many times as long."""
+    middle = [(values.size - 1) // 2, values.size // 2]
+    low, high = np.partition(np.abs(values).ravel(), middle)[middle]
+    return 0.7413 * float(low + high)
+
+
+def _noise_of(residual: Floats) -> float:
+    """Standard deviation of residuals, at least half a gray level."""
+    return max(spread_of(residual), 0.5)
 
 
 def _step_limits(vector: Floats) -> Floats:
     """Longest steps that keep the image's linear expansion true: about half a blur or a pitch."""
     reach = max(0.8, 0.5 * float(np.exp(vector[2])))
     return np.array([reach, reach, 0.1, 0.05, 0.2, 0.05, 0.05])
+
+
+def _rim_px(step: Floats, vector: Floats, side: int) -> float:
+    """How far a step moves the rim of an array."""
+    half = 0.5 * side * float(np.exp(vector[2]))
+    return float(np.abs(step[:2]).max() + half * np.abs(step[[2, 3, *range(5, len(step))]]).max())
 
 
 def correlation(a: Floats, b: Floats) -> float:

@@ -4,11 +4,25 @@ import math
 
 import numpy as np
 from numba import njit
+from scipy.special import ndtr
 
-SQRT2 = math.sqrt(2.0)
-INV_SQRT_2PI = 1.0 / math.sqrt(2.0 * math.pi)
 REACH = 4.0
 """Standard deviations after which an LED's light is taken for nothing (6e-5 of it)."""
+
+_FARTHEST, _NODES = 8, 64
+_Z = np.arange(-_FARTHEST * _NODES, _FARTHEST * _NODES + 1) / _NODES
+_CDF, _PDF = ndtr(_Z), np.exp(-0.5 * _Z**2) / math.sqrt(2.0 * math.pi)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def normal(z):
+    """Phi(z) within 3e-10 and its derivative within 2e-7, in a fifth of the time of erf and exp."""
+    z = min(max(z, -_FARTHEST), _FARTHEST)
+    k = int((z + _FARTHEST) * _NODES + 0.5)
+    h, at, pdf = z - _Z[k], _Z[k], _PDF[k]
+    # Taylor's series about the nearest node: phi' = -z phi, phi'' = (z^2 - 1) phi
+    curve = at * at - 1.0
+    return _CDF[k] + pdf * h * (1.0 - h * (at / 2.0 - h * curve / 6.0)), pdf * (1.0 - h * (at - h * curve / 2.0))
 
 
 @njit(cache=True, nogil=True)
@@ -16,11 +30,11 @@ def _axis(centre, sigma, first, count, g, dg, ds):
     """Share of a Gaussian on `count` pixels from `first` on, and its derivatives by centre and by ln sigma."""
     # g_j = Phi((j + 1/2 - c) / sigma) - Phi((j - 1/2 - c) / sigma)
     z = (first - 0.5 - centre) / sigma
-    cdf, pdf = 0.5 * math.erf(z / SQRT2), INV_SQRT_2PI * math.exp(-0.5 * z * z)
+    cdf, pdf = normal(z)
     zpdf = z * pdf
     for j in range(count):
         z += 1.0 / sigma
-        cdf_next, pdf_next = 0.5 * math.erf(z / SQRT2), INV_SQRT_2PI * math.exp(-0.5 * z * z)
+        cdf_next, pdf_next = normal(z)
         g[j] = cdf_next - cdf
         dg[j] = (pdf - pdf_next) / sigma
         ds[j] = zpdf - z * pdf_next
@@ -103,7 +117,8 @@ def _edge(t, sigma):
         return 1.0, 0.0
     if z < -REACH:
         return 0.0, 0.0
-    return 0.5 * (1.0 + math.erf(z / SQRT2)), INV_SQRT_2PI * math.exp(-0.5 * z * z) / sigma
+    cdf, pdf = normal(z)
+    return cdf, pdf / sigma
 
 
 @njit(cache=True, nogil=True)

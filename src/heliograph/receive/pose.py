@@ -53,9 +53,8 @@ class Pose:
     @staticmethod
     def of(vector: NDArray[np.float64]) -> "Pose":
         """The pose of a vector (x, y, ln pitch, roll, ln blur) or (..., stretch, shear)."""
-        x, y, log_pitch, roll, log_blur = (float(v) for v in vector[:5])
-        stretch, shear = (float(v) for v in vector[5:7]) if len(vector) == 7 else (0.0, 0.0)
-        return Pose(x, y, math.exp(log_pitch), roll, math.exp(log_blur), stretch, shear)
+        x, y, log_pitch, roll, log_blur, *tilt = vector.tolist()
+        return Pose(x, y, math.exp(log_pitch), roll, math.exp(log_blur), *tilt)
 
     @staticmethod
     def between(a: "Pose", b: "Pose") -> "Pose":

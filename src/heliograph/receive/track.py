@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.detect import Detection, cut_out
-from heliograph.receive.fit import Fit, Prior, fit_array, window_around
+from heliograph.receive.fit import Fit, Prior, fit_array, spread_of, window_around
 from heliograph.receive.kalman import DIFFERENCE, SHOWN, PoseState, Tilt, sum_view
 from heliograph.receive.pose import Pose
 from heliograph.receive.settings import TrackSettings
@@ -175,8 +175,8 @@ class Tracker:
             for n, c in zip(change.shape, (corner[1] - pose.y, corner[0] - pose.x), strict=True)
         )
         away = np.maximum(down[:, None], right)
-        inner, around = change[away <= max(half - 1, 1) + 0.5], np.abs(change[away > half + 1])
-        noise = 1.4826 * float(np.median(around)) if around.size else 0.0
+        inner, around = change[away <= max(half - 1, 1) + 0.5], change[away > half + 1]
+        noise = spread_of(around) if around.size else 0.0
         least = self._settings.activity * contrast(pose) * self.gain
         return bool(inner.size and np.mean(inner**2) >= least**2 + NOISY * noise**2)
 

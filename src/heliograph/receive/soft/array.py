@@ -32,8 +32,8 @@ OVERHANG = 0.04
 DOUBT = 1.5
 """Standard deviations of the clock by which frames may be off and still be taken for those of a camera in step."""
 
-TICKS = 9
-"""Decimal places of a frame's start in patterns."""
+TICKS = 3
+"""Decimal places of a frame's start in patterns: its clock is not righter than that."""
 
 MARGIN = 0.5
 """Margin of virtual frames about the array, as a share of its side, and at least `MARGIN_PX`."""

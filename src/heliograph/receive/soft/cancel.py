@@ -340,5 +340,5 @@ def _moments(look: Look, estimate: Estimate) -> Floats:
     """<d, B m + o>, E|B c + o|^2, |d|^2 and the number of pixels."""
     m = estimate.mean
     match = float(m @ look.seen) + look.cross
-    norm = float(m @ (look.gram @ m)) + estimate.trace + 2 * float(m @ look.offset) + look.drift
+    norm = float(m @ (look.gram @ m.astype(np.float32))) + estimate.trace + 2 * float(m @ look.offset) + look.drift
     return np.array([match, norm, look.power, look.pixels])

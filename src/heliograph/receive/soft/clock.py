@@ -244,7 +244,7 @@ class Clock:
         starts = place - offset[:, None]
         shown = np.concatenate([2 * view.alternation, view.brightness - view.brightness.mean()])
         # a header of gain g: alternation g wave / 2, brightness g bright and a constant, linear in what is dimmed
-        model = np.stack([[self._model(starts, e, *dim) for e in self._exposures] for dim in ((0, 0), (1, 0), (0, 1))])
+        model = np.stack([self._model(starts, *dim) for dim in ((0, 0), (1, 0), (0, 1))])
         if view.clipped:
             shown, model = shown[: len(place)], model[..., : len(place)]
         model[1:] -= model[0]
@@ -263,17 +263,18 @@ class Clock:
         variance = max((DEVIATION * self.gain) ** 2, float(left[best]) / freedom, 1e-9)
         return np.asarray(0.5 * left / variance)
 
-    def _model(self, starts: Floats, exposure: float, part: float, lit: float) -> Floats:
+    def _model(self, starts: Floats, part: float, lit: float) -> Floats:
         """What frames that start at `starts` (..., frames) show of a header of gain 1 that is dimmed as in `_header`.
 
         Returns
         -------
-        Twice its alternation and its brightness but for a constant, (..., 2 frames).
+        Twice its alternation and its brightness but for a constant, (exposures, ..., 2 frames).
         """
         edges, wave, bright = self._header(part, lit)
-        light = _mean_over(starts, exposure, edges, bright)
+        exposures = self._exposures.reshape(-1, *[1] * starts.ndim)
+        light = _mean_over(starts, exposures, edges, bright)
         light -= light.mean(-1, keepdims=True)
-        return np.concatenate([_mean_over(starts, exposure, edges, wave), light], axis=-1)
+        return np.concatenate([_mean_over(starts, exposures, edges, wave), light], axis=-1)
 
     def _header(self, part: float, lit: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Slots' edges in patterns from its start, the header less its inverse, and the mean light less 1/2.
@@ -327,7 +328,7 @@ def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
     return np.append(np.linalg.lstsq(columns, cut.ravel(), rcond=1e-6)[0][:2], clipped)
 
 
-def _mean_over(starts: Floats, exposure: float, edges: Floats, values: Floats) -> Floats:
-    """Mean over exposures of a function that is constant between edges and 0 outside of them."""
+def _mean_over(starts: Floats, exposure: Floats | float, edges: Floats, values: Floats) -> Floats:
+    """Mean over exposures, one or as many as broadcast against their starts, of a function that is constant between edges and 0 outside of them."""
     integral = np.concatenate([[0.0], np.cumsum(values * np.diff(edges))])
     return np.asarray((np.interp(starts + exposure, edges, integral) - np.interp(starts, edges, integral)) / exposure)

@@ -32,8 +32,10 @@ class Estimate:
         (cells,) mean and variance of what was known beforehand.
     mean
         (cells,) posterior mean.
-    unknown, covariance
-        Numbers of the cells that were estimated, and their posterior covariance, float32.
+    unknown, spread
+        Numbers of the cells that were estimated, and their posterior variances.
+    root
+        R of their posterior covariance S = R R^T, upper triangular, (unknown, unknown) float32.
     trace
         Trace of B^T W B times that covariance.
     """
@@ -42,8 +44,17 @@ class Estimate:
     variance: Floats
     mean: Floats
     unknown: NDArray[np.intp]
-    covariance: NDArray[np.float32]
+    spread: Floats
+    root: NDArray[np.float32]
     trace: float
+
+    @property
+    def covariance(self) -> NDArray[np.float32]:
+        """S of the cells that were estimated, (unknown, unknown)."""
+        # the triangle of R R^T, in place of R
+        whole, _ = lapack.slauum(np.array(self.root).T, lower=1, overwrite_c=1)
+        kernels.mirror(whole.T, covariance := np.empty_like(self.root, order="C"))
+        return covariance
 
     @property
     def llr(self) -> Floats:
@@ -61,7 +72,7 @@ class Estimate:
         Both are 0 for known cells.
         """
         precision, weighted = np.zeros_like(self.mean), np.zeros_like(self.mean)
-        u, spread = self.unknown, self.covariance.diagonal().astype(np.float64)
+        u, spread = self.unknown, self.spread
         precision[u] = np.maximum(1 / spread - 1 / self.variance[u], 0.0)
         weighted[u] = self.mean[u] / spread - self.prior[u] / self.variance[u]
         return precision, weighted
@@ -88,29 +99,28 @@ def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floa
     unknown = np.flatnonzero(variance >= KNOWN)
     m, v = mean.copy(), variance[unknown]
     if not unknown.size:
-        return Estimate(mean, variance, m, unknown, np.zeros((0, 0), np.float32), 0.0)
+        return Estimate(mean, variance, m, unknown, v, np.zeros((0, 0), np.float32), 0.0)
     ratio = gain / noise
     known_too = look.gram @ mean.astype(np.float32)
     rhs = ratio * (look.seen - gain * (look.offset + known_too))[unknown]
     # (6) of Tuechler et al. 2002 in the cells: S = (g^2 / s^2 B^T B + V^-1)^-1, m = c + S B^T (d - g (B c + o)) g / s^2
     size = unknown.size + (PADDING if unknown.size % 64 == 0 else 0)
     matrix = kernels.precision(look.gram, unknown, ratio * gain, 1.0 / v, FLOOR, size)
-    covariance = _inverse(matrix, unknown.size)
-    m[unknown] += covariance @ rhs.astype(np.float32)
+    root = _inverse_root(matrix)[: unknown.size, : unknown.size]
+    m[unknown] += root @ (rhs.astype(np.float32) @ root)
+    spread = np.einsum("ij,ij->i", root, root).astype(np.float64)
     # B^T B S g^2 / s^2 = I - V^-1 S
-    trace = float((1.0 - covariance.diagonal() / v).sum()) / max(ratio * gain, 1e-12)
-    return Estimate(mean, variance, m, unknown, covariance, trace)
+    trace = float((1.0 - spread / v).sum()) / max(ratio * gain, 1e-12)
+    return Estimate(mean, variance, m, unknown, spread, root, trace)
 
 
-def _inverse(matrix: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-    """The first `size` rows and columns of the inverse of a positive definite matrix, which is overwritten."""
+def _inverse_root(matrix: NDArray[np.float32]) -> NDArray[np.float32]:
+    """R, upper triangular, of the inverse R R^T of a positive definite matrix, whose upper triangle is overwritten."""
     # transposed it is as LAPACK wants it, and nothing is copied
     factor, failed = lapack.spotrf(matrix.T, lower=1, clean=0, overwrite_a=1)
     if failed:
         raise np.linalg.LinAlgError("the equaliser's matrix is not positive definite")
-    # K = L L^T, K^-1 = L^-T L^-1; LAPACK's own inverse of a triangle takes twice as long
+    # K = L L^T, R = L^-T; LAPACK's own inverse of a triangle takes twice as long
     half = blas.strsm(1.0, factor, np.eye(len(matrix), dtype=np.float32).T, lower=1, overwrite_b=1)
-    whole, _ = lapack.slauum(half, lower=1, overwrite_c=1)
-    inverse = np.empty((size, size), np.float32)
-    kernels.mirror(whole.T, inverse)
-    return inverse
+    return np.asarray(half.T)
+

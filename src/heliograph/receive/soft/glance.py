@@ -75,11 +75,12 @@ class Glance:
         if len(self.poses) != 2 or self.mix is not None:
             return self
         first, second = self.poses
-        lit = sum(image_of(shares, pose, self.corner, self.total.shape) for pose in self.poses)
-        behind = 0.5 * (self.total - 0.5 * gain * lit)
-        # b(x - p_1) - b(x - p_2) = (p_2 - p_1) grad b
-        down, right = np.gradient(behind)
-        return replace(self, change=self.change - (second.x - first.x) * right - (second.y - first.y) * down)
+        lit, steady = np.zeros_like(self.total), np.empty_like(self.change)
+        for pose in self.poses:
+            kernels.shine(of_squares(shares), *placed(pose, self.corner, lit.shape, len(shares)), lit)
+        # b(x - p_1) - b(x - p_2) = (p_2 - p_1) grad b, b = (r + r' - g (A_1 + A_2) 1 / 2) / 2
+        kernels.steadied(self.change, self.total, lit, 0.5 * gain, second.x - first.x, second.y - first.y, steady)
+        return replace(self, change=steady)
 
     def moved(self, error: Floats) -> "Glance":
         """The glance with its poses off by `error` in x, y, ln pitch and roll."""

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
-from heliograph.receive.kernels import SQRT2
+from heliograph.receive.kernels import normal
 
 REACH = 3.7
 """Standard deviations after which an LED's light is taken for nothing (2e-4 of it)."""
@@ -49,10 +49,10 @@ def place(pose, rows, cols, across, down, first):
 def _shares(centre, sigma, first, count, scale, out):
     """Share of a Gaussian in each pixel from `first` on, times a scale; 0 beyond the window's `count` pixels."""
     # g_j = Phi((j + 1/2 - c) / sigma) - Phi((j - 1/2 - c) / sigma)
-    cdf = math.erf((first - 0.5 - centre) / (sigma * SQRT2))
+    cdf, _ = normal((first - 0.5 - centre) / sigma)
     for j in range(out.shape[0]):
-        after = math.erf((first + j + 0.5 - centre) / (sigma * SQRT2))
-        out[j] = 0.5 * scale * (after - cdf) if 0 <= first + j < count else 0.0
+        after, _ = normal((first + j + 0.5 - centre) / sigma)
+        out[j] = scale * (after - cdf) if 0 <= first + j < count else 0.0
         cdf = after
 
 
@@ -142,46 +142,38 @@ def shine(leds, across, down, first, out):
                 out[y + i, x + j] += w * across[n, j]
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _overlap(a, b, shift, width):
-    """Sum of a[i + shift] b[i]."""
-    total = 0.0
-    for i in range(max(0, -shift), min(width, width - shift)):
-        total += a[i + shift] * b[i]
-    return total
+@njit(cache=True, nogil=True)
+def spread(shares, first, out):
+    """Shares (n n, width) in their places, out (n n, pixels) float32; 0 elsewhere."""
+    out[:] = 0.0
+    for k in range(shares.shape[0]):
+        for i in range(max(0, -first[k]), min(shares.shape[1], out.shape[1] - first[k])):
+            out[k, first[k] + i] = shares[k, i]
 
 
 @njit(cache=True, nogil=True)
-def gram(across, down, first, out):
+def gram(across, down, out):
     """B^T B of the cells, out (n n, n n) float32.
 
-    <led_i, led_j> = <across_i, across_j> <down_i, down_j>, then the Haar transform on both sides.
+    across, down (n n, n n): products of the LEDs' light by column and by row. <led_i, led_j> = <across_i, across_j>
+    <down_i, down_j>, then the Haar transform on both sides.
     """
-    squares, width = across.shape[0] // 4, across.shape[1]
-    block = np.empty((4, 4))
+    squares = across.shape[0] // 4
+    block = np.empty((4, 4), np.float32)
     for q in range(squares):
         for p in range(q + 1):
-            near = False
             for k in range(4):
-                for m in range(4):
-                    i, j = 4 * q + k, 4 * p + m
-                    dx, dy = first[j, 0] - first[i, 0], first[j, 1] - first[i, 1]
-                    value = 0.0
-                    if -width < dx < width and -width < dy < width:
-                        near = True
-                        value = _overlap(across[i], across[j], dx, width) * _overlap(down[i], down[j], dy, width)
-                    block[k, m] = value
-            if near:
-                for k in range(4):
-                    block[k, 0], block[k, 1], block[k, 2], block[k, 3] = _haar(
-                        block[k, 0], block[k, 1], block[k, 2], block[k, 3]
-                    )
-                for m in range(4):
-                    block[0, m], block[1, m], block[2, m], block[3, m] = _haar(
-                        block[0, m], block[1, m], block[2, m], block[3, m]
-                    )
-            else:
-                block[:] = 0.0
+                i, j = 4 * q + k, 4 * p
+                block[k, 0], block[k, 1], block[k, 2], block[k, 3] = _haar(
+                    across[i, j] * down[i, j],
+                    across[i, j + 1] * down[i, j + 1],
+                    across[i, j + 2] * down[i, j + 2],
+                    across[i, j + 3] * down[i, j + 3],
+                )
+            for m in range(4):
+                block[0, m], block[1, m], block[2, m], block[3, m] = _haar(
+                    block[0, m], block[1, m], block[2, m], block[3, m]
+                )
             for k in range(4):
                 for m in range(4):
                     out[k * squares + q, m * squares + p] = block[k, m]
@@ -207,6 +199,28 @@ def light(across, down, first, out):
 
 
 @njit(cache=True, nogil=True)
+def steadied(change, total, lit, share, x, y, out):
+    """The change less what moves by (x, y) behind it, 1/2 of the total and of -share lit; (rows, columns) each."""
+    rows, cols = out.shape
+    for i in range(rows):
+        up, low = max(i - 1, 0), min(i + 1, rows - 1)
+        for j in range(cols):
+            left, right = max(j - 1, 0), min(j + 1, cols - 1)
+            across = (total[i, right] - share * lit[i, right]) - (total[i, left] - share * lit[i, left])
+            down = (total[low, j] - share * lit[low, j]) - (total[up, j] - share * lit[up, j])
+            out[i, j] = change[i, j] - 0.5 * (x * across / (right - left) + y * down / (low - up))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _overlap(a, b, shift, width):
+    """Sum of a[i + shift] b[i]."""
+    total = 0.0
+    for i in range(max(0, -shift), min(width, width - shift)):
+        total += a[i + shift] * b[i]
+    return total
+
+
+@njit(cache=True, nogil=True)
 def difference(across_1, down_1, first_1, across_2, down_2, first_2):
     """|A_1 - A_2|^2, the sum of squares over all LEDs and pixels; both of the same width."""
     width, total = across_1.shape[1], 0.0
@@ -220,17 +234,20 @@ def difference(across_1, down_1, first_1, across_2, down_2, first_2):
 
 @njit(cache=True, nogil=True)
 def precision(gram, unknown, scale, inverse, floor, size):
-    """Scale G + V^-1 of the unknown cells, V^-1 = diag of inverse; a unit matrix beside it up to `size` rows."""
+    """Scale G + V^-1 of the unknown cells, V^-1 = diag of inverse; a unit matrix beside it up to `size` rows.
+
+    Only the upper triangle is filled.
+    """
     count = unknown.shape[0]
     out = np.empty((size, size), np.float32)
     for i in range(count):
         row = gram[unknown[i]]
-        for j in range(count):
+        for j in range(i, count):
             out[i, j] = scale * row[unknown[j]] + floor
         out[i, i] += inverse[i]
         out[i, count:] = 0.0
-    out[count:] = 0.0
     for i in range(count, size):
+        out[i, i:] = 0.0
         out[i, i] = 1.0
     return out
 

@@ -23,10 +23,6 @@ from heliograph.receive.soft.noise import Noise
 
 Floats = NDArray[np.float64]
 
-FEW = 400
-"""Pixels up to which B^T W B is a product of matrices: of near arrays it is found LED by LED, for they hardly touch."""
-
-
 @dataclass(frozen=True, slots=True)
 class Look:
     """A pair of frames as the equaliser sees it; gain and noise are left open.
@@ -111,7 +107,7 @@ class Weighted:
 
     def look(self) -> Look:
         """What remains of it for the equaliser."""
-        return self._reduced(self._gram(), self.correlated(self.change), self.correlated(self.still))
+        return self._reduced(gram_of(self.between, self.change.shape), self.correlated(self.change), self.correlated(self.still))
 
     def _reduced(self, gram: NDArray[np.float32], seen: Floats, offset: Floats) -> Look:
         """A look of a B^T W B, (cells, cells), B^T W d and B^T W o, (cells,)."""
@@ -128,18 +124,6 @@ class Weighted:
         )
         # combined frames have another noise than a difference of two
         return look if self.mix is None else look.scaled(1 / self.mix.noise)
-
-    def _gram(self) -> NDArray[np.float32]:
-        """B^T W B, (cells, cells)."""
-        size = len(self.between[0])
-        if self.change.size > FEW:
-            gram = np.empty((size, size), np.float32)
-            kernels.gram(*self.between, gram)
-            return gram
-        # transposed it is as BLAS wants it, and nothing is copied
-        half, gram = blas.ssyrk(1.0, self._light().T, lower=1), np.empty((size, size), np.float32)
-        kernels.mirror(half.T, gram)
-        return gram
 
     def _light(self) -> NDArray[np.float32]:
         """W^(1/2) B, (pixels, cells)."""
@@ -166,7 +150,7 @@ class Weighted:
         parts = np.empty((len(self.shares), len(self.shares[0][0])))
         for share, part in zip(self.shares, parts, strict=True):
             kernels.seen_by_cells(image, *share, part)
-        return np.asarray(parts.mean(0))
+        return parts[0] if len(parts) == 1 else np.asarray(0.5 * (parts[0] + parts[1]))
 
     def residual(self, gain: float, cells: Floats) -> Floats:
         """W^(1/2) (d - g (B c + o)), (rows, columns)."""
@@ -202,6 +186,18 @@ def weigh(glance: Glance, noise: Noise, side: int, shares: Floats | None = None)
         still = root * image_of(np.ones((side, side)) if shares is None else shares, glance.still, corner, shape)
     behind = dimmed(_weighted(between, weights), shares)
     return Weighted(root, root * glance.change, still, lights, behind, glance.mix)
+
+
+def gram_of(lights: Shares, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """B^T B, (cells, cells), of LEDs' light on a window (rows, columns)."""
+    products = []
+    for axis in (0, 1):
+        whole = np.empty((len(lights[axis]), shape[1 - axis]), np.float32)
+        kernels.spread(lights[axis], lights[2][:, axis], whole)
+        # NumPy's own X X^T takes six times as long; transposed it is as BLAS wants it
+        products.append(blas.sgemm(1.0, whole.T, whole.T, trans_a=1).T)
+    kernels.gram(*products, gram := np.empty_like(products[0]))
+    return gram
 
 
 def _weights(share: Shares, noise: Noise, shape: tuple[int, int]) -> tuple[Floats, Floats]:

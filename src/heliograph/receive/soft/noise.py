@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.receive.fit import spread_of
 from heliograph.receive.soft import kernels
 from heliograph.receive.soft.glance import Glance, all_on, dimmed, image_of, placed
 
@@ -142,5 +143,5 @@ def _apart(one: _Uneven, other: _Uneven) -> Floats:
 
 def _variance(residual: Floats) -> tuple[float, int]:
     """Variance by the median magnitude, for LEDs that failed are no noise, times the number of pixels; and that."""
-    known = np.abs(residual[np.isfinite(residual)])
-    return ((1.4826 * float(np.median(known))) ** 2 * known.size, known.size) if known.size else (0.0, 0)
+    known = residual[np.isfinite(residual)]
+    return (spread_of(known) ** 2 * known.size, known.size) if known.size else (0.0, 0)

@@ -82,7 +82,6 @@ class SoftReading:
         tracker.shares = self._shares.values
         return changed
 
-    @one_thread()
     def follow(self, pattern: Frame, inverted: Frame, tracker: Tracker, late_s: float) -> TrackedPair:
         """By the sum, or where there are no inverses by decisions, frame by frame."""
         if not self._known().single:

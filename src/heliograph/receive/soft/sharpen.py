@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, lu_factor, lu_solve
 
 from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
 from heliograph.receive.soft.glance import Floats, Glance
@@ -110,10 +110,10 @@ def _evidence(weighted: Weighted, estimate: Estimate, slopes: Floats, gain: floa
     scale = gain**2 / noise
     information = scale * np.tensordot(slopes, slopes, ((1, 2), (1, 2)))
     if estimate.unknown.size:
-        # less what the open cells can hide: g^2 / s^2 H^T W B_u S B_u^T W H g^2 / s^2
-        hidden = np.stack([weighted.correlated(slope)[estimate.unknown] for slope in slopes])
-        information -= scale**2 * hidden @ estimate.covariance @ hidden.T
-    return Evidence(np.asarray(0.5 * (information + information.T)), np.asarray(score))
+        # less what the open cells can hide: g^2 / s^2 H^T W B_u S B_u^T W H g^2 / s^2, S = R R^T
+        hidden = scale * np.stack([weighted.correlated(slope)[estimate.unknown] for slope in slopes]) @ estimate.root
+        information -= hidden @ hidden.T
+    return Evidence(np.asarray(information), np.asarray(score))
 
 
 def _smoothed(evidence: dict[int, Evidence], before: Floats) -> Floats:
@@ -136,8 +136,10 @@ def _smoothed(evidence: dict[int, Evidence], before: Floats) -> Floats:
         there = prior.reshape(len(before), 4, -1)[asked].reshape(score.size, -1)
         # e = P (1 + J P)^-1 s, ln p = s^T e / 2 - ln det(1 + J P) / 2 and a constant
         matrix = np.eye(score.size) + information @ there
-        weights = np.linalg.solve(matrix, score)
-        likelihood = 0.5 * (score @ there @ weights - np.linalg.slogdet(matrix)[1])
+        factors = lu_factor(matrix, overwrite_a=True, check_finite=False)
+        weights = lu_solve(factors, score, check_finite=False)
+        # of P (1 + J P)^-1, a covariance, the determinant is positive
+        likelihood = 0.5 * (score @ there @ weights - np.log(np.abs(factors[0].diagonal())).sum())
         tried.append((likelihood, prior, weights))
     best = max(likelihood for likelihood, _, _ in tried)
     prior, weights = next((prior, weights) for likelihood, prior, weights in tried if likelihood > best - DOUBT)

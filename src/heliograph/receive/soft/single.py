@@ -20,6 +20,7 @@ from heliograph.receive.soft.equalise import equalise
 from heliograph.receive.soft.glance import Glance, take_glance, to_grid, within
 from heliograph.receive.soft.look import Look, weigh
 from heliograph.receive.soft.noise import Noise, measure_noise
+from heliograph.receive.soft.threads import one_thread
 from heliograph.receive.track import TrackedPair, Tracker
 
 Floats = NDArray[np.float64]
@@ -71,6 +72,7 @@ class Singles:
         self.noise = Noise(2 * seen.lit, max(2 * seen.dark, 4 * left))
         self.glances: tuple[Glance, ...] = ()
 
+    @one_thread()
     def follow(self, first: Frame, second: Frame, tracker: Tracker) -> TrackedPair:
         """Find the array in two frames and move the filter on; what they show of the data becomes `glances`."""
         before, behind = tracker.state, self._behind

@@ -1,6 +1,6 @@
-"""The decoder written for speed: Numba, 32 blocks side by side in the innermost, contiguous axis.
+"""The decoder written for speed: Numba, 16 blocks side by side in the innermost, contiguous axis.
 
-Arrays are tiles, float32 of shape (tiles, rows, 32). The loops over the 32 lanes hold the whole unrolled
+Arrays are tiles, float32 of shape (tiles, rows, 16). The loops over the 16 lanes hold the whole unrolled
 trellis. Each slices its rows itself (else their reference counts cost more than the arithmetic) and indexes
 them with the lane plus a constant (else LLVM sees gathers), and what it writes shares few arrays (else LLVM
 gives up proving that they do not overlap). The same steps are written for reading in `reference`.
@@ -190,13 +190,13 @@ def iterate(
 
     Parameters
     ----------
-    mother : float32 (tiles, 3 K + 12, 32)
+    mother : float32 (tiles, 3 K + 12, 16)
         Input LLRs, a-priori LLRs already added to the systematic ones.
-    passed : float32 (tiles, K, 32)
+    passed : float32 (tiles, K, 16)
         Scaled extrinsic LLRs of the second decoder, natural order; changed.
     work : float32 (work_size(K),)
         Working memory, kept by the caller from call to call since fresh pages cost as much as an iteration.
-    app_1, app_2 : float32 (tiles, K, 32)
+    app_1, app_2 : float32 (tiles, K, 16)
         Written: a-posteriori LLRs after each half iteration, natural order. May be one array.
     order : int64 (K,)
         Interleaver.
@@ -227,7 +227,7 @@ def _tail_posterior(alpha: Any, beta: Any, first_tail: int, out: Any, exact: Any
 def mother_posterior(mother: Any, passed: Any, app: Any, order: Any, scale: Any, out: Any, exact: Any) -> None:
     """A-posteriori LLRs of the whole mother codeword, by one more pass; `passed` is changed.
 
-    `app` : float32 (tiles, K, 32), those of the information bits; `out` : float32 (tiles, 3 K + 12, 32).
+    `app` : float32 (tiles, K, 16), those of the information bits; `out` : float32 (tiles, 3 K + 12, 16).
     """
     size = order.size
     straight = np.arange(size)

@@ -1,4 +1,4 @@
-"""Moving blocks in and out of the kernel's tiles: float32 of shape (tiles, rows, 32), one block a lane.
+"""Moving blocks in and out of the kernel's tiles: float32 of shape (tiles, rows, 16), one block a lane.
 
 Numba, as `kernel`; imported with it at the first decoding.
 """
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from heliograph.signal.turbo.options import LLR_LIMIT
 
-LANES = 32
+LANES = 16
 _LIMIT = np.float32(LLR_LIMIT)
 # values of one block taken in a run, since those share a cache line
 _RUN = 16
@@ -26,7 +26,7 @@ def zeros(blocks: int, rows: int) -> NDArray[np.float32]:
 
 @_compile
 def agree(app_1: Any, app_2: Any, out: Any) -> None:
-    """Whether both half iterations decide alike: bool (tiles, 32)."""
+    """Whether both half iterations decide alike: bool (tiles, 16)."""
     differ = np.empty(LANES, dtype=np.int32)
     for t in range(app_1.shape[0]):
         differ[:] = 0
