@@ -1,6 +1,7 @@
 """Fit of the array's image to pixels: position, pitch, rotation and blur to a hundredth of a pixel."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,8 +65,8 @@ class Prior:
     gain: float = 0.0
 
 
-CLOSE_PX, CLOSE = 5e-3, 1e-2
-"""Steps of the array's rim, and of ln blur, from which on a fit has come to its end: the next is a tenth of it."""
+CLOSE_PX, CLOSE = 0.02, 0.02
+"""Steps of the array's rim, and of ln blur, up to which a fit has come to its end: the next is a tenth of it."""
 
 GAIN_SPREAD = 0.15
 """Standard deviation of an expected gain, as a share of it."""
@@ -197,8 +198,9 @@ def window_around(pose: Pose, side: int, margin: float) -> tuple[int, int, int, 
     return x0, y0, int(np.ceil(pose.x + across)) - x0 + 1, int(np.ceil(pose.y + down)) - y0 + 1
 
 
+@lru_cache(maxsize=64)  # windows about arrays have few sizes
 def plane(rows: int, cols: int) -> Floats:
-    """A constant and slopes in x and y, (3, rows, columns)."""
+    """A constant and slopes in x and y, (3, rows, columns), not to be written to."""
     y = ((np.arange(rows) - (rows - 1) / 2) / rows)[:, None] + np.zeros(cols)
     x = ((np.arange(cols) - (cols - 1) / 2) / cols)[None, :] + np.zeros((rows, 1))
     return np.stack([np.ones((rows, cols)), x, y])
@@ -230,5 +232,5 @@ def _rim_px(step: Floats, vector: Floats, side: int) -> float:
 
 def correlation(a: Floats, b: Floats) -> float:
     """Correlation of two images, -1 to 1."""
-    x, y = a - a.mean(), b - b.mean()
-    return float((x * y).sum() / np.sqrt(max((x * x).sum() * (y * y).sum(), 1e-12)))
+    x, y = (a - a.mean()).ravel(), (b - b.mean()).ravel()
+    return float(x @ y / np.sqrt(max((x @ x) * (y @ y), 1e-12)))

@@ -238,12 +238,17 @@ def precision(gram, unknown, scale, inverse, floor, size):
 
     Only the upper triangle is filled.
     """
-    count = unknown.shape[0]
+    count, first = unknown.shape[0], unknown[0]
+    together = unknown[count - 1] - first == count - 1
     out = np.empty((size, size), np.float32)
     for i in range(count):
         row = gram[unknown[i]]
-        for j in range(i, count):
-            out[i, j] = scale * row[unknown[j]] + floor
+        if together:  # without looking numbers up it takes a third of the time
+            for j in range(i, count):
+                out[i, j] = scale * row[first + j] + floor
+        else:
+            for j in range(i, count):
+                out[i, j] = scale * row[unknown[j]] + floor
         out[i, i] += inverse[i]
         out[i, count:] = 0.0
     for i in range(count, size):

@@ -128,19 +128,20 @@ def _smoothed(evidence: dict[int, Evidence], before: Floats) -> Floats:
     # about the first poses: J (e - e_0) = s
     score = np.concatenate([evidence[k].score for k in asked]) + information @ before[asked].ravel()
     apart = np.abs(np.arange(len(before))[:, None] - asked)
+    # of two independent Gauss-Markov processes
+    slowly, quickly = np.exp(-apart / SLOW_PAIRS), np.exp(-apart / FAST_PAIRS)
     tried = []
     for slow, fast in sorted(product(SLOW_SIZES, FAST_SIZES), key=lambda sizes: np.hypot(*sizes)):
-        # of two independent Gauss-Markov processes
-        alike = slow**2 * np.exp(-apart / SLOW_PAIRS) + fast**2 * np.exp(-apart / FAST_PAIRS)
-        prior = np.kron(alike, np.diag(PULLED**2))
-        there = prior.reshape(len(before), 4, -1)[asked].reshape(score.size, -1)
+        alike = slow**2 * slowly + fast**2 * quickly
+        there = np.kron(alike[asked], np.diag(PULLED**2))
         # e = P (1 + J P)^-1 s, ln p = s^T e / 2 - ln det(1 + J P) / 2 and a constant
         matrix = np.eye(score.size) + information @ there
         factors = lu_factor(matrix, overwrite_a=True, check_finite=False)
         weights = lu_solve(factors, score, check_finite=False)
         # of P (1 + J P)^-1, a covariance, the determinant is positive
         likelihood = 0.5 * (score @ there @ weights - np.log(np.abs(factors[0].diagonal())).sum())
-        tried.append((likelihood, prior, weights))
+        tried.append((likelihood, alike, weights))
     best = max(likelihood for likelihood, _, _ in tried)
-    prior, weights = next((prior, weights) for likelihood, prior, weights in tried if likelihood > best - DOUBT)
-    return np.asarray((prior @ weights).reshape(before.shape))
+    alike, weights = next((alike, weights) for likelihood, alike, weights in tried if likelihood > best - DOUBT)
+    # P of all pairs: the same in x, y, ln pitch and roll but for their sizes
+    return np.asarray(alike @ (weights.reshape(-1, 4) * PULLED**2))
