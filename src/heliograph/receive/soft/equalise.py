@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
 from heliograph.receive.soft import kernels
-from heliograph.receive.soft.look import Look
+from heliograph.receive.soft.look import Look, Weighted
 
 Floats = NDArray[np.float64]
 
@@ -104,9 +104,10 @@ def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floa
     known_too = look.gram @ mean.astype(np.float32)
     rhs = ratio * (look.seen - gain * (look.offset + known_too))[unknown]
     # (6) of Tuechler et al. 2002 in the cells: S = (g^2 / s^2 B^T B + V^-1)^-1, m = c + S B^T (d - g (B c + o)) g / s^2
-    size = unknown.size + (PADDING if unknown.size % 64 == 0 else 0)
-    matrix = kernels.precision(look.gram, unknown, ratio * gain, 1.0 / v, FLOOR, size)
-    root = _inverse_root(matrix)[: unknown.size, : unknown.size]
+    # K = L L^T, R = L^-T; LAPACK's own inverse of a triangle takes twice as long
+    factor = _factor(look, unknown, ratio * gain, 1.0 / v)
+    half = blas.strsm(1.0, factor, np.eye(len(factor), dtype=np.float32).T, lower=1, overwrite_b=1)
+    root = half.T[: unknown.size, : unknown.size]
     m[unknown] += root @ (rhs.astype(np.float32) @ root)
     spread = np.einsum("ij,ij->i", root, root).astype(np.float64)
     # B^T B S g^2 / s^2 = I - V^-1 S
@@ -114,13 +115,42 @@ def equalise(look: Look, gain: float, noise: float, mean: Floats, variance: Floa
     return Estimate(mean, variance, m, unknown, spread, root, trace)
 
 
-def _inverse_root(matrix: NDArray[np.float32]) -> NDArray[np.float32]:
-    """R, upper triangular, of the inverse R R^T of a positive definite matrix, whose upper triangle is overwritten."""
+def products(weighted: Weighted, look: Look, images: Floats, unknown: NDArray[np.intp], scale: float) -> Floats:
+    """Products <a, b> of images before the light of cells that may be anything, which are noise to them.
+
+    Parameters
+    ----------
+    weighted, look
+        The pair.
+    images
+        (k, rows, columns), W^(1/2) on them.
+    unknown
+        Numbers of the cells that may be anything.
+    scale
+        g^2 / s^2.
+
+    Returns
+    -------
+    (k, k)
+    """
+    # Woodbury: A^T (1 + g^2 / s^2 B B^T)^-1 A = A^T A - A^T B (B^T B + s^2 / g^2)^-1 B^T A, a matrix of cells, no pixels
+    flat = images.reshape(len(images), -1)
+    whole = flat @ flat.T
+    if not unknown.size:
+        return np.asarray(whole)
+    factor = _factor(look, unknown, scale, np.ones(unknown.size))
+    seen = np.zeros((len(factor), len(images)), np.float32, order="F")
+    seen[: unknown.size] = weighted.all_correlated(images).T[unknown]
+    half = blas.strsm(1.0, factor, seen, lower=1, overwrite_b=1)
+    return np.asarray(whole - scale * half.T.astype(np.float64) @ half)
+
+
+def _factor(look: Look, unknown: NDArray[np.intp], scale: float, inverse: Floats) -> NDArray[np.float32]:
+    """L, lower triangular, of scale B^T B + V^-1 = L L^T of the unknown cells, V^-1 the diagonal `inverse`."""
+    size = unknown.size + (PADDING if unknown.size % 64 == 0 else 0)
+    matrix = kernels.precision(look.gram, unknown, scale, inverse, FLOOR, size)
     # transposed it is as LAPACK wants it, and nothing is copied
     factor, failed = lapack.spotrf(matrix.T, lower=1, clean=0, overwrite_a=1)
     if failed:
         raise np.linalg.LinAlgError("the equaliser's matrix is not positive definite")
-    # K = L L^T, R = L^-T; LAPACK's own inverse of a triangle takes twice as long
-    half = blas.strsm(1.0, factor, np.eye(len(matrix), dtype=np.float32).T, lower=1, overwrite_b=1)
-    return np.asarray(half.T)
-
+    return np.asarray(factor)

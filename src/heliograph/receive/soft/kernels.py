@@ -108,6 +108,29 @@ def seen_by_cells(image, across, down, first, out):
 
 
 @njit(cache=True, nogil=True)
+def all_seen_by_cells(images, across, down, first, out):
+    """`seen_by_cells` of many images at once, images (rows, columns, k) and out (n n, k)."""
+    squares, width = across.shape[0] // 4, across.shape[1]
+    rows, cols, count = images.shape
+    led, line = np.empty((4, count)), np.empty(count)
+    for q in range(squares):
+        for k in range(4):
+            n = 4 * q + k
+            x, y = first[n, 0], first[n, 1]
+            led[k] = 0.0
+            for i in range(max(0, -y), min(width, rows - y)):
+                line[:] = 0.0
+                for j in range(max(0, -x), min(width, cols - x)):
+                    for m in range(count):
+                        line[m] += images[y + i, x + j, m] * across[n, j]
+                for m in range(count):
+                    led[k, m] += line[m] * down[n, i]
+        for m in range(count):
+            a, b, c, d = _haar(led[0, m], led[1, m], led[2, m], led[3, m])
+            out[q, m], out[squares + q, m], out[2 * squares + q, m], out[3 * squares + q, m] = a, b, c, d
+
+
+@njit(cache=True, nogil=True)
 def leds(cells):
     """Levels about their mean of LEDs in the order of `place`, t = 1/4 H^T D H, of cells (n n,)."""
     squares = cells.shape[0] // 4

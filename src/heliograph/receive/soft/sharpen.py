@@ -17,7 +17,7 @@ from itertools import product
 import numpy as np
 from scipy.linalg import block_diag, lu_factor, lu_solve
 
-from heliograph.receive.soft.equalise import KNOWN, Estimate, equalise
+from heliograph.receive.soft.equalise import KNOWN, products
 from heliograph.receive.soft.glance import Floats, Glance
 from heliograph.receive.soft.look import Look, Weighted
 from heliograph.receive.soft.shares import PULLED
@@ -82,7 +82,7 @@ def pose_errors(
     (gain, noise), (mean, variance) = light, cells
     # guesses come from the poses that are in doubt
     decided = variance < KNOWN
-    known, unknown = np.where(decided, mean, 0.0), np.where(decided, 0.0, 1.0)
+    known = np.where(decided, mean, 0.0)
     levels = 0.5 * haar.inverse_transform(form.join(known))
     evidence = dict[int, Evidence]()
     there = [k for k in range(len(known)) if seen.glances[k] is not None and known[k].any()]
@@ -91,9 +91,11 @@ def pose_errors(
         assert glance is not None  # it is there
         assert weighted is not None  # it comes with it
         assert look is not None
-        estimate = equalise(look, gain, noise, known[k], unknown[k])
         slopes = weighted.root * glance.slopes(levels[k] * shares)
-        evidence[k] = _evidence(weighted, estimate, slopes, gain, noise)
+        left = weighted.residual(gain, known[k])
+        # J = g^2 H^T C^-1 H, s = g H^T C^-1 (d - g (B m + o)), C = s^2 + g^2 B_u B_u^T the noise and the open cells
+        part = products(weighted, look, np.concatenate([slopes, left[None]]), np.flatnonzero(~decided[k]), gain**2 / noise)
+        evidence[k] = Evidence(gain**2 / noise * part[:4, :4], gain / noise * part[:4, 4])
     return _smoothed(evidence, seen.errors)
 
 
@@ -101,19 +103,6 @@ def worth_moving(error: Floats) -> bool:
     """Whether a pose's error (4,) is worth looking again: a hundredth of a pixel of the array's rim costs nothing."""
     x, y, ln_pitch, roll = np.abs(error)
     return bool(max(x, y) + REACH_PX * max(ln_pitch, roll) > LEAST_PX)
-
-
-def _evidence(weighted: Weighted, estimate: Estimate, slopes: Floats, gain: float, noise: float) -> Evidence:
-    """Fisher's information and score of a look."""
-    # score = g H^T W (d - g (B m + o)) / s^2
-    score = gain / noise * np.tensordot(slopes, weighted.residual(gain, estimate.mean), 2)
-    scale = gain**2 / noise
-    information = scale * np.tensordot(slopes, slopes, ((1, 2), (1, 2)))
-    if estimate.unknown.size:
-        # less what the open cells can hide: g^2 / s^2 H^T W B_u S B_u^T W H g^2 / s^2, S = R R^T
-        hidden = scale * np.stack([weighted.correlated(slope)[estimate.unknown] for slope in slopes]) @ estimate.root
-        information -= hidden @ hidden.T
-    return Evidence(np.asarray(information), np.asarray(score))
 
 
 def _smoothed(evidence: dict[int, Evidence], before: Floats) -> Floats:

@@ -7,7 +7,6 @@ the undecided cells being noise of known colour: so what is guessed at a wrong p
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from heliograph.base.frames import Frame
 from heliograph.receive import kernels as images
@@ -16,7 +15,7 @@ from heliograph.receive.kalman import RATES, SHOWN, STATES, PoseState, View
 from heliograph.receive.pose import Pose
 from heliograph.receive.soft import kernels
 from heliograph.receive.soft.behind import COUNT, Header, images_behind, learn_behind, surroundings
-from heliograph.receive.soft.equalise import equalise
+from heliograph.receive.soft.equalise import equalise, products
 from heliograph.receive.soft.glance import Glance, take_glance, to_grid, within
 from heliograph.receive.soft.look import Look, weigh
 from heliograph.receive.soft.noise import Noise, measure_noise
@@ -129,8 +128,7 @@ class Singles:
         """D^T C^-1 D, D^T C^-1 e and the correlation of frame and image; `state` gives rates and tilt, which are held.
 
         e is twice what is left of the frame by the image of all that is known, D the image's derivatives and C = g^2 B
-        B^T + s^2 the noise, the light of the undecided cells included. By Woodbury's identity C^-1 = (1 - g^2 / s^2 B
-        (1 + g^2 / s^2 B^T B)^-1 B^T) / s^2, a matrix of cells and none of pixels.
+        B^T + s^2 the noise, the light of the undecided cells included.
         """
         middle, gain = Pose.of(np.append(at[:SHOWN], state.tilt.mean)), float(at[SHOWN])
         still, data = (middle.moved(*(late_s * state.mean[RATES][:2])) for late_s in self._late_s)
@@ -144,20 +142,16 @@ class Singles:
         slopes = gain * lit[1:] + np.tensordot(at[SHOWN + 1 :], behind[:, 1:], 1)
         left = weighted.change - 2 * gain * weighted.root * lit[0]
         columns = 2 * weighted.root * np.concatenate([slopes, lit[:1], behind[:, 0]])
-        flat = np.concatenate([columns, left[None]]).reshape(len(columns) + 1, -1)
-        cells = np.stack([weighted.correlated(column)[unknown] for column in (*columns, left)])
-        ratio = gain**2 / self.noise.lit
-        inner = np.float32(ratio) * look.gram[np.ix_(unknown, unknown)]
-        inner[np.diag_indices(unknown.size)] += 1
-        solved = cho_solve(cho_factor(inner, lower=True, check_finite=False), cells.T, check_finite=False)
-        products = (flat[:-1] @ flat.T - ratio * (cells[:-1] @ solved)) / self.noise.lit
+        images = np.concatenate([columns, left[None]])
+        part = products(weighted, look, images, unknown, gain**2 / self.noise.lit) / self.noise.lit
         score = correlation(weighted.change, weighted.root * 2 * gain * lit[0])
-        return products[:, :-1], products[:, -1], score
+        return part[:-1, :-1], part[:-1, -1], score
 
     def _decided(self, look: Look, gain: float) -> tuple[Floats, NDArray[np.intp]]:
         """Means of the cells, 0 where they are not decided, and which those are."""
         size = self._side**2
-        mean = np.tanh(0.5 * equalise(look, gain, self.noise.lit, np.zeros(size), np.ones(size)).llr)
+        # L = 2 G: the others taken as Gaussian, which decides fewer of them
+        mean = np.tanh(equalise(look, gain, self.noise.lit, np.zeros(size), np.ones(size)).added[1])
         decided = np.abs(mean) > SURE
         return np.where(decided, mean, 0.0), np.flatnonzero(~decided)
 
