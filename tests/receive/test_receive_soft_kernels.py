@@ -83,7 +83,7 @@ def test_gram(pose: Pose) -> None:
     out = gram_of(placed(pose), SHAPE)
     want = cell_matrix(pose).T @ cell_matrix(pose)
     assert np.abs(out - want).max() < 4 * CUT * want.max()
-    assert np.array_equal(out, out.T)
+    assert np.abs(out - out.T).max() < 1e-6 * want.max()
     light = np.zeros((*SHAPE, CELLS), np.float32)
     kernels.light(*placed(pose), light)
     assert np.abs(light.reshape(-1, CELLS) - cell_matrix(pose)).max() < CUT

@@ -28,7 +28,8 @@ PROGRESS = 0.002
 little of all, is the last, but for those that begin with no guesses."""
 
 STEPS = 6
-"""Most times that a packet's poses are sharpened: after each layer, and again where that moved them far."""
+"""Most times that a packet's poses are sharpened: after each layer, while something may come of the others, and again
+where that moved them far."""
 
 
 @dataclass(slots=True)
@@ -180,7 +181,7 @@ class _Packet:
         """Rounds between equaliser and decoder; see `decode_looks`."""
         # of a combined pair poses are not sharpened
         steps = STEPS if self.settings.soft.sharpen and not self.mixed else 0
-        moved = False
+        due = moved = False
         for number in range(self.settings.soft.rounds):
             before, open_ = self.told, self.open
             self.equalise()
@@ -195,10 +196,12 @@ class _Packet:
             if not still.any() or self.settings.soft.feedback == "none":
                 break
             decoded = still.sum() < open_.sum()
-            if steps and (moved or decoded):
-                looks, moved = again(*self.known(), self.light)
+            due |= decoded
+            # at least once: what seems hopeless may be so by its pose
+            if steps and due and (steps == STEPS or not self.hopeless[still].all()):
+                looks, due = again(*self.known(), self.light)
                 self.look(looks)
-                if moved:
+                if moved := due:
                     self.forget_guesses()
                 steps -= 1
             elif moved:

@@ -85,7 +85,8 @@ def weighted(shares, first, root, out):
 @njit(cache=True, nogil=True, inline="always")
 def _haar(a, b, c, d):
     """A square of LEDs (0, 0), (0, 1), (1, 0), (1, 1) to its four cells: 1/4 H t H^T."""
-    return 0.25 * (a + b + c + d), 0.25 * (a - b + c - d), 0.25 * (a + b - c - d), 0.25 * (a - b - c + d)
+    q = np.float32(0.25)  # which leaves the sums in their own precision
+    return q * (a + b + c + d), q * (a - b + c - d), q * (a + b - c - d), q * (a - b - c + d)
 
 
 @njit(cache=True, nogil=True)
@@ -167,40 +168,35 @@ def shine(leds, across, down, first, out):
 
 @njit(cache=True, nogil=True)
 def spread(shares, first, out):
-    """Shares (n n, width) in their places, out (n n, pixels) float32; 0 elsewhere."""
+    """Shares (n n, width) in their places, out (n n, pixels) float32, 0 elsewhere.
+
+    LEDs there in the order of the cells: those of equal place in their squares together.
+    """
+    squares = shares.shape[0] // 4
     out[:] = 0.0
     for k in range(shares.shape[0]):
+        row = out[k % 4 * squares + k // 4]
         for i in range(max(0, -first[k]), min(shares.shape[1], out.shape[1] - first[k])):
-            out[k, first[k] + i] = shares[k, i]
+            row[first[k] + i] = shares[k, i]
 
 
 @njit(cache=True, nogil=True)
 def gram(across, down, out):
     """B^T B of the cells, out (n n, n n) float32.
 
-    across, down (n n, n n): products of the LEDs' light by column and by row. <led_i, led_j> = <across_i, across_j>
-    <down_i, down_j>, then the Haar transform on both sides.
+    across, down (n n, n n): products of the LEDs' light by column and by row, in the order of `spread`. <led_i, led_j>
+    = <across_i, across_j> <down_i, down_j>, then the Haar transform on both sides.
     """
     squares = across.shape[0] // 4
-    block = np.empty((4, 4), np.float32)
+    for i in range(across.shape[0]):
+        x, y, row = across[i], down[i], out[i]
+        for p in range(squares):
+            a, b, c, d = p, p + squares, p + 2 * squares, p + 3 * squares
+            row[a], row[b], row[c], row[d] = _haar(x[a] * y[a], x[b] * y[b], x[c] * y[c], x[d] * y[d])
     for q in range(squares):
-        for p in range(q + 1):
-            for k in range(4):
-                i, j = 4 * q + k, 4 * p
-                block[k, 0], block[k, 1], block[k, 2], block[k, 3] = _haar(
-                    across[i, j] * down[i, j],
-                    across[i, j + 1] * down[i, j + 1],
-                    across[i, j + 2] * down[i, j + 2],
-                    across[i, j + 3] * down[i, j + 3],
-                )
-            for m in range(4):
-                block[0, m], block[1, m], block[2, m], block[3, m] = _haar(
-                    block[0, m], block[1, m], block[2, m], block[3, m]
-                )
-            for k in range(4):
-                for m in range(4):
-                    out[k * squares + q, m * squares + p] = block[k, m]
-                    out[m * squares + p, k * squares + q] = block[k, m]
+        a, b, c, d = out[q], out[q + squares], out[q + 2 * squares], out[q + 3 * squares]
+        for j in range(across.shape[0]):
+            a[j], b[j], c[j], d[j] = _haar(a[j], b[j], c[j], d[j])
 
 
 @njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""Data without inverses: an array followed from frame to frame by what is decided of its data.
+"""Data without inverses: an array followed from one second frame to the next by what is decided of its data.
 
 A frame shows r = g A x + b + n. At the pose predicted, its cells are equalised; those beyond doubt are taken as known.
 Their light, that of the levels' mean and what is behind the array have an image whose fit gives the pose, the light of
@@ -75,8 +75,8 @@ class Singles:
     def follow(self, first: Frame, second: Frame, tracker: Tracker) -> TrackedPair:
         """Find the array in two frames and move the filter on; what they show of the data becomes `glances`."""
         before, behind = tracker.state, self._behind
-        for frame in (first, second):
-            fit = self._step(frame, tracker)
+        # the first frame by itself would take as long and make nothing better, 0.5 ms either way
+        fit = self._step(second, tracker)
         seen = tracker.sees(first, second, fit)
         if seen:
             tracker.last_seen_s = tracker.state.time_s
