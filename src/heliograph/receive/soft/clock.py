@@ -329,6 +329,9 @@ def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
 
 
 def _mean_over(starts: Floats, exposure: Floats | float, edges: Floats, values: Floats) -> Floats:
-    """Mean over exposures, one or as many as broadcast against their starts, of a function that is constant between edges and 0 outside of them."""
+    """Mean over exposures of a function that is constant between edges and 0 outside of them.
+
+    Exposures are one, or as many as broadcast against their starts.
+    """
     integral = np.concatenate([[0.0], np.cumsum(values * np.diff(edges))])
     return np.asarray((np.interp(starts + exposure, edges, integral) - np.interp(starts, edges, integral)) / exposure)

@@ -133,7 +133,7 @@ def products(weighted: Weighted, look: Look, images: Floats, unknown: NDArray[np
     -------
     (k, k)
     """
-    # Woodbury: A^T (1 + g^2 / s^2 B B^T)^-1 A = A^T A - A^T B (B^T B + s^2 / g^2)^-1 B^T A, a matrix of cells, no pixels
+    # Woodbury: A^T (1 + g^2 / s^2 B B^T)^-1 A = A^T A - A^T B (B^T B + s^2 / g^2)^-1 B^T A, a matrix of cells
     flat = images.reshape(len(images), -1)
     whole = flat @ flat.T
     if not unknown.size:

@@ -23,6 +23,7 @@ from heliograph.receive.soft.noise import Noise
 
 Floats = NDArray[np.float64]
 
+
 @dataclass(frozen=True, slots=True)
 class Look:
     """A pair of frames as the equaliser sees it; gain and noise are left open.
@@ -107,7 +108,9 @@ class Weighted:
 
     def look(self) -> Look:
         """What remains of it for the equaliser."""
-        return self._reduced(gram_of(self.between, self.change.shape), self.correlated(self.change), self.correlated(self.still))
+        return self._reduced(
+            gram_of(self.between, self.change.shape), self.correlated(self.change), self.correlated(self.still)
+        )
 
     def _reduced(self, gram: NDArray[np.float32], seen: Floats, offset: Floats) -> Look:
         """A look of a B^T W B, (cells, cells), B^T W d and B^T W o, (cells,)."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from heliograph.receive.pose import Pose
+from heliograph.receive.soft.kernels import DOUBTFUL, FEW, MANY, SURE
 from heliograph.signal import haar
 
 Floats = NDArray[np.float64]
@@ -111,7 +112,7 @@ def lmmse(b: Floats, d: Floats, noise: Floats, mean: Floats, variance: Floats) -
 def _extrinsic(i: int, k: Floats, b: Floats, rest: Floats, mean: Floats, variance: Floats) -> float:
     """LLR of cell i by the matched filter in coloured noise: all others are noise, its own prior is taken out.
 
-    The two that disturb it most are taken as the +-1 they are, the others as Gaussian.
+    The few that disturb it most are taken as the +-1 they are, the others as Gaussian; more where it is worth it.
     """
     # K_i = K - v b b^T, f = K_i^-1 b, z = f^T (d - B c + b c_i): mean mu c_i, variance mu, mu = f^T b
     image = b[:, i]
@@ -120,14 +121,15 @@ def _extrinsic(i: int, k: Floats, b: Floats, rest: Floats, mean: Floats, varianc
     share = matched @ b
     power = share**2 * variance
     power[i] = 0.0
-    worst = np.argsort(-power)[:2]
-    spread = mu - power[worst].sum()
-    log_p = {}
-    for sign in (1, -1):
-        terms = []
-        for others in product((1, -1), repeat=len(worst)):
-            prior = np.prod(0.5 * (1 + np.array(others) * mean[worst]))
-            centre = sign * mu + share[worst] @ (others - mean[worst])
-            terms.append(np.log(prior) - (z - centre) ** 2 / (2 * spread))
-        log_p[sign] = np.logaddexp.reduce(terms)
-    return float(log_p[1] - log_p[-1])
+    llr = 0.0
+    for most in (FEW, MANY):
+        worst = np.argsort(-power)[:most]
+        spread = mu - power[worst].sum()
+        others = np.array([*product((1, -1), repeat=len(worst))])
+        prior = np.prod(0.5 * (1 + others * mean[worst]), axis=1)
+        off = z - (others - mean[worst]) @ share[worst]
+        log_p = [np.logaddexp.reduce(np.log(prior) - (off - sign * mu) ** 2 / (2 * spread)) for sign in (1, -1)]
+        llr = float(log_p[0] - log_p[1])
+        if not DOUBTFUL < abs(llr) < SURE:
+            break
+    return llr

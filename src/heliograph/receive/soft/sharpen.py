@@ -94,8 +94,9 @@ def pose_errors(
         slopes = weighted.root * glance.slopes(levels[k] * shares)
         left = weighted.residual(gain, known[k])
         # J = g^2 H^T C^-1 H, s = g H^T C^-1 (d - g (B m + o)), C = s^2 + g^2 B_u B_u^T the noise and the open cells
-        part = products(weighted, look, np.concatenate([slopes, left[None]]), np.flatnonzero(~decided[k]), gain**2 / noise)
-        evidence[k] = Evidence(gain**2 / noise * part[:4, :4], gain / noise * part[:4, 4])
+        images, scale = np.concatenate([slopes, left[None]]), gain**2 / noise
+        part = products(weighted, look, images, np.flatnonzero(~decided[k]), scale)
+        evidence[k] = Evidence(scale * part[:4, :4], gain / noise * part[:4, 4])
     return _smoothed(evidence, seen.errors)
 
 

@@ -1,4 +1,4 @@
-"""Data without inverses: an array followed from one second frame to the next by what is decided of its data.
+"""Data without inverses: an array followed by what is decided of the data in every other frame.
 
 A frame shows r = g A x + b + n. At the pose predicted, its cells are equalised; those beyond doubt are taken as known.
 Their light, that of the levels' mean and what is behind the array have an image whose fit gives the pose, the light of
@@ -75,7 +75,7 @@ class Singles:
     def follow(self, first: Frame, second: Frame, tracker: Tracker) -> TrackedPair:
         """Find the array in two frames and move the filter on; what they show of the data becomes `glances`."""
         before, behind = tracker.state, self._behind
-        # the first frame by itself would take as long and make nothing better, 0.5 ms either way
+        # the first frame would take as long again, and as many bits are wrong with it as without
         fit = self._step(second, tracker)
         seen = tracker.sees(first, second, fit)
         if seen:
