@@ -122,7 +122,7 @@ def fit_array(
             weight = (GAIN_SPREAD * prior.gain) ** -2
             matrix[free, free] += weight
             rhs[free] += weight * (prior.gain - linear[0])
-        step = np.linalg.solve(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3), rhs)
+        step = np.asarray(np.linalg.solve(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3), rhs), np.float64)
         limit = _step_limits(vector)[:free]
         vector[:free] += np.clip(step[:free], -limit, limit)
         linear = linear + step[free:]

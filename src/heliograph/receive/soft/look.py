@@ -209,7 +209,8 @@ def gram_of(lights: Shares, shape: tuple[int, int]) -> NDArray[np.float32]:
         kernels.spread(lights[axis], lights[2][:, axis], whole)
         # NumPy's own X X^T takes six times as long; transposed it is as BLAS wants it
         products.append(blas.sgemm(1.0, whole.T, whole.T, trans_a=1).T)
-    kernels.gram(*products, gram := np.empty_like(products[0]))
+    across, down = products
+    kernels.gram(across, down, gram := np.empty_like(across))
     return gram
 
 
