@@ -1,6 +1,7 @@
 """Make the pictures of docs/receiver.md: each stage of the soft receiver on a packet, and how well it does."""
 
 from collections.abc import Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose, make_receiver
 from heliograph.receive.soft import reference
 from heliograph.receive.soft.glance import Glance
+from heliograph.receive.soft.kernels import FEW, MANY
 from heliograph.receive.soft.look import weigh
 from heliograph.receive.soft.noise import Noise
 from heliograph.signal.block import pack
@@ -111,21 +113,22 @@ def first_round(packet: Packet) -> Figure:
 
 
 def disturbers(packet: Packet) -> Figure:
-    """The LLR by the statistic of a cell: two disturbers as +-1 against all of them as Gaussian."""
+    """The LLR by the statistic of a cell: the strongest disturbers as +-1 against all of them as Gaussian."""
     glance = packet.glances[5]
     gain, noise = 150.0, 4.5
     look = weigh(glance, Noise(noise, noise), SIDE).look()
     s = np.linalg.inv(gain**2 / noise * look.gram.astype(np.float64) + np.eye(SIDE * SIDE))
     middle = range(SIDE**2 // 4, 3 * SIDE**2 // 4)
     i = max(middle, key=lambda n: float(np.sort(np.abs(np.delete(s[n], n)))[-2] ** 2 / (s[n, n] * (1 - s[n, n]))))
-    k, others = 1 - s[i, i], np.sort(np.abs(np.delete(s[i], i)))[-2:]
-    u, rest = np.linspace(-1.5, 1.5, 301), k * s[i, i] - (others**2).sum()
-    signs = np.array([(a, b) for a in (-1, 1) for b in (-1, 1)])
-    side = {c: np.logaddexp.reduce([-((u - c * k + others @ x) ** 2) / 2 / rest for x in signs]) for c in (1, -1)}
+    k, u = 1 - s[i, i], np.linspace(-1.5, 1.5, 301)
     figure = Figure(figsize=(6, 3.2))
     axes = figure.subplots()
     axes.plot(u, 2 * u / s[i, i], color="#8a929b", ls="--", label="all Gaussian: 2 u / S")
-    axes.plot(u, side[1] - side[-1], color=COLOURS["middle"], label="the two strongest as +-1")
+    for count, style in ((FEW, ":"), (MANY, "-")):
+        others = np.sort(np.abs(np.delete(s[i], i)))[-count:]
+        rest, signs = k * s[i, i] - (others**2).sum(), np.array([*product((-1, 1), repeat=count)])
+        side = {c: np.logaddexp.reduce([-((u - c * k + others @ x) ** 2) / 2 / rest for x in signs]) for c in (1, -1)}
+        axes.plot(u, side[1] - side[-1], style, color=COLOURS["middle"], label=f"the {count} strongest as +-1")
     axes.set(xlabel="statistic u of a middle cell", ylabel="LLR", ylim=(-9, 9))
     axes.legend(frameon=False)
     axes.spines[["top", "right"]].set_visible(False)

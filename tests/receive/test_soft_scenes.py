@@ -1,5 +1,6 @@
 """The soft receiver where arrays are tilted, partly hidden, failed in part, dim, in the sun, off, or many."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -94,7 +95,11 @@ def test_noise_is_no_dim_array(distance_m: float) -> None:
     night = {"emitter": {"all_on": 0.08, "panel_level": 0.0}, "background": {"level": 0.1}}
     settings = soft(distance_m, {"off_s": [(0.103, 0.403)]}, **night)
     lost: list[float] = []
-    watch = lambda stage, data: lost.append(data["time_s"]) if stage == "lost" else None  # noqa: E731 - a watch
+
+    def watch(stage: str, data: Mapping[str, Any], /) -> None:
+        if stage == "lost":
+            lost.append(data["time_s"])
+
     packets = list(receive_frames(film(settings, 410), settings.signal, settings.receive, watch))
     assert len(lost) == 1
     assert lost[0] < 0.103 + 0.07
