@@ -104,7 +104,7 @@ def test_a_known_pattern_that_is_lost_stays_and_looks_at_no_more_than_before() -
     link = settings({"kind": "synthetic"})
     tracker, rng = KnownPattern(link), np.random.default_rng(0)
     pose = Pose(128.0, 96.0, 1.2, 0.0, 0.8)
-    fit = Fit(pose.vector(), np.diag([0.01, 0.01, 1e-4, 1e-4, 1e-2]), 150.0, 0.99, 1.0)
+    fit = Fit(pose.vector(), np.diag([0.01, 0.01, 1e-4, 1e-4, 1e-2]), 150.0, 0.99)
     frames = [Frame(k, 1e-3 * k, rng.integers(0, 255, (192, 256), dtype=np.uint8), 8) for k in range(800)]
     tracker.start(Detection(0, 0.0, fit, 0.0015, 0.99, 1.0, np.ones((16, 16))), *frames[2:4])
     found = [tracker.update(one, other) for one, other in zip(frames[4::2], frames[5::2], strict=True)]

@@ -11,7 +11,7 @@ from receive_scenes import SIDE, pitch_at
 from heliograph.receive import Pose, ReceiveSettings
 from heliograph.receive.packets import Codeword, Observer, ignore
 from heliograph.receive.soft import reference
-from heliograph.receive.soft.cancel import Light, decode_looks
+from heliograph.receive.soft.cancel import Light, LookAgain, decode_looks
 from heliograph.receive.soft.look import Look
 from heliograph.receive.soft.memory import Memory
 from heliograph.signal.block import Block
@@ -69,6 +69,7 @@ def decoded(
     feedback: Feedback = "soft",
     propagate: bool = True,
     observe: Observer = ignore,
+    again: LookAgain | None = None,
 ) -> dict[str, tuple[Codeword, ...]]:
     """What the soft receiver makes of looks."""
     settings = ReceiveSettings(receiver="soft")
@@ -79,7 +80,7 @@ def decoded(
         return looks, False
 
     light, memory = light or Light(GAIN, NOISE), memory or Memory()
-    return decode_looks(looks, light, FORM, identity, settings, memory, same, observe)
+    return decode_looks(looks, light, FORM, identity, settings, memory, again or same, observe)
 
 
 def right(words: dict[str, tuple[Codeword, ...]], blocks: Blocks) -> list[bool]:

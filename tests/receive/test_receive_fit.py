@@ -128,6 +128,18 @@ def test_header_tells_the_tilt() -> None:
     assert len(held.covariance) == 5
 
 
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("distance_m", [30, 80])
+def test_a_light_that_is_not_as_expected_does_not_end_the_fit_early(distance_m: float, factor: float) -> None:
+    rng, pose, errors = np.random.default_rng(7), Pose(40.37, 31.81, pitch_at(distance_m), 0.0, 0.55), []
+    for _ in range(20):
+        off = rng.normal(0, [0.05, 0.05, 1e-3, 1e-3, 0.02])
+        prior = Prior(pose.vector() + off, np.diag([0.1, 0.1, 2e-3, 2e-3, 0.05]) ** 2, factor * GAIN)
+        light = pixels(pose, ALL_ON) + rng.normal(0, 2.5, window(pose)[1])
+        errors.append(error(fit_array(light, window(pose)[0], prior, ALL_ON, 3, panel=True), pose)[:2])
+    assert np.sqrt(np.mean(np.square(errors))) < 0.01
+
+
 def test_score_of_nothing_is_low() -> None:
     rng, pose = np.random.default_rng(0), Pose(40.0, 31.0, 1.2, 0.0, 0.55)
     noise = rng.normal(LEVEL, 2.5, window(pose)[1])

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from receive_scenes import ALL_ON, draw
+from scipy.special import ndtr
 
 from heliograph.receive import Pose, kernels, reference
 from heliograph.signal.header import all_header_cells
@@ -53,6 +54,13 @@ def test_tilted_arrays_and_their_derivatives(seed: int) -> None:
     kernels.render_box(vector, 9.0, 0.0, 0.0, box)
     assert np.abs(box[0] - square[0]).max() < 2e-4
     assert np.abs(box[1:5] - square[1:5]).max() < 1e-2
+
+
+def test_normal_distribution() -> None:
+    at = np.concatenate([np.linspace(-9, 9, 5000), [-np.inf, np.inf]])
+    got = np.array([kernels.normal(z) for z in at])
+    assert got[:, 0] == pytest.approx(ndtr(at), abs=3e-10)
+    assert got[:, 1] == pytest.approx(np.exp(-0.5 * at**2) / np.sqrt(2 * np.pi), abs=2e-7)
 
 
 def test_render_of_odd_and_empty_windows() -> None:

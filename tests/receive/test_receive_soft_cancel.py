@@ -12,6 +12,7 @@ from heliograph.receive.packets import Codeword
 from heliograph.receive.soft.cancel import Light
 from heliograph.receive.soft.codewords import information
 from heliograph.receive.soft.equalise import equalise
+from heliograph.receive.soft.look import Look
 
 
 def test_layers_come_one_after_the_other() -> None:
@@ -82,6 +83,19 @@ def test_gain_is_found_along_with_the_cells(factor: float) -> None:
     assert all(right(decoded(looks_at(blocks, 90), light=light), blocks))
     # each round it comes nearer
     assert abs(light.gain / GAIN - 1) < 0.4 * abs(factor - 1)
+
+
+@pytest.mark.parametrize(("z", "moves", "asked"), [(160, 0, 1), (160, 2, 3), (100, 0, 2)])
+def test_poses_are_sharpened_while_something_may_come_of_it(z: float, moves: int, asked: int) -> None:
+    """At 160 m the high layer alone can be read: once, or until the poses stay; at 100 m after each of two layers."""
+    looks, calls = looks_at(random_blocks(0), z), list[bool]()
+
+    def again(*_: object) -> tuple[list[Look | None], bool]:
+        calls.append(len(calls) < moves)
+        return looks, calls[-1]
+
+    decoded(looks, again=again)
+    assert len(calls) == asked
 
 
 def test_information_of_llrs() -> None:

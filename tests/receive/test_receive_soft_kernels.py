@@ -10,7 +10,7 @@ from receive_scenes import SIDE, draw, pitch_at
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.soft import glance, kernels, reference
-from heliograph.receive.soft.equalise import KNOWN, equalise
+from heliograph.receive.soft.equalise import KNOWN, equalise, products
 from heliograph.receive.soft.glance import take_glance
 from heliograph.receive.soft.look import Look, gram_of, weigh
 from heliograph.receive.soft.noise import Noise, measure_noise
@@ -165,17 +165,46 @@ def test_look_is_what_remains_of_the_pixels(roll: float, motion: tuple[float, fl
         assert not got.offset.any()
 
 
+@pytest.mark.parametrize("scattered", [False, True])
 @pytest.mark.parametrize("unknown", [1, 63, 64, 128, 200])
-def test_covariance_of_any_number_of_cells(unknown: int) -> None:
+def test_covariance_of_any_number_of_cells(unknown: int, scattered: bool) -> None:
     """Sizes that are padded and sizes that are not."""
     whole = Whole(moving(90, 0.0, (0.0, 0.0)), pair(moving(90, 0.0, (0.0, 0.0)), random_levels()[1]), Noise(4.0, 4.0))
     view, cells = weigh(whole.glance, Noise(4.0, 4.0), SIDE).look(), random_levels()[0]
-    variance = np.where(np.arange(CELLS) < unknown, 0.7, 0.0)
+    which = np.sort(np.random.default_rng(8).permutation(CELLS)[:unknown]) if scattered else np.arange(unknown)
+    variance = np.where(np.isin(np.arange(CELLS), which), 0.7, 0.0)
     got = equalise(view, GAIN, 4.0, np.where(variance > 0, 0.0, cells), variance)
-    gram = view.gram[:unknown, :unknown].astype(np.float64)
+    gram = view.gram[np.ix_(which, which)].astype(np.float64)
     want = np.linalg.inv(GAIN**2 / 4.0 * gram + np.eye(unknown) / 0.7)
     assert np.abs(got.covariance - want).max() < 1e-5
     assert got.trace == pytest.approx(float(np.trace(gram @ want)), rel=1e-3)
+
+
+@pytest.mark.parametrize("unknown", [0, 1, 64, 150])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_products_before_the_light_of_cells(motion: tuple[float, float], unknown: int) -> None:
+    poses, scale, rng = moving(80, 0.02, motion), GAIN**2 / 4.0, np.random.default_rng(9)
+    weighted = weigh(Whole(poses, pair(poses, random_levels()[1]), Noise(4.0, 4.0)).glance, Noise(4.0, 4.0), SIDE)
+    which, images = np.sort(rng.permutation(CELLS)[:unknown]), rng.normal(size=(7, *weighted.change.shape))
+    got = products(weighted, weighted.look(), images, which, scale)
+    flat = images.reshape(7, -1)
+    # B by the cells' correlations with single pixels, B^T B as the look has it
+    pixels = np.eye(flat.shape[1]).reshape(-1, *weighted.change.shape)
+    b = np.stack([weighted.correlated(pixel) for pixel in pixels])[:, which]
+    gram = weighted.look().gram[np.ix_(which, which)].astype(np.float64)
+    want = flat @ (flat.T - b @ np.linalg.solve(gram + np.eye(unknown) / scale, b.T @ flat.T))
+    assert np.abs(got - want).max() < 1e-5 * want.max()
+    if motion == (0.0, 0.0):
+        noise = np.eye(flat.shape[1]) + scale * b @ b.T
+        assert got == pytest.approx(flat @ np.linalg.solve(noise, flat.T), abs=2e-3 * want.max())
+
+
+def test_what_moves_behind_is_taken_off_by_its_slopes() -> None:
+    rng = np.random.default_rng(10)
+    change, total, lit, got = *rng.normal(size=(3, 9, 7)), np.empty((9, 7))
+    kernels.steadied(change, total, lit, 3.0, 0.2, -0.4, got)
+    down, right = np.gradient(0.5 * (total - 3.0 * lit))
+    assert got == pytest.approx(change - 0.2 * right + 0.4 * down)
 
 
 def whole_look(b: Floats, d: Floats, o: Floats, w: Floats) -> Look:

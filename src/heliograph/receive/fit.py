@@ -30,16 +30,13 @@ class Fit:
     gain
         Luminance of the array with all weights 1, where it is not resolved, as gray levels.
     score
-        Correlation of pixels and fitted image, -1 to 1.
-    noise
-        Standard deviation of the residuals in gray levels.
+        Correlation of pixels and fitted image, -1 to 1; the image is that before the last step, if that was small.
     """
 
     vector: Floats
     covariance: Floats
     gain: float
     score: float
-    noise: float
 
     @property
     def pose(self) -> Pose:
@@ -65,8 +62,11 @@ class Prior:
     gain: float = 0.0
 
 
-CLOSE_PX, CLOSE = 0.02, 0.02
-"""Steps of the array's rim, and of ln blur, up to which a fit has come to its end: the next is a tenth of it."""
+CLOSE_PX, CLOSE, CLOSE_GAIN = 0.02, 0.02, 0.1
+"""Steps of the array's rim, of ln blur and of the gain, as a share of it, up to which a fit has come to its end.
+
+The next are a tenth of them; while the gain is wrong steps are too short or too long.
+"""
 
 GAIN_SPREAD = 0.15
 """Standard deviation of an expected gain, as a share of it."""
@@ -126,17 +126,16 @@ def fit_array(
         limit = _step_limits(vector)[:free]
         vector[:free] += np.clip(step[:free], -limit, limit)
         linear = linear + step[free:]
-        if _rim_px(step[:free], vector, len(weights)) < CLOSE_PX and abs(step[4]) < CLOSE:
+        near = _rim_px(step[:free], vector, len(weights)) < CLOSE_PX and abs(step[4]) < CLOSE
+        if near and abs(step[free]) < CLOSE_GAIN * abs(linear[0]):
             break
         scene.place(vector)
     covariance = np.linalg.inv(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3))[:free, :free]
-    residual = scene.residual(linear)
     return Fit(
         vector,
         np.asarray(covariance, np.float64),
         float(linear[0]),
-        correlation(image, image - residual),
-        _noise_of(residual),
+        correlation(image, image - scene.residual(linear)),
     )
 
 

@@ -105,7 +105,7 @@ class TrackSettings:
     coast_s
         Time without the array in sight after which it is lost.
     iterations
-        Gauss-Newton steps a pair.
+        Most Gauss-Newton steps a pair.
     """
 
     acceleration_px_s2: Positive = 1e5

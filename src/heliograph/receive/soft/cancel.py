@@ -28,8 +28,8 @@ PROGRESS = 0.002
 little of all, is the last, but for those that begin with no guesses."""
 
 STEPS = 6
-"""Most times that a packet's poses are sharpened: after each layer, while something may come of the others, and again
-where that moved them far."""
+"""Most times that a packet's poses are sharpened: until they stay once a layer is decoded, and after each further one
+while something may come of the others."""
 
 
 @dataclass(slots=True)
@@ -197,13 +197,13 @@ class _Packet:
                 break
             decoded = still.sum() < open_.sum()
             due |= decoded
-            # at least once: what seems hopeless may be so by its pose
-            if steps and due and (steps == STEPS or not self.hopeless[still].all()):
-                looks, due = again(*self.known(), self.light)
+            # at least once and until they stay: what seems hopeless may be so by its pose
+            if steps and due and (steps == STEPS or moved or not self.hopeless[still].all()):
+                looks, moved = again(*self.known(), self.light)
                 self.look(looks)
-                if moved := due:
+                if moved:
                     self.forget_guesses()
-                steps -= 1
+                due, steps = moved, steps - 1
             elif moved:
                 # nothing was guessed in this round
                 moved = False

@@ -264,14 +264,14 @@ class Clock:
         return np.asarray(0.5 * left / variance)
 
     def _model(self, starts: Floats, part: float, lit: float) -> Floats:
-        """What frames that start at `starts` (..., frames) show of a header of gain 1 that is dimmed as in `_header`.
+        """What frames that start at `starts` (offsets, frames) show of a header of gain 1, dimmed as in `_header`.
 
         Returns
         -------
-        Twice its alternation and its brightness but for a constant, (exposures, ..., 2 frames).
+        Twice its alternation and its brightness but for a constant, (exposures, offsets, 2 frames).
         """
         edges, wave, bright = self._header(part, lit)
-        exposures = self._exposures.reshape(-1, *[1] * starts.ndim)
+        exposures = self._exposures[:, None, None]
         light = _mean_over(starts, exposures, edges, bright)
         light -= light.mean(-1, keepdims=True)
         return np.concatenate([_mean_over(starts, exposures, edges, wave), light], axis=-1)

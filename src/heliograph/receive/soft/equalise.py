@@ -60,6 +60,8 @@ class Estimate:
     def llr(self) -> Floats:
         """(cells,) extrinsic LLR = ln P(c=+1)/P(c=-1): what the look adds to what was known; 0 for known cells."""
         u, llr = self.unknown, np.zeros_like(self.mean)
+        if not u.size:
+            return llr
         part = np.empty(u.size)
         kernels.extrinsic(self.covariance, self.mean[u], self.prior[u], self.variance[u], part)
         llr[u] = part
@@ -140,7 +142,7 @@ def products(weighted: Weighted, look: Look, images: Floats, unknown: NDArray[np
         return np.asarray(whole)
     factor = _factor(look, unknown, scale, np.ones(unknown.size))
     seen = np.zeros((len(factor), len(images)), np.float32, order="F")
-    seen[: unknown.size] = weighted.all_correlated(images).T[unknown]
+    seen[: unknown.size] = weighted.all_correlated(images)[unknown]
     half = blas.strsm(1.0, factor, seen, lower=1, overwrite_b=1)
     return np.asarray(whole - scale * half.T.astype(np.float64) @ half)
 

@@ -57,8 +57,8 @@ class Glance:
 
     @property
     def middle(self) -> Pose:
-        """The pose between the two."""
-        return Pose.between(self.poses[0], self.poses[-1])
+        """The pose between the two; of one its own."""
+        return self.poses[0] if len(self.poses) == 1 else Pose.between(self.poses[0], self.poses[-1])
 
     def slopes(self, levels: Floats) -> Floats:
         """Derivatives of the image of LEDs of given levels (n, n) by x, y, ln pitch and roll, (4, rows, columns)."""
@@ -75,9 +75,8 @@ class Glance:
         if len(self.poses) != 2 or self.mix is not None:
             return self
         first, second = self.poses
-        lit, steady = np.zeros_like(self.total), np.empty_like(self.change)
-        for pose in self.poses:
-            kernels.shine(of_squares(shares), *placed(pose, self.corner, lit.shape, len(shares)), lit)
+        steady = np.empty_like(self.change)
+        lit = image_of(shares, first, self.corner, steady.shape) + image_of(shares, second, self.corner, steady.shape)
         # b(x - p_1) - b(x - p_2) = (p_2 - p_1) grad b, b = (r + r' - g (A_1 + A_2) 1 / 2) / 2
         kernels.steadied(self.change, self.total, lit, 0.5 * gain, second.x - first.x, second.y - first.y, steady)
         return replace(self, change=steady)

@@ -156,12 +156,12 @@ class Weighted:
         return parts[0] if len(parts) == 1 else np.asarray(0.5 * (parts[0] + parts[1]))
 
     def all_correlated(self, images: Floats) -> Floats:
-        """The same of images (k, rows, columns), (k, cells): less time where they are more than four."""
+        """The same of images (k, rows, columns), (cells, k): takes less time where they are more than four."""
         stack = np.ascontiguousarray(np.moveaxis(images, 0, -1))
         parts = np.empty((len(self.shares), len(self.shares[0][0]), len(images)))
         for share, part in zip(self.shares, parts, strict=True):
             kernels.all_seen_by_cells(stack, *share, part)
-        return np.asarray(parts.mean(0).T)
+        return np.asarray(parts.mean(0))
 
     def residual(self, gain: float, cells: Floats) -> Floats:
         """W^(1/2) (d - g (B c + o)), (rows, columns)."""
@@ -183,7 +183,7 @@ def weigh(glance: Glance, noise: Noise, side: int, shares: Floats | None = None)
     # B^T W B is taken at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2
     first, last = glance.poses[0], glance.poses[-1]
     motion = 0.5 * (last.x - first.x), 0.5 * (last.y - first.y)
-    between = placed(glance.middle if len(glance.poses) > 1 else first, corner, shape, side, motion)
+    between = placed(glance.middle, corner, shape, side, motion)
     weights = _weights(between, noise, shape)
     if glance.inside is not None:
         weights = weights[0] * glance.inside[0], weights[1] * glance.inside[1]

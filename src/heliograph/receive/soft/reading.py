@@ -83,13 +83,16 @@ class SoftReading:
         return changed
 
     def follow(self, pattern: Frame, inverted: Frame, tracker: Tracker, late_s: float) -> TrackedPair:
-        """By the sum, or where there are no inverses by decisions, frame by frame."""
+        """By the sum, or where there are no inverses by decisions."""
         if not self._known().single:
             return tracker.follow(pattern, inverted, late_s)
         if self._singles is None:
-            late = late_s, self._later_s
-            self._singles = Singles(late, self._headers, tracker.data_gain, self._shares.values)
+            self._singles = self._begin_singles(late_s, tracker.data_gain)
         return self._singles.follow(pattern, inverted, tracker)
+
+    @one_thread()
+    def _begin_singles(self, late_s: float, gain: float) -> Singles:
+        return Singles((late_s, self._later_s), self._headers, gain, self._shares.values)
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
         """Keep a pair."""

@@ -37,7 +37,7 @@ BEHIND_SPREAD = 5.0
 """Standard deviation in gray levels by which what is behind the array may differ from what it was."""
 
 FRESH = 0.2
-"""Share of a frame in what is known to be behind the array."""
+"""Share of a pair in what is known to be behind the array."""
 
 
 class Singles:
@@ -122,7 +122,7 @@ class Singles:
         self._behind = self._behind + FRESH * (found[SHOWN + 1 :] - self._behind)
         after = np.asarray(np.linalg.inv(matrix + precision)[:SHOWN, :SHOWN], np.float64)
         vector = np.append(found[:SHOWN], state.tilt.mean)
-        return Fit(vector, after, float(found[SHOWN]), score, float(np.sqrt(self.noise.lit)) / 2)
+        return Fit(vector, after, float(found[SHOWN]), score)
 
     def _equations(self, frame: Frame, state: PoseState, at: Floats) -> tuple[Floats, Floats, float]:
         """D^T C^-1 D, D^T C^-1 e and the correlation of frame and image; `state` gives rates and tilt, which are held.
@@ -142,8 +142,8 @@ class Singles:
         slopes = gain * lit[1:] + np.tensordot(at[SHOWN + 1 :], behind[:, 1:], 1)
         left = weighted.change - 2 * gain * weighted.root * lit[0]
         columns = 2 * weighted.root * np.concatenate([slopes, lit[:1], behind[:, 0]])
-        images = np.concatenate([columns, left[None]])
-        part = products(weighted, look, images, unknown, gain**2 / self.noise.lit) / self.noise.lit
+        every = np.concatenate([columns, left[None]])
+        part = products(weighted, look, every, unknown, gain**2 / self.noise.lit) / self.noise.lit
         score = correlation(weighted.change, weighted.root * 2 * gain * lit[0])
         return part[:-1, :-1], part[:-1, -1], score
 

@@ -56,7 +56,7 @@ def pack(llr: Any, positions: Any, mother: Any) -> None:
 
 @_compile
 def unpack(tiles: Any, lanes: Any, positions: Any, out: Any) -> None:
-    """Rows `positions` of the given lanes (tile * 32 + lane) into `out`, float32 (lanes, positions)."""
+    """Rows `positions` of the given lanes (tile * 16 + lane) into `out`, float32 (lanes, positions)."""
     for n in range(lanes.size):
         t, lane = lanes[n] // LANES, lanes[n] % LANES
         for e in range(positions.size):
