@@ -14,6 +14,7 @@ from heliograph.receive.soft import reference
 from heliograph.receive.soft.cancel import Light, LookAgain, decode_looks
 from heliograph.receive.soft.look import Look
 from heliograph.receive.soft.memory import Memory
+from heliograph.receive.soft.threads import one_thread
 from heliograph.signal.block import Block
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
@@ -80,7 +81,8 @@ def decoded(
         return looks, False
 
     light, memory = light or Light(GAIN, NOISE), memory or Memory()
-    return decode_looks(looks, light, FORM, identity, settings, memory, again or same, observe)
+    with one_thread():  # as in the receiver
+        return decode_looks(looks, light, FORM, identity, settings, memory, again or same, observe)
 
 
 def right(words: dict[str, tuple[Codeword, ...]], blocks: Blocks) -> list[bool]:
