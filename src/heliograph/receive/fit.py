@@ -127,7 +127,8 @@ def fit_array(
         vector[:free] += np.clip(step[:free], -limit, limit)
         linear = linear + step[free:]
         near = _rim_px(step[:free], vector, len(weights)) < CLOSE_PX and abs(step[4]) < CLOSE
-        if near and abs(step[free]) < CLOSE_GAIN * abs(linear[0]):
+        # pitch and blur of a header, by which distances are told, go on in small steps
+        if panel and near and abs(step[free]) < CLOSE_GAIN * abs(linear[0]):
             break
         scene.place(vector)
     covariance = np.linalg.inv(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3))[:free, :free]
