@@ -157,12 +157,12 @@ def interleaver_vector() -> Vector:
             "layer": name,
             "side": settings.side,
             "data_pairs": layer.pairs,
-            "cells": layer.cells,
+            "cells": layer.symbols,
             "codewords": layer.codewords,
             "k": layer.code.k,
             "e": layer.code.length,
-            "pair_of_j": (places // layer.cells).tolist(),
-            "cell_of_j": (places % layer.cells).tolist(),
+            "pair_of_j": (places // layer.symbols).tolist(),
+            "cell_of_j": (places % layer.symbols).tolist(),
         }
 
     small, default = SignalSettings(side=8, data_pairs=21), SignalSettings()

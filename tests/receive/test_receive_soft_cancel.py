@@ -68,7 +68,7 @@ def test_pairs_not_seen_are_erased() -> None:
     assert all(right(words, blocks))
     # an LLR of 0 is no bit
     erased = sum(int((w.raw == ERASED).sum()) for w in words["high"])
-    assert erased == FORM.layers["high"].cells * len(looks) // 4
+    assert erased == FORM.layers["high"].symbols * len(looks) // 4
 
 
 def test_a_packet_never_seen_is_not_right() -> None:

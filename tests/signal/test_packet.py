@@ -113,7 +113,7 @@ def test_inverses_follow(count: int, seed: int) -> None:
 def test_interleaver_is_a_bijection(side: int, pairs: int, rate: float) -> None:
     for layer in make(side, pairs, rate).layers.values():
         size = layer.codewords * layer.code.length
-        assert size == layer.pairs * layer.cells
+        assert size == layer.pairs * layer.symbols
         assert np.array_equal(np.sort(layer.places), np.arange(size))
         coded = np.random.default_rng(1).integers(0, 2, (layer.codewords, layer.code.length), dtype=np.uint8)
         soft = 1.0 - 2.0 * layer.interleave(coded ^ layer.chips).astype(np.float64)

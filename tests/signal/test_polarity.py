@@ -61,7 +61,7 @@ def test_packets_have_twice_the_bits_but_for_a_column() -> None:
     for name, share in (("high", 7 / 8), ("middle", 1), ("low", 1)):
         bits = [form.layers[name].codewords * form.layers[name].code.length for form in (paired, single)]
         assert bits[1] == 2 * share * bits[0]
-    assert (single.layers["high"].pairs, single.layers["high"].cells) == (96, 56)
+    assert (single.layers["high"].pairs, single.layers["high"].symbols) == (96, 56)
 
 
 def test_patterns_give_the_blocks_back() -> None:

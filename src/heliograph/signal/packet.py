@@ -19,8 +19,8 @@ from heliograph.signal.turbo import QPP_SIZES, TurboCode
 
 Value = TypeVar("Value", bound=np.generic)
 
-CELL_STEP = 23
-"""Cells by which consecutive pairs are turned, so that no part of the array holds one part of a codeword."""
+SYMBOL_STEP = 23
+"""Symbols by which consecutive pairs are turned, so that no part of the array holds one part of a codeword."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class LayerFormat:
         Codewords in a packet.
     code
         Their turbo code: K information bits to E transmitted ones.
-    pairs, cells
+    pairs, symbols
         Data pairs of a packet, in the single mode its data patterns, and bits of the layer in each.
     """
 
@@ -43,7 +43,7 @@ class LayerFormat:
     codewords: int
     code: TurboCode
     pairs: int
-    cells: int
+    symbols: int
 
     @property
     def payload_bytes(self) -> int:
@@ -52,14 +52,14 @@ class LayerFormat:
 
     @cached_property
     def places(self) -> NDArray[np.intp]:
-        """Where bit j of the layer's codewords, one after the other, lies in (pairs, cells) flattened."""
-        j = np.arange(self.pairs * self.cells)
-        # pair p = j mod P, cell c = (j div P + 23 p) mod C
+        """Where bit j of the layer's codewords, one after the other, lies in (pairs, symbols) flattened."""
+        j = np.arange(self.pairs * self.symbols)
+        # pair p = j mod P, symbol c = (j div P + 23 p) mod C
         pair = j % self.pairs
-        return pair * self.cells + (j // self.pairs + CELL_STEP * pair) % self.cells
+        return pair * self.symbols + (j // self.pairs + SYMBOL_STEP * pair) % self.symbols
 
     def encode(self, blocks: Sequence[Block]) -> NDArray[np.uint8]:
-        """Bits of the layer by pair and cell, (pairs, cells) uint8, for one block a codeword."""
+        """Bits of the layer by pair and symbol, (pairs, symbols) uint8, for one block a codeword."""
         info = np.stack([pack(block, self.code.k) for block in blocks])
         return self.interleave(self.code.encode(info) ^ self.chips)
 
@@ -69,13 +69,13 @@ class LayerFormat:
         return np.stack([whitening(self.code.length, self.name, i) for i in range(self.codewords)])
 
     def interleave(self, coded: NDArray[Value]) -> NDArray[Value]:
-        """(codewords, E) coded bits, or values of theirs, to (pairs, cells)."""
-        out = np.empty(self.pairs * self.cells, dtype=coded.dtype)
+        """(codewords, E) coded bits, or values of theirs, to (pairs, symbols)."""
+        out = np.empty(self.pairs * self.symbols, dtype=coded.dtype)
         out[self.places] = coded.reshape(-1)
-        return out.reshape(self.pairs, self.cells)
+        return out.reshape(self.pairs, self.symbols)
 
     def deinterleave(self, soft: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(pairs, cells) soft values, positive for 0, to those of the (codewords, E) coded bits, whitening undone."""
+        """(pairs, symbols) soft values, positive for 0, to those of the (codewords, E) coded bits, whitening undone."""
         return soft.reshape(-1)[self.places].reshape(self.codewords, -1) * (1.0 - 2.0 * self.chips)
 
 
@@ -127,11 +127,11 @@ class PacketFormat:
 
     def data_patterns(self, blocks: Mapping[str, Sequence[Block]], ahead: int = 0) -> NDArray[np.uint8]:
         """Data patterns of a packet, (pairs, n, n) levels, without the inverted ones; `ahead` as in `patterns`."""
-        cells = [1 - 2 * self.layers[name].encode(blocks[name]).astype(np.int8) for name in LAYERS]
+        symbols = [1 - 2 * self.layers[name].encode(blocks[name]).astype(np.int8) for name in LAYERS]
         if self.single:
             half = self.settings.side // 2
-            cells[0] = balance(cells[0].reshape(-1, half, half - 1), ahead).reshape(-1, half * half)
-        d = self.join(np.concatenate(cells, axis=1))
+            symbols[0] = balance(symbols[0].reshape(-1, half, half - 1), ahead).reshape(-1, half * half)
+        d = self.join(np.concatenate(symbols, axis=1))
         return haar.encode(d) if self.settings.modulation == "haar" else ook.encode(d)
 
     def patterns(self, identity: int, blocks: Mapping[str, Sequence[Block]], ahead: int = 0) -> NDArray[np.uint8]:
@@ -144,7 +144,7 @@ class PacketFormat:
         blocks
             For each layer one block a codeword.
         ahead
-            How much light was given before beyond the mean, in cells of D11; only the single mode asks.
+            How much light was given before beyond the mean, in symbols of D11; only the single mode asks.
         """
         head = np.stack([self.header_pattern(identity, pair) for pair in range(self.settings.header_pairs)])
         if self.single:
@@ -162,14 +162,14 @@ class PacketFormat:
         """Soft D of received luminances about their mean, (..., n, n), by the modulation's decoder."""
         return haar.decode(x) if self.settings.modulation == "haar" else ook.decode(x)
 
-    def join(self, cells: NDArray[np.int8]) -> NDArray[np.int8]:
+    def join(self, symbols: NDArray[np.int8]) -> NDArray[np.int8]:
         """(pairs, n * n) data by layer (high, middle, low) to matrices D, (pairs, n, n)."""
         h = self.settings.side // 2
-        d11, d12, d21, d22 = (q.reshape(-1, h, h) for q in np.split(cells, 4, axis=1))
+        d11, d12, d21, d22 = (q.reshape(-1, h, h) for q in np.split(symbols, 4, axis=1))
         return np.block([[d11, d12], [d21, d22]])
 
     def split(self, d: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Matrices D (pairs, n, n), soft or hard, to (pairs, cells) by layer, the inverse of `join`."""
+        """Matrices D (pairs, n, n), soft or hard, to (pairs, symbols) by layer, the inverse of `join`."""
         h = self.settings.side // 2
         q = [part.reshape(len(d), -1) for part in (d[:, :h, :h], d[:, :h, h:], d[:, h:, :h], d[:, h:, h:])]
         return {"high": q[0], "middle": np.concatenate(q[1:3], axis=1), "low": q[3]}

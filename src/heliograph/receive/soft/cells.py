@@ -32,7 +32,7 @@ class Cells:
     def __init__(self, form: PacketFormat):
         self._single = form.single
         self._half = form.settings.side // 2
-        self._edges = np.cumsum([layer.cells for layer in form.layers.values()])[:-1]
+        self._edges = np.cumsum([layer.symbols for layer in form.layers.values()])[:-1]
         self._seen = np.zeros((form.layers["high"].pairs, self._half, self._half))
 
     def expected(self, means: Sequence[Floats], variances: Sequence[Floats]) -> tuple[Floats, Floats]:
