@@ -1,1 +1,1 @@
-"""What every floor stands on: errors, frames, checked settings."""
+"""Errors, camera frames, checked settings and safe file writing, used by all other packages."""

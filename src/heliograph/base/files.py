@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Write files that appear whole or not at all."""
 
 import contextlib
 import os
@@ -11,9 +11,19 @@ from heliograph.base.errors import MediaError
 
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Give a hidden name beside `path` to write to; what is there takes the place of `path` when all went well.
+    """Give a hidden name beside `path` to write to; the file written there replaces `path` at the end of the block.
 
-    Whatever goes wrong, Ctrl-C included, the hidden file is removed and `path` stays as it was.
+    After any exception, Ctrl-C included, the hidden file is removed and `path` stays as it was.
+
+    Parameters
+    ----------
+    path
+        Target; its folder must exist.
+
+    Yields
+    ------
+    Path
+        The hidden name to write to.
 
     Raises
     ------
@@ -31,14 +41,33 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file, whole or not at all; a MediaError where that cannot be."""
+    """Write a file, whole or not at all.
+
+    Parameters
+    ----------
+    path
+        Target; an existing file is replaced.
+    data
+        All of its bytes.
+
+    Raises
+    ------
+    MediaError
+        The file cannot be written.
+    """
     with whole_file(path) as partial:
         partial.write_bytes(data)
 
 
 @contextlib.contextmanager
 def clear_write_errors(path: Path) -> Iterator[None]:
-    """Turn what the system says of writing `path` into a MediaError of one line."""
+    """Turn an OSError raised in the block, while `path` is written, into a MediaError of one line.
+
+    Raises
+    ------
+    MediaError
+        The block raised an OSError.
+    """
     try:
         yield
     except MediaError:

@@ -1,4 +1,4 @@
-"""A camera frame: pixels, when they were exposed, and where they lie on the sensor."""
+"""A camera frame: its pixels, the time of its exposure, and its place on the sensor."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
+"""Gray levels, shape (rows, columns)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,15 +16,15 @@ class Frame:
     Attributes
     ----------
     index
-        Number of the frame in the film, from 0; a dropped frame leaves a gap.
+        Number of the frame in the film, at least 0; a dropped frame leaves a gap.
     time_s
-        Start of the exposure in seconds.
+        Start of the exposure in seconds, by the camera's clock.
     pixels
-        Gray levels, shape (rows, columns), uint8 (8 bit) or uint16 (9 to 16 bit), [row, column].
+        Gray levels from 0 to full scale, shape (rows, columns), uint8 (8 bit) or uint16 (9 to 16 bit).
     bits
-        Bits of a gray level; full scale is ``2**bits - 1``.
+        Bits of a gray level, 8 to 16; full scale is ``2**bits - 1``.
     origin
-        (x, y) on the sensor of ``pixels[0, 0]``; (0, 0) for a whole frame, else the window's corner.
+        (x, y) on the sensor of ``pixels[0, 0]`` in pixels; (0, 0) for a whole frame, else the window's corner.
     """
 
     index: int
@@ -34,5 +35,5 @@ class Frame:
 
     @property
     def full_scale(self) -> int:
-        """Largest gray level."""
+        """Largest gray level, ``2**bits - 1``."""
         return (1 << self.bits) - 1
