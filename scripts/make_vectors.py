@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from heliograph.signal import haar, pwm
 from heliograph.signal.block import Block, pack, whitening
 from heliograph.signal.formats import Format, format_of, words
-from heliograph.signal.header import IDENTITIES, header_cells, header_levels, identity, named_levels
+from heliograph.signal.header import IDENTITIES, header_cells, header_levels, identity, signalling_levels
 from heliograph.signal.m_sequence import m_sequence
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
@@ -101,7 +101,7 @@ def formats_vector() -> Vector:
             "mode": named.mode,
             "rate": [named.high, named.middle, named.low],
             "word": rows(words()[number].reshape(4, 4)),
-            "levels_side_8": rows(named_levels(7, number, 8)),
+            "levels_side_8": rows(signalling_levels(7, number, 8)),
         }
 
     return {
@@ -223,7 +223,7 @@ def named_packets(formats: Sequence[Format], count: int, shown: int) -> Vector:
             for name, sent in sender.blocks(number).items()
         }
         return {
-            "format": form.named.number,
+            "format": form.format.number,
             "blocks": blocks,
             "patterns": ["/".join(rows(pattern)) for pattern in made[:shown]],
             "sha256": hashlib.sha256(made.tobytes()).hexdigest(),

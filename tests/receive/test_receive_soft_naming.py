@@ -10,14 +10,14 @@ from heliograph.link.bench import run_block
 from heliograph.receive import Pose
 from heliograph.receive.soft.naming import NameReader
 from heliograph.signal.formats import AGREED, format_of, words
-from heliograph.signal.header import header_levels, named_levels
+from heliograph.signal.header import header_levels, signalling_levels
 
 
 def seen(number: int, reader: NameReader, pairs: Sequence[int], distance_m: float, seed: int = 0) -> None:
     """Show a reader header pairs of identity 7, the array on its way by a third of a pixel a frame."""
     rng = np.random.default_rng(seed)
     for pair in pairs:
-        levels = named_levels(7, number) if pair else header_levels(7)
+        levels = signalling_levels(7, number) if pair else header_levels(7)
         x, y = 40 + rng.uniform(-0.5, 0.5, 2)
         poses = [Pose(x + 0.3 * k, y - 0.2 * k, pitch_at(distance_m), 0.01, 0.52) for k in (0, 1)]
         shown = [

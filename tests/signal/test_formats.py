@@ -8,8 +8,8 @@ import pytest
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import SettingsError
 from heliograph.signal.block import Block
-from heliograph.signal.formats import AGREED, DIMMED, MODES, RATES, Format, format_of, words
-from heliograph.signal.header import IDENTITIES, all_header_cells, header_levels, named_levels
+from heliograph.signal.formats import AGREED, DIMMED, MODES, SIGNALLED_RATES, Format, format_of, words
+from heliograph.signal.header import IDENTITIES, all_header_cells, header_levels, signalling_levels
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import RateSettings, SignalSettings
 
@@ -19,7 +19,7 @@ NUMBERS = range(512 * len(MODES))
 def test_numbers_are_those_of_the_formats() -> None:
     assert [format_of(number).number for number in NUMBERS] == list(NUMBERS)
     assert format_of(0) == AGREED == Format()
-    assert format_of(0o765) == Format(high=RATES[6], middle=RATES[5], low=RATES[4])
+    assert format_of(0o765) == Format(high=SIGNALLED_RATES[6], middle=SIGNALLED_RATES[5], low=SIGNALLED_RATES[4])
     for number in (-1, len(NUMBERS)):
         with pytest.raises(ValueError, match=f"not {number}"):
             format_of(number)
@@ -37,12 +37,12 @@ def test_words_are_apart_and_the_first_is_empty() -> None:
 
 def test_format_0_leaves_the_header_as_it_is() -> None:
     for identity in range(IDENTITIES):
-        assert np.array_equal(named_levels(identity, 0), header_levels(identity))
+        assert np.array_equal(signalling_levels(identity, 0), header_levels(identity))
 
 
 def test_dimmed_cells_keep_their_sign() -> None:
     for number in NUMBERS[1::50]:
-        levels, full = named_levels(7, number, 8).astype(int) - 2, header_levels(7, 8).astype(int) - 2
+        levels, full = signalling_levels(7, number, 8).astype(int) - 2, header_levels(7, 8).astype(int) - 2
         contrasts = np.where(words()[number], DIMMED, 1.0).reshape(4, 4)
         assert np.array_equal(levels, full * np.kron(contrasts, np.ones((2, 2))))
         assert set(np.unique(np.abs(levels))) <= {1, 2}
@@ -75,7 +75,7 @@ def test_first_pair_never_names() -> None:
     patterns = form.patterns(4, idle)
     number = Format(high=0.9).number
     assert np.array_equal(patterns[0], header_levels(4, 8))
-    assert np.array_equal(patterns[2], named_levels(4, number, 8))
+    assert np.array_equal(patterns[2], signalling_levels(4, number, 8))
     assert np.array_equal(patterns[4], patterns[2])
     assert not np.array_equal(patterns[0], patterns[2])
     assert np.all(patterns[0::2] + patterns[1::2] == 4)

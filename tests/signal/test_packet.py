@@ -132,10 +132,10 @@ def test_interleaver_is_a_bijection_for_any_size(side: int, pairs: int) -> None:
 @given(st.sampled_from([4, 8, 16]), st.integers(1, 5), st.integers(0, 2**32 - 1))
 def test_split_undoes_join(side: int, pairs: int, seed: int) -> None:
     form = make(side)
-    cells = np.random.default_rng(seed).choice(np.array([-1, 1], np.int8), (pairs, side**2))
-    d = form.join(cells)
+    symbols = np.random.default_rng(seed).choice(np.array([-1, 1], np.int8), (pairs, side**2))
+    d = form.join(symbols)
     parts = form.split(d.astype(float))
-    assert np.array_equal(np.concatenate([parts[name] for name in LAYERS], axis=1), cells)
+    assert np.array_equal(np.concatenate([parts[name] for name in LAYERS], axis=1), symbols)
     # the quarters of the paper: D11 high, D12 then D21 middle, D22 low
     h = side // 2
     assert np.array_equal(parts["high"][0], d[0, :h, :h].ravel())
@@ -157,7 +157,7 @@ def test_layers_are_where_blur_leaves_them(modulation: Literal["haar", "ook"]) -
 
 
 def systematic(layer: LayerFormat, codeword: int) -> Bits:
-    """1 where the packet holds a systematic bit of the codeword: (pairs, cells)."""
+    """1 where the packet holds a systematic bit of the codeword: (pairs, symbols)."""
     marks = np.zeros((layer.codewords, layer.code.length), np.uint8)
     positions = layer.code.positions
     marks[codeword] = (positions % 3 == 0) & (positions < 3 * layer.code.k)
@@ -256,13 +256,13 @@ def test_whitening_is_in_the_light() -> None:
 def test_encode_is_pack_code_whiten_place() -> None:
     layer = make().layers["middle"]
     blocks = random_blocks(make(), 5)["middle"]
-    cells = layer.encode(blocks)
-    assert cells.shape == (48, 128)
+    symbols = layer.encode(blocks)
+    assert symbols.shape == (48, 128)
     coded = np.stack([layer.code.encode(pack(block, layer.code.k)) for block in blocks]) ^ layer.chips
     for j in (0, 1, 47, 48, 3071, 3072, 6143):
         # the formula of the air interface
         pair = j % 48
-        assert cells[pair, (j // 48 + 23 * pair) % 128] == coded[j // 3072, j % 3072]
+        assert symbols[pair, (j // 48 + 23 * pair) % 128] == coded[j // 3072, j % 3072]
 
 
 def test_all_on_header_changes_the_header_alone() -> None:

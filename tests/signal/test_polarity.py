@@ -12,7 +12,7 @@ from heliograph.base.errors import SettingsError
 from heliograph.signal.block import unpack
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
-from heliograph.signal.polarity import balance, undone
+from heliograph.signal.polarity import balance, unbalance
 from heliograph.signal.settings import SignalSettings
 from heliograph.transmit import Transmitter
 
@@ -30,7 +30,7 @@ def test_data_come_back_and_polarities_are_what_was_done(half: int, count: int, 
     d11 = balance(data, ahead)
     assert d11.shape == (count, half, half)
     assert set(np.unique(d11)) <= {-1, 1}
-    assert np.array_equal(undone(d11), data)
+    assert np.array_equal(unbalance(d11), data)
     # row 0 is always as it is
     assert np.array_equal(d11[:, 0, 1:], data[:, 0])
 
@@ -70,12 +70,14 @@ def test_patterns_give_the_blocks_back() -> None:
     form = sender.format
     for number, packet in enumerate(islice(sender.packets(), 3)):
         assert packet.shape == (46, 8, 8)
-        # a receiver without noise: levels about their mean, Haar, polarities undone
+        # a receiver without noise: levels about their mean, Haar, polarities removed
         soft = form.soft_data(packet[4:].astype(float) - 2)
-        cells = {name: layer.reshape(len(soft), -1) for name, layer in form.split(soft).items()}
-        cells["high"] = undone(np.sign(cells["high"]).astype(np.int8).reshape(-1, 4, 4)).reshape(42, -1).astype(float)
+        symbols = {name: layer.reshape(len(soft), -1) for name, layer in form.split(soft).items()}
+        symbols["high"] = (
+            unbalance(np.sign(symbols["high"]).astype(np.int8).reshape(-1, 4, 4)).reshape(42, -1).astype(float)
+        )
         for name, layer in form.layers.items():
-            bits = layer.code.decode(4 * layer.deinterleave(cells[name])).bits
+            bits = layer.code.decode(4 * layer.deinterleave(symbols[name])).bits
             assert [unpack(row) for row in bits] == sender.blocks(number)[name]
 
 

@@ -124,13 +124,6 @@ def test_every_size_at_the_highest_rate() -> None:
         assert np.array_equal(code.decode(8 * (1 - 2.0 * code.encode(bits))).bits, bits), k
 
 
-@pytest.mark.parametrize("version", [0, 1, 2, 3])
-def test_redundancy_versions_decode(version: int) -> None:
-    code = TurboCode(k=512, coded_bits=1100, redundancy_version=version)
-    bits, llr = noisy(code, 4, 6.0, version)
-    assert np.array_equal(code.decode(llr).bits, bits)
-
-
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 @pytest.mark.parametrize("stop", ["none", "agreement"])
 def test_blocks_do_not_see_each_other(algorithm: Algorithm, stop: Stop) -> None:

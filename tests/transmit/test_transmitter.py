@@ -8,7 +8,7 @@ import pytest
 from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
 from heliograph.signal.formats import Format
-from heliograph.signal.header import header_levels, named_levels
+from heliograph.signal.header import header_levels, signalling_levels
 from heliograph.signal.message import Message, Reassembler
 from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
 from heliograph.transmit import TimedPattern, TransmitSettings, Transmitter
@@ -103,8 +103,8 @@ def test_packets_take_formats_in_turn() -> None:
     sender = Transmitter(SMALL, 3, MESSAGES, formats)
     shown = list(islice(sender.packets(), 7))
     for number, packet in enumerate(shown):
-        assert sender.format_of(number).named == formats[number % 3]
-        assert np.array_equal(packet[2], named_levels(3, formats[number % 3].number, 8))
+        assert sender.format_of(number).format == formats[number % 3]
+        assert np.array_equal(packet[2], signalling_levels(3, formats[number % 3].number, 8))
         assert len(packet) == SMALL.packet_patterns
 
 

@@ -12,7 +12,7 @@ from heliograph.receive.packets import Codeword, Packet, Status
 from heliograph.receive.pose import Pose
 from heliograph.receive.reading import Reading, Setup
 from heliograph.receive.track import TrackedPair, Tracker
-from heliograph.signal.header import named_levels
+from heliograph.signal.header import signalling_levels
 from heliograph.signal.pwm import light_centroids
 
 HEADER_SEEN = 0.5
@@ -156,7 +156,7 @@ class ArrayReceiver:
 
     def _header_weights(self, number: int, pattern: Frame) -> NDArray[np.float64]:  # noqa: ARG002 - combined frames'
         """Levels (n, n) of a header less its inverse that names a format: +-1, or +-1/2 where it is dimmed."""
-        return named_levels(self.identity, number, self._form.settings.side) / 2.0 - 1.0
+        return signalling_levels(self.identity, number, self._form.settings.side) / 2.0 - 1.0
 
     def _learn(self, pattern: Frame, inverted: Frame, weights: NDArray[np.float64]) -> None:
         """Let tracker and reading learn from a header pair; again while they find what changes the pose."""

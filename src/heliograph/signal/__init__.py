@@ -1,4 +1,5 @@
-"""What the light says: the whole contract between both ends, without images.
+"""The signal of the light: everything that transmitter and receiver agree on, without images.
 
-bytes -> frame (header, CRC-32) -> turbo code -> Haar patterns -> PWM slots, and back.
+bytes -> blocks (header, CRC-32) -> turbo code -> data matrices -> Haar patterns -> PWM slots, and back. The document
+docs/air-interface.md defines all of it; "section" means one of its sections.
 """

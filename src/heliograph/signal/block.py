@@ -1,4 +1,4 @@
-"""Information blocks: what one codeword carries. Header, payload, CRC-32; and the whitening of codewords.
+"""Information blocks, one for each codeword: header, payload, CRC-32 (section 7); whitening of codewords (section 10).
 
     byte 0      version (upper 4 bits), layer 0 high, 1 middle, 2 low (lower 4 bits)
     byte 1      identity of the array
@@ -6,9 +6,9 @@
     bytes 3-4   sequence: which segment of the message
     bytes 5-7   length of the whole message in bytes
     ...         payload, filled with zeros in the last segment
-    last 4      CRC-32 (IEEE 802.3) of all before
+    last 4      CRC-32 (IEEE 802.3) of all bytes before
 
-Numbers are big-endian, bits go most significant first.
+Numbers are big-endian; the most significant bit of a byte comes first.
 """
 
 import zlib
@@ -22,38 +22,57 @@ from heliograph.signal.m_sequence import m_sequence
 from heliograph.signal.settings import LAYERS
 
 VERSION = 1
+"""Version of the air interface, in every block (section 7)."""
+
 HEADER_BYTES = 8
+"""Bytes before the payload (section 7)."""
+
 CRC_BYTES = 4
+"""Bytes of the CRC-32 (section 7)."""
+
 MIN_BITS = 8 * (HEADER_BYTES + CRC_BYTES + 1)
-"""Fewest information bits that hold a byte of payload."""
+"""Fewest information bits of a block: they hold one byte of payload."""
 
 MAX_MESSAGE = (1 << 24) - 1
-"""Longest message in bytes."""
+"""Longest message in bytes: the field for the length has three bytes."""
 
 MAX_SEGMENTS = 1 << 16
+"""Most segments of a message: the field for the sequence has two bytes."""
+
+_MAX_BYTE = 255
+"""Largest value of a field of one byte."""
 
 WHITENER = 0b1100_0000_0000_0001
-"""x^15 + x^14 + 1."""
+"""Polynomial of the whitening as bits: x^15 + x^14 + 1 (section 10), primitive, so the period is 32767 chips."""
+
+LAYER_CHIPS = 8192
+"""Chips between the starts of two layers' whitening (section 10): a quarter of the period, so that first
+codewords of up to 8192 bits in the three layers have no chips in common. Twice the value
+would start the low layer one chip after the high one."""
+
+CODEWORD_CHIPS = 509
+"""Chips between the starts of two codewords' whitening in a layer (section 10). Chosen, a prime: any shift but 0 gives
+chips that agree with the unshifted ones in 16383 of 32767 places, so half or twice the value would do as well."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One segment of a message, as a codeword carries it.
+    """One segment of a message, as one codeword carries it.
 
     Attributes
     ----------
     layer
         "high", "middle" or "low".
     identity
-        Number of the array.
+        Number of the array, 0 to 255 (a transmitter uses 0 to 29).
     stream
         Number of the message in its layer, 0 to 255.
     sequence
-        Number of the segment in the message, from 0.
+        Number of the segment in the message, 0 to 65535.
     length
-        Bytes of the whole message; 0 for an idle block.
+        Bytes of the whole message, 0 to 2**24 - 1; 0 for an idle block.
     payload
-        As many bytes as fit.
+        Bytes of the segment, without the zeros that fill the block; at most `payload_bytes`.
     """
 
     layer: str
@@ -65,19 +84,36 @@ class Block:
 
 
 def payload_bytes(k: int) -> int:
-    """Bytes of payload in a block of k bits."""
+    """Return the bytes of payload in a block of `k` information bits.
+
+    Raises
+    ------
+    ValueError
+        `k` is no multiple of 8 or below `MIN_BITS`.
+    """
     if k < MIN_BITS or k % 8:
         raise ValueError(f"a block needs a multiple of 8 bits, at least {MIN_BITS}, not {k}")
     return k // 8 - HEADER_BYTES - CRC_BYTES
 
 
 def pack(block: Block, k: int) -> NDArray[np.uint8]:
-    """Information bits of a block, (k,) uint8.
+    """Return the information bits of a block (section 7).
+
+    Parameters
+    ----------
+    block
+        Fields and payload.
+    k
+        Information bits of the codeword: a multiple of 8, at least `MIN_BITS`.
+
+    Returns
+    -------
+    (k,) uint8 bits 0 and 1; zeros fill up a short payload.
 
     Raises
     ------
     ValueError
-        The payload does not fit, or a field is out of its range.
+        `k` is no block's size, the payload does not fit, or a field is out of its range.
     """
     room = payload_bytes(k)
     if len(block.payload) > room:
@@ -92,14 +128,14 @@ def pack(block: Block, k: int) -> NDArray[np.uint8]:
 def _check_fields(block: Block) -> None:
     if block.layer not in LAYERS:
         raise ValueError(f"layers are {', '.join(LAYERS)}, not {block.layer}")
-    largest = {"identity": 255, "stream": 255, "sequence": MAX_SEGMENTS - 1, "length": MAX_MESSAGE}
+    largest = {"identity": _MAX_BYTE, "stream": _MAX_BYTE, "sequence": MAX_SEGMENTS - 1, "length": MAX_MESSAGE}
     for name, most in largest.items():
         if not 0 <= getattr(block, name) <= most:
             raise ValueError(f"a block's {name} is 0 to {most}, not {getattr(block, name)}")
 
 
 def check(bits: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Whether the CRC-32 of blocks is right: (..., k) information bits -> (...) bool."""
+    """Return whether the CRC-32 of each block is right: (..., k) information bits 0 and 1 -> (...) bool."""
     data = np.packbits(bits, axis=-1)
     rows = data.reshape(-1, data.shape[-1])
     good = [zlib.crc32(row[:-CRC_BYTES].tobytes()) == int.from_bytes(row[-CRC_BYTES:].tobytes()) for row in rows]
@@ -107,7 +143,7 @@ def check(bits: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def unpack(bits: NDArray[np.uint8]) -> Block | None:
-    """Read a block back; None where the CRC, the version or a field is wrong."""
+    """Read a block from its (k,) uint8 information bits; None where the CRC, the version or the layer is wrong."""
     data = np.packbits(bits).tobytes()
     version, layer = data[0] >> 4, data[0] & 15
     if not check(bits) or version != VERSION or layer >= len(LAYERS):
@@ -125,10 +161,25 @@ def _period() -> NDArray[np.uint8]:
 
 
 def whitening(e: int, layer: str, codeword: int = 0) -> NDArray[np.uint8]:
-    """Chips to be added modulo 2 to the e coded bits of a layer's codeword of a packet, (e,) uint8.
+    """Return the chips that whiten a codeword by addition modulo 2 (section 10).
 
-    The M-sequence of x^15 + x^14 + 1 from the state of all ones, advanced by 8192 chips a layer and 509 a codeword.
+    They are the M-sequence of x^15 + x^14 + 1 from the state of all ones. Without whitening, idle blocks and runs of
+    equal bytes would give patterns unlike random ones.
+
+    Parameters
+    ----------
+    e
+        Coded bits of the codeword, at least 0.
+    layer
+        "high", "middle" or "low".
+    codeword
+        Number of the codeword in its layer and packet, from 0.
+
+    Returns
+    -------
+    (e,) uint8 chips 0 and 1.
     """
-    start = 8192 * LAYERS.index(layer) + 509 * codeword
+    # g((8192 l + 509 i + j) mod 32767)
+    start = LAYER_CHIPS * LAYERS.index(layer) + CODEWORD_CHIPS * codeword
     chips = _period()
     return chips[np.arange(start, start + e) % chips.size]

@@ -1,7 +1,7 @@
-"""Formats: what a packet's later header pairs name of it, its mode and the code rate of each layer.
+"""Formats: a packet's mode and the code rate of each layer, signalled by its later header pairs (section 4.1).
 
-A format is a number of 11 bits. A Reed-Muller code makes 16 bits of it, one a cell of the header; any two words
-differ in at least 4. Where the bit is 1, the cell has half of its contrast. Format 0 is the header as it always was.
+A format is a number of 11 bits. A Reed-Muller code turns it into a word of 16 bits, one for each cell of the header;
+any two words differ in at least 4 bits. A cell whose bit is 1 has half the contrast. Format 0 dims no cell.
 """
 
 from functools import lru_cache
@@ -14,90 +14,104 @@ from pydantic import AfterValidator, BeforeValidator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG
-from heliograph.signal.settings import LAYERS, RateSettings, as_number
+from heliograph.signal.settings import LAYERS, RATE_SLACK, RateSettings, as_number
 
-RATES = (2 / 5, 1 / 2, 3 / 5, 2 / 3, 3 / 4, 5 / 6, 9 / 10)
-"""Rates that a header can name, numbers 1 to 7; number 0 is the rate both ends have agreed on."""
+SIGNALLED_RATES = (2 / 5, 1 / 2, 3 / 5, 2 / 3, 3 / 4, 5 / 6, 9 / 10)
+"""Code rates that a header can signal, numbers 1 to 7 (section 4.1); number 0 is the rate both ends have agreed on."""
 
 Mode = Literal["paired", "single"]
 
 MODES: tuple[Mode, ...] = ("paired", "single")
-"""Modes by number; 2 and 3 are kept free."""
+"""Modes by number; 2 and 3 are reserved (section 4.1)."""
 
 RATE_BITS = 3
-"""Bits that name a layer's rate."""
+"""Bits of a layer's rate number: eight numbers."""
 
 BITS = 11
-"""Bits of a format's number: two of the mode, three each of the high, middle and low layer's rate."""
+"""Bits of a format's number: two of the mode, three each of the high, middle and low layer's rate. RM(2, 4) has 11."""
 
 DIMMED = 0.5
-"""Contrast of a cell whose bit of the word is 1."""
+"""Contrast of a cell whose bit of the word is 1 (section 4.1): the only one between 0 and 1 whose levels, 3 and 1, are
+whole. At 0 the cell would be flat, and detection by the header would lose it."""
 
 
-def _named(rate: float) -> float:
-    """The rate of the table that is meant; 0.667 means 2/3."""
-    nearest = min(RATES, key=lambda r: abs(r - rate))
-    if abs(nearest - rate) > 1e-3:
+def _signalled(rate: float) -> float:
+    """Rate of the table that is meant; 0.667 means 2/3."""
+    nearest = min(SIGNALLED_RATES, key=lambda r: abs(r - rate))
+    if abs(nearest - rate) > RATE_SLACK:
         raise ValueError("a header can name the rates 2/5, 1/2, 3/5, 2/3, 3/4, 5/6 and 9/10")
     return nearest
 
 
-NamedRate = Annotated[float, BeforeValidator(as_number), AfterValidator(_named)]
+SignalledRate = Annotated[float, BeforeValidator(as_number), AfterValidator(_signalled)]
+"""One of `SIGNALLED_RATES`, also as a fraction such as "2/3" or rounded to three digits."""
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class Format:
-    """Mode and rates of a packet.
+    """Mode and code rates of a packet.
 
     Attributes
     ----------
     mode
-        "paired", every data pattern followed by its inverse, or "single", new data in every pattern.
-    high, middle, low
-        Rate of the turbo code by layer, one of `RATES`; None for the one that ``signal.rate`` agrees on.
+        "paired": every data pattern is followed by its inverse. "single": every data pattern carries new data, which
+        doubles the data rate (but for 1/32 at 16 x 16 LEDs); only the receiver "soft" reads it.
+    high
+        Rate of the high layer's turbo code in information bits a sent bit: 2/5, 1/2, 3/5, 2/3, 3/4, 5/6 or 9/10, or
+        None for ``signal.rate.high``. A larger rate carries more data and tolerates less noise.
+    middle
+        The same for the middle layer; None for ``signal.rate.middle``.
+    low
+        The same for the low layer; None for ``signal.rate.low``.
     """
 
     mode: Mode = "paired"
-    high: NamedRate | None = None
-    middle: NamedRate | None = None
-    low: NamedRate | None = None
+    high: SignalledRate | None = None
+    middle: SignalledRate | None = None
+    low: SignalledRate | None = None
 
     @property
     def number(self) -> int:
-        """What the header names, 512 mode + 64 high + 8 middle + low."""
+        """Number the header signals, F = 512 M + 64 h + 8 m + l (section 4.1): 0 to 1023."""
         total = MODES.index(self.mode)
         for rate in (self.high, self.middle, self.low):
-            total = (total << RATE_BITS) + (0 if rate is None else 1 + RATES.index(rate))
+            total = (total << RATE_BITS) + (0 if rate is None else 1 + SIGNALLED_RATES.index(rate))
         return total
 
     def rates(self, agreed: RateSettings) -> tuple[float, float, float]:
-        """Rates of the three layers."""
+        """Return the rates of the high, middle and low layer; `agreed` gives those that the format leaves open."""
         high, middle, low = (getattr(self, name) or getattr(agreed, name) for name in LAYERS)
         return high, middle, low
 
 
 AGREED = Format()
-"""Format 0: pairs, at the rates both ends have agreed on."""
+"""Format 0: data pairs at the rates both ends have agreed on."""
 
 
 def format_of(number: int) -> Format:
-    """The format of a number.
+    """Return the format of a number from 0 to 1023, the inverse of `Format.number`.
 
     Raises
     ------
     ValueError
-        The number is of a mode that is kept free, or no format's at all.
+        The number is of a reserved mode, or not a format's at all.
     """
     if not 0 <= number < len(MODES) << 3 * RATE_BITS:
         raise ValueError(f"a format is 0 to {(len(MODES) << 3 * RATE_BITS) - 1}, not {number}")
     codes = [number >> RATE_BITS * place & 7 for place in (2, 1, 0)]
-    high, middle, low = (RATES[code - 1] if code else None for code in codes)
+    high, middle, low = (SIGNALLED_RATES[code - 1] if code else None for code in codes)
     return Format(mode=MODES[number >> 3 * RATE_BITS], high=high, middle=middle, low=low)
 
 
 @lru_cache(maxsize=1)
 def words() -> NDArray[np.uint8]:
-    """Words of all formats by number, (formats, 16) uint8, cell 4 row + column: the Reed-Muller code RM(2, 4)."""
+    """Return the words of all formats, from the Reed-Muller code RM(2, 4) (section 4.1).
+
+    Returns
+    -------
+    (1024, 16) uint8 bits 0 and 1, read-only: row by format number, column 4 row + column of the cell.
+    """
+    # w = f0 + f1 v0 + f2 v1 + f3 v2 + f4 v3 + f5 v0 v1 + f6 v0 v2 + ... + f10 v2 v3 (modulo 2)
     index = np.arange(16)
     v = [index >> bit & 1 for bit in range(4)]
     # 1; v0 ... v3; v0 v1, v0 v2, v0 v3, v1 v2, v1 v3, v2 v3

@@ -1,8 +1,8 @@
-"""The packet header: an M-sequence laid out on 4 x 4 cells, so large that blur leaves them from afar.
+"""The packet header: an M-sequence on 4 x 4 cells, large enough to outlast the blur of a great distance (section 4).
 
-15 chips fill the cells along a boustrophedon (left to right, then right to left, ...), the 16th cell is dark.
-8 chips of 15 are one, so half of the array is lit: pattern and inverse have the same mean. On this path a shift by
-one cell is not the next phase of the sequence, which keeps identities apart when the position is unknown.
+15 chips fill the cells along a boustrophedon (left to right, then right to left, ...); the 16th cell is dark.
+8 of the 15 chips are one, so half of the array is lit, and pattern and inverse have the same mean. On this path a shift
+by one cell is not the next phase of the sequence, which keeps identities apart where the position is unknown.
 """
 
 from dataclasses import dataclass
@@ -15,25 +15,30 @@ from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence
 from heliograph.signal.pwm import SLOTS
 
 CELLS = 4
-"""Cells in a row and in a column of the header."""
+"""Cells in a row and in a column of the header (section 4)."""
 
 CHIPS = CELLS * CELLS - 1
+"""Chips of the header's M-sequence: a period of degree 4; the last cell is dark."""
 
 IDENTITIES = CHIPS * len(HEADER_POLYNOMIALS)
 """Number of identities: 15 cyclic phases of two polynomials."""
 
 PATH = np.arange(CELLS * CELLS).reshape(CELLS, CELLS)
 PATH[1::2] = PATH[1::2, ::-1]
+"""(4, 4) number of the chip in each cell, left to right in even rows and right to left in odd ones; 15 is dark."""
+
+DEFAULT_SIDE = 16
+"""LEDs in a row and in a column of the paper's array."""
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What tells an array from others: the polynomial of its M-sequence and the cyclic phase.
+    """Identity of an array: the polynomial of its M-sequence and the cyclic phase.
 
     Attributes
     ----------
     polynomial
-        Coefficients as bits; one of `HEADER_POLYNOMIALS`.
+        Coefficients as bits, bit i for x^i; one of `HEADER_POLYNOMIALS`.
     phase
         Chips by which the sequence is advanced, 0 to 14.
     """
@@ -43,50 +48,99 @@ class Identity:
 
     @property
     def number(self) -> int:
-        """15 times the index of the polynomial plus the phase: 0 to 29."""
+        """Number of the identity, I = 15 q + s: 15 times the polynomial's index plus the phase, 0 to 29."""
         return HEADER_POLYNOMIALS.index(self.polynomial) * CHIPS + self.phase
 
 
 def identity(number: int) -> Identity:
-    """Identity of a number 0 to 29."""
+    """Return the identity of a number from 0 to 29.
+
+    Raises
+    ------
+    ValueError
+        The number is below 0 or above 29.
+    """
     if not 0 <= number < IDENTITIES:
         raise ValueError(f"an identity is 0 to {IDENTITIES - 1}, not {number}")
     return Identity(HEADER_POLYNOMIALS[number // CHIPS], number % CHIPS)
 
 
 def header_cells(number: int) -> NDArray[np.int8]:
-    """Cells of an identity's header, (4, 4) int8: +1 lit, -1 dark; their sum is 0."""
+    """Return the header cells of identity `number` (0 to 29), (4, 4) int8: +1 lit, -1 dark; their sum is 0."""
     who = identity(number)
     chips = np.roll(m_sequence(who.polynomial), -who.phase)
     cells = np.append(chips, 0)[PATH]
     return (2 * cells.astype(np.int8) - 1).astype(np.int8)
 
 
-def header_levels(number: int, side: int = 16) -> NDArray[np.uint8]:
-    """Header pattern of an identity, (side, side) uint8: level 4 or 0; side a multiple of 4."""
+def header_levels(number: int, side: int = DEFAULT_SIDE) -> NDArray[np.uint8]:
+    """Return the header pattern of an identity.
+
+    Parameters
+    ----------
+    number
+        Identity, 0 to 29.
+    side
+        LEDs in a row and in a column, a multiple of 4.
+
+    Returns
+    -------
+    (side, side) uint8 levels: 4 in lit cells, 0 in dark ones.
+
+    Raises
+    ------
+    ValueError
+        The identity is unknown, or the side is no multiple of 4.
+    """
     if side % CELLS:
         raise ValueError(f"the header needs a side that is a multiple of {CELLS}, not {side}")
     block = np.ones((side // CELLS, side // CELLS), dtype=np.uint8)
     return np.kron((header_cells(number) > 0).astype(np.uint8) * np.uint8(SLOTS), block).astype(np.uint8)
 
 
-def named_levels(number: int, form: int, side: int = 16) -> NDArray[np.uint8]:
-    """Pattern of the later header pairs, which name a format, (side, side) uint8: levels 4 and 0, or 3 and 1."""
+def signalling_levels(number: int, form: int, side: int = DEFAULT_SIDE) -> NDArray[np.uint8]:
+    """Return the pattern of the later header pairs, which signal a format (section 4.1).
+
+    Parameters
+    ----------
+    number
+        Identity, 0 to 29.
+    form
+        Number of the format, 0 to 1023; 0 gives `header_levels`.
+    side
+        LEDs in a row and in a column, a multiple of 4.
+
+    Returns
+    -------
+    (side, side) uint8 levels: 4 and 0, in dimmed cells 3 and 1.
+    """
     lit = header_levels(number, side).astype(np.float64) - SLOTS // 2
     return (SLOTS // 2 + lit * np.where(dimmed_leds(form, side), DIMMED, 1.0)).astype(np.uint8)
 
 
-def dimmed_leds(form: int, side: int = 16) -> NDArray[np.bool_]:
-    """Which LEDs are dimmed in the later header pairs, which name a format, (side, side)."""
+def dimmed_leds(form: int, side: int = DEFAULT_SIDE) -> NDArray[np.bool_]:
+    """Return which LEDs have half the contrast in the later header pairs, which signal a format (section 4.1).
+
+    Parameters
+    ----------
+    form
+        Number of the format, 0 to 1023.
+    side
+        LEDs in a row and in a column, a multiple of 4.
+
+    Returns
+    -------
+    (side, side) bool.
+    """
     block = np.ones((side // CELLS, side // CELLS), dtype=np.uint8)
     return np.kron(words()[form].reshape(CELLS, CELLS), block) > 0
 
 
-def all_on_levels(side: int = 16) -> NDArray[np.uint8]:
-    """Header pattern without an identity, for comparison: (side, side) uint8, every LED at level 4."""
+def all_on_levels(side: int = DEFAULT_SIDE) -> NDArray[np.uint8]:
+    """Return the header pattern without an identity, for comparison: (side, side) uint8, every LED at level 4."""
     return np.full((side, side), SLOTS, dtype=np.uint8)
 
 
 def all_header_cells() -> NDArray[np.int8]:
-    """Cells of all identities, (30, 4, 4) int8."""
+    """Return the header cells of all identities, (30, 4, 4) int8: +1 lit, -1 dark."""
     return np.stack([header_cells(i) for i in range(IDENTITIES)])

@@ -1,25 +1,26 @@
-"""Maximum length sequences from a linear feedback shift register."""
+"""Maximum length sequences (M-sequences) from a linear feedback shift register."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 HEADER_POLYNOMIALS = (0b11001, 0b10011)
-"""x^4 + x^3 + 1 (Nagura et al. 2010) and its reciprocal x^4 + x + 1: the two primitive ones of degree 4."""
+"""x^4 + x^3 + 1 (Nagura et al. 2010, section IV.A) and its reciprocal x^4 + x + 1: all primitive ones of degree 4."""
 
 MAX_DEGREE = 24
+"""Largest degree of a polynomial. Chosen: one period then takes 16 MB and some seconds; the air interface needs 15."""
 
 
 def m_sequence(polynomial: int, state: int = 1) -> NDArray[np.uint8]:
     """One period of the M-sequence of a primitive polynomial over GF(2).
 
-    The register obeys a[k + m] = sum_i c_i a[k + i] (mod 2) for f(x) = x^m + ... + c_1 x + c_0.
+    The register obeys a[k + m] = sum_i c_i a[k + i] (mod 2) for f(x) = x^m + ... + c_1 x + c_0 of degree m.
 
     Parameters
     ----------
     polynomial
-        Coefficients as bits, bit i for x^i: 0b11001 is x^4 + x^3 + 1.
+        Coefficients as bits, bit i for x^i: 0b11001 is x^4 + x^3 + 1; of degree 2 to 24.
     state
-        The first m chips, chip k in bit k; anything but zero. It selects the cyclic phase.
+        The first m chips, chip k in bit k, 1 to 2**m - 1. It selects the cyclic phase.
 
     Returns
     -------
@@ -28,7 +29,7 @@ def m_sequence(polynomial: int, state: int = 1) -> NDArray[np.uint8]:
     Raises
     ------
     ValueError
-        The polynomial is not primitive, or the state is zero or wider than m bits.
+        The polynomial is not primitive or its degree is out of range, or the state is zero or wider than m bits.
     """
     m = polynomial.bit_length() - 1
     if not 2 <= m <= MAX_DEGREE:
@@ -50,6 +51,16 @@ def m_sequence(polynomial: int, state: int = 1) -> NDArray[np.uint8]:
 
 
 def periodic_correlation(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Periodic correlation of two chip sequences as +-1: sum_k a_k b_{k + s} for every shift s."""
+    """Return the periodic correlation of two sequences of chips, bit 0 taken as +1 and bit 1 as -1.
+
+    Parameters
+    ----------
+    a, b
+        (n,) uint8 chips 0 and 1.
+
+    Returns
+    -------
+    (n,) int64: sum_k a_k b_{(k + s) mod n} for the shifts s = 0 to n - 1.
+    """
     x, y = 1 - 2 * a.astype(np.int64), 1 - 2 * b.astype(np.int64)
     return np.array([int(x @ np.roll(y, -s)) for s in range(len(y))])

@@ -1,10 +1,13 @@
-"""Messages of any length to blocks, and blocks in any order of arrival back to messages."""
+"""Cut messages into blocks, and put messages together from blocks in any order of arrival (section 8)."""
 
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS, Block
+
+MAX_MESSAGES = 256
+"""Messages of a layer: the field for the stream has one byte (section 7)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,13 +17,13 @@ class Message:
     Attributes
     ----------
     identity
-        Number of the array that sent it.
+        Number of the array that sent it, 0 to 29.
     layer
         "high", "middle" or "low".
     stream
-        Number of the message in its layer.
+        Number of the message in its layer, 0 to 255.
     data
-        Its bytes.
+        Its bytes, at most 2**24 - 1.
     """
 
     identity: int
@@ -30,7 +33,19 @@ class Message:
 
 
 def segments(message: Message, room: int) -> list[Block]:
-    """Cut a message into blocks of `room` bytes of payload; an empty one gives one idle block.
+    """Cut a message into blocks; an empty message gives one idle block.
+
+    Parameters
+    ----------
+    message
+        The message.
+    room
+        Bytes of payload in a block, at least 1.
+
+    Returns
+    -------
+    list of Block
+        In the order of their sequence; all but the last are full.
 
     Raises
     ------
@@ -46,51 +61,61 @@ def segments(message: Message, room: int) -> list[Block]:
 
 
 class Carousel:
-    """All segments of a layer's messages, again and again; idle blocks where there is no message.
+    """Send all segments of a layer's messages, again and again; idle blocks where there is no message (section 8).
 
     Parameters
     ----------
-    identity, layer
-        Who sends them, and where.
+    identity
+        Number of the array, 0 to 29.
+    layer
+        "high", "middle" or "low".
     messages
         At most 256; message i is sent as stream i.
     room
-        Bytes of payload in a block.
+        Bytes of payload in a block, at least 1.
+
+    Raises
+    ------
+    ValueError
+        There are more than 256 messages, or one is too long for `segments`.
     """
 
     def __init__(self, identity: int, layer: str, messages: Sequence[bytes], room: int):
-        if len(messages) > 256:
-            raise ValueError(f"a layer carries at most 256 messages, not {len(messages)}")
+        if len(messages) > MAX_MESSAGES:
+            raise ValueError(f"a layer carries at most {MAX_MESSAGES} messages, not {len(messages)}")
         parts = [segments(Message(identity, layer, i, data), room) for i, data in enumerate(messages or [b""])]
         self._blocks = [block for blocks in parts for block in blocks]
 
     def block(self, number: int) -> Block:
-        """Block `number` counted from the start of the transmission."""
+        """Return block `number`, counted from 0 at the start of the transmission."""
         return self._blocks[number % len(self._blocks)]
 
 
 @dataclass(slots=True)
 class _Assembly:
+    """A message that lacks segments: its length in bytes, and its segments by sequence."""
+
     length: int
     pieces: dict[int, bytes] = field(default_factory=dict)
 
     def takes(self, block: Block) -> bool:
-        """Whether the block agrees with what is there."""
+        """Whether the block is of the same length, and of the same bytes as a segment received before."""
         return self.length == block.length and self.pieces.get(block.sequence, block.payload) == block.payload
 
     def whole(self) -> bytes | None:
+        """All bytes of the message; None where some are missing."""
         if sum(map(len, self.pieces.values())) < self.length:
             return None
         return b"".join(self.pieces[i] for i in sorted(self.pieces))
 
 
 _Key = tuple[int, str, int, int]
-"""Identity, layer, stream, and the room of its blocks."""
+"""Identity, layer, stream, and bytes of payload in a block."""
 
 
 @dataclass(slots=True)
 class _Done:
-    """The message last completed under a number: its length and CRC; the CRCs of its segments by their room."""
+    """The message last completed under a number: length and CRC; CRCs of its segments by payload size and sequence."""
 
     data: tuple[int, int]
     pieces: dict[int, dict[int, int]] = field(default_factory=dict)
@@ -98,25 +123,26 @@ class _Done:
 
 @dataclass(slots=True)
 class Reassembler:
-    """Puts messages together from blocks in any order, with repeats and gaps; each message comes out once.
+    """Put messages together from blocks in any order, with repeats and gaps; each message is returned once (section 8).
 
-    Memory is bounded by 256 messages a layer and array. A transmitter that changes a message must change its stream
-    number; a block of another length or content under the same number starts the message anew.
+    Memory is bounded: for each array, layer and size of blocks one unfinished message for each of the 256 streams. A
+    transmitter that changes a message must change its stream number; a block of another length or content under the
+    same number starts the message anew.
     """
 
     _open: dict[_Key, _Assembly] = field(default_factory=dict)
     _done: dict[tuple[int, str, int], _Done] = field(default_factory=dict)
 
     def add(self, block: Block, room: int = 0) -> Message | None:
-        """Take a block; return the message it completes, if it does and the message is new.
+        """Take a block; return the message that it completes, or None where it completes none or a known one.
 
         Parameters
         ----------
         block
-            The block.
+            A block whose CRC was right.
         room
-            Bytes of payload its codeword has room for: where packets differ in their rates, a message is cut anew for
-            each size, and segments of one cut do not fit those of another.
+            Bytes of payload in a block of its codeword. Where packets differ in their rates, a message is cut anew for
+            each size, and segments of one size do not fit those of another.
         """
         who = (block.identity, block.layer, block.stream)
         key = (*who, room)
@@ -138,17 +164,17 @@ class Reassembler:
         return None if known else Message(*who, data)
 
     def _had(self, key: _Key, block: Block) -> bool:
-        """Whether the block is of the message last completed under its number."""
+        """Whether the block belongs to the message last completed under its number."""
         done = self._done.get(key[:3])
         pieces = done.pieces.get(key[3]) if done else None
         if done is None or pieces is None or done.data[0] != block.length:
             return False
         if pieces.get(block.sequence) == zlib.crc32(block.payload):
             return True
-        # same length, other content: the number has come round to a new message
+        # same length, other content: the transmitter reuses the number for a new message
         del self._done[key[:3]]
         return False
 
     def unfinished(self) -> list[tuple[int, str, int, int, int]]:
-        """Messages still lacking segments: (identity, layer, stream, bytes had, bytes in all)."""
+        """Return the messages that lack segments: (identity, layer, stream, bytes received, bytes of the message)."""
         return [(*key[:3], sum(map(len, a.pieces.values())), a.length) for key, a in self._open.items()]

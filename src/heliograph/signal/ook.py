@@ -1,11 +1,13 @@
-"""Plain on-off keying, one bit an LED: the baseline of hierarchical coding."""
+"""On-off keying, one bit an LED: the baseline for the hierarchical code (section 6.2)."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.signal.pwm import SLOTS
+
 
 def encode(d: ArrayLike) -> NDArray[np.uint8]:
-    """Light every LED whose datum is +1.
+    """Turn data matrices into patterns: every LED whose datum is +1 is lit.
 
     Parameters
     ----------
@@ -15,13 +17,21 @@ def encode(d: ArrayLike) -> NDArray[np.uint8]:
     Returns
     -------
     (..., n, n) uint8, level 4 (fully on) or 0.
+
+    Raises
+    ------
+    ValueError
+        The matrices hold a value that is neither -1 nor +1.
     """
     data = np.asarray(d)
     if not np.isin(data, (-1, 1)).all():
         raise ValueError("a data matrix holds -1 and +1 only")
-    return np.where(data > 0, 4, 0).astype(np.uint8)
+    return np.where(data > 0, SLOTS, 0).astype(np.uint8)
 
 
 def decode(x: ArrayLike) -> NDArray[np.float64]:
-    """Soft data of received luminances x' = level - 2 (any multiple of it): x' / 2, so +-1 without noise."""
+    """Turn received luminances x' = level - 2, of any shape, into soft data x' / 2: -1 or +1 without noise.
+
+    A gain on the luminances is a gain on the result. Positive means d = +1, that is bit 0.
+    """
     return 0.5 * np.asarray(x, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Packets: a header of M-sequence pairs, then data pairs whose layers carry the codewords."""
+"""Packets: header pairs, then data pairs whose layers carry the codewords (sections 3, 5, 9.1 and 11)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,31 +12,43 @@ from heliograph.base.errors import SettingsError
 from heliograph.signal import haar, ook, pwm
 from heliograph.signal.block import MIN_BITS, Block, pack, payload_bytes, whitening
 from heliograph.signal.formats import AGREED, Format
-from heliograph.signal.header import all_on_levels, header_levels, named_levels
+from heliograph.signal.header import all_on_levels, header_levels, signalling_levels
 from heliograph.signal.polarity import balance
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
-from heliograph.signal.turbo import QPP_SIZES, TurboCode
+from heliograph.signal.turbo import HIGHEST_RATE, QPP_SIZES, TurboCode
 
 Value = TypeVar("Value", bound=np.generic)
 
 SYMBOL_STEP = 23
-"""Symbols by which consecutive pairs are turned, so that no part of the array holds one part of a codeword."""
+"""Symbols by which the interleaver turns from pair to pair (section 11), so that no part of the array holds one part of
+a codeword.
+
+Chosen, a prime that divides the symbols of no layer but one. Of each third of a codeword of the default high layer,
+a symbol of D11 then carries 0.94 to 1.12 times the mean number of bits; with 11 or 46 in its place 0.88 to 1.12,
+without a turn 0 to 3."""
+
+_SIZE_SLACK = 32
+"""Information bits by which r E may exceed the largest interleaver (section 9.1): half the step between the largest
+sizes, so that K is no further from r E than rounding to a size takes it. At 0, 4 of 4320 layers tried (8 to 32 LEDs a
+side, 20 to 199 data pairs, eight rates) need more and shorter codewords; a larger slack may lower the rate further."""
 
 
 @dataclass(frozen=True)
 class LayerFormat:
-    """How a layer fills a packet.
+    """How a layer fills a packet. A symbol is an element of the data matrix D.
 
     Attributes
     ----------
     name
         "high", "middle" or "low".
     codewords
-        Codewords in a packet.
+        Codewords in a packet, W of section 9.1, at least 1.
     code
-        Their turbo code: K information bits to E transmitted ones.
-    pairs, symbols
-        Data pairs of a packet, in the single mode its data patterns, and bits of the layer in each.
+        Their turbo code: K information bits to E sent ones.
+    pairs
+        Data pairs of a packet, in the single mode its data patterns.
+    symbols
+        Symbols of the layer in each, C of section 5.
     """
 
     name: str
@@ -52,30 +64,30 @@ class LayerFormat:
 
     @cached_property
     def places(self) -> NDArray[np.intp]:
-        """Where bit j of the layer's codewords, one after the other, lies in (pairs, symbols) flattened."""
+        """Interleaver (section 11): index in (pairs, symbols), flattened, of bit j of all codewords in order."""
         j = np.arange(self.pairs * self.symbols)
         # pair p = j mod P, symbol c = (j div P + 23 p) mod C
         pair = j % self.pairs
         return pair * self.symbols + (j // self.pairs + SYMBOL_STEP * pair) % self.symbols
 
     def encode(self, blocks: Sequence[Block]) -> NDArray[np.uint8]:
-        """Bits of the layer by pair and symbol, (pairs, symbols) uint8, for one block a codeword."""
+        """Return the layer's bits 0 and 1 of a packet, (pairs, symbols) uint8, for one block a codeword."""
         info = np.stack([pack(block, self.code.k) for block in blocks])
         return self.interleave(self.code.encode(info) ^ self.chips)
 
     @cached_property
     def chips(self) -> NDArray[np.uint8]:
-        """Whitening of the layer's codewords, (codewords, E) uint8."""
+        """Whitening of the layer's codewords, (codewords, E) uint8 chips 0 and 1."""
         return np.stack([whitening(self.code.length, self.name, i) for i in range(self.codewords)])
 
     def interleave(self, coded: NDArray[Value]) -> NDArray[Value]:
-        """(codewords, E) coded bits, or values of theirs, to (pairs, symbols)."""
+        """Return coded bits (codewords, E), or any values by coded bit, by symbol: (pairs, symbols)."""
         out = np.empty(self.pairs * self.symbols, dtype=coded.dtype)
         out[self.places] = coded.reshape(-1)
         return out.reshape(self.pairs, self.symbols)
 
     def deinterleave(self, soft: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(pairs, symbols) soft values, positive for 0, to those of the (codewords, E) coded bits, whitening undone."""
+        """Return soft values (pairs, symbols), positive for bit 0, by coded bit before whitening: (codewords, E)."""
         return soft.reshape(-1)[self.places].reshape(self.codewords, -1) * (1.0 - 2.0 * self.chips)
 
 
@@ -87,20 +99,20 @@ class PacketFormat:
     ----------
     settings
         The signal's settings.
-    named
-        What the packet's header names.
+    format
+        Format that the packet's header signals; format 0 for what both ends have agreed on.
 
     Raises
     ------
     SettingsError
-        The settings leave no room to name a format.
+        The header cannot signal the format, or the single mode is asked for without the hierarchical code.
     """
 
     settings: SignalSettings
-    named: Format = AGREED
+    format: Format = AGREED
 
     def __post_init__(self) -> None:
-        if self.named != AGREED and (self.settings.header_pairs < 2 or self.settings.header == "all_on"):
+        if self.format != AGREED and (self.settings.header_pairs < 2 or self.settings.header == "all_on"):
             raise SettingsError(
                 "a format is named by the second header pair: set signal.header_pairs to 2 or more and "
                 'signal.header to "m_sequence"'
@@ -110,23 +122,41 @@ class PacketFormat:
 
     @cached_property
     def layers(self) -> dict[str, LayerFormat]:
-        """Formats by layer, in the order of priority."""
-        rates = self.named.rates(self.settings.rate)
+        """How each layer fills the packet, by the layer's name in the order of priority.
+
+        Raises
+        ------
+        SettingsError
+            The packet is too short for a codeword of some layer.
+        """
+        rates = self.format.rates(self.settings.rate)
         half, pairs = self.settings.side // 2, self.settings.data_pairs
         quarters = [half * half] * len(LAYERS)
         if self.single:
-            # twice the patterns, and a column of D11 for their balance
+            # twice the patterns, and a column of D11 keeps their light even (section 6.3)
             quarters[0], pairs = half * (half - 1), 2 * pairs
         plans = zip(LAYERS, MULTIPLICITY, quarters, rates, strict=True)
         return {name: _plan(name, count, quarter, pairs, rate) for name, count, quarter, rate in plans}
 
     @property
     def single(self) -> bool:
-        """Whether no inverses follow the data patterns."""
-        return self.named.mode == "single"
+        """Whether the packet is of the single mode: no inverses follow the data patterns."""
+        return self.format.mode == "single"
 
     def data_patterns(self, blocks: Mapping[str, Sequence[Block]], ahead: int = 0) -> NDArray[np.uint8]:
-        """Data patterns of a packet, (pairs, n, n) levels, without the inverted ones; `ahead` as in `patterns`."""
+        """Return the data patterns of a packet without the inverted ones.
+
+        Parameters
+        ----------
+        blocks
+            For each layer one block a codeword.
+        ahead
+            Sum of all D11 sent before, for the balance of the single mode; ignored otherwise.
+
+        Returns
+        -------
+        (pairs, n, n) uint8 levels 0 to 4.
+        """
         symbols = [1 - 2 * self.layers[name].encode(blocks[name]).astype(np.int8) for name in LAYERS]
         if self.single:
             half = self.settings.side // 2
@@ -135,16 +165,20 @@ class PacketFormat:
         return haar.encode(d) if self.settings.modulation == "haar" else ook.encode(d)
 
     def patterns(self, identity: int, blocks: Mapping[str, Sequence[Block]], ahead: int = 0) -> NDArray[np.uint8]:
-        """All patterns of a packet in the order of time, (patterns, n, n) levels.
+        """Return all patterns of a packet in the order of time.
 
         Parameters
         ----------
         identity
-            Number of the array.
+            Number of the array, 0 to 29.
         blocks
             For each layer one block a codeword.
         ahead
-            How much light was given before beyond the mean, in symbols of D11; only the single mode asks.
+            Sum of all D11 sent before, for the balance of the single mode; ignored otherwise.
+
+        Returns
+        -------
+        (patterns, n, n) uint8 levels 0 to 4.
         """
         head = np.stack([self.header_pattern(identity, pair) for pair in range(self.settings.header_pairs)])
         if self.single:
@@ -152,42 +186,55 @@ class PacketFormat:
         return with_inverses(np.concatenate([head, self.data_patterns(blocks)]))
 
     def header_pattern(self, identity: int, pair: int = 0) -> NDArray[np.uint8]:
-        """Pattern of a header pair, (n, n) levels; that of "all_on" is the same for all identities."""
+        """Return the pattern of a header pair; with the header "all_on" it is the same for all identities.
+
+        Parameters
+        ----------
+        identity
+            Number of the array, 0 to 29.
+        pair
+            Number of the pair in the packet, from 0; the first signals no format.
+
+        Returns
+        -------
+        (n, n) uint8 levels 0 to 4.
+        """
         side = self.settings.side
         if self.settings.header == "all_on":
             return all_on_levels(side)
-        return named_levels(identity, self.named.number, side) if pair else header_levels(identity, side)
+        return signalling_levels(identity, self.format.number, side) if pair else header_levels(identity, side)
 
     def soft_data(self, x: ArrayLike) -> NDArray[np.float64]:
-        """Soft D of received luminances about their mean, (..., n, n), by the modulation's decoder."""
+        """Return soft D of received luminances x' = level - 2 (times any gain), (..., n, n), by the modulation."""
         return haar.decode(x) if self.settings.modulation == "haar" else ook.decode(x)
 
     def join(self, symbols: NDArray[np.int8]) -> NDArray[np.int8]:
-        """(pairs, n * n) data by layer (high, middle, low) to matrices D, (pairs, n, n)."""
+        """Return the matrices D, (pairs, n, n), of (pairs, n * n) data in the order high, middle, low (section 5)."""
         h = self.settings.side // 2
         d11, d12, d21, d22 = (q.reshape(-1, h, h) for q in np.split(symbols, 4, axis=1))
         return np.block([[d11, d12], [d21, d22]])
 
     def split(self, d: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Matrices D (pairs, n, n), soft or hard, to (pairs, symbols) by layer, the inverse of `join`."""
+        """Return the data of each layer, (pairs, symbols), of matrices D (pairs, n, n); the inverse of `join`."""
         h = self.settings.side // 2
         q = [part.reshape(len(d), -1) for part in (d[:, :h, :h], d[:, :h, h:], d[:, h:, :h], d[:, h:, h:])]
         return {"high": q[0], "middle": np.concatenate(q[1:3], axis=1), "low": q[3]}
 
 
 def with_inverses(patterns: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Follow each of (k, n, n) patterns by its inverse: (2 k, n, n)."""
+    """Return patterns (k, n, n), each followed by its inverse: (2 k, n, n)."""
     return np.stack([patterns, pwm.invert(patterns)], axis=1).reshape(-1, *patterns.shape[1:])
 
 
 def _plan(name: str, count: int, quarter: int, pairs: int, rate: float) -> LayerFormat:
-    """Fewest codewords, equal in size, that keep K within the interleavers of the code."""
+    """Plan a layer by section 9.1: the fewest codewords, equal in size, that keep K within the interleavers."""
+    most, of = HIGHEST_RATE
     bits = quarter * pairs
     for split in range(1, bits + 1):
         e = bits // split
-        if bits % split == 0 and rate * e <= QPP_SIZES[-1] + 32:
+        if bits % split == 0 and rate * e <= QPP_SIZES[-1] + _SIZE_SLACK:
             break
-    k = min((k for k in QPP_SIZES if 10 * k <= 9 * e), key=lambda k: abs(k - rate * e), default=0)
+    k = min((k for k in QPP_SIZES if of * k <= most * e), key=lambda k: abs(k - rate * e), default=0)
     if k < MIN_BITS:
         raise SettingsError(
             f"{name} layer: {pairs} data pairs give {e} bits a codeword at rate {rate:.3g}, "

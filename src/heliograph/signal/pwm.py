@@ -1,4 +1,4 @@
-"""Pulse width modulation: a level as the number of lit slots of a pattern period, Fig. 4 of Nagura et al."""
+"""Pulse width modulation: a level is the number of lit slots of a pattern period (Nagura et al. Fig. 4, section 3)."""
 
 import math
 from collections.abc import Sequence
@@ -7,16 +7,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 SLOTS = 4
-"""Slots of a pattern period T_b; level k lights k of them (slot rate 4 / T_b = 4 kHz at T_b = 1 ms)."""
+"""Slots of a pattern period T_b; level k lights k of them. The paper's five luminances 0, 1/4, ..., 1 need four slots;
+its table II gives their rate, 4 kHz at T_b = 1 ms."""
+
+SLOT_ORDER = tuple(range(SLOTS))
+"""Default order in which slots are lit as the level rises (section 1): level k lights the first k."""
 
 
 def invert(levels: ArrayLike) -> NDArray[np.uint8]:
-    """The inverted pattern 1 - x: level k becomes 4 - k."""
+    """Return the inverted patterns 1 - x of levels 0 to 4, of any shape: level k becomes 4 - k, uint8."""
     return (SLOTS - np.asarray(levels, dtype=np.uint8)).astype(np.uint8)
 
 
-def lit_slots(levels: ArrayLike, order: Sequence[int] = tuple(range(SLOTS))) -> NDArray[np.bool_]:
-    """Which LED is lit in which slot: the pulses of equations (1) and (2) on a grid of T_b / 4.
+def lit_slots(levels: ArrayLike, order: Sequence[int] = SLOT_ORDER) -> NDArray[np.bool_]:
+    """Return which LED is lit in which slot: the pulses of equations (1) and (2) on a grid of T_b / 4.
 
     Parameters
     ----------
@@ -28,39 +32,54 @@ def lit_slots(levels: ArrayLike, order: Sequence[int] = tuple(range(SLOTS))) -> 
     Returns
     -------
     (..., 4, n, n) bool, slot s of the period on the third axis from the end.
+
+    Raises
+    ------
+    ValueError
+        A level is below 0 or above 4, or `order` is no permutation of 0 to 3.
     """
     array = np.asarray(levels)
     if array.size and (array.min() < 0 or array.max() > SLOTS):
         raise ValueError(f"levels are 0 to {SLOTS}, not {array.min()} to {array.max()}")
-    if sorted(order) != list(range(SLOTS)):
+    if sorted(order) != list(SLOT_ORDER):
         raise ValueError(f"the slot order is a permutation of 0 to {SLOTS - 1}, not {tuple(order)}")
     rank = np.argsort(np.asarray(order))  # slot s is the rank[s]-th to be lit
     return array[..., None, :, :] > rank[:, None, None]
 
 
-def waveform(levels: ArrayLike, order: Sequence[int] = tuple(range(SLOTS))) -> NDArray[np.float64]:
-    """Luminous flux of the whole array by slot, as a share of all LEDs on.
+def waveform(levels: ArrayLike, order: Sequence[int] = SLOT_ORDER) -> NDArray[np.float64]:
+    """Return the luminous flux of the whole array by slot; 1 is the flux of all LEDs on.
 
     Parameters
     ----------
     levels
         (patterns, n, n) levels 0 to 4 in the order of time.
+    order
+        As for `lit_slots`.
 
     Returns
     -------
-    (patterns * 4,) float64 in 0 to 1.
+    (4 patterns,) float64, 0 to 1, slots in the order of time.
     """
     return lit_slots(levels, order).mean((-2, -1)).reshape(-1)
 
 
-def light_centroids(order: Sequence[int] = tuple(range(SLOTS))) -> tuple[float, float]:
-    """When the light of random data is on, as shares of the pattern period.
+def light_centroids(order: Sequence[int] = SLOT_ORDER) -> tuple[float, float]:
+    """Return the centroids in time of the light of random data, in pattern periods from the start of a pattern.
 
-    Levels come as 0 to 4 heads of 4 coins, as the Haar transform of random data gives them.
+    The Haar transform of random data gives levels 0 to 4 with the probabilities 1, 4, 6, 4, 1 of 16.
+
+    Parameters
+    ----------
+    order
+        As for `lit_slots`.
 
     Returns
     -------
-    The centroid of the mean light, and that of the light's change by level: cov(lit, level) in place of the mean.
+    mean
+        Centroid of the mean light, 0 to 1: sum_s P(lit_s) t_s / sum_s P(lit_s), t_s the middle of slot s.
+    change
+        Centroid of the light's change with the level, 0 to 1: the same with cov(lit_s, level) in place of P(lit_s).
     """
     levels = np.repeat(np.arange(SLOTS + 1), [math.comb(SLOTS, k) for k in range(SLOTS + 1)])
     lit = lit_slots(levels[:, None, None], order)[:, :, 0, 0].astype(np.float64)

@@ -1,4 +1,4 @@
-"""Settings of the signal: all that both ends must agree on."""
+"""Settings of the signal: everything both ends must agree on (section 1)."""
 
 from fractions import Fraction
 from typing import Annotated, Any, Literal
@@ -7,63 +7,83 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG
-from heliograph.signal.pwm import SLOTS
+from heliograph.signal.pwm import SLOT_ORDER, SLOTS
 
 LAYERS = ("high", "middle", "low")
-"""Priority layers in the order of priority."""
+"""Layers in the order of priority (section 5)."""
 
 MULTIPLICITY = (1, 2, 1)
-"""Quarters of the data matrix each layer owns: D11; D12 and D21; D22."""
+"""Quarters of the data matrix of each layer: D11; D12 and D21; D22 (section 5)."""
+
+RATE_SLACK = 1e-3
+"""Rates may differ by this from the fraction they mean, so that 0.333 is 1/3 and 0.667 is 2/3: three digits. The
+closest fractions, 3/5 and 2/3, lie 0.067 apart, so up to 0.03 no rate would be ambiguous."""
 
 
 def as_number(value: Any) -> Any:
-    """Let a rate be written as a fraction, '1/3'."""
+    """Return the number that a text such as '1/3' or '0.5' states; anything else is returned as it is."""
     try:
         return float(Fraction(value)) if isinstance(value, str) else value
     except (ValueError, ArithmeticError):
         return value
 
 
-# 1e-3 of slack: 0.333 means 1/3
-Rate = Annotated[float, BeforeValidator(as_number), Field(ge=1 / 3 - 1e-3, le=0.9 + 1e-3)]
+CodeRate = Annotated[float, BeforeValidator(as_number), Field(ge=1 / 3 - RATE_SLACK, le=0.9 + RATE_SLACK)]
+"""Information bits a sent bit: from 1/3, the mother code's rate, to 9/10."""
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class RateSettings:
-    """Rate of the turbo code by layer: information bits by transmitted bit, 1/3 to 9/10."""
+    """Rates of the turbo code by layer.
 
-    high: Rate = 1 / 3
-    middle: Rate = 1 / 3
-    low: Rate = 1 / 3
+    Attributes
+    ----------
+    high
+        Rate of the high layer in information bits a sent bit, 1/3 to 9/10; a fraction such as "2/3" may be written. A
+        larger rate carries more data and tolerates less noise.
+    middle
+        The same for the middle layer.
+    low
+        The same for the low layer.
+    """
+
+    high: CodeRate = 1 / 3
+    middle: CodeRate = 1 / 3
+    low: CodeRate = 1 / 3
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class SignalSettings:
-    """The light's signal.
+    """The signal of an array's light.
 
     Attributes
     ----------
     side
-        LEDs in a row and in a column; a multiple of 4, for the header's cells.
+        LEDs in a row and in a column, 4 to 64, a multiple of 4 because the header has 4 x 4 cells. A larger array
+        carries more data a pattern and, at the same pitch of its LEDs, is found from further away.
     pattern_period_s
-        T_b, the time a pattern is shown.
+        Time T_b for which a pattern is shown, in s, 1e-6 to 1. A shorter one carries more data a second and needs a
+        camera with as many frames a second; each frame then collects less light.
     slot_order
-        Order in which the PWM slots of a period are lit as the level rises.
+        Order in which the four PWM slots of T_b, numbered 0 to 3 in time, are lit as the level rises: a permutation of
+        0, 1, 2, 3.
     header_pairs
-        Pairs of header and inverted header before the data of a packet.
+        Pairs of header and inverted header at the start of a packet, 1 to 16. More make headers surer and leave less
+        time for data; a packet that signals its format needs 2 or more.
     data_pairs
-        Pairs of data pattern and inverted pattern in a packet.
+        Pairs of data pattern and inverted pattern in a packet, 1 to 4096. More give larger codewords, which correct
+        more errors, and less time spent on headers; headers and packets then come less often.
     rate
-        Rate of the turbo code by layer.
+        Rates of the turbo code by layer.
     modulation
-        "haar", the hierarchical code, or "ook", plain on-off keying of each LED.
+        "haar", the hierarchical code, or "ook", on-off keying of each LED.
     header
-        "m_sequence", which tells the array's identity, or, for comparison, "all_on": every LED on, then off.
+        "m_sequence", which names the array's identity, or "all_on", for comparison: every LED on, then off.
     """
 
     side: Annotated[int, Field(ge=4, le=64, multiple_of=4)] = 16
     pattern_period_s: Annotated[float, Field(ge=1e-6, le=1.0)] = 1e-3
-    slot_order: tuple[int, ...] = tuple(range(SLOTS))
+    slot_order: tuple[int, ...] = SLOT_ORDER
     header_pairs: Annotated[int, Field(ge=1, le=16)] = 2
     data_pairs: Annotated[int, Field(ge=1, le=4096)] = 48
     rate: RateSettings = RateSettings()
@@ -72,13 +92,13 @@ class SignalSettings:
 
     @model_validator(mode="after")
     def _consistent(self) -> "SignalSettings":
-        if sorted(self.slot_order) != list(range(SLOTS)):
+        if sorted(self.slot_order) != list(SLOT_ORDER):
             raise ValueError(f"slot_order is a permutation of 0 to {SLOTS - 1}, not {list(self.slot_order)}")
         return self
 
     @property
     def packet_patterns(self) -> int:
-        """Patterns of a packet, inverted ones counted."""
+        """Patterns of a packet, with the inverted ones."""
         return 2 * (self.header_pairs + self.data_pairs)
 
     @property

@@ -254,7 +254,9 @@ class _Packet:
         for layer in self.layers.values():
             layer.own = np.where(layer.telling, layer.llr, 0.0)
         if not self.mixed:
-            self.earlier = memory.recall_packet(self.form.named, [own for by in self.layers.values() for own in by.own])
+            self.earlier = memory.recall_packet(
+                self.form.format, [own for by in self.layers.values() for own in by.own]
+            )
         if self.earlier is not None:
             self.look(self.looks)
             if self.sites:
@@ -284,7 +286,7 @@ class _Packet:
         self.equalise()
         if not self.mixed:
             light = self.light.gain, self.light.noise
-            memory.keep_packet(SeenPacket(self.form.named, tuple(self.llrs), tuple(self.looks), *light))
+            memory.keep_packet(SeenPacket(self.form.format, tuple(self.llrs), tuple(self.looks), *light))
         if self.earlier is not None:
             # LLRs of several looks at the packet would be counted again with each
             return

@@ -57,7 +57,7 @@ class SoftReading:
     @property
     def named(self) -> Format:
         """What the header names."""
-        return self._form.named if self._form else self._name.named(self._gain)
+        return self._form.format if self._form else self._name.named(self._gain)
 
     def take_header(self, pair: int, pattern: Frame, inverted: Frame, tracker: Tracker) -> None:
         """Read what the header names."""

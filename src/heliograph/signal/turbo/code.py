@@ -1,4 +1,4 @@
-"""The turbo code as the rest of the project uses it: one frozen value per block size and rate."""
+"""The turbo code as the rest of the project uses it: one frozen value for each block size and rate."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,29 +11,29 @@ from heliograph.signal.turbo import decoder
 from heliograph.signal.turbo.encoder import TERMINATION, encode_mother
 from heliograph.signal.turbo.options import LLR_LIMIT, Algorithm, Check, DecoderOptions, Stop, TurboResult
 from heliograph.signal.turbo.qpp import coefficients, interleaver
-from heliograph.signal.turbo.rate_match import REDUNDANCY_VERSIONS, STREAMS, selection
+from heliograph.signal.turbo.rate_match import STREAMS, selection
 
-_HIGHEST_RATE = (9, 10)
+HIGHEST_RATE = (9, 10)
+"""Largest rate as a fraction (section 9.1). Noiseless blocks of every size decode at it (a test holds it to that)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TurboCode:
     """Turbo code of 3GPP TS 36.212 (sections 5.1.3.2 and 5.1.4.1) for one block size and rate.
 
-    Parameters
+    Attributes
     ----------
     k : int
         Information bits a block, one of `QPP_SIZES`.
     coded_bits : int, optional
-        Bits sent a block, E, at least 10 k / 9: rate matching punctures or repeats to fill it exactly. Without it
-        there is no rate matching: the 3 k + 12 bits of the mother code in the order d0_0 d1_0 d2_0 d0_1 ...
-    redundancy_version : int
-        Where in the circular buffer reading starts, 0 to 3; 0 without `coded_bits`.
+        Bits sent a block, E, at least 10 k / 9: rate matching punctures or repeats mother bits to send exactly E, of
+        redundancy version 0. None for no rate matching: the 3 k + 12 bits of the mother code in the order
+        d0_0 d1_0 d2_0 d0_1 ...
 
     Raises
     ------
     SettingsError
-        `k` is no interleaver size, the rate is above 9/10, or the redundancy version is unknown.
+        `k` is no interleaver size, or the rate is above 9/10.
 
     Examples
     --------
@@ -46,17 +46,12 @@ class TurboCode:
 
     k: int
     coded_bits: int | None = None
-    redundancy_version: int = 0
 
     def __post_init__(self) -> None:
         coefficients(self.k)
-        if self.redundancy_version not in range(REDUNDANCY_VERSIONS):
-            raise SettingsError(f"redundancy_version must be 0, 1, 2 or 3, not {self.redundancy_version}")
         if self.coded_bits is None:
-            if self.redundancy_version:
-                raise SettingsError(f"redundancy_version {self.redundancy_version} needs coded_bits, which is None")
             return
-        top, bottom = _HIGHEST_RATE
+        top, bottom = HIGHEST_RATE
         if top * self.coded_bits < bottom * self.k:
             least = -(-bottom * self.k // top)
             raise SettingsError(
@@ -65,20 +60,20 @@ class TurboCode:
 
     @property
     def length(self) -> int:
-        """Bits sent a block, E."""
+        """Bits sent a block, E: `coded_bits`, or 3 k + 12 without rate matching."""
         return STREAMS * self.k + TERMINATION if self.coded_bits is None else self.coded_bits
 
     @property
     def rate(self) -> float:
-        """Information bits a sent bit."""
+        """Information bits a sent bit, k / E; the tail counts."""
         return self.k / self.length
 
     @property
     def positions(self) -> NDArray[np.int64]:
-        """Position in the mother codeword of each sent bit, shape (E,)."""
+        """Position in the mother codeword of each sent bit, shape (E,), 0 to 3 k + 11."""
         if self.coded_bits is None:
             return np.arange(self.length)
-        return selection(self.k + TERMINATION // STREAMS, self.coded_bits, self.redundancy_version)
+        return selection(self.k + TERMINATION // STREAMS, self.coded_bits)
 
     def encode(self, bits: ArrayLike) -> NDArray[np.uint8]:
         """Encode blocks.
@@ -123,14 +118,20 @@ class TurboCode:
         ----------
         llr : array_like of float, shape (..., E)
             LLR = ln P(b=0)/P(b=1) of each received bit; magnitudes above 1e4, infinite ones too, count as 1e4.
-        algorithm, iterations, scale, stop
-            See `DecoderOptions`.
+        algorithm : {"max-log", "log-map"}
+            See `DecoderOptions`, as for the next three.
+        iterations : int
+            Most full iterations, at least 1.
+        scale : float, optional
+            Factor on extrinsic LLRs, above 0 and at most 1; None for the algorithm's own.
+        stop : {"none", "agreement", "crc"}
+            When a block stops early.
         check : callable, optional
             For ``stop="crc"``: takes decisions, uint8 (n, k), returns bool (n,), True where they are right.
         a_priori : array_like of float, shape (..., k), optional
-            LLRs of the information bits known beforehand, clipped alike.
+            LLRs of the information bits known beforehand, clipped in the same way.
         coded_output : bool
-            Whether to work out `coded_llr` and `coded_extrinsic`; costs one more iteration.
+            Whether to compute `coded_llr` and `coded_extrinsic`; costs one more iteration.
 
         Returns
         -------
@@ -172,7 +173,7 @@ class TurboCode:
             raise ValueError(f"{name} must not hold NaN; {wrong} of {array.size} values are NaN")
         if array.dtype != np.float32:
             array = np.clip(array, -LLR_LIMIT, LLR_LIMIT).astype(np.float32)
-        # Numba would compile a second kernel for read-only arrays
+        # for a read-only array Numba would compile a second kernel
         return np.require(array, requirements=["C", "W"])
 
     def _check_shape(self, name: str, array: NDArray[Any], size: int) -> None:

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from heliograph.signal.turbo.trellis import MEMORY, STATES, TAIL, TAIL_BITS
 
 _PERIOD = 7
+"""Period of 1 / g0(D): g0 = 1 + D^2 + D^3 is primitive of degree 3, so it divides 1 + D^7."""
+
 TERMINATION = 2 * TAIL_BITS
-"""Coded bits that end a block, 12: the tails of both constituent codes."""
+"""Coded bits that end a block, 12: the tails of both constituent codes (TS 36.212, 5.1.3.2.2)."""
 
 
 def encode_mother(bits_nat: NDArray[np.uint8], order: NDArray[np.int64]) -> NDArray[np.uint8]:
@@ -51,6 +53,7 @@ def encode_constituent(bits: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDAr
     Returns
     -------
     parity : ndarray of uint8, shape (..., K)
+        Parity bit z of each step.
     tail : ndarray of uint8, shape (..., 6)
         Termination bits x, z, x, z, x, z.
     """
@@ -63,7 +66,7 @@ def encode_constituent(bits: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDAr
 
 
 def _divide_by_feedback(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Register input a = c / g0(D), without a loop over the steps."""
+    """Return the register's input a = c / g0(D), without a loop over the steps."""
     # 1 + D^7 = g0 (1 + D)(1 + D + D^3), hence 1 / g0 = (1 + D^2 + D^3 + D^4) / (1 + D^7):
     # four taps, then a running sum modulo 2 over every seventh bit
     taps = bits ^ _delay(bits, 2) ^ _delay(bits, 3) ^ _delay(bits, 4)
@@ -76,7 +79,7 @@ def _divide_by_feedback(bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _delay(bits: NDArray[np.uint8], steps: int) -> NDArray[np.uint8]:
-    """Shift towards later bits, zeros coming in."""
+    """Shift towards later bits; zeros enter."""
     delayed = np.zeros_like(bits)
     delayed[..., steps:] = bits[..., :-steps]
     return delayed

@@ -1,7 +1,7 @@
 """Rate matching: sub-block interleavers, circular buffer, bit selection.
 
-Everything is one list of positions, made once per setting: the encoder gathers with it, the decoder adds
-with it. Source: 3GPP TS 36.212, section 5.1.4.1.
+All of it is one list of positions, made once for each size and rate: the encoder gathers sent bits by it, the decoder
+adds received LLRs by it. Source: 3GPP TS 36.212, section 5.1.4.1.
 """
 
 from functools import lru_cache
@@ -12,26 +12,36 @@ from numpy.typing import NDArray
 from heliograph.base.errors import SettingsError
 
 COLUMNS = 32
-REDUNDANCY_VERSIONS = 4
-STREAMS = 3
-_NULL = -1
+"""Columns of the sub-block interleaver (TS 36.212, 5.1.4.1.1)."""
 
-# Table 5.1.4-1: column c of the output is column P(c) of the input, five bits read backwards
+REDUNDANCY_VERSIONS = 4
+"""Starts in the circular buffer, rv_idx = 0 to 3 (TS 36.212, 5.1.4.1.2). The air interface sends 0 alone."""
+
+STREAMS = 3
+"""Streams d0, d1, d2 of the mother code of rate 1/3 (TS 36.212, 5.1.3.2.2)."""
+
+_NULL = -1
+"""Stands for an empty place of the circular buffer."""
+
+_CACHED = 32
+"""Lists kept; see `qpp`."""
+
+# table 5.1.4-1: column c of the output is column P(c) of the input, P(c) the five bits of c read backwards
 _COLUMN_ORDER = np.array([int(f"{column:05b}"[::-1], 2) for column in range(COLUMNS)])
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=_CACHED)
 def selection(stream_length: int, coded_bits: int, redundancy_version: int = 0) -> NDArray[np.int64]:
-    """Position in the mother codeword of each transmitted bit (TS 36.212, 5.1.4.1.2).
+    """Return the position in the mother codeword of each sent bit (TS 36.212, 5.1.4.1.2).
 
     Parameters
     ----------
     stream_length : int
         D, the length of each of the streams d0, d1, d2: K + 4 for a turbo code block.
     coded_bits : int
-        E, the number of bits to send; above 3 D the buffer is read round and round.
+        E, the number of bits to send; above 3 D the buffer is read again from its start.
     redundancy_version : int
-        rv_idx, 0 to 3: where in the circular buffer reading starts.
+        rv_idx, 0 to 3, which sets where in the circular buffer reading starts; `TurboCode` uses 0.
 
     Returns
     -------
@@ -59,7 +69,7 @@ def selection(stream_length: int, coded_bits: int, redundancy_version: int = 0) 
 
 
 def _circular_buffer(stream_length: int) -> NDArray[np.int64]:
-    """Positions in the order of the circular buffer w, NULL where the rectangle was padded (5.1.4.1.2)."""
+    """Return positions in the order of the circular buffer w, NULL where the rectangle was padded (5.1.4.1.2)."""
     size = -(-stream_length // COLUMNS) * COLUMNS
     # <NULL> bits fill the front of the first row, then y_k = d_(k - ND)
     padded = np.arange(size) - (size - stream_length)

@@ -1,6 +1,6 @@
-"""The decoder written for reading: NumPy in double precision, all blocks at once, no tricks.
+"""The decoder written for reading: plain NumPy in double precision, all blocks at once.
 
-The kernel is held to it by tests, and it to the enumeration of all codewords. Source of the algorithm:
+Tests hold the kernel to it, and it to the enumeration of all codewords of a toy code. Source of the algorithm:
 Bahl, Cocke, Jelinek, Raviv, IEEE Trans. Inf. Theory 20 (1974) 284; Robertson, Villebrun, Hoeher, ICC 1995.
 """
 
@@ -18,8 +18,18 @@ Floats = NDArray[np.float64]
 _INTO = np.argsort(NEXT_STATE.ravel(), kind="stable").reshape(STATES, 2)
 
 
-class Posterior(NamedTuple):
-    """A-posteriori LLRs of one constituent code."""
+class ConstituentLlrs(NamedTuple):
+    """A-posteriori LLRs of one constituent code.
+
+    Attributes
+    ----------
+    info : ndarray of float64, shape (B, K)
+        Of the information bits, in the order of this trellis.
+    parity : ndarray of float64, shape (B, K)
+        Of the parity bits.
+    tail : ndarray of float64, shape (B, 6)
+        Of the termination x, z, x, z, x, z.
+    """
 
     info: Floats
     parity: Floats
@@ -27,7 +37,19 @@ class Posterior(NamedTuple):
 
 
 class ReferenceResult(NamedTuple):
-    """A-posteriori LLRs of the information bits and of the mother codeword, iterations used, rule met."""
+    """Results of B blocks.
+
+    Attributes
+    ----------
+    llr : ndarray of float64, shape (B, K)
+        A-posteriori LLRs of the information bits.
+    mother_llr : ndarray of float64, shape (B, 3 K + 12)
+        A-posteriori LLRs of the mother codeword.
+    iterations : ndarray of int32, shape (B,)
+        Full iterations used.
+    stopped : ndarray of bool, shape (B,)
+        Whether the stopping rule was met.
+    """
 
     llr: Floats
     mother_llr: Floats
@@ -35,8 +57,8 @@ class ReferenceResult(NamedTuple):
     stopped: NDArray[np.bool_]
 
 
-def siso(info: Floats, parity: Floats, tail: Floats, algorithm: Algorithm) -> Posterior:
-    """Soft-in soft-out decoder of one constituent code.
+def siso(info: Floats, parity: Floats, tail: Floats, algorithm: Algorithm) -> ConstituentLlrs:
+    """Decode one constituent code, soft-in soft-out.
 
     Parameters
     ----------
@@ -51,7 +73,7 @@ def siso(info: Floats, parity: Floats, tail: Floats, algorithm: Algorithm) -> Po
 
     Returns
     -------
-    Posterior
+    ConstituentLlrs
         LLRs of every bit given all inputs, of the inputs' shapes.
     """
     add = np.max if algorithm == "max-log" else np.logaddexp.reduce
@@ -60,12 +82,14 @@ def siso(info: Floats, parity: Floats, tail: Floats, algorithm: Algorithm) -> Po
     zero_bit = np.array([1.0, 0.0])
     gamma = info.T[:, :, None, None] * zero_bit + parity.T[:, :, None, None] * (1 - PARITY)
 
+    # alpha'(s') = ln sum over s -> s' of exp(alpha(s) + gamma)
     alpha = np.full((k + 1, blocks, STATES), -np.inf)
     alpha[0, :, 0] = 0.0
     for step in range(k):
         branches = (alpha[step][:, :, None] + gamma[step]).reshape(blocks, -1)
         alpha[step + 1] = _centred(add(branches[:, _INTO], axis=-1))
 
+    # beta(s) = ln sum over s -> s' of exp(gamma + beta'(s')); the tail ends in state 0
     beta = np.empty_like(alpha)
     beta[k] = tail @ (1.0 - TAIL.T)
     for step in reversed(range(k)):
@@ -74,7 +98,7 @@ def siso(info: Floats, parity: Floats, tail: Floats, algorithm: Algorithm) -> Po
     # L(b) = ln sum over branches with b = 0 of alpha gamma beta, less the same with b = 1
     joint = alpha[:-1, :, :, None] + gamma + beta[1:][:, :, NEXT_STATE]
     final = alpha[k] + beta[k]
-    return Posterior(
+    return ConstituentLlrs(
         info=(add(joint[..., 0], axis=-1) - add(joint[..., 1], axis=-1)).T,
         parity=(add(joint[:, :, PARITY == 0], axis=-1) - add(joint[:, :, PARITY == 1], axis=-1)).T,
         tail=np.stack([add(final[:, bit == 0], axis=-1) - add(final[:, bit == 1], axis=-1) for bit in TAIL.T], axis=-1),
@@ -82,7 +106,7 @@ def siso(info: Floats, parity: Floats, tail: Floats, algorithm: Algorithm) -> Po
 
 
 def _centred(metrics: Floats) -> Floats:
-    """Less its largest: only differences matter, and the sums stay small."""
+    """Subtract the largest metric: only differences matter, and the sums stay small."""
     centred: Floats = metrics - np.max(metrics, axis=-1, keepdims=True)
     return centred
 
@@ -162,7 +186,7 @@ def _mother_posterior(
     orders: list[NDArray[np.int64]],
     options: DecoderOptions,
 ) -> Floats:
-    """One more pass of both decoders, for the LLRs of the parity and tail bits."""
+    """Run both decoders once more, for the LLRs of the parity and tail bits."""
     k = llr_nat.shape[-1]
     mother = np.empty((len(llr_nat), 3 * k + 2 * TAIL_BITS))
     mother[:, : 3 * k : 3] = llr_nat

@@ -8,14 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 STATES = 8
+"""States of the shift register, 2^`MEMORY`."""
+
 MEMORY = 3
-"""Bits of the shift register, and steps of the trellis termination."""
+"""Bits of the shift register (TS 36.212, figure 5.1.3-2), and steps of the trellis termination."""
+
 TAIL_BITS = 2 * MEMORY
-"""Coded bits that terminate one constituent code: x, z of each step, in this order."""
+"""Coded bits that terminate one constituent code: x and z of each step, in this order."""
 
 
 def _step(state: int, bit: int) -> tuple[int, int]:
-    """Next state and parity bit."""
+    """Return the next state and the parity bit."""
     a1, a2, a3 = state >> 2, state >> 1 & 1, state & 1
     # g0(D) = 1 + D^2 + D^3: a = c + a2 + a3
     a = bit ^ a2 ^ a3
@@ -24,7 +27,7 @@ def _step(state: int, bit: int) -> tuple[int, int]:
 
 
 def _tail(state: int) -> list[int]:
-    """The bits x, z, x, z, x, z that lead from `state` to state 0."""
+    """Return the bits x, z, x, z, x, z that lead from `state` to state 0."""
     bits: list[int] = []
     for _ in range(MEMORY):
         # 5.1.3.2.2: the switch to the lower position feeds the register's own feedback, so that a = 0
@@ -37,7 +40,9 @@ def _tail(state: int) -> list[int]:
 _STEPS = np.array([[_step(state, bit) for bit in (0, 1)] for state in range(STATES)])
 NEXT_STATE: NDArray[np.int64] = _STEPS[..., 0]
 """Shape (8, 2): state after `bit` from `state`."""
+
 PARITY: NDArray[np.int64] = _STEPS[..., 1]
 """Shape (8, 2): parity bit of `bit` from `state`."""
+
 TAIL: NDArray[np.uint8] = np.array([_tail(state) for state in range(STATES)], dtype=np.uint8)
 """Shape (8, 6): tail bits x, z, x, z, x, z of each final state."""
