@@ -1,4 +1,4 @@
-"""Messages -> timed LED patterns."""
+"""The transmitter: messages -> timed LED patterns."""
 
 from heliograph.transmit.transmitter import TimedPattern, TransmitSettings, Transmitter
 

@@ -1,4 +1,4 @@
-"""Byte streams by priority to an endless sequence of LED patterns."""
+"""The transmitter: messages by layer -> an endless sequence of timed LED patterns (section 12 of the air interface)."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,14 +23,16 @@ from heliograph.signal.settings import LAYERS, SignalSettings
 
 @checked(frozen=True, kw_only=True, config=CONFIG)
 class TransmitSettings:
-    """Who transmits.
+    """Settings of the transmitters: identities of the arrays and formats of their packets.
 
     Attributes
     ----------
     identities
-        Identity of each array, in the order of the arrays of the scene; all different.
+        Identity of each array, 0 to 29, in the order of ``channel.arrays``; all different. The value has no effect on
+        range or rate.
     formats
-        Modes and rates of the packets, taken in turn and named in their headers; none for what ``signal`` agrees on.
+        Formats of the packets, mode and code rates, used in turn and signalled in the packets' headers; empty for
+        paired packets at the rates of ``signal.rate``. Signalled formats need the receiver "soft".
     """
 
     identities: tuple[Annotated[int, Field(ge=0, lt=IDENTITIES)], ...] = (0,)
@@ -39,16 +41,16 @@ class TransmitSettings:
 
 @dataclass(frozen=True, slots=True)
 class TimedPattern:
-    """A pattern and when it is shown.
+    """A pattern and the time at which it is shown.
 
     Attributes
     ----------
     index
-        Number of the pattern from the start of the transmission.
+        Number of the pattern, from 0 at the start of the transmission.
     time_s
-        When it appears; it stays for T_b.
+        Start in s from the start of the transmission; the pattern is shown for T_b.
     part
-        "header" or "data".
+        Part of the packet, "header" or "data".
     inverted
         Whether it is the inverse of the pattern before.
     levels
@@ -63,18 +65,33 @@ class TimedPattern:
 
 
 class Transmitter:
-    """One array's light, without end.
+    """The endless light of one array.
 
     Parameters
     ----------
     settings
-        The signal.
+        The signal's settings.
     identity
         Number of the array, 0 to 29.
     messages
-        Messages by layer, repeated as a carousel; a layer without any sends idle blocks.
+        Messages by layer ("high", "middle", "low"), at most 256 a layer, repeated as a carousel; a layer without any
+        sends idle blocks.
     formats
-        Formats of the packets, taken in turn; none for pairs at the agreed rates.
+        Formats of the packets, used in turn; empty for data pairs at the agreed rates.
+
+    Attributes
+    ----------
+    formats
+        (formats,) layout of a packet of each format, in the order of use.
+    identity
+        Number of the array, 0 to 29.
+
+    Raises
+    ------
+    ValueError
+        A layer or the identity is unknown, or the messages of a layer are too many or too long.
+    SettingsError
+        A format does not go with the signal's settings.
     """
 
     def __init__(
@@ -89,7 +106,7 @@ class Transmitter:
             raise ValueError(f"layers are {', '.join(LAYERS)}, not {', '.join(sorted(unknown))}")
         self.formats = tuple(PacketFormat(settings, named) for named in formats or (AGREED,))
         self.identity = identity_of(identity).number
-        # where packets differ in the size of their blocks, each size has a carousel of its own
+        # each size of blocks has a carousel of its own (section 8)
         self._carousels = {
             (name, layer.payload_bytes): Carousel(identity, name, messages.get(name, ()), layer.payload_bytes)
             for form in self.formats
@@ -98,15 +115,15 @@ class Transmitter:
 
     @property
     def format(self) -> PacketFormat:
-        """Format of packet 0."""
+        """Layout of packet 0."""
         return self.formats[0]
 
     def format_of(self, packet: int) -> PacketFormat:
-        """Format of packet number `packet`."""
+        """Return the layout of packet number `packet`, from 0."""
         return self.formats[packet % len(self.formats)]
 
     def blocks(self, packet: int) -> dict[str, list[Block]]:
-        """Blocks that packet number `packet` carries, one a codeword, by layer."""
+        """Return the blocks in packet number `packet` by layer, one a codeword."""
         return {
             name: [
                 self._carousels[name, layer.payload_bytes].block(self._sent_before(packet, name) + i)
@@ -116,7 +133,7 @@ class Transmitter:
         }
 
     def _sent_before(self, packet: int, name: str) -> int:
-        """Codewords of a layer, as large as those of packet number `packet`, that were sent before it."""
+        """Count the codewords of a layer sent before packet number `packet` whose blocks are as large as its own."""
         size = self.format_of(packet).layers[name].payload_bytes
         layers = [form.layers[name] for form in self.formats]
         counts = [layer.codewords if layer.payload_bytes == size else 0 for layer in layers]
@@ -124,21 +141,21 @@ class Transmitter:
         return cycles * sum(counts) + sum(counts[:place])
 
     def packets(self) -> Iterator[NDArray[np.uint8]]:
-        """Endless packets, each (patterns, n, n) uint8 levels in the order of time."""
+        """Yield packets without end, each (patterns, n, n) uint8 levels 0 to 4 in the order of time."""
         ahead = 0
         for number in count():
             packet = self.format_of(number).patterns(self.identity, self.blocks(number), ahead)
-            # a cell of D11 changes 4 LEDs by half a level
+            # a symbol of D11 changes 4 LEDs by half a level: the sum of levels by 2
             ahead += (int(packet.sum(dtype=np.int64)) - packet.size * SLOTS // 2) // 2
             yield packet
 
     def levels(self) -> Iterator[NDArray[np.uint8]]:
-        """Endless patterns, each (n, n) uint8 levels."""
+        """Yield patterns without end, each (n, n) uint8 levels 0 to 4."""
         for packet in self.packets():
             yield from packet
 
     def patterns(self) -> Iterator[TimedPattern]:
-        """Endless patterns with their times and parts."""
+        """Yield patterns without end, with their times and parts."""
         settings = self.format.settings
         for index, levels in enumerate(self.levels()):
             place = index % settings.packet_patterns
