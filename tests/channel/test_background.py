@@ -11,7 +11,7 @@ from scipy.ndimage import map_coordinates
 from heliograph.base.errors import SettingsError
 from heliograph.channel import ChannelSettings, Footage, film
 from heliograph.channel.background import Clip, cover_size, draw_scene, image_motion, warp
-from heliograph.channel.scene import Pose, rotation
+from heliograph.channel.scene import CameraPose, rotation
 from heliograph.channel.settings import BackgroundSettings
 
 SIZE = (96, 160)
@@ -42,7 +42,7 @@ def test_background_moves_with_the_arrays() -> None:
     # far points move by K R K^-1: to first order the background's shift
     camera = ChannelSettings().camera
     pitch, yaw, roll = 2e-3, -1e-3, 3e-3
-    pose = Pose(*(np.array([v]) for v in (0.0, 0.0, pitch, yaw, roll)))
+    pose = CameraPose(*(np.array([v]) for v in (0.0, 0.0, pitch, yaw, roll)))
     affine = image_motion(pose, (0,), camera, (camera.height, camera.width), np.inf)
     lens = np.array([[camera.focal_px, 0, 511.5], [0, camera.focal_px, 255.5], [0, 0, 1]])
     turn = lens @ rotation(pitch, yaw, roll) @ np.linalg.inv(lens)

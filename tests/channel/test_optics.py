@@ -5,13 +5,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from heliograph.channel.optics import LIMIT, PER_SIGMA, cover, disc_cubature, normal_table
+from heliograph.channel.optics import LIMIT_SIGMA, PER_SIGMA, cover, disc_cubature, normal_table
 from heliograph.channel.render import Canvas, add_array
-from heliograph.channel.scene import Pose, homography, project, square
+from heliograph.channel.scene import CameraPose, homography, project, square
 from heliograph.channel.settings import ChannelSettings, EmitterSettings, Placement
 
 Floats = NDArray[np.float64]
-REST = Pose(*[np.zeros(1)] * 5)
+REST = CameraPose(*[np.zeros(1)] * 5)
 
 
 def view(settings: ChannelSettings, placement: Placement) -> tuple[Floats, Floats]:
@@ -117,8 +117,8 @@ def test_cubature_has_the_moments_of_a_disc(resolution: float) -> None:
 
 
 def test_table_is_the_normal_distribution() -> None:
-    z = np.linspace(-LIMIT, LIMIT, 100_001)
-    grid = np.arange(normal_table().size) / PER_SIGMA - LIMIT
+    z = np.linspace(-LIMIT_SIGMA, LIMIT_SIGMA, 100_001)
+    grid = np.arange(normal_table().size) / PER_SIGMA - LIMIT_SIGMA
     assert np.abs(np.interp(z, grid, normal_table()) - 0.5 * (1 + erf(z / np.sqrt(2)))).max() < 1.5e-7
 
 

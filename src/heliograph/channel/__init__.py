@@ -1,7 +1,8 @@
 """Equations (1) to (6) made physical: LED patterns -> camera frames, and the truth kept apart.
 
-exposure (PWM slots within the shutter) -> scene and motion (pinhole, vehicle) -> optics (disc, lobe, blur, pixels)
--> background -> sensor (EMVA 1288).
+exposure (PWM slots within the shutter) -> scene and motion (pinhole, vehicle) -> background -> optics (panel, disc,
+lobe, blur, pixels) -> sensor (EMVA 1288) -> transfer (lost and repeated frames). Equations are those of Nagura et al.
+2010.
 """
 
 from heliograph.channel.camera import film, frame_count

@@ -1,4 +1,4 @@
-"""What is behind the arrays: flat, a drawn scene, or recorded footage, moved with the camera's shake."""
+"""The background of the arrays: flat, a drawn scene or recorded footage, moved with the camera's shake."""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -10,19 +10,37 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import SettingsError
 from heliograph.channel.footage import Footage
-from heliograph.channel.scene import Pose
+from heliograph.channel.scene import CameraPose
 from heliograph.channel.settings import CameraSettings, ChannelSettings
 
 Gray = NDArray[np.uint8]
+"""Gray image, (rows, columns) uint8."""
 
-MARGIN_PX = 64
-"""Scene kept beyond each side of the frame for the shake; further out the edge is repeated."""
+SHAKE_MARGIN_PX = 64
+"""Background kept beyond each side of the frame for the shake; further out its edge pixels are repeated. Chosen: in the
+reference link the image moves by up to 19 px on a road of class B, 77 px on class D, and with the recorded trace by up
+to 69 px. At half the value 2.3 % of that trace's frames show repeated pixels, at this value 0.4 %, at twice none."""
 
 MOST_FRAMES = 400
-"""Footage frames held in memory; a longer clip is turned back there."""
+"""Frames of footage held in memory; a longer clip is played backward from there. Chosen: 295 MB at 1024 x 512 pixels,
+in proportion to the value."""
 
 SCENE_DEPTH_M = 300.0
-"""Distance of a drawn scene: it expands as the vehicle comes nearer."""
+"""Distance of a drawn scene, which expands by depth / (depth - distance driven). Chosen as that of buildings at the end
+of a street: a drive of 55 m expands it by 22 %; 58 % at half the value, 10 % at twice."""
+
+LEAST_ZOOM = 0.05
+"""Least scale from sensor to scene, reached 15 m before a scene 300 m away, where the expansion would be infinite.
+Chosen; the reference drive ends at 0.82."""
+
+_FAR_EDGE_PX = 1.001
+"""Distance of the last place read from the far edge: its right and lower neighbours are within the image."""
+
+_ROUND_LAMPS = 0.5
+"""Probability of a drawn lamp to be round. Chosen by eye."""
+
+_LIT_WINDOWS = 0.3
+"""Probability of a drawn window to be lit. Chosen by eye, as are the sizes and gray levels of the whole drawing."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -31,23 +49,30 @@ def warp(
     corner: tuple[int, int],
     first: Gray,
     second: Gray,
-    mix: float,
+    weight: float,
     affine: NDArray[np.float64],
 ) -> None:
     """Write a bilinearly interpolated mixture of two images into a window of the light.
 
     Parameters
     ----------
-    light, corner
-        (h, w) float32, and (x, y) on the sensor of its first pixel.
-    first, second, mix
-        (H, W) uint8 images; light is (1 - mix) first + mix second.
+    light
+        (h, w) float32 light in full scales, written.
+    corner
+        (x, y) on the sensor of ``light[0, 0]``.
+    first
+        (H, W) uint8 image; pixels beyond its edges repeat the edge.
+    second
+        (H, W) uint8 image.
+    weight
+        Weight of the second image, 0 to 1: the mixture is (1 - weight) first + weight second.
     affine
-        (3, 3): sensor pixel -> pixel of the images in rows 0 and 1; ``affine[2, 2]`` is the light of white / 255.
+        (3, 3) float64: sensor pixel -> pixel of the images in rows 0 and 1; ``affine[2, 2]`` is the light of a gray
+        level, in full scales.
     """
     height, width = light.shape
-    last_x, last_y = first.shape[1] - 1.001, first.shape[0] - 1.001
-    share = np.float32(mix)
+    last_x, last_y = first.shape[1] - _FAR_EDGE_PX, first.shape[0] - _FAR_EDGE_PX
+    w = np.float32(weight)
     scale = np.float32(affine[2, 2])
     guess = width
     for i in range(height):
@@ -59,7 +84,7 @@ def warp(
         while j < width:
             x0 = int(min(max(ax * (j + corner[0]) + bx, 0.0), last_x))
             y0 = int(min(max(ay * (j + corner[0]) + by, 0.0), last_y))
-            # a run of pixels that read neighbours in the images: whole steps are equal at both of its ends
+            # a run of pixels whose places in the images, rounded down, are neighbours too: true if it is of the last
             run = min(width - j, 2 * guess)
             while run > 1:
                 e = j + run - 1 + corner[0]
@@ -77,36 +102,68 @@ def warp(
                 c = j + k + corner[0]
                 fx = np.float32(min(max(ax * c + bx, 0.0), last_x) - (x0 + k))
                 fy = np.float32(min(max(ay * c + by, 0.0), last_y) - y0)
-                p = np.float32(a0[k]) + share * (np.float32(b0[k]) - np.float32(a0[k]))
-                q = np.float32(a0[k + 1]) + share * (np.float32(b0[k + 1]) - np.float32(a0[k + 1]))
-                r = np.float32(a1[k]) + share * (np.float32(b1[k]) - np.float32(a1[k]))
-                s = np.float32(a1[k + 1]) + share * (np.float32(b1[k + 1]) - np.float32(a1[k + 1]))
+                p = np.float32(a0[k]) + w * (np.float32(b0[k]) - np.float32(a0[k]))
+                q = np.float32(a0[k + 1]) + w * (np.float32(b0[k + 1]) - np.float32(a0[k + 1]))
+                r = np.float32(a1[k]) + w * (np.float32(b1[k]) - np.float32(a1[k]))
+                s = np.float32(a1[k + 1]) + w * (np.float32(b1[k + 1]) - np.float32(a1[k + 1]))
                 upper = p + fx * (q - p)
                 row[j + k] = scale * (upper + fy * (r + fx * (s - r) - upper))
             j += run
 
 
 def image_motion(
-    pose: Pose, index: tuple[int, ...], camera: CameraSettings, size: tuple[int, int], depth_m: float
+    pose: CameraPose, index: tuple[int, ...], camera: CameraSettings, size: tuple[int, int], depth_m: float
 ) -> NDArray[np.float64]:
-    """Sensor pixel -> pixel of an image (height, width) of the far scene, (3, 3), third row for the caller.
+    """Return the map from sensor pixels to pixels of an image of the far scene.
 
-    The rotation K R K^-1 to first order about the optical axis; expansion by depth / (depth - way).
+    It is the rotation K R K^-1 to first order about the optical axis, and the expansion depth / (depth - distance
+    driven).
+
+    Parameters
+    ----------
+    pose
+        Poses of the camera.
+    index
+        Index of one pose in the arrays of `pose`.
+    camera
+        Sensor and focal length.
+    size
+        (height, width) of the image in pixels; its middle is on the optical axis at rest.
+    depth_m
+        Distance of the scene at time 0 in m, above 0; infinite for no expansion.
+
+    Returns
+    -------
+    (3, 3) float64: rows 0 and 1 take (x, y, 1) on the sensor to the image; row 2 is (0, 0, 1).
     """
-    pitch, yaw, roll, way = (a[index] for a in (pose.pitch_rad, pose.yaw_rad, pose.roll_rad, pose.way_m))
-    zoom = max(1 - way / depth_m, 0.05)
+    pitch, yaw, roll, driven = (a[index] for a in (pose.pitch_rad, pose.yaw_rad, pose.roll_rad, pose.travelled_m))
+    zoom = max(1 - driven / depth_m, LEAST_ZOOM)
     turn = zoom * np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
     middle = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
-    look = camera.focal_px * np.array([yaw, -pitch])
+    shift = camera.focal_px * np.array([yaw, -pitch])
     affine = np.eye(3)
     affine[:2, :2] = turn
-    affine[:2, 2] = np.array([(size[1] - 1) / 2, (size[0] - 1) / 2]) + look - turn @ middle
+    affine[:2, 2] = np.array([(size[1] - 1) / 2, (size[0] - 1) / 2]) + shift - turn @ middle
     return affine
 
 
 @dataclass
 class Clip:
-    """Footage on the sensor's pixels, read as far as it is needed, played forward and backward."""
+    """Footage at the background's size, read as far as it is needed, played forward and then backward.
+
+    Attributes
+    ----------
+    footage
+        Frames and their rate.
+    size
+        (height, width) of the background in pixels.
+    held
+        Frames read so far, at most `MOST_FRAMES`.
+    source
+        Iterator over the frames, once reading has begun.
+    ended
+        Whether all frames are read, or as many as are held.
+    """
 
     footage: Footage
     size: tuple[int, int]
@@ -127,7 +184,13 @@ class Clip:
             raise SettingsError("the footage has no frames")
 
     def at(self, time_s: float) -> tuple[Gray, Gray, float]:
-        """The two frames about a time, and the share of the second."""
+        """Return the frames before and after a time in s (0 if negative), and the weight of the second, 0 to 1.
+
+        Raises
+        ------
+        SettingsError
+            The footage has no frames, or one that is not gray uint8.
+        """
         place = max(time_s, 0.0) * self.footage.rate_hz
         whole = int(place)
         self._read_to(whole + 1)
@@ -142,7 +205,24 @@ class Clip:
 
 
 def cover_size(frame: Gray, size: tuple[int, int]) -> Gray:
-    """Scale a gray frame to cover (height, width), cut about its middle."""
+    """Scale a gray frame until it covers a size, and cut out its middle.
+
+    Parameters
+    ----------
+    frame
+        (rows, columns) uint8, at least 2 x 2.
+    size
+        (height, width) of the result in pixels.
+
+    Returns
+    -------
+    (height, width) uint8, contiguous.
+
+    Raises
+    ------
+    SettingsError
+        The frame is not gray, not uint8 or smaller than 2 x 2.
+    """
     import cv2
 
     if frame.ndim != 2 or frame.dtype != np.uint8 or min(frame.shape) < 2:
@@ -155,7 +235,19 @@ def cover_size(frame: Gray, size: tuple[int, int]) -> Gray:
 
 
 def draw_scene(size: tuple[int, int], rng: np.random.Generator) -> Gray:
-    """A street at dusk, (height, width) uint8: sky, road, buildings with windows, round and rectangular lamps."""
+    """Draw a street at dusk: sky, road, buildings with windows, round and rectangular lamps.
+
+    Parameters
+    ----------
+    size
+        (height, width) in pixels.
+    rng
+        Draws places, sizes and gray levels.
+
+    Returns
+    -------
+    (height, width) uint8.
+    """
     import cv2
 
     height, width = size
@@ -168,7 +260,7 @@ def draw_scene(size: tuple[int, int], rng: np.random.Generator) -> Gray:
     for _ in range(rng.integers(12, 24)):
         x, y = int(rng.integers(width)), int(rng.integers(height // 6, height * 5 // 6))
         w, h, shade = int(rng.integers(2, 20)), int(rng.integers(2, 16)), int(rng.integers(160, 256))
-        if rng.random() < 0.5:
+        if rng.random() < _ROUND_LAMPS:
             cv2.circle(scene, (x, y), max(w // 2, 1), shade, -1, cv2.LINE_AA)
         else:
             cv2.rectangle(scene, (x, y), (x + w, y + h), shade, -1)
@@ -182,33 +274,42 @@ def _draw_building(scene: Gray, left: int, horizon: int, rng: np.random.Generato
     shade = int(rng.integers(20, 90))
     cv2.rectangle(scene, (left, horizon - tall), (left + width, horizon), shade, -1)
     for x, y in itertools.product(range(left + 5, left + width - 6, 12), range(horizon - tall + 6, horizon - 8, 16)):
-        lit = int(rng.integers(120, 220)) if rng.random() < 0.3 else shade + 15
+        lit = int(rng.integers(120, 220)) if rng.random() < _LIT_WINDOWS else shade + 15
         cv2.rectangle(scene, (x, y), (x + 5, y + 8), lit, -1)
 
 
-Painter = Callable[[NDArray[np.float32], tuple[int, int], float, Pose, tuple[int, ...]], None]
-"""Writes the background into a window of the light: (light, corner, time_s, pose, index into the pose)."""
+Painter = Callable[[NDArray[np.float32], tuple[int, int], float, CameraPose, tuple[int, ...]], None]
+"""Writes the background into a window of the light: (light, corner, time in s, poses, index of one pose)."""
 
 
 def background(settings: ChannelSettings, footage: Footage | None, rng: np.random.Generator) -> Painter:
-    """The background of a film.
+    """Return the painter of a film's background.
+
+    Parameters
+    ----------
+    settings
+        The channel; ``settings.background`` chooses the kind.
+    footage
+        Recorded frames, for the kind "footage".
+    rng
+        Draws the scene of the kind "synthetic".
 
     Raises
     ------
     SettingsError
-        kind is "footage" and there is none.
+        The kind is "footage" and there is none.
     """
     kind, level, gain = settings.background.kind, settings.background.level, settings.background.gain / 255
     if kind == "flat":
         return lambda light, *_: light.fill(level)
     camera = settings.camera
-    size = (camera.height + 2 * MARGIN_PX, camera.width + 2 * MARGIN_PX)
+    size = (camera.height + 2 * SHAKE_MARGIN_PX, camera.width + 2 * SHAKE_MARGIN_PX)
     if kind == "synthetic":
-        still = draw_scene(size, rng)
-        return _painter(lambda _: (still, still, 0.0), gain, camera, size, SCENE_DEPTH_M)
+        scene = draw_scene(size, rng)
+        return _painter(lambda _: (scene, scene, 0.0), gain, camera, size, SCENE_DEPTH_M)
     if footage is None:
         raise SettingsError("background.kind = footage needs recorded frames")
-    return _painter(Clip(footage, size).at, gain, camera, size, np.inf)  # footage expands by itself
+    return _painter(Clip(footage, size).at, gain, camera, size, np.inf)  # footage holds its own expansion
 
 
 def _painter(
@@ -219,7 +320,7 @@ def _painter(
     depth_m: float,
 ) -> Painter:
     def paint(
-        light: NDArray[np.float32], corner: tuple[int, int], time_s: float, pose: Pose, index: tuple[int, ...]
+        light: NDArray[np.float32], corner: tuple[int, int], time_s: float, pose: CameraPose, index: tuple[int, ...]
     ) -> None:
         affine = image_motion(pose, index, camera, size, depth_m)
         affine[2, 2] = gain

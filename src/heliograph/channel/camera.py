@@ -1,4 +1,4 @@
-"""The channel as a whole: LED patterns in, camera frames and their truth out."""
+"""The whole channel: LED patterns in, camera frames and their truth out."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,16 +16,24 @@ from heliograph.channel.transfer import Transfer
 from heliograph.channel.truth import NoiseModel, Truth
 
 Patterns = Iterable[NDArray[np.uint8]]
+"""An array's patterns in the order of time, each (n, n) uint8 levels 0 to 4."""
 
-BLOCK = 64
-"""Frames whose poses are worked out together."""
+BLOCK_FRAMES = 64
+"""Frames whose poses are computed together. Chosen: a window of the reference link takes 310 us of CPU time a frame, as
+at half the value; 285 us at twice."""
+
+_ROUNDING = 1e-6
+"""Frame periods by which a film may be too short for its last frame: far above rounding errors, far below a slot."""
+
+_TOLERANCE = 1e-9
+"""Relative excess of the exposure over T_b that counts as a rounding error."""
 
 
 def frame_count(settings: ChannelSettings) -> int:
-    """Number of frames whose exposure ends within the film."""
+    """Return the number of frames whose exposure ends within the film; dropped frames count."""
     camera = settings.camera
     room = film_duration(settings) - camera.start_s - camera.exposure_s
-    return max(0, math.floor(room / camera.frame_period_s + 1e-6) + 1)
+    return max(0, math.floor(room / camera.frame_period_s + _ROUNDING) + 1)
 
 
 def film(
@@ -47,31 +55,35 @@ def film(
         The channel.
     lights
         For each array of the settings its patterns in the order of time, (n, n) uint8 levels 0 to 4, possibly
-        endless; dark before its start and after its end.
+        endless; the array is dark before the first and after the last.
     rng
-        Seeds the road, the drawn scene (and which LEDs fail) and the noise, in this order.
-    pattern_period_s, slot_order
-        T_b and the order of the PWM slots, as in the signal's settings.
-    footage, imu
-        Recordings for background.kind = "footage" and shake = "imu".
+        Seeds the road, the drawn scene (with the choice of LEDs that fail) and the noise, in this order.
+    pattern_period_s
+        T_b in s, at least the exposure.
+    slot_order
+        Order of the PWM slots, a permutation of 0 to 3, as in the signal's settings.
+    footage
+        Recorded frames for ``background.kind`` = "footage".
+    imu
+        Recorded trace for ``shake`` = "imu".
     roi_margin_px
-        None: whole frames. Else only a window about all arrays with this margin, cut at the sensor's edges; its
-        pixels are the same, noise included.
+        None for whole frames. Else frames are windows about all arrays with this margin in pixels, at least 0, cut at
+        the sensor's edges; their pixels are those of the whole frame, noise included.
 
     Yields
     ------
     frame
-        ``time_s`` is the camera's own clock: start_s + index / fps, but for jitter. A frame that was dropped leaves a
-        gap in ``index``, and in the truth.
+        ``time_s`` is the camera's own clock: start_s + index / fps, plus jitter. A dropped frame leaves a gap in
+        ``index``, and in the truth.
     truth
-        What was filmed; of a repeated frame, what it would have shown.
+        The truth of the frame; of a repeated frame, the truth of the exposure that it replaces.
 
     Raises
     ------
     SettingsError
-        A recording is missing, the exposure is longer than T_b, or settings and lights do not fit.
+        A recording is missing, the exposure is longer than T_b, or the settings do not fit the arguments.
     ValueError
-        A pattern is malformed.
+        An array has no pattern, or one is malformed.
     """
     _check(settings, lights, pattern_period_s, slot_order, roi_margin_px)
     if settings.background.kind == "footage" and footage is None:
@@ -103,7 +115,7 @@ def _check(
 ) -> None:
     if len(lights) != len(settings.arrays):
         raise SettingsError(f"there is one stream of patterns an array: {len(settings.arrays)}, not {len(lights)}")
-    if settings.camera.exposure_s > period_s * (1 + 1e-9):
+    if settings.camera.exposure_s > period_s * (1 + _TOLERANCE):
         raise SettingsError(f"the exposure is at most T_b = {period_s:g} s, not {settings.camera.exposure_s:g} s")
     if sorted(order) != [0, 1, 2, 3]:
         raise SettingsError(f"the slot order is a permutation of 0 to 3, not {list(order)}")
@@ -120,24 +132,24 @@ def _shoot(
     noise_seed: int,
     roi: int | None,
 ) -> Iterator[tuple[Frame, Truth]]:
-    # the kernels are imported with the first frame, so that the package costs nothing to import
+    # the kernels are imported with the first frame: Numba takes half a second
     from heliograph.channel.background import background
-    from heliograph.channel.render import Canvas, Stage, block_views, render, windows
+    from heliograph.channel.render import Canvas, FilmScene, frame_block, render, windows
     from heliograph.channel.sensor import read_out
 
     camera, noise = settings.camera, NoiseModel(settings.sensor)
-    stage = Stage(settings, arrays, drive, background(settings, footage, np.random.default_rng(scene_seed)))
+    scene = FilmScene(settings, arrays, drive, background(settings, footage, np.random.default_rng(scene_seed)))
     total = frame_count(settings)
     whole = np.empty((camera.height, camera.width), np.float32)
     transfer = Transfer(camera, noise_seed)
-    for first in range(0, total, BLOCK):
-        block = block_views(stage, np.arange(first, min(first + BLOCK, total)))
+    for first in range(0, total, BLOCK_FRAMES):
+        block = frame_block(scene, np.arange(first, min(first + BLOCK_FRAMES, total)))
         parts = windows(block, camera, roi)
         for k in range(len(block.index)):
             index = int(block.index[k])
             x, y, last_x, last_y = map(int, parts[k])
             light = whole if roi is None else np.empty((last_y - y + 1, last_x - x + 1), np.float32)
-            truths = render(stage, block, k, Canvas(light, (x, y)))
+            truths = render(scene, block, k, Canvas(light, (x, y)))
             pixels = read_out(light, settings.sensor, noise_seed, index, (x, y))
             frame = Frame(index, camera.start_s + index / camera.fps, pixels, settings.sensor.bits, (x, y))
             delivered = transfer(frame)

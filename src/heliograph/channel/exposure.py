@@ -1,4 +1,4 @@
-"""Which LED is lit for which part of an exposure: equations (1), (2), (4) and (6)."""
+"""The LEDs that are lit in each part of an exposure: equations (1), (2), (4) and (6)."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -13,19 +13,39 @@ from heliograph.signal.pwm import SLOTS
 Floats = NDArray[np.float64]
 
 SLIVER = 1e-6
-"""Pieces of an exposure shorter than this share of a slot are rounding errors of the clocks, not light."""
+"""Pieces of an exposure shorter than this, in slots, are rounding errors of the clocks: times up to an hour in double
+precision are right to 5e-13 s, 2e-9 of a slot of 0.25 ms. They hold no more than 1e-6 of a slot's light."""
 
-HELD = 8
-"""Patterns kept: an exposure is at most T_b and reads two, or three with clocks that differ."""
+HELD_PATTERNS = 8
+"""Patterns kept: an exposure is at most T_b long and reads two, or three where the clocks differ. Half as many would
+do."""
+
+_NO_LIGHT_S = 1e-30
+"""Least time an LED is lit, for a division: above 0, and below any piece of an exposure."""
+
+_TOLERANCE = 1e-9
+"""Excess of a piece over a whole number of parts that counts as a rounding error."""
 
 
 class PatternFeed:
-    """The patterns of one array, read as time goes on.
+    """The patterns of one array, read in step with time.
+
+    Parameters
+    ----------
+    patterns
+        Patterns in the order of time, (n, n) uint8 levels 0 to 4, possibly endless.
+    name
+        Name of the array, for error messages.
+
+    Attributes
+    ----------
+    side
+        LEDs in a row and in a column, n.
 
     Raises
     ------
     ValueError
-        There are none, they are not square uint8 levels 0 to 4, or their size changes.
+        There is no pattern, one is not square uint8 levels 0 to 4, or their size changes.
     """
 
     def __init__(self, patterns: Iterable[NDArray[np.uint8]], name: str) -> None:
@@ -39,13 +59,19 @@ class PatternFeed:
             raise ValueError(f"the lights of {name} show no pattern at all; leave the array out instead")
 
     def at(self, number: int) -> NDArray[np.uint8] | None:
-        """Pattern of a number that does not fall behind the newest by more than `HELD`; None before and after all."""
+        """Return pattern `number`; None where there is none, or where it is `HELD_PATTERNS` or more before the newest.
+
+        Raises
+        ------
+        ValueError
+            A pattern is malformed.
+        """
         while self._next <= number:
             pattern = next(self._source, None)
             if pattern is None:
                 break
             self._held[self._next] = self._checked(pattern)
-            self._held.pop(self._next - HELD, None)
+            self._held.pop(self._next - HELD_PATTERNS, None)
             self._next += 1
         return self._held.get(number)
 
@@ -61,14 +87,16 @@ class PatternFeed:
 
 @dataclass(frozen=True, slots=True)
 class Lit:
-    """An exposure cut at the PWM slots' boundaries; the slots in which the array is dark are left out.
+    """An exposure cut into k pieces at the PWM slots' boundaries; times without a pattern are left out.
 
     Attributes
     ----------
-    start_s, end_s
-        (k,) true times of the pieces.
+    start_s
+        (k,) true start of each piece in s.
+    end_s
+        (k,) true end of each piece in s.
     on
-        (k, n, n) float64: 1 where an LED is lit.
+        (k, n, n) float64: 1 where an LED is lit, else 0.
     patterns
         Numbers of the patterns shown, in the order of time.
     """
@@ -79,28 +107,36 @@ class Lit:
     patterns: tuple[int, ...]
 
     def moments(self, start_s: float, end_s: float) -> tuple[Floats, Floats, Floats]:
-        """When each LED is lit in an exposure.
+        """Return the moments in time of each LED's light.
+
+        Parameters
+        ----------
+        start_s
+            Start of the exposure in s.
+        end_s
+            End of the exposure in s.
 
         Returns
         -------
-        share
-            (n, n) share of the exposure it is lit.
+        fraction
+            (n, n) fraction of the exposure for which an LED is lit, 0 to 1.
         late
-            (n, n) centroid of its lit time, from the middle of the exposure in s.
+            (n, n) centroid of its lit time in s, from the middle of the exposure; 0 for an LED that is not lit.
         spread
             (n, n) variance of its lit time in s^2.
         """
+        # a piece of length T and centroid c has the moments T, T c and T (c^2 + T^2 / 12)
         length = self.end_s - self.start_s
         centre = (self.start_s + self.end_s - start_s - end_s) / 2
         rows = np.stack([length, length * centre, length * (centre**2 + length**2 / 12)])
         sums = np.tensordot(rows, self.on, 1)
-        total = np.maximum(sums[0], 1e-30)
+        total = np.maximum(sums[0], _NO_LIGHT_S)
         late = sums[1] / total
         return sums[0] / (end_s - start_s), late, np.maximum(sums[2] / total - late**2, 0)
 
     def split(self, longest_s: float) -> "Lit":
-        """The same, with no piece longer than a time."""
-        count = np.maximum(np.ceil((self.end_s - self.start_s) / longest_s - 1e-9), 1).astype(int)
+        """Return the same exposure with its pieces cut into equal parts of at most `longest_s` seconds."""
+        count = np.maximum(np.ceil((self.end_s - self.start_s) / longest_s - _TOLERANCE), 1).astype(int)
         part = np.concatenate([np.arange(c) for c in count])
         length = np.repeat((self.end_s - self.start_s) / count, count)
         start = np.repeat(self.start_s, count) + part * length
@@ -109,14 +145,18 @@ class Lit:
 
 @dataclass(frozen=True)
 class Faults:
-    """What keeps an array from showing its patterns.
+    """Faults that keep an array from showing its patterns.
 
     Attributes
     ----------
-    dead, stuck, hidden
-        (n, n) LEDs that never shine, that always do, and that something hides.
+    dead
+        (n, n) bool, LEDs that never shine.
+    stuck
+        (n, n) bool, LEDs that always shine, but for `off_s`.
+    hidden
+        (n, n) bool, LEDs that an obstacle hides.
     off_s
-        Times (from, to) for which all are dark.
+        Times (from, to) in s for which all are dark.
     """
 
     dead: NDArray[np.bool_]
@@ -126,7 +166,17 @@ class Faults:
 
     @classmethod
     def of(cls, place: Placement, side: int, rng: np.random.Generator) -> "Faults":
-        """The faults of an array; which LEDs fail is drawn at random."""
+        """Return the faults of an array; the LEDs that fail are drawn at random.
+
+        Parameters
+        ----------
+        place
+            Settings of the array: fractions dead and stuck, hidden part, times off.
+        side
+            LEDs in a row and in a column.
+        rng
+            Draws the LEDs.
+        """
         order = rng.permutation(side * side).reshape(side, side)
         many, more = round(place.dead * side * side), round(place.stuck * side * side)
         hidden = np.zeros((side, side), bool)
@@ -136,12 +186,25 @@ class Faults:
             hidden = (v > left) & (v < right) & (u > top) & (u < low)
         return cls(order < many, (order >= many) & (order < many + more), hidden, place.off_s)
 
-    def left(self, on: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """What shines of LEDs (k, n, n) that should."""
+    def visible(self, on: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the LEDs whose light reaches the camera, of (k, n, n) LEDs that the patterns light."""
         return np.asarray(((on & ~self.dead) | self.stuck) & ~self.hidden)
 
     def cut(self, begin_s: float, end_s: float) -> Iterator[tuple[float, float]]:
-        """The parts of a time for which the array is not off."""
+        """Yield the parts of a time for which the array is not off.
+
+        Parameters
+        ----------
+        begin_s
+            Start of the time in s.
+        end_s
+            Its end in s.
+
+        Yields
+        ------
+        tuple of float
+            Start and end of a part in s, in the order of time.
+        """
         for off, on in sorted(self.off_s):
             if off > begin_s:
                 yield begin_s, min(off, end_s)
@@ -153,18 +216,20 @@ class Faults:
 
 @dataclass(frozen=True)
 class Lighting:
-    """When an array shows its patterns.
+    """An array's patterns in true time.
 
     Attributes
     ----------
     feed
-        Its patterns.
-    start_s, period_s
-        Start of pattern 0, and the pattern period by the array's own clock.
+        The patterns.
+    start_s
+        True time at which pattern 0 starts, in s.
+    period_s
+        True pattern period in s, with the error of the array's clock.
     slot_order
-        Order in which slots are lit as the level rises.
+        Order in which slots are lit as the level rises, a permutation of 0 to 3.
     faults
-        What keeps it from showing them.
+        Faults of the array.
     """
 
     feed: PatternFeed
@@ -174,7 +239,20 @@ class Lighting:
     faults: Faults
 
     def lit(self, start_s: float, end_s: float) -> Lit | None:
-        """What is lit in an exposure; None where the array shows no pattern."""
+        """Return the lit LEDs of an exposure; None where the array shows no pattern.
+
+        Parameters
+        ----------
+        start_s
+            True start of the exposure in s.
+        end_s
+            Its true end in s.
+
+        Raises
+        ------
+        ValueError
+            A pattern is malformed.
+        """
         slot_s = self.period_s / SLOTS
         pieces: list[tuple[float, float, int, int, NDArray[np.uint8]]] = []
         # (1), (2): x(t) = sum_k x_k g(t - k T_b); (4), (5): the shutter is open from start to end
@@ -190,5 +268,5 @@ class Lighting:
             return None
         begins, ends, numbers, phases, patterns = zip(*pieces, strict=True)
         rank = np.argsort(np.asarray(self.slot_order))[list(phases)]
-        on = self.faults.left(np.stack(patterns) > rank[:, None, None]).astype(float)
+        on = self.faults.visible(np.stack(patterns) > rank[:, None, None]).astype(float)
         return Lit(np.array(begins), np.array(ends), on, tuple(dict.fromkeys(numbers)))

@@ -1,4 +1,4 @@
-"""Recorded frames for the background, as a value without files."""
+"""Recorded frames for the background, without files."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -9,14 +9,20 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Footage:
-    """Gray frames that can be read from the start, any number of times.
+    """Gray frames that can be read from the start any number of times.
 
     Attributes
     ----------
     frames
-        Makes an iterator over (rows, columns) uint8 frames of any one size; gray levels stand for linear light.
+        Returns a new iterator over (rows, columns) uint8 frames, all of one size; gray levels are taken as linear
+        light.
     rate_hz
-        Frames a second.
+        Frames a second, above 0.
+
+    Raises
+    ------
+    ValueError
+        The rate is not above 0.
     """
 
     frames: Callable[[], Iterator[NDArray[np.uint8]]]

@@ -1,4 +1,4 @@
-"""Light of LEDs and panel on the pixels: disc, lobe, Gaussian blur, exact integral over each pixel."""
+"""Light of LEDs and panel on the pixels: disc, lobe, Gaussian blur, integral over each pixel."""
 
 import math
 from functools import cache
@@ -9,54 +9,74 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-REACH = 5.0
-"""An LED's image is cut this many standard deviations from its centre; 6e-7 of the light is lost on a side."""
+REACH_SIGMA = 5.0
+"""An LED's image is cut this many standard deviations from its centre; 2 Phi(-5) = 6e-7 of the light is lost along an
+axis. At half the value 1.2 % would be lost; at twice an image has up to four times the pixels."""
 
 LEAST_COVARIANCE = 1e-3
-"""Correlation of an LED's Gaussian below which it counts as upright: 4e-4 of its peak at most."""
+"""Correlation of an LED's Gaussian below which it counts as upright: an error of 4e-4 of its peak at most, in
+proportion to the value."""
 
 PER_SIGMA = 512
-LIMIT = 6
-"""Samples of the normal distribution function by standard deviation, and how far; straight lines between
-them are right to 1.2e-7."""
+"""Samples of the normal distribution function Phi by standard deviation: straight lines between them are right to
+max |Phi''| / (8 512^2) = 1.2e-7; 4.6e-7 at half the value."""
+
+LIMIT_SIGMA = 6
+"""Standard deviations to which Phi is tabulated: beyond, it is 0 or 1 to 1e-9."""
+
+ONE_GAUSSIAN = 0.4
+"""Largest resolution, radius of a disc by the blur, at which one Gaussian stands for the disc: right to 0.03 % (see
+`disc_cubature`, as for the next three)."""
+
+FOUR_GAUSSIANS = 0.65
+"""Largest resolution at which four Gaussians stand for the disc: right to 0.05 %."""
+
+SIX_GAUSSIANS = 1.6
+"""Largest resolution at which six Gaussians stand for the disc: right to 0.2 %."""
+
+RING_SIGMA = 0.8
+"""Largest width of a ring of Gaussians beyond, in standard deviations of the blur: right to 0.5 % up to a resolution of
+4."""
 
 
 @cache
 def normal_table() -> Floats:
-    """Phi(z) at z = -LIMIT, ..., LIMIT in steps of 1 / PER_SIGMA."""
-    z = np.arange(-LIMIT * PER_SIGMA, LIMIT * PER_SIGMA + 2) / PER_SIGMA
+    """Return Phi(z) at z = -`LIMIT_SIGMA` ... `LIMIT_SIGMA` in steps of 1 / `PER_SIGMA`, and one sample beyond."""
+    z = np.arange(-LIMIT_SIGMA * PER_SIGMA, LIMIT_SIGMA * PER_SIGMA + 2) / PER_SIGMA
     return np.array([0.5 * math.erfc(-v / math.sqrt(2)) for v in z])
 
 
 @cache
 def disc_cubature(resolution: float) -> tuple[Floats, float]:
-    """A uniform disc as a sum of equal Gaussians.
+    """Return equal Gaussians whose sum stands for a uniform disc.
 
-    Largest error of a pixel, as a share of an LED's brightest pixel: 0.03 % to a resolution of 0.4, 0.05 % to
-    0.65, 0.2 % to 1.6 (the reference lens at 60, 25 and 10 m is at 0.24, 0.58 and 1.46), 0.5 % to 4.
+    The largest error of a pixel, relative to an LED's brightest pixel, is 0.03 % up to a resolution of 0.4, 0.05 % up
+    to 0.65, 0.2 % up to 1.6, 0.5 % up to 4. The reference lens at 60, 25 and 10 m has the resolutions 0.24, 0.58 and
+    1.46.
 
     Parameters
     ----------
     resolution
-        Radius of the disc in standard deviations of the optical blur, rounded up by the caller to spare work.
+        Radius of the disc in standard deviations of the optical blur, above 0; a caller rounds it up, so that few
+        cubatures are made.
 
     Returns
     -------
     points
-        (k, 2) centres in radii.
+        (k, 2) float64 centres in radii of the disc.
     rest
-        Variance of each Gaussian along an axis in squared radii, so that the variance of all is 1/4.
+        Variance of each Gaussian along an axis in squared radii, so that the variance of all is 1/4, the disc's own.
     """
     # the disc has kappa_4 = -R^4 / 16; a ring of radius q has -3 q^4 / 8: equal at q = R / 6^(1/4);
     # a square of corners (+-q, +-q) has -2 q^4: equal at q = R / 32^(1/4) along the axes
-    if resolution <= 0.4:
+    if resolution <= ONE_GAUSSIAN:
         points = np.zeros((1, 2))
-    elif resolution <= 0.65:  # four Gaussians at the corners of a square
+    elif resolution <= FOUR_GAUSSIANS:  # four Gaussians at the corners of a square
         points = _ring(2**0.5 / 32**0.25, 4)
-    elif resolution <= 1.6:
+    elif resolution <= SIX_GAUSSIANS:
         points = _ring(6**-0.25, 6)
     else:
-        rings = math.ceil(resolution / 0.8)
+        rings = math.ceil(resolution / RING_SIGMA)
         points = np.vstack([_ring(*_sectors(k, rings)) for k in range(rings)])
     return points, 0.25 - float((points**2).sum(1).mean()) / 2
 
@@ -67,7 +87,7 @@ def _ring(radius: float, count: int) -> Floats:
 
 
 def _sectors(k: int, rings: int) -> tuple[float, int]:
-    """Centroid's radius and number of the sectors of annulus k, 3 (2 k + 1) so that all have one area."""
+    """Return the radius of the sectors' centroids in annulus k, and their number 3 (2 k + 1): all have one area."""
     count = 3 * (2 * k + 1)
     inner, outer = k / rings, (k + 1) / rings
     return 2 / 3 * (outer**3 - inner**3) / (outer**2 - inner**2) * float(np.sinc(1 / count)), count
@@ -75,19 +95,19 @@ def _sectors(k: int, rings: int) -> tuple[float, int]:
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _phi(z: float, table: Floats) -> float:
-    """Phi(z) by the table."""
-    place = (z + LIMIT) * PER_SIGMA
+    """Return Phi(z) by straight lines between the samples of the table."""
+    place = (z + LIMIT_SIGMA) * PER_SIGMA
     if place <= 0.0:
         return 0.0
-    if place >= 2 * LIMIT * PER_SIGMA:
+    if place >= 2 * LIMIT_SIGMA * PER_SIGMA:
         return 1.0
     k = int(place)
     return float(table[k] + (place - k) * (table[k + 1] - table[k]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _shares(out: Floats, first: int, last: int, centre: float, sigma: float, table: Floats) -> None:
-    """Share of a 1-D Gaussian in each of the pixels first..last."""
+def _fractions(out: Floats, first: int, last: int, centre: float, sigma: float, table: Floats) -> None:
+    """Write the fraction of a 1-D Gaussian on each of the pixels first..last."""
     # integral over a pixel = Phi((i + 1/2 - x) / sigma) - Phi((i - 1/2 - x) / sigma)
     low = _phi((first - 0.5 - centre) / sigma, table)
     for i in range(first, last + 1):
@@ -98,9 +118,9 @@ def _shares(out: Floats, first: int, last: int, centre: float, sigma: float, tab
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _span(centre: float, sigma: float, start: int, size: int) -> tuple[int, int]:
-    """First and last pixel a Gaussian reaches within a window."""
-    first = math.ceil(centre - REACH * sigma - 0.5)
-    last = math.floor(centre + REACH * sigma + 0.5)
+    """Return the first and the last pixel that a Gaussian reaches within a window."""
+    first = math.ceil(centre - REACH_SIGMA * sigma - 0.5)
+    last = math.floor(centre + REACH_SIGMA * sigma + 0.5)
     return max(start, first), min(start + size - 1, last)
 
 
@@ -114,14 +134,14 @@ def _deposit(
     scratch: Floats,
     table: Floats,
 ) -> None:
-    """Add a Gaussian of some flux, integrated over each pixel."""
+    """Add a Gaussian of a flux, integrated over each pixel."""
     left, right = _span(centre[0], sigma[0], corner[0], light.shape[1])
     top, low = _span(centre[1], sigma[1], corner[1], light.shape[0])
     if left > right or top > low:
         return
     across, down = scratch[0], scratch[1]
-    _shares(across, left, right, centre[0], sigma[0], table)
-    _shares(down, top, low, centre[1], sigma[1], table)
+    _fractions(across, left, right, centre[0], sigma[0], table)
+    _fractions(down, top, low, centre[1], sigma[1], table)
     for i in range(top, low + 1):
         row, g = light[i - corner[1]], flux * down[i - top]
         for j in range(left, right + 1):
@@ -130,7 +150,7 @@ def _deposit(
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _image(h: Floats, a: float, b: float) -> tuple[float, float, float, float, float, float, float]:
-    """Image (x, y), depth z and Jacobian (dx/da, dx/db, dy/da, dy/db) of a point of the array's plane."""
+    """Return image (x, y), depth z and Jacobian (dx/da, dx/db, dy/da, dy/db) of a point of the array's plane."""
     z = h[2, 0] * a + h[2, 1] * b + h[2, 2]
     x = (h[0, 0] * a + h[0, 1] * b + h[0, 2]) / z
     y = (h[1, 0] * a + h[1, 1] * b + h[1, 2]) / z
@@ -141,7 +161,7 @@ def _image(h: Floats, a: float, b: float) -> tuple[float, float, float, float, f
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _velocity(drift: Floats, a: float, b: float, x: float, y: float, z: float) -> tuple[float, float]:
-    """Speed of the image of a point of the array's plane in px/s."""
+    """Return the velocity of the image of a point of the array's plane in px/s."""
     vz = drift[2, 0] * a + drift[2, 1] * b + drift[2, 2]
     vx = drift[0, 0] * a + drift[0, 1] * b + drift[0, 2] - x * vz
     vy = drift[1, 0] * a + drift[1, 1] * b + drift[1, 2] - y * vz
@@ -167,22 +187,28 @@ def add_leds(
     Parameters
     ----------
     light
-        (h, w) float32, shares of full scale.
+        (h, w) float32 light in full scales, changed.
     corner
         (x, y) on the sensor of ``light[0, 0]``.
-    homography, eye
-        (3, 3) and (3,) of `scene.homography`, at one time.
+    homography
+        (3, 3) of `scene.homography` at one time.
     drift
-        (3, 3) change of the homography by second.
+        (3, 3) change of the homography a second.
+    eye
+        (3,) of `scene.homography` at that time.
     moments
-        (n, n) each, float64: surface brightness of each LED times the share of the exposure it is lit; the
-        centroid of its lit time from the homography's in s; the variance of its lit time in s^2.
+        Three (n, n) float64: light of each LED times the fraction of the exposure for which it is lit, in full scales;
+        the centroid of its lit time in s, from the time of the homography; the variance of its lit time in s^2.
     emitter
         Pitch in m, radius in m, Lambertian order.
     lens
         Focal length in px, blur in px.
-    points, rest, table
-        Of `disc_cubature` and `normal_table`.
+    points
+        (k, 2) centres of `disc_cubature`.
+    rest
+        Variance of `disc_cubature`.
+    table
+        `normal_table`.
     """
     level, late, spread = moments
     pitch, radius, order = emitter
@@ -200,7 +226,7 @@ def add_leds(
                     h[i, j] = homography[i, j] + late[u, v] * drift[i, j]
             x, y, z, xa, xb, ya, yb = _image(h, a, b)
             vx, vy = _velocity(drift, a, b, x, y, z)
-            # Lambertian lobe: I ~ cos^m of the angle between the array's normal and the way to the camera
+            # Lambertian lobe: I ~ cos^m of the angle between the array's normal and the direction of the camera
             away = math.sqrt((eye[0] - a) ** 2 + (eye[1] - b) ** 2 + eye[2] ** 2)
             lobe = (-eye[2] / away) ** order
             # h_uv of (3): flux = level (f p / (Z pixel))^2, so that an unresolved array has its surface brightness
@@ -210,7 +236,7 @@ def add_leds(
             xx = blur**2 + disc * (xa**2 + xb**2) + vx**2 * spread[u, v]
             yy = blur**2 + disc * (ya**2 + yb**2) + vy**2 * spread[u, v]
             xy = disc * (xa * ya + xb * yb) + vx * vy * spread[u, v]
-            # a covariance worth counting: halves moved apart along the diagonal by its root, variances less by it
+            # a covariance worth counting: two halves at +-dx along a diagonal have +-dx^2, and dx^2 more variance
             halves = 2 if abs(xy) > LEAST_COVARIANCE * math.sqrt(xx * yy) else 1
             dx = math.sqrt(abs(xy)) if halves == 2 else 0.0
             dy = dx if xy > 0 else -dx
@@ -236,16 +262,20 @@ def cover(
 
     Parameters
     ----------
-    light, corner, table
-        As for `add_leds`.
+    light
+        (h, w) float32 light in full scales, changed.
+    corner
+        (x, y) on the sensor of ``light[0, 0]``.
     inverse
-        (3, 3): pixels -> the array's plane, in standard deviations of the blur right and down of its centre.
+        (3, 3): pixels -> the array's plane, right and down of its centre in standard deviations of the blur there.
     half
-        Half the panel's sides in the same measure.
+        Half the panel's width and height in the same unit.
     box
-        First x, first y, last x, last y of the pixels it can reach.
+        First x, first y, last x, last y of the pixels that it can reach, on the sensor.
     level
-        Light of the panel as a share of full scale.
+        Light of the panel in full scales.
+    table
+        `normal_table`.
     """
     height, width = light.shape
     for y in range(max(box[1], corner[1]), min(box[3], corner[1] + height - 1) + 1):

@@ -1,6 +1,6 @@
-"""Pinhole geometry: vehicle pose and placement of an array -> homography.
+"""Pinhole geometry: pose of the camera and placement of an array -> homography.
 
-Axes are right, down, forward, in the world (at rest, at time 0 with the camera at its origin) as in the camera.
+Axes are right, down, forward, in the world as in the camera. The world's origin is the camera at rest at time 0.
 """
 
 from dataclasses import dataclass
@@ -13,22 +13,28 @@ from heliograph.channel.settings import CameraSettings, Placement
 Floats = NDArray[np.float64]
 
 TINY_M = 1e-9
-"""Stands for a depth of 0, to divide by."""
+"""Depth in m that replaces smaller ones in divisions; arrays nearer than 0.3 m are not rendered in any case."""
 
 
 @dataclass(frozen=True)
-class Pose:
-    """Where the camera is and looks, at any number of times; all arrays of one shape.
+class CameraPose:
+    """Position and direction of the camera at any number of times; all arrays have one shape.
 
     Attributes
     ----------
-    way_m, heave_m
-        Distance driven along the road and height above rest.
-    pitch_rad, yaw_rad, roll_rad
-        Nose up, to the right, right side down.
+    travelled_m
+        Distance driven along the road since time 0, in m.
+    heave_m
+        Height above rest in m.
+    pitch_rad
+        Rotation in rad, positive with the nose up.
+    yaw_rad
+        Rotation in rad, positive to the right.
+    roll_rad
+        Rotation in rad, positive with the right side down.
     """
 
-    way_m: Floats
+    travelled_m: Floats
     heave_m: Floats
     pitch_rad: Floats
     yaw_rad: Floats
@@ -36,7 +42,21 @@ class Pose:
 
 
 def rotation(pitch_rad: ArrayLike, yaw_rad: ArrayLike, roll_rad: ArrayLike) -> Floats:
-    """R = R_y(yaw) R_x(pitch) R_z(roll), shape (..., 3, 3): turned axes as columns."""
+    """Return the rotation R = R_y(yaw) R_x(pitch) R_z(roll).
+
+    Parameters
+    ----------
+    pitch_rad
+        Angle about the right axis in rad, (...).
+    yaw_rad
+        Angle about the down axis in rad, (...).
+    roll_rad
+        Angle about the forward axis in rad, (...).
+
+    Returns
+    -------
+    (..., 3, 3) float64: the turned right, down and forward axis as columns.
+    """
     p, w, r = np.broadcast_arrays(*(np.asarray(a, float) for a in (pitch_rad, yaw_rad, roll_rad)))
     cp, sp, cw, sw, cr, sr = np.cos(p), np.sin(p), np.cos(w), np.sin(w), np.cos(r), np.sin(r)
     rows = (
@@ -48,26 +68,34 @@ def rotation(pitch_rad: ArrayLike, yaw_rad: ArrayLike, roll_rad: ArrayLike) -> F
 
 
 def homography(
-    pose: Pose, times_s: Floats, placement: Placement, distance_m: float, camera: CameraSettings
+    pose: CameraPose, times_s: Floats, placement: Placement, distance_m: float, camera: CameraSettings
 ) -> tuple[Floats, Floats]:
-    """Map of an array's plane onto the sensor, and the camera seen from the array.
+    """Return the map of an array's plane onto the sensor, and the camera's position relative to the array.
 
     Parameters
     ----------
     pose
-        Of the camera at `times_s`, arrays of shape (...).
+        Poses of the camera at `times_s`.
+    times_s
+        (...) times in s.
+    placement
+        Position, tilt and velocity of the array.
+    distance_m
+        ``channel.distance_m``, above 0.
+    camera
+        Sensor and focal length.
 
     Returns
     -------
     homography
         (..., 3, 3): (right, down, 1) in metres -> (x, y, 1) Z in px, Z the depth in metres.
     eye
-        (..., 3): the camera in the array's axes (right, down, behind) in metres.
+        (..., 3): position of the camera in the array's axes (right, down, backward) in metres.
     """
     tilt = rotation(*np.radians((placement.pitch_deg, placement.yaw_deg, placement.roll_deg)))
     turn = rotation(pose.pitch_rad, pose.yaw_rad, pose.roll_rad)
     gap = _gap(pose, times_s, placement, distance_m)
-    # X_camera = R^T (P + R_a (a, b, 0)^T - C); pixel = K X_camera
+    # X_camera = R^T (P + R_a (a, b, 0)^T - C); pixel = K X_camera; a, b metres right and down in the array's plane
     columns = np.concatenate([np.broadcast_to(tilt[:, :2], (*gap.shape[:-1], 3, 2)), gap[..., None]], -1)
     lens = np.array(
         [[camera.focal_px, 0, (camera.width - 1) / 2], [0, camera.focal_px, (camera.height - 1) / 2], [0, 0, 1]]
@@ -75,17 +103,32 @@ def homography(
     return lens @ np.swapaxes(turn, -1, -2) @ columns, -gap @ tilt
 
 
-def _gap(pose: Pose, times_s: Floats, placement: Placement, distance_m: float) -> Floats:
-    """From the camera to the array's centre in the world's axes, (..., 3)."""
+def _gap(pose: CameraPose, times_s: Floats, placement: Placement, distance_m: float) -> Floats:
+    """Return the vector from the camera to the array's centre in the world's axes, (..., 3) in m."""
     x = placement.x_m + placement.vx_m_s * times_s
     y = placement.y_m + placement.vy_m_s * times_s + pose.heave_m
-    z = distance_m + placement.z_offset_m + placement.vz_m_s * times_s - pose.way_m
+    z = distance_m + placement.z_offset_m + placement.vz_m_s * times_s - pose.travelled_m
     z = np.where(np.abs(z) < TINY_M, TINY_M, z)  # the camera in the array's plane
     return np.stack(np.broadcast_arrays(x, y, z), -1)
 
 
 def project(homographies: Floats, points_m: Floats) -> tuple[Floats, Floats]:
-    """Image (..., k, 2) in px and depth (..., k) in m of k points (k, 2) of the array's plane."""
+    """Return images and depths of points of an array's plane.
+
+    Parameters
+    ----------
+    homographies
+        (..., 3, 3) maps of `homography`.
+    points_m
+        (k, 2) points in m right and down of the array's centre.
+
+    Returns
+    -------
+    image
+        (..., k, 2) points (x, y) on the sensor in px.
+    depth
+        (..., k) depths along the optical axis in m.
+    """
     ones = np.ones((len(points_m), 1))
     image = np.hstack([points_m, ones]) @ np.swapaxes(homographies, -1, -2)
     depth = np.where(np.abs(image[..., 2]) < TINY_M, TINY_M, image[..., 2])
@@ -93,12 +136,12 @@ def project(homographies: Floats, points_m: Floats) -> tuple[Floats, Floats]:
 
 
 def centre_scale(homographies: Floats) -> Floats:
-    """Jacobian (..., 2, 2) of the map at the array's centre in px/m."""
+    """Return the Jacobian (..., 2, 2) of maps (..., 3, 3) of `homography` at the array's centre, in px/m."""
     depth = homographies[..., 2, 2, None, None]
     centre = homographies[..., :2, 2:] / depth
     return (homographies[..., :2, :2] - centre * homographies[..., 2:, :2]) / depth
 
 
 def square(half_m: float) -> Floats:
-    """Corners (4, 2) of a square about the array's centre."""
+    """Return the corners (4, 2) in m of a square about the array's centre; `half_m` is half its side."""
     return half_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

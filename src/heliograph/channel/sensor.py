@@ -1,7 +1,7 @@
 """EMVA 1288 sensor: light -> electrons with shot and dark noise -> gray levels.
 
-Noise is a function of (seed, frame, row, column on the sensor) alone: a window has the very noise of the
-whole frame, in whatever order frames and windows are made.
+Noise is a function of (seed, frame, row, column on the sensor) alone: a window has the noise of the whole
+frame, in whatever order frames and windows are made.
 """
 
 import math
@@ -16,11 +16,36 @@ from heliograph.channel.settings import SensorSettings
 
 SKEW_LIMIT = 0.2236
 """Skewness 1 / sqrt(20) of a Poisson variable of mean 20. Below it a normal variable with the right mean, variance
-and skewness stands for the sum of shot and dark noise (excess kurtosis left out: at most 0.05); above it the
-Poisson variable is drawn exactly. Dark noise of 1.8 electrons or more never needs it."""
+and skewness stands for the sum of shot and dark noise (the excess kurtosis left out is at most 0.05); above it the
+Poisson variable is drawn exactly, at several times the cost."""
 
 BRIGHTEST = 64.0
-"""Light beyond this many times full scale is cut: it saturates in any case."""
+"""Light above this many full scales is cut. Chosen: it saturates in any case, and its electrons still fit float32."""
+
+_LEAST_NORMAL_DARK_E = np.float32(1.8)
+"""Dark noise in electrons from which the skewness mu / (mu + sigma^2)^1.5 stays below `SKEW_LIMIT` at any light: it is
+at most 0.385 / sigma, reached at mu = 2 sigma^2, so from 1.72 on."""
+
+_MOST_POISSON_E = 64
+"""Electrons above which no Poisson variable is drawn. The skewness is below 1 / sqrt(mu), so from 20 on the first test
+decides; this one is cheaper and comes before it."""
+
+_MOST_COUNT = 1000
+"""Bound on the steps of `_poisson`; a mean of `_MOST_POISSON_E` reaches it with a probability below 1e-300."""
+
+_TINY = np.float32(1e-20)
+"""Variance in squared electrons that replaces smaller ones in a division: where there is neither light nor dark
+noise."""
+
+_GOLDEN_64 = np.uint64(0x9E3779B97F4A7C15)
+"""2^64 over the golden ratio: steps of it fill the range evenly (Weyl sequence of splitmix64)."""
+
+_GOLDEN_32 = np.uint32(0x9E3779B9)
+"""2^32 over the golden ratio, likewise."""
+
+_POISSON_STEP = np.uint64(0xD1B54A32D192ED03)
+"""2^64 over the root 1.2207 of x^4 = x + 1: another such step, so that a pixel's Poisson variable does not share
+bits with its normal one."""
 
 _TWO_PI = np.float32(2 * math.pi)
 _LN2 = np.float32(math.log(2))
@@ -28,7 +53,7 @@ _LN2 = np.float32(math.log(2))
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _mix64(x: np.uint64) -> np.uint64:
-    """The finaliser of splitmix64."""
+    """Mix 64 bits: the finaliser of splitmix64 (Steele, Lea, Flood 2014)."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return x ^ (x >> np.uint64(31))
@@ -36,7 +61,7 @@ def _mix64(x: np.uint64) -> np.uint64:
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _mix32(x: np.uint32) -> np.uint32:
-    """A 32-bit finaliser with low bias (constants by C. Wellons, hash-prospector)."""
+    """Mix 32 bits with low bias (finaliser and constants by C. Wellons, hash-prospector)."""
     x = np.uint32(x ^ (x >> np.uint32(16)))
     x = np.uint32(x * np.uint32(0x7FEB352D))
     x = np.uint32(x ^ (x >> np.uint32(15)))
@@ -46,16 +71,15 @@ def _mix32(x: np.uint32) -> np.uint32:
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _row_key(seed: np.uint64, frame: int, row: int) -> np.uint64:
-    """64 random bits of one row of one frame."""
-    golden = np.uint64(0x9E3779B97F4A7C15)
-    key = _mix64(seed + golden * np.uint64(frame + 1))
-    return _mix64(key + golden * np.uint64(row + 1))
+    """Return 64 random bits for one row of one frame."""
+    key = _mix64(seed + _GOLDEN_64 * np.uint64(frame + 1))
+    return _mix64(key + _GOLDEN_64 * np.uint64(row + 1))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _normal(key: np.uint64, column: int) -> np.float32:
-    """A standard normal variable of a row's key and a column, by Box and Muller; right to 6.6 sigma."""
-    step = np.uint32(np.uint32(column) * np.uint32(0x9E3779B9))
+    """Return a standard normal variable for a row's key and a column, by Box and Muller; right to 6.6 sigma."""
+    step = np.uint32(np.uint32(column) * _GOLDEN_32)
     first = _mix32(np.uint32(step + np.uint32(key)))
     second = _mix32(np.uint32(step + np.uint32(key >> np.uint64(32))))
     # -2 ln u of u = (first + 1/2) / 2^32: exponent and mantissa of the float, ln(1 + m) by the atanh series
@@ -80,14 +104,15 @@ def _normal(key: np.uint64, column: int) -> np.float32:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _poisson(mean: float, key: np.uint64, column: int) -> int:
-    """A Poisson variable by inversion, of the same counter; for means up to some tens."""
-    bits = _mix64(key ^ (np.uint64(0xD1B54A32D192ED03) * np.uint64(column + 1)))
+    """Return a Poisson variable for a row's key and a column, by inversion; for means up to some tens."""
+    bits = _mix64(key ^ (_POISSON_STEP * np.uint64(column + 1)))
+    # 53 bits to a uniform variable in (0, 1)
     left = (float(bits >> np.uint64(11)) + 0.5) * 2.0**-53
-    chance, count = math.exp(-mean), 0
-    while left > chance and count < 1000:
-        left -= chance
+    probability, count = math.exp(-mean), 0
+    while left > probability and count < _MOST_COUNT:
+        left -= probability
         count += 1
-        chance *= mean / count
+        probability *= mean / count
     return count
 
 
@@ -117,15 +142,15 @@ def _read_out(
             # sigma_e^2 = sigma_d^2 + mu_e; third cumulant mu_e by the Cornish-Fisher term (z^2 - 1) skew / 6
             z = _normal(key, j + corner[0])
             sigma = np.sqrt(total)
-            skew = mu / max(total, np.float32(1e-20))
+            skew = mu / max(total, _TINY)
             electrons = mu + sigma * z + skew * sixth * (z * z - np.float32(1))
             # y = K electrons, rounded and cut: 1/12 DN^2 of quantisation noise
             y = min(max(gain * electrons + offset + half, zero), top)
             row[j] = np.int32(y)
-        if dark < np.float32(1.8):
+        if dark < _LEAST_NORMAL_DARK_E:
             for j in range(width):
                 mu = max(source[j], zero) * well
-                if zero < mu < 64 and mu > np.float32(SKEW_LIMIT) * (mu + variance) ** np.float32(1.5):
+                if zero < mu < _MOST_POISSON_E and mu > np.float32(SKEW_LIMIT) * (mu + variance) ** np.float32(1.5):
                     electrons = np.float32(_poisson(mu, key, j + corner[0])) + dark * _normal(key, j + corner[0])
                     row[j] = np.int32(min(max(gain * electrons + offset + half, zero), top))
 
@@ -137,22 +162,31 @@ def read_out(
     frame: int,
     corner: tuple[int, int] = (0, 0),
 ) -> Pixels:
-    """Gray levels of a frame or a window of it.
+    """Return the gray levels of a frame or of a window of it.
 
     EMVA 1288: mean mu_y = K mu_e + offset, variance sigma_y^2 = K^2 (sigma_d^2 + mu_e) + 1/12 DN^2.
 
     Parameters
     ----------
     light
-        (h, w) float32, mean light of each pixel as a share of full scale.
-    seed, frame
-        Select the noise.
+        (h, w) float32, mean light of each pixel in full scales; what is below 0 counts as 0.
+    sensor
+        The sensor's settings.
+    seed
+        Selects the noise of the film, 0 to 2^64 - 1.
+    frame
+        Number of the frame, at least 0; selects its noise.
     corner
         (x, y) on the sensor of ``light[0, 0]``.
 
     Returns
     -------
     (h, w) uint8 at 8 bits, uint16 above.
+
+    Raises
+    ------
+    ValueError
+        The light is not two-dimensional or not float32.
     """
     if light.ndim != 2 or light.dtype != np.float32:
         raise ValueError(f"light is (h, w) float32, not {light.shape} {light.dtype}")

@@ -1,4 +1,7 @@
-"""Settings of the channel: scene, vehicle, camera, emitters, sensor, background."""
+"""Settings of the channel: scene, vehicle, camera, emitters, sensor, background.
+
+Light is measured in full scales: a pixel whose light is 1 just saturates.
+"""
 
 import math
 from itertools import pairwise
@@ -11,58 +14,85 @@ from heliograph.base.config import CONFIG
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-Share = Annotated[float, Field(ge=0, le=4)]
-Chance = Annotated[float, Field(ge=0, lt=1)]
+
+LightLevel = Annotated[float, Field(ge=0, le=4)]
+"""Light in full scales. Chosen bound: four times saturation."""
+
+Probability = Annotated[float, Field(ge=0, lt=1)]
+"""Probability of an accident of a frame."""
+
 Ppm = Annotated[float, Field(ge=-1e4, le=1e4)]
-Tilt = Annotated[float, Field(gt=-90, lt=90)]
-Part = Annotated[float, Field(ge=0, le=1)]
+"""Error of a clock's period in millionths. Chosen bound: 1 %, a hundred times what the air interface allows."""
+
+TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
+"""Angle of an array's tilt in degrees: at 90 it is seen from its edge."""
+
+Fraction = Annotated[float, Field(ge=0, le=1)]
+"""Fraction of a whole."""
+
+_ROUNDING = 1e-9
+"""Relative excess of the exposure over the frame period that counts as a rounding error."""
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class Placement:
-    """Where an array stands, how it moves and when it shines.
+    """Position, motion and faults of an array.
 
     Attributes
     ----------
-    x_m, y_m
-        Position of its centre, right of and below the optical axis at time 0 (negative y is above).
+    x_m
+        Position of the array's centre at time 0 in m, right of the optical axis if positive, left if negative.
+    y_m
+        Position of the array's centre at time 0 in m, below the optical axis if positive, above if negative.
     z_offset_m
-        How much further away than ``distance_m`` its centre stands at time 0.
-    yaw_deg, pitch_deg, roll_deg
-        Tilt about the downward, the rightward and the forward axis; roll turns it clockwise as the camera sees it.
-    vx_m_s, vy_m_s, vz_m_s
-        The array's own velocity, right, down and away.
+        Distance of the array's centre beyond ``channel.distance_m`` at time 0 in m; negative for nearer.
+    yaw_deg
+        Tilt about the downward axis in degrees, above -90 and below 90. Away from 0 the image is narrower, and dimmer
+        as the LEDs shine to the side.
+    pitch_deg
+        Tilt about the rightward axis in degrees, above -90 and below 90. Away from 0 the image is lower and dimmer.
+    roll_deg
+        Rotation about the forward axis in degrees, -180 to 180; positive is clockwise as the camera sees it.
+    vx_m_s
+        Own velocity of the array to the right in m/s; negative to the left.
+    vy_m_s
+        Own velocity of the array downward in m/s; negative upward.
+    vz_m_s
+        Own velocity of the array away from the camera in m/s; negative towards it.
     brightness
-        Factor on the light of all its LEDs.
-    dead, stuck
-        Shares of its LEDs, anywhere in it, that never shine and that shine all the time.
+        Factor on the light of all its LEDs, at least 0; a larger value is brighter, 0 is dark.
+    dead
+        Fraction of its LEDs that never shine, 0 to 1, at random places; a larger value loses more data.
+    stuck
+        Fraction of its LEDs that shine all the time, 0 to 1, at random places; at most 1 together with ``dead``.
     hidden
-        What a thing right before the panel hides of it: left, top, right and lower edge as shares of the array's side,
-        such as (0, 0, 0.5, 0.5); none if empty.
+        Part of the array that an obstacle right before the panel hides: left, top, right and lower edge, each 0 to 1 in
+        sides of the array from its upper left corner, such as (0, 0, 0.5, 0.5); empty for none.
     hidden_level
-        Light of that thing, as a share of full scale.
+        Light of that obstacle in full scales, 0 to 4.
     off_s
-        Times (from, to) in s for which it is dark, stuck LEDs too; its clock goes on.
+        Times (from, to) in s for which the array is dark, stuck LEDs too; its clock runs on.
     clock_ppm
-        Its pattern period is longer by this than the nominal one.
+        Error of its clock in millionths, -10000 to 10000: its pattern period is longer by this than the nominal one,
+        shorter if negative.
     start_s
-        Time at which its pattern 0 starts; dark before.
+        Time in s at which its pattern 0 starts; it is dark before.
     """
 
     x_m: float = 1.5
     y_m: float = -1.0
     z_offset_m: float = 0.0
-    yaw_deg: Tilt = 0.0
-    pitch_deg: Tilt = 0.0
+    yaw_deg: TiltDeg = 0.0
+    pitch_deg: TiltDeg = 0.0
     roll_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
     vx_m_s: float = 0.0
     vy_m_s: float = 0.0
     vz_m_s: float = 0.0
     brightness: NotNegative = 1.0
-    dead: Part = 0.0
-    stuck: Part = 0.0
-    hidden: tuple[Part, Part, Part, Part] | tuple[()] = ()
-    hidden_level: Share = 0.1
+    dead: Fraction = 0.0
+    stuck: Fraction = 0.0
+    hidden: tuple[Fraction, Fraction, Fraction, Fraction] | tuple[()] = ()
+    hidden_level: LightLevel = 0.1
     off_s: tuple[tuple[float, float], ...] = ()
     clock_ppm: Ppm = 0.0
     start_s: float = 0.0
@@ -71,7 +101,7 @@ class Placement:
     def _consistent(self) -> "Placement":
         if self.dead + self.stuck > 1:
             raise ValueError(
-                f"dead and stuck are shares of all LEDs, at most 1 together, not {self.dead + self.stuck:g}"
+                f"dead and stuck are fractions of all LEDs, at most 1 together, not {self.dead + self.stuck:g}"
             )
         if self.hidden and not (self.hidden[0] < self.hidden[2] and self.hidden[1] < self.hidden[3]):
             raise ValueError(f"hidden is left, top, right, lower with left < right, top < lower, not {self.hidden}")
@@ -86,20 +116,34 @@ class CameraSettings:
 
     Attributes
     ----------
-    fps, exposure_s, start_s
-        Frames a second, exposure tau of equation (4), time of the first exposure.
-    width, height
-        Sensor in pixels.
-    focal_m, pixel_m
-        Focal length and side of a pixel.
+    fps
+        Frames a second, above 0 and at most 1e6. The receiver "plain" needs one frame a pattern, "soft" at least one.
+    exposure_s
+        Exposure time tau of equation (4) in s, above 0 and at most 1 / ``fps`` and T_b. A shorter one sees less of a
+        pattern's slots and smears less; ``emitter.all_on`` takes lens and gain as set for it.
+    start_s
+        Time of the first exposure in s. A fraction of T_b puts the camera out of step with the light.
+    width
+        Columns of the sensor in pixels, 16 to 8192.
+    height
+        Rows of the sensor in pixels, 16 to 8192.
+    focal_m
+        Focal length in m, above 0. A larger one magnifies: the array has more pixels, and shake moves it further.
+    pixel_m
+        Side of a pixel in m, above 0. A smaller one gives the array more pixels.
     blur_px
-        Standard deviation of the Gaussian optical blur, beside the pixel's box and the emitter's disc.
+        Standard deviation of the Gaussian optical blur in pixels, 0.05 to 20, beside the pixel's box and the emitter's
+        disc. A larger one mixes neighbouring LEDs, and so loses the low layer first.
     clock_ppm
-        Its frame period is longer by this than 1 / fps.
-    dropped, repeated
-        Chance of a frame to be lost on its way, and to come as a copy of the one delivered before it.
+        Error of the camera's clock in millionths, -10000 to 10000: the frame period is longer by this than
+        1 / ``fps``, shorter if negative.
+    dropped
+        Probability of a frame to be lost on its way, at least 0 and below 1.
+    repeated
+        Probability of a frame to be replaced by a copy of the one delivered before it, at least 0 and below 1, together
+        with ``dropped`` below 1.
     jitter_s
-        Rms error of the times that frames are stamped with; the exposures themselves stay even.
+        Rms error of the frames' time stamps in s, at least 0, cut at 0.45 frame periods; the exposures stay even.
     """
 
     fps: Annotated[float, Field(gt=0, le=1e6)] = 1000.0
@@ -111,13 +155,13 @@ class CameraSettings:
     pixel_m: Positive = 12e-6
     blur_px: Annotated[float, Field(ge=0.05, le=20)] = 0.5
     clock_ppm: Ppm = 0.0
-    dropped: Chance = 0.0
-    repeated: Chance = 0.0
+    dropped: Probability = 0.0
+    repeated: Probability = 0.0
     jitter_s: NotNegative = 0.0
 
     @model_validator(mode="after")
     def _consistent(self) -> "CameraSettings":
-        if self.exposure_s * self.fps > 1 + 1e-9:
+        if self.exposure_s * self.fps > 1 + _ROUNDING:
             raise ValueError(f"exposure_s is at most 1 / fps = {1 / self.fps:g} s, not {self.exposure_s:g} s")
         if self.dropped + self.repeated >= 1:
             raise ValueError(f"dropped and repeated are below 1 together, not {self.dropped + self.repeated:g}")
@@ -125,12 +169,12 @@ class CameraSettings:
 
     @property
     def focal_px(self) -> float:
-        """Focal length in pixels."""
+        """Focal length in pixels, ``focal_m`` / ``pixel_m``."""
         return self.focal_m / self.pixel_m
 
     @property
     def frame_period_s(self) -> float:
-        """True time from one exposure to the next, the clock's error counted."""
+        """True time from one exposure to the next in s, with the error of the clock."""
         return (1 + self.clock_ppm * 1e-6) / self.fps
 
 
@@ -140,24 +184,28 @@ class EmitterSettings:
 
     Attributes
     ----------
-    pitch_m, diameter_m
-        Distance between LEDs and diameter of a round emitter.
+    pitch_m
+        Distance between LEDs in m, above 0. A larger one gives the array more pixels.
+    diameter_m
+        Diameter of a round emitter in m, above 0 and at most ``pitch_m``. A smaller one concentrates an LED's light.
     half_angle_deg
-        Angle off the axis at which an LED shines half as bright.
+        Angle off the axis in degrees at which an LED shines half as bright, above 0 and below 90. A smaller one dims
+        arrays off the axis more.
     all_on
-        Level of the array with every LED on for a whole exposure, seen on axis and not resolved, as a share of
-        full scale; the lens and the gain are taken as set so at any exposure time.
+        Light of the array with every LED on for a whole exposure, on its axis and too far away to be resolved, in full
+        scales, 0 to 4. Lens and gain are taken as set to give it at any exposure time. A larger value has less noise
+        until it saturates.
     panel_level
-        Ambient light reflected by the dark panel, as a share of full scale.
+        Ambient light reflected by the dark panel, in full scales, 0 to 4.
     panel_margin_m
-        Panel beyond the cells of the outer LEDs.
+        Panel in m beyond half a pitch from the outer LEDs, at least 0. A larger one keeps the background further away.
     """
 
     pitch_m: Positive = 0.02
     diameter_m: Positive = 0.005
     half_angle_deg: Annotated[float, Field(gt=0, lt=90)] = 22.6
-    all_on: Share = 0.8
-    panel_level: Share = 0.02
+    all_on: LightLevel = 0.8
+    panel_level: LightLevel = 0.02
     panel_margin_m: NotNegative = 0.02
 
     @model_validator(mode="after")
@@ -168,7 +216,7 @@ class EmitterSettings:
 
     @property
     def lobe_order(self) -> float:
-        """Lambertian order m = -ln 2 / ln cos(half angle)."""
+        """Lambertian order m = -ln 2 / ln cos(half angle): an LED's intensity at an angle a is cos^m(a)."""
         return -math.log(2) / math.log(math.cos(math.radians(self.half_angle_deg)))
 
 
@@ -179,13 +227,13 @@ class SensorSettings:
     Attributes
     ----------
     full_well_e
-        Electrons at full scale.
+        Electrons at full scale, 10 to 1e7. A larger value has less shot noise.
     dark_noise_e
-        Noise without light, rms, in electrons.
+        Rms noise without light in electrons, 0 to 1e5. A larger value hides dim and distant arrays.
     bits
-        Bits of a gray level.
+        Bits of a gray level, 8 to 12. More round less.
     offset_dn
-        Black level in gray levels; with 0 the dark noise is cut at 0, as in the reference link.
+        Black level in gray levels, at least 0; at 0 the dark noise is cut at 0, as in the reference link.
     """
 
     full_well_e: Annotated[float, Field(ge=10, le=1e7)] = 15000.0
@@ -195,54 +243,71 @@ class SensorSettings:
 
     @property
     def full_scale(self) -> int:
-        """Largest gray level."""
+        """Largest gray level, 2^bits - 1."""
         return (1 << self.bits) - 1
 
     @property
     def gain_dn_per_e(self) -> float:
-        """System gain K: the full well is full scale."""
+        """System gain K in gray levels an electron: the full well is full scale."""
         return self.full_scale / self.full_well_e
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class BackgroundSettings:
-    """What is behind the arrays.
+    """The background of the arrays.
 
     Attributes
     ----------
     kind
         "flat", "synthetic" (sky, buildings, lamps) or "footage" (recorded frames).
     level
-        Level of a flat background, as a share of full scale.
+        Light of a flat background in full scales, 0 to 4. A larger value adds shot noise beside the panel.
     gain
-        Level of white in a synthetic or recorded background, as a share of full scale.
+        Light of white in a synthetic or recorded background in full scales, 0 to 4. A larger value makes the background
+        more disturbing.
     """
 
     kind: Literal["flat", "synthetic", "footage"] = "flat"
-    level: Share = 0.1
-    gain: Share = 1.0
+    level: LightLevel = 0.1
+    gain: LightLevel = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class ChannelSettings:
-    """All between the LED patterns and the camera frames; the defaults are the reference link.
+    """Everything between the LED patterns and the camera frames; the defaults are the reference link.
 
     Attributes
     ----------
-    distance_m, stop_m
-        From the camera to the plane ``z_offset_m`` = 0 at time 0 and at the end of the drive.
+    distance_m
+        Distance in m from the camera at time 0 to the plane of arrays with ``z_offset_m`` = 0, above 0. A larger one
+        gives the arrays fewer pixels.
+    stop_m
+        Distance in m to that plane at which the film ends, above 0 and below ``distance_m``; without effect where
+        ``duration_s`` is set or the vehicle stands.
     speed_m_s
-        Speed of the vehicle; 0 stands still.
+        Speed of the vehicle in m/s, 0 to 60; 0 for a vehicle at rest. A larger one shakes the camera more and shortens
+        the drive.
     duration_s
-        Length of the film; None: until ``stop_m`` is reached, 1 s where the vehicle stands still.
+        Length of the film in s, above 0; None: until ``stop_m`` is reached, or 1 s where the vehicle stands.
     speed_profile
-        Points (time in s, speed in m/s) joined by straight lines, in place of ``speed_m_s``.
+        Points (time in s, speed in m/s, at least 0) at rising times, joined by straight lines, in place of
+        ``speed_m_s``; empty for none.
     shake
         "none", "road" (half-car model on a random road) or "imu" (a recorded trace).
     road_class
-        ISO 8608 class of the road.
+        Class of the road by ISO 8608, "A" (smooth) to "D" (rough): each has twice the amplitude of the one before.
     imu_start_s
-        Time of the trace that is time 0 of the film.
+        Time of the trace in s that is time 0 of the film, at least 0.
+    arrays
+        Arrays in the scene.
+    camera
+        The camera.
+    emitter
+        LEDs and panel, the same for all arrays.
+    sensor
+        The image sensor.
+    background
+        The background.
     """
 
     distance_m: Positive = 80.0
@@ -274,5 +339,5 @@ class ChannelSettings:
 
     @property
     def moves(self) -> bool:
-        """Whether the vehicle ever drives."""
+        """Whether the vehicle ever drives: a speed is above 0."""
         return any(speed > 0 for _, speed in self.speed_profile) if self.speed_profile else self.speed_m_s > 0

@@ -1,4 +1,4 @@
-"""The way of a frame from the camera to the receiver: some are lost, some come twice, their times are inexact."""
+"""Transfer of frames from the camera to the receiver: some are lost, some repeated, and their times are inexact."""
 
 from dataclasses import replace
 
@@ -8,18 +8,18 @@ from heliograph.base.frames import Frame
 from heliograph.channel.settings import CameraSettings
 
 LARGEST_JITTER = 0.45
-"""Largest error of a time as a share of the frame period: times still rise."""
+"""Largest error of a time in frame periods: below 1/2, so that the times of successive frames rise, by 0.1 at least."""
 
 
 class Transfer:
-    """Delivers frames, each with an accident of its own, which depends on seed and frame alone.
+    """Deliver frames: a frame's accident depends on the seed and its number alone.
 
     Parameters
     ----------
     camera
-        How often frames are dropped and repeated, and the jitter of their times.
+        Probabilities of a dropped and of a repeated frame, and the jitter of their times.
     seed
-        Of the accidents.
+        Selects the accidents, at least 0.
     """
 
     def __init__(self, camera: CameraSettings, seed: int):
@@ -27,17 +27,17 @@ class Transfer:
         self._last: Frame | None = None
 
     def __call__(self, frame: Frame) -> Frame | None:
-        """Take the next frame; return it as delivered, or None where it is dropped."""
+        """Take the next frame and return it as delivered; None where it is dropped."""
         camera = self._camera
         if not (camera.dropped or camera.repeated or camera.jitter_s):
             return frame
         rng = np.random.default_rng([self._seed, frame.index])
-        chance, late = rng.random(), rng.normal(0.0, camera.jitter_s)
-        if chance < camera.dropped:
+        draw, late = rng.random(), rng.normal(0.0, camera.jitter_s)
+        if draw < camera.dropped:
             return None
         largest = LARGEST_JITTER / camera.fps
         time_s = frame.time_s + float(np.clip(late, -largest, largest))
-        shown = self._last if self._last is not None and chance < camera.dropped + camera.repeated else frame
-        # a window's place on the sensor goes with its pixels
+        shown = self._last if self._last is not None and draw < camera.dropped + camera.repeated else frame
+        # a repeated window keeps its place on the sensor
         self._last = replace(shown, index=frame.index, time_s=time_s)
         return self._last

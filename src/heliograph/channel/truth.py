@@ -1,4 +1,4 @@
-"""The truth of a film: what the receiver must not see and the error counter compares with."""
+"""The truth of a film. The receiver must not see it; the error counter compares with it."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,18 @@ from heliograph.channel.settings import SensorSettings
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Noise of a pixel by EMVA 1288, in shares of full scale."""
+    """Noise of a pixel by EMVA 1288.
+
+    Attributes
+    ----------
+    sensor
+        The sensor's settings.
+    """
 
     sensor: SensorSettings
 
     def sigma(self, level: ArrayLike) -> NDArray[np.float64]:
-        """Rms noise at mean levels, both as shares of full scale (clipping at 0 and 1 left out)."""
+        """Return the rms noise in full scales at mean light levels in full scales, of any shape; clipping left out."""
         s = self.sensor
         # EMVA 1288: sigma_y^2 = K^2 (sigma_d^2 + mu_e) + 1/12 DN^2
         electrons = np.asarray(level, float) * s.full_well_e
@@ -28,20 +34,22 @@ class ArrayTruth:
 
     Attributes
     ----------
-    x, y
-        Image of its centre on the sensor in px.
+    x
+        Image of its centre on the sensor in px, rightward.
+    y
+        Image of its centre on the sensor in px, downward.
     pitch_px
-        Distance between LEDs in the image (root of the area of an LED's cell).
+        Distance between LEDs in the image in px: the root of the area of a square of the LEDs' grid.
     roll_rad
-        Direction of the LED rows in the image, clockwise (from x towards y).
+        Direction of the LED rows in the image in rad, clockwise (from x towards y).
     homography
-        (3, 3) float64: metres in the array's plane (right, down from its centre) -> px, up to the depth in m.
+        (3, 3) float64: (right, down, 1) from the array's centre in m -> (x, y, 1) Z in px, Z the depth in m.
     distance_m
-        Depth of its centre along the optical axis.
+        Depth of its centre along the optical axis in m.
     visible
-        All its LEDs lie on the sensor, before the camera and face it.
+        Whether it lies ahead of the camera and faces it, with all LEDs on the sensor.
     patterns
-        Numbers of the patterns shown within the exposure, in the order of time; empty where it was dark.
+        Numbers of the patterns shown within the exposure, in the order of time; empty where it shows none.
     """
 
     x: float
@@ -56,16 +64,16 @@ class ArrayTruth:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """One frame.
+    """The truth of one frame.
 
     Attributes
     ----------
     index
         Number of the frame.
     time_s
-        True time of the start of the exposure (the frame itself carries the camera's clock).
+        True start of the exposure in s (the frame itself has the time of the camera's clock).
     arrays
-        One record an array, in the order of the settings.
+        The truth of each array, in the order of ``channel.arrays``.
     noise
         The sensor's noise.
     """

@@ -104,7 +104,7 @@ class Transmitter:
         unknown = set(messages) - set(LAYERS)
         if unknown:
             raise ValueError(f"layers are {', '.join(LAYERS)}, not {', '.join(sorted(unknown))}")
-        self.formats = tuple(PacketFormat(settings, named) for named in formats or (AGREED,))
+        self.formats = tuple(PacketFormat(settings, one) for one in formats or (AGREED,))
         self.identity = identity_of(identity).number
         # each size of blocks has a carousel of its own (section 8)
         self._carousels = {
