@@ -20,7 +20,7 @@ import numpy as np
 from heliograph.base.frames import Frame, Pixels
 from heliograph.media import create_film, open_film, video_write
 from heliograph.media.record import FilmSpec
-from heliograph.media.writer import Background
+from heliograph.media.writer import ThreadedSink
 
 WIDTH, HEIGHT, DIFFERENT = 1024, 512, 24
 PICTURE = (
@@ -143,7 +143,7 @@ def report_overlap(count: int, folder: Path) -> None:
     def run(background: bool) -> None:
         path = folder / f"overlap{background}.nut"
         direct = video_write.VideoSink(path, path, spec, codec)
-        sink = Background(direct) if background else direct
+        sink = ThreadedSink(direct) if background else direct
         for frame in frames:
             busy_until = time.perf_counter() + 0.004
             while time.perf_counter() < busy_until:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from heliograph.media import open_film, planes, read_gray_frames
+from heliograph.media import open_film, planes
 
 
 @pytest.mark.real_data
@@ -19,7 +19,7 @@ from heliograph.media import open_film, planes, read_gray_frames
     ("night-road", (1920, 1080), 29.98, 157),
 ])  # fmt: skip
 def test_dashcam_footage(data: Path, name: str, size: tuple[int, int], rate: float, count: int) -> None:
-    with read_gray_frames(data / "driving" / f"{name}.mp4") as film:
+    with open_film(data / "driving" / f"{name}.mp4") as film:
         assert (film.width, film.height, film.bits, film.frame_count) == (*size, 8, count)
         assert film.rate_hz == pytest.approx(rate, abs=0.01)
         frames = film if name == "day-shade" else [f for f, _ in zip(film, range(5), strict=False)]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame, Pixels
-from heliograph.media import create_film, open_film, read_gray_frames
+from heliograph.media import create_film, open_film
 
 W, H = 70, 34  # lines of 70 bytes are padded in the codec's buffers
 EXACT = [".nut", ".mkv", ".h5"]
@@ -148,7 +148,7 @@ def test_the_writer_copies_the_pixels(tmp_path: Path) -> None:
 
 def test_names_with_colons_and_capitals(tmp_path: Path) -> None:
     write(tmp_path / "12:30 a%d.MKV", noise(2), [0.0, 0.001])
-    assert len(list(read_gray_frames(tmp_path / "12:30 a%d.MKV"))) == 2
+    assert len(list(open_film(tmp_path / "12:30 a%d.MKV"))) == 2
     assert [p.name for p in tmp_path.iterdir()] == ["12:30 a%d.MKV"]
 
 

@@ -46,7 +46,7 @@ def run_transmit(
 
 
 def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], period: float, top: int) -> None:
-    from heliograph.media.film import SUFFIXES
+    from heliograph.media.film import FILM_SUFFIXES
 
     kind = output.suffix.lower()
     if kind == ".npy":
@@ -55,10 +55,10 @@ def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int,
     elif kind == ".csv":
         with whole_file(output) as partial:
             _write_csv(partial, patterns, size, period)
-    elif kind in SUFFIXES:
+    elif kind in FILM_SUFFIXES:
         _write_film(output, patterns, size[1], period, top)
     else:
-        known = ", ".join((".npy", ".csv", *SUFFIXES))
+        known = ", ".join((".npy", ".csv", *FILM_SUFFIXES))
         raise MediaError(f"unknown kind of file {output.name!r}: the name must end in one of {known}")
 
 

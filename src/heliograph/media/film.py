@@ -1,4 +1,4 @@
-"""Open and create films: the file's kind is found from its suffix, or, when reading, from its content."""
+"""Open and create films. The suffix chooses the kind of a new file; the content tells the kind of an existing one."""
 
 import os
 from collections.abc import Mapping
@@ -8,20 +8,21 @@ from heliograph.base.errors import MediaError
 from heliograph.media import hdf5, video_read, video_write
 from heliograph.media.reader import FilmReader
 from heliograph.media.record import FilmSpec
-from heliograph.media.writer import Background, FilmWriter, Sink, partial_path, write_error
+from heliograph.media.writer import FilmWriter, Sink, ThreadedSink, partial_path, write_error
 
-SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
+FILM_SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
+"""Suffixes of films that can be created."""
 
 
 def open_film(path: str | os.PathLike[str], *, expand_range: bool = False) -> FilmReader:
     """Open a film: HDF5 as written by `create_film`, or any video FFmpeg reads, as gray frames.
 
-    Levels come as they are stored: luma of YUV video is not rescaled, RGB is weighted to luma.
+    Gray levels are those in the file: luma of YUV video is not rescaled, RGB is weighted to luma.
 
     Parameters
     ----------
     path
-        The file; its suffix does not matter.
+        The file. Its suffix does not matter, but that .h5 and .hdf5 must be HDF5.
     expand_range
         Stretch limited-range video (black at 16, white at 235, usual for dashcams) to the full scale. Films written
         here are full range and stay as they are.
@@ -34,8 +35,8 @@ def open_film(path: str | os.PathLike[str], *, expand_range: bool = False) -> Fi
     Raises
     ------
     MediaError
-        The file is missing, a folder, empty, no film, or damaged beyond reading. What is damaged further on is
-        reported while iterating, after the whole frames.
+        The file is missing, a folder, empty, no film, or damaged beyond reading. Damage further on is reported while
+        iterating, after the whole frames.
     """
     path = Path(path)
     if path.is_dir():
@@ -52,11 +53,6 @@ def open_film(path: str | os.PathLike[str], *, expand_range: bool = False) -> Fi
     if head == hdf5.SIGNATURE or path.suffix.lower() in hdf5.SUFFIXES:
         return hdf5.Hdf5Reader(path)
     return video_read.VideoReader(path, expand_range)
-
-
-def read_gray_frames(path: str | os.PathLike[str], *, expand_range: bool = False) -> FilmReader:
-    """Open background footage: `open_film` by another name."""
-    return open_film(path, expand_range=expand_range)
 
 
 def create_film(
@@ -89,8 +85,10 @@ def create_film(
     ----------
     path
         The target; an existing file is replaced when the film is finished, not before.
-    width, height
-        Size in pixels.
+    width
+        Columns in pixels, at least 1.
+    height
+        Rows in pixels, at least 1.
     rate_hz
         Nominal frames per second, above 0 and at most 1e6.
     bits
@@ -98,12 +96,12 @@ def create_film(
     codec
         "ffv1", "h264" or "mjpeg"; None for the suffix's default.
     metadata
-        Text to keep with the film.
+        Text to keep with the film, by name.
     crf
-        Quality of lossy H.264, from 0 (best) to 51; default 12, whose error is about 1.4 gray levels rms in noise of
+        Quality of lossy H.264, from 0 (best) to 51; None for 12, whose error is about 1.4 gray levels rms in noise of
         1.5, without bias. The usual 18 wipes the noise out.
     lossless
-        H.264 bit for bit: faster than FFV1, but few players show it.
+        Whether H.264 keeps every bit: faster than FFV1, but few players show it.
 
     Returns
     -------
@@ -117,8 +115,10 @@ def create_film(
     """
     target = Path(path)
     suffix = target.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise MediaError(f"unknown kind of film {target.name!r}: the name must end in one of {', '.join(SUFFIXES)}")
+    if suffix not in FILM_SUFFIXES:
+        raise MediaError(
+            f"unknown kind of film {target.name!r}: the name must end in one of {', '.join(FILM_SUFFIXES)}"
+        )
     spec = FilmSpec(width=width, height=height, rate_hz=float(rate_hz), bits=bits, metadata=dict(metadata or {}))
     sink_codec = _codec(suffix, spec, codec, crf, lossless)
     partial = partial_path(target)
@@ -147,4 +147,4 @@ def _codec(
 def _sink(partial: Path, target: Path, spec: FilmSpec, codec: video_write.VideoCodec | None) -> Sink:
     if codec is None:
         return hdf5.Hdf5Sink(partial, target, spec)  # writes faster than a queue hands over
-    return Background(video_write.VideoSink(partial, target, spec, codec))
+    return ThreadedSink(video_write.VideoSink(partial, target, spec, codec))

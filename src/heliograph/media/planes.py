@@ -1,4 +1,4 @@
-"""Gray levels in and out of the codec's picture buffers, bit for bit."""
+"""Copy gray levels into and out of the codec's picture buffers, bit for bit."""
 
 import functools
 import re
@@ -11,7 +11,17 @@ from heliograph.base.frames import Pixels
 if TYPE_CHECKING:
     import av
 
-LIMITED, FULL = 1, 2  # AVCOL_RANGE_MPEG (16..235) and AVCOL_RANGE_JPEG (0..255)
+LIMITED, FULL = 1, 2
+"""FFmpeg's AVCOL_RANGE_MPEG (levels 16 to 235) and AVCOL_RANGE_JPEG (levels 0 to 255)."""
+
+_BLACK = 16
+"""Level of black in limited range at 8 bits (ITU-R BT.601)."""
+
+_SPAN = 219
+"""Levels from black to white in limited range at 8 bits (ITU-R BT.601)."""
+
+_NEUTRAL = 128
+"""Level of a colour plane without colour at 8 bits (ITU-R BT.601)."""
 
 # Formats whose plane 0 is luma alone, samples in the low bits, little endian.
 _LUMA_FIRST = re.compile(r"(gray|yuva?4[0-4][0-4]p|yuvj4[0-4][0-4]p|nv(12|21|16|24))(9le|1[0-6]le)?")
@@ -19,28 +29,50 @@ _GRAY = {8: "gray", 9: "gray9le", 10: "gray10le", 12: "gray12le", 14: "gray14le"
 
 
 def gray_format(bits: int) -> str:
-    """Return the smallest gray pixel format that holds ``bits``."""
+    """Return the smallest gray pixel format that holds levels of `bits` bits, 8 to 16."""
     return _GRAY[min(b for b in _GRAY if b >= bits)]
 
 
 def to_video(pixels: Pixels, pixel_format: str) -> "av.VideoFrame":
-    """Copy gray levels of shape (rows, columns) into a full-range picture; colour planes, if any, are neutral gray."""
+    """Copy gray levels into a full-range picture; its colour planes, if any, are neutral.
+
+    Parameters
+    ----------
+    pixels
+        (rows, columns) uint8 or uint16 levels.
+    pixel_format
+        FFmpeg's name of a format whose first plane is luma of the same depth.
+    """
     import av
 
     rows, columns = pixels.shape
     picture = av.VideoFrame(columns, rows, pixel_format)
     _plane(picture, 0, 8 * pixels.itemsize)[:rows, :columns] = pixels
     for index in range(1, len(picture.planes)):
-        _plane(picture, index, 8)[:] = 128
+        _plane(picture, index, 8)[:] = _NEUTRAL
     picture.color_range = FULL
     return picture
 
 
 def to_gray(picture: "av.VideoFrame", expand_range: bool) -> tuple[Pixels, int]:
-    """Return a copy of the gray levels, shape (rows, columns), and their bits.
+    """Return a copy of the gray levels and their bits.
 
-    Luma is read as it is stored; only RGB and packed formats go through a conversion. With ``expand_range`` the limited
-    range 16..235 is stretched to 0..255 (scaled likewise for more bits), and what lies outside is clipped.
+    Luma is read as it is stored; only RGB and packed formats are converted.
+
+    Parameters
+    ----------
+    picture
+        Decoded picture.
+    expand_range
+        Whether to stretch the limited range 16..235 to 0..255 (in proportion for more bits); levels outside are
+        clipped.
+
+    Returns
+    -------
+    pixels
+        (rows, columns) uint8 for 8 bits, else uint16.
+    bits
+        Bits of a gray level.
     """
     limited = is_limited(picture)
     if not _LUMA_FIRST.fullmatch(picture.format.name):
@@ -53,7 +85,7 @@ def to_gray(picture: "av.VideoFrame", expand_range: bool) -> tuple[Pixels, int]:
 
 
 def is_limited(picture: "av.VideoFrame") -> bool:
-    """Return whether black is at 16 and white at 235; video that does not say so counts as limited if it is YUV."""
+    """Return whether black is at 16 and white at 235; YUV video that does not state its range counts as limited."""
     name = picture.format.name
     if picture.format.is_rgb or picture.format.has_palette or name.startswith(("mono", "yuvj")):
         return False
@@ -76,6 +108,6 @@ def _plane(picture: "av.VideoFrame", index: int, bits: int) -> Pixels:
 @functools.lru_cache
 def _expansion(bits: int) -> Pixels:
     unit = 1 << (bits - 8)
-    levels = (np.arange(1 << bits) - 16 * unit) * ((1 << bits) - 1) / (219 * unit)
+    levels = (np.arange(1 << bits) - _BLACK * unit) * ((1 << bits) - 1) / (_SPAN * unit)
     levels = np.clip(np.rint(levels), 0, (1 << bits) - 1)
     return levels.astype(np.uint8) if bits == 8 else levels.astype(np.uint16)

@@ -1,4 +1,4 @@
-"""The reading face of every kind of film."""
+"""The common interface for reading films."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -19,17 +19,19 @@ class FilmReader(ABC):
     ----------
     path
         The file.
-    width, height
-        Size in pixels.
+    width
+        Columns in pixels.
+    height
+        Rows in pixels.
     bits
-        Bits of a gray level.
+        Bits of a gray level, 8 to 16.
     rate_hz
-        Nominal frames per second.
+        Nominal frames per second, above 0.
     frame_count
-        Frames to expect, for a progress display; exact for HDF5, else worked out from the duration, so that dropped
-        frames count as well; None when unknown.
+        Frames to expect, for a progress display: exact for HDF5, else the smaller of the container's count and the
+        duration times the rate, which counts dropped frames too; None where unknown.
     metadata
-        Text the writer kept with the film; for foreign films the container's own tags.
+        Text kept with the film by its writer; of films from elsewhere the container's own tags.
     """
 
     path: Path

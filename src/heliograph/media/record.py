@@ -1,4 +1,4 @@
-"""What a film says about itself beside its pictures, and how its clock is kept in a container."""
+"""The form of a film, the record of it that a container carries, and the film's times by the container's clock."""
 
 import json
 import math
@@ -8,11 +8,31 @@ from fractions import Fraction
 
 from heliograph.base.errors import MediaError
 
-TAG = "heliograph"  # tag of the record in a container; Matroska turns it into capitals
-AVI_TAG = "comment"  # AVI keeps only a few named tags
-_TAG_LENGTH = 900  # NUT's reader drops texts above 1023 bytes without a word
-FASTEST_HZ = 1e6  # one tick of the finest clock
-FINEST_TICKS = 1_000_000  # ticks a second at least, in containers with a free time base
+TAG = "heliograph"
+"""Tag of the record in a container; Matroska turns it into capitals."""
+
+AVI_TAG = "comment"
+"""Tag of the record in AVI, which keeps only a few named tags."""
+
+_TAG_LENGTH = 900
+"""Most bytes of a tag: NUT's reader drops texts above 1023 bytes without an error. Chosen below that with some room."""
+
+FASTEST_HZ = 1e6
+"""Largest frame rate: one frame a tick of `FINEST_TICKS`."""
+
+FINEST_TICKS = 1_000_000
+"""Least ticks a second in containers with a free time base. Chosen: 1 us is a 250th of a PWM slot of 0.25 ms. Twice as
+many would halve the longest gap between frames that MP4's 32-bit durations hold."""
+
+_LARGEST_TERM = 1001
+"""Largest denominator of a frame rate: that of television's rates such as 30000/1001."""
+
+_ROUNDED_TICKS = 0.51
+"""Ticks by which a time may be off the grid of frames and still count as rounded to it: half a tick, and rounding
+errors."""
+
+_ROUNDED_S = 1e-9
+"""Seconds by which a restored time may be off that grid, by rounding errors of double precision."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,14 +41,21 @@ class FilmSpec:
 
     Attributes
     ----------
-    width, height
-        Size in pixels.
+    width
+        Columns in pixels, at least 1.
+    height
+        Rows in pixels, at least 1.
     rate_hz
         Nominal frames per second, above 0 and at most 1e6.
     bits
         Bits of a gray level, 8 to 16.
     metadata
-        Free text by free names.
+        Any text by any names.
+
+    Raises
+    ------
+    MediaError
+        A value is out of range, or the metadata are not text.
     """
 
     width: int
@@ -50,12 +77,22 @@ class FilmSpec:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Record:
-    """What our own films carry in one tag, as JSON.
+class FilmRecord:
+    """Record that our own films carry in a tag of the container, as JSON.
 
-    ``start_s`` is the time of the first frame: containers count from it, since they start films at zero.
-    ``codec_crc`` is a CRC of the codec's private data: it tells our own FFV1 stream from a later re-encoding that
-    inherited the tag.
+    Attributes
+    ----------
+    rate_hz
+        Nominal frames per second.
+    bits
+        Bits of a gray level, 8 to 16.
+    start_s
+        Time of the first frame in s: containers start films at 0.
+    metadata
+        Text kept with the film.
+    codec_crc
+        CRC-32 of the codec's private data: it distinguishes our own FFV1 stream from a later re-encoding that inherited
+        the tag.
     """
 
     rate_hz: float
@@ -70,8 +107,8 @@ class Record:
         return json.dumps(fields)
 
     @classmethod
-    def loads(cls, text: str) -> "Record | None":
-        """Return the record, or None where the text is somebody else's."""
+    def loads(cls, text: str) -> "FilmRecord | None":
+        """Return the record that a text holds, or None where it holds none."""
         try:
             fields = json.loads(text)
             return cls(
@@ -85,8 +122,16 @@ class Record:
             return None
 
 
-def to_tags(record: Record, suffix: str) -> dict[str, str]:
-    """Return the container tags that carry a record; NUT needs several for a long one."""
+def to_tags(record: FilmRecord, suffix: str) -> dict[str, str]:
+    """Return the container tags that carry a record; NUT needs several for a long one.
+
+    Parameters
+    ----------
+    record
+        The record.
+    suffix
+        Suffix of the film, such as ".nut".
+    """
     text = record.dumps()
     if suffix != ".nut":
         return {AVI_TAG if suffix == ".avi" else TAG: text}
@@ -94,22 +139,23 @@ def to_tags(record: Record, suffix: str) -> dict[str, str]:
     return {f"{TAG}{number or ''}": part for number, part in enumerate(parts)}
 
 
-def from_tags(tags: Mapping[str, str]) -> Record | None:
-    """Return the record carried by a container's tags, or None."""
+def from_tags(tags: Mapping[str, str]) -> FilmRecord | None:
+    """Return the record that a container's tags carry, or None."""
     tags = {name.lower(): text for name, text in tags.items()}
     parts = [tags.get(TAG) or tags.get(AVI_TAG) or ""]
     while (part := tags.get(f"{TAG}{len(parts)}")) is not None:
         parts.append(part)
-    return Record.loads("".join(parts))
+    return FilmRecord.loads("".join(parts))
 
 
 def rational_rate(rate_hz: float) -> Fraction:
-    """Return the rate as a fraction of small numbers, e.g. 30000/1001."""
-    return Fraction(rate_hz).limit_denominator(1001) or Fraction(rate_hz).limit_denominator(1_000_000)
+    """Return a rate above 0 as a fraction of small numbers, such as 30000/1001."""
+    exact = Fraction(rate_hz)
+    return exact.limit_denominator(_LARGEST_TERM) or exact.limit_denominator(FINEST_TICKS)
 
 
 def fine_time_base(rate_hz: float) -> Fraction:
-    """Return a tick of at most 1 us that also divides the frame period, where small numbers allow it.
+    """Return a tick in s of at most 1 us that also divides the frame period of `rate_hz`, where small numbers allow it.
 
     Ticks much finer than that would overflow the 32-bit frame durations of MP4 in a gap of a few seconds.
     """
@@ -120,12 +166,32 @@ def fine_time_base(rate_hz: float) -> Fraction:
 
 
 def on_grid(time_s: float, rate_hz: float, tolerance_s: float) -> float:
-    """Return the nearest multiple of the frame period if it is within the tolerance, else the time itself."""
+    """Return the nearest multiple of the frame period if it is within a tolerance, else the time itself.
+
+    Parameters
+    ----------
+    time_s
+        Time in s.
+    rate_hz
+        Frames per second, above 0.
+    tolerance_s
+        Largest distance from the multiple in s.
+    """
     nearest = round(time_s * rate_hz) / rate_hz
     return nearest if abs(nearest - time_s) <= tolerance_s else time_s
 
 
-def restored_time(record: Record, elapsed_s: float, tick_s: float) -> float:
-    """Return the time of a frame of our own film, free of the rounding to the container's tick."""
-    elapsed_s = on_grid(elapsed_s, record.rate_hz, 0.51 * tick_s)
-    return on_grid(record.start_s + elapsed_s, record.rate_hz, 1e-9)
+def restored_time(record: FilmRecord, elapsed_s: float, tick_s: float) -> float:
+    """Return the time in s of a frame of our own film, free of the rounding to the container's tick.
+
+    Parameters
+    ----------
+    record
+        The film's record.
+    elapsed_s
+        Time since the first frame in s, by the container.
+    tick_s
+        Tick of the container in s.
+    """
+    elapsed_s = on_grid(elapsed_s, record.rate_hz, _ROUNDED_TICKS * tick_s)
+    return on_grid(record.start_s + elapsed_s, record.rate_hz, _ROUNDED_S)

@@ -1,4 +1,4 @@
-"""Writing video files through PyAV: FFV1 and lossless H.264 bit for bit, H.264 and MJPEG lossy, always full range."""
+"""Write video files through PyAV: FFV1 and lossless H.264 bit for bit, H.264 and MJPEG lossy, always full range."""
 
 import zlib
 from collections.abc import Iterator
@@ -11,28 +11,57 @@ from typing import TYPE_CHECKING, cast
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media import planes
-from heliograph.media.record import FilmSpec, Record, fine_time_base, rational_rate, to_tags
+from heliograph.media.record import FilmRecord, FilmSpec, fine_time_base, rational_rate, to_tags
 from heliograph.media.writer import write_error
 
 if TYPE_CHECKING:
     import av
     from av.container import OutputContainer
 
-CODECS = {  # by suffix, the default first
+CODECS = {
     ".mkv": ("ffv1", "h264", "mjpeg"),
     ".nut": ("ffv1", "h264", "mjpeg"),
     ".mp4": ("h264",),
     ".avi": ("mjpeg",),
 }
+"""Codecs by suffix, the default first."""
+
 MOST_BITS = {"ffv1": 16, "h264": 10, "mjpeg": 8}
+"""Most bits of a gray level that FFmpeg's encoder of each codec takes."""
+
 DEFAULT_CRF = 12.0
+"""Quality of lossy H.264. Its error in noise of 1.5 gray levels is 1.5 levels rms, about that of the sensor, at 65 kB a
+frame of 1024 x 512; at half the value 0.9 levels and 152 kB; at twice 2.4 levels and 4 kB, without the
+noise."""
+
+WORST_CRF = 51.0
+"""Largest crf of H.264 at 8 bits."""
+
 ENCODER_THREADS = 2
-_COARSE_HZ = 1000  # Matroska counts milliseconds; AVI's reader distrusts more than 1000 frames a second
+"""Threads of an encoder: the cores of the machine that films were measured on. Chosen: with 1 and with 4 FFV1 and H.264
+are written at the same speed within the noise of that shared machine, 30 %."""
+
+_COARSE_HZ = 1000
+"""Largest frame rate of Matroska, which counts milliseconds, and of AVI, whose reader rejects more frames a second."""
+
+_OFF_GRID = 0.01
+"""Frame periods by which a time in AVI may be off the grid. Chosen: a frame that is later by more would be shown at a
+wrong time; rounding errors are far smaller."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoCodec:
-    """How pictures are coded: a name of `CODECS`, H.264's quality (0 best to 51), or lossless H.264."""
+    """The coding of pictures.
+
+    Attributes
+    ----------
+    name
+        "ffv1", "h264" or "mjpeg".
+    crf
+        Quality of lossy H.264, 0 (best) to 51.
+    lossless
+        Whether H.264 keeps every bit.
+    """
 
     name: str
     crf: float = DEFAULT_CRF
@@ -40,7 +69,24 @@ class VideoCodec:
 
 
 def chosen_codec(suffix: str, name: str | None, crf: float | None, lossless: bool) -> VideoCodec:
-    """Return the codec for a suffix of `CODECS`, or raise `MediaError` for what does not go together."""
+    """Return the codec of a film.
+
+    Parameters
+    ----------
+    suffix
+        Suffix of the film, a key of `CODECS`.
+    name
+        "ffv1", "h264" or "mjpeg"; None for the suffix's default.
+    crf
+        Quality of lossy H.264, 0 (best) to 51; None for the default.
+    lossless
+        Whether H.264 keeps every bit.
+
+    Raises
+    ------
+    MediaError
+        The codec does not go into the file, or the other settings do not go with the codec.
+    """
     known = CODECS[suffix]
     name = name or known[0]
     if name not in known:
@@ -51,13 +97,28 @@ def chosen_codec(suffix: str, name: str | None, crf: float | None, lossless: boo
         raise MediaError("mjpeg cannot be lossless: choose codec='ffv1' or 'h264' in a .mkv or .nut file")
     if crf is not None and lossless:
         raise MediaError("give either crf or lossless, not both: lossless has no quality to choose")
-    if crf is not None and not 0 <= crf <= 51:
+    if crf is not None and not 0 <= crf <= WORST_CRF:
         raise MediaError(f"crf lies between 0 (best) and 51 (smallest), got {crf}")
     return VideoCodec(name=name, crf=DEFAULT_CRF if crf is None else crf, lossless=lossless)
 
 
 def check_form(spec: FilmSpec, suffix: str, codec: str) -> None:
-    """Raise `MediaError` where container or codec cannot hold a film of this form."""
+    """Check that container and codec can hold a film of a form.
+
+    Parameters
+    ----------
+    spec
+        Form of the film.
+    suffix
+        Suffix of the film, a key of `CODECS`.
+    codec
+        Name of the codec.
+
+    Raises
+    ------
+    MediaError
+        A gray level has too many bits, or the frame rate is too high.
+    """
     if spec.bits > MOST_BITS[codec]:
         raise MediaError(f"{codec} holds at most {MOST_BITS[codec]} bits, the film has {spec.bits}: use ffv1 or .h5")
     if suffix in (".mkv", ".avi") and spec.rate_hz > _COARSE_HZ:
@@ -67,7 +128,24 @@ def check_form(spec: FilmSpec, suffix: str, codec: str) -> None:
 
 
 class VideoSink:
-    """A video file being written. Its header is written with the first frame, whose time belongs into it."""
+    """A video file being written; a `Sink`. Its header holds the first frame's time, so it is written with that frame.
+
+    Parameters
+    ----------
+    partial
+        File to write to.
+    target
+        Final name of the film, for its suffix and for error messages.
+    spec
+        Form of the film.
+    codec
+        Coding of its pictures.
+
+    Raises
+    ------
+    MediaError
+        The file cannot be created.
+    """
 
     def __init__(self, partial: Path, target: Path, spec: FilmSpec, codec: VideoCodec) -> None:
         self._target = target
@@ -82,7 +160,13 @@ class VideoSink:
             self._stream = self._add_stream(codec, options)
 
     def put(self, frame: Frame) -> None:
-        """Encode a frame."""
+        """Encode a frame.
+
+        Raises
+        ------
+        MediaError
+            Its time does not fit the container's clock, or the file cannot be written.
+        """
         with self._clear_errors():
             if self._start_s is None:
                 self._start_s = frame.time_s
@@ -94,13 +178,19 @@ class VideoSink:
             self._container.mux(self._stream.encode(picture))
 
     def close(self) -> None:
-        """Encode what the codec holds back and write the index."""
+        """Encode the frames that the codec holds back and write the index.
+
+        Raises
+        ------
+        MediaError
+            The file cannot be written.
+        """
         with self._clear_errors():
             self._container.mux(self._stream.encode())
             self._container.close()
 
     def discard(self) -> None:
-        """Close without caring for the outcome: the file is about to be removed."""
+        """Close the file whatever its state: it is about to be removed. Never raises."""
         with suppress(Exception):
             self._container.close()
 
@@ -123,7 +213,7 @@ class VideoSink:
         return stream
 
     def _write_record(self, start_s: float) -> None:
-        record = Record(
+        record = FilmRecord(
             rate_hz=self._spec.rate_hz,
             bits=self._spec.bits,
             start_s=start_s,
@@ -139,7 +229,7 @@ class VideoSink:
                 f"two frames fall on the same {float(self._time_base):.3g} s tick of {self._suffix}, the second "
                 f"{elapsed_s:.9f} s after the start: leave more time between frames, or use .nut or .h5"
             )
-        if self._suffix == ".avi" and abs(tick - elapsed_s * self._spec.rate_hz) > 0.01:
+        if self._suffix == ".avi" and abs(tick - elapsed_s * self._spec.rate_hz) > _OFF_GRID:
             raise MediaError(
                 f".avi holds whole frame periods only, got a frame {elapsed_s:.9f} s after the start "
                 f"at {self._spec.rate_hz:g} frames/s: use .nut, .mp4 or .h5"
@@ -162,8 +252,8 @@ class VideoSink:
 def _create(partial: Path, suffix: str) -> "OutputContainer":
     import av
 
-    options = {"movflags": "use_metadata_tags"} if suffix == ".mp4" else {}  # else MP4 drops tags it does not know
-    # "file:" because a colon in a name would be taken for a protocol.
+    options = {"movflags": "use_metadata_tags"} if suffix == ".mp4" else {}  # else MP4 drops unknown tags
+    # "file:" because a colon in a name would be taken for a protocol
     return av.open(f"file:{partial}", "w", options=options)
 
 
@@ -174,9 +264,9 @@ def _time_base(suffix: str, rate_hz: float) -> Fraction:
 
 
 def _coding(codec: VideoCodec, spec: FilmSpec) -> tuple[str, dict[str, str]]:
-    """Return pixel format and options of the encoder: the fastest that were measured (benchmarks/media.py)."""
+    """Return pixel format and options of the encoder: the fastest that benchmarks/media.py measured."""
     if codec.name == "ffv1":
-        # Golomb-Rice codes 8 bits at nearly twice the speed of the range coder; more bits need the latter.
+        # Golomb-Rice codes 8 bits at nearly twice the speed of the range coder; more bits need the latter
         coder = "0" if spec.bits == 8 else "1"
         options = {"level": "3", "coder": coder, "context": "0", "slices": "6", "slicecrc": "1"}
         return planes.gray_format(spec.bits), options
@@ -184,7 +274,7 @@ def _coding(codec: VideoCodec, spec: FilmSpec) -> tuple[str, dict[str, str]]:
         return "yuv420p", {"qmin": "2", "qmax": "2"}
     quality = {"qp": "0"} if codec.lossless else {"crf": f"{codec.crf:g}"}
     even = spec.width % 2 == 0 and spec.height % 2 == 0
-    # 4:2:0 for the sake of players, which know nothing else; lossless they cannot play anyway.
+    # 4:2:0 for players, which show nothing else; lossless films they do not show in any case
     colour = spec.bits == 8 and even and not codec.lossless
     pixel_format = "yuv420p" if colour else planes.gray_format(max(spec.bits, 10) if spec.bits > 8 else 8)
     return pixel_format, {"preset": "ultrafast", "bf": "0", **quality}

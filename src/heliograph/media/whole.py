@@ -1,4 +1,4 @@
-"""Is a file whole? Codecs stop quietly at a cut and patch damaged pictures up, so look at the bytes themselves."""
+"""Find out from a file's bytes whether it is whole: codecs stop silently at a cut and patch up damaged pictures."""
 
 import os
 import zlib
@@ -6,19 +6,36 @@ from pathlib import Path
 from typing import BinaryIO
 
 _EBML, _SEGMENT = bytes.fromhex("1A45DFA3"), bytes.fromhex("18538067")
+"""First bytes of a Matroska file, and of the segment in it (RFC 9559)."""
+
 _NUT, _NUT_INDEX = b"nut/multimedia container", bytes.fromhex("4E58DD672F23E64E")
+"""First bytes of a NUT file, and of its index (the NUT specification)."""
+
+_NUT_TAIL = 12
+"""Bytes that end a NUT index: its own length (8) and a checksum (4)."""
+
+_HEAD = 32
+"""Bytes read to recognise a file: the longest signature, NUT's, has 24."""
+
+_SLICE_TAIL = 8
+"""Bytes that end an FFV1 slice with a checksum: its size (3), its status (1) and the checksum (4) (RFC 9043)."""
+
+_CRC_START = 0xFFFFFFFF
+"""zlib's CRC-32 begins and ends with an exclusive or by this, FFV1's does not: given it as the start value, zlib
+returns it for a right slice, whose remainder is 0."""
+
 _MIRROR = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 def ends_early(path: Path) -> bool | None:
-    """Return whether a Matroska, NUT, MP4 or AVI file is cut short: True or False, None where it does not tell."""
+    """Return whether a Matroska, NUT, MP4 or AVI file is cut short; None where its bytes do not show it."""
     size = os.path.getsize(path)
     with path.open("rb") as file:
-        head = file.read(32)
+        head = file.read(_HEAD)
         if head.startswith(_EBML):
             return _matroska_cut(file, size)
         if head.startswith(_NUT):
-            return None if size < 12 or not _nut_index(file, size) else False
+            return None if size < _NUT_TAIL or not _nut_index(file, size) else False
         if head[4:8] == b"ftyp":
             return _boxes_cut(file, size)
         if head.startswith(b"RIFF"):
@@ -27,15 +44,15 @@ def ends_early(path: Path) -> bool | None:
 
 
 def slices_whole(packet: bytes) -> bool:
-    """Return whether every slice of an FFV1 version 3 picture (with ``slicecrc=1``) carries a right checksum.
+    """Return whether every slice of an FFV1 version 3 picture, coded with ``slicecrc=1``, has a right checksum.
 
-    The decoder itself only logs a wrong one and shows the last picture in its place.
+    The decoder only logs a wrong checksum and shows the last picture in place of this one.
     """
     end = len(packet)
-    while end > 8:
-        start = end - 8 - int.from_bytes(packet[end - 8 : end - 5], "big")
-        # FFV1 feeds the bits of a byte from the top, zlib from the bottom; both start from, and end at, zero.
-        if start < 0 or zlib.crc32(packet[start:end].translate(_MIRROR), 0xFFFFFFFF) != 0xFFFFFFFF:
+    while end > _SLICE_TAIL:
+        start = end - _SLICE_TAIL - int.from_bytes(packet[end - _SLICE_TAIL : end - 5], "big")
+        # FFV1 feeds the bits of a byte from the top, zlib from the bottom
+        if start < 0 or zlib.crc32(packet[start:end].translate(_MIRROR), _CRC_START) != _CRC_START:
             return False
         end = start
     return end == 0
@@ -47,10 +64,13 @@ def _matroska_cut(file: BinaryIO, size: int) -> bool | None:
     if file.read(4) != _SEGMENT:
         return True
     length = _vint(file)
-    return None if length is None else file.tell() + length > size  # None: the muxer never finished, or a live stream
+    return (
+        None if length is None else file.tell() + length > size
+    )  # None: the muxer did not finish, or it is a live stream
 
 
 def _vint(file: BinaryIO) -> int | None:
+    """Read a number of variable size of Matroska; None for the value that means "unknown"."""
     first = file.read(1) or b"\x01"
     extra = 8 - first[0].bit_length()
     value = int.from_bytes(bytes([first[0] & ((1 << (7 - extra)) - 1) if extra < 8 else 0]) + file.read(extra), "big")
@@ -58,9 +78,9 @@ def _vint(file: BinaryIO) -> int | None:
 
 
 def _nut_index(file: BinaryIO, size: int) -> bool:
-    file.seek(size - 12)  # an index ends with its own length and a checksum
+    file.seek(size - _NUT_TAIL)
     length = int.from_bytes(file.read(8), "big")
-    if not 12 <= length <= size:
+    if not _NUT_TAIL <= length <= size:
         return False
     file.seek(size - length)
     return file.read(8) == _NUT_INDEX

@@ -1,4 +1,4 @@
-"""The writing face of every kind of film: checks, a file that appears only when whole, encoding in the background."""
+"""The common interface for writing films: checks, a file that appears only when whole, encoding in a thread."""
 
 import dataclasses
 import errno
@@ -16,24 +16,32 @@ from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media.record import FilmSpec
 
-QUEUED_FRAMES = 8  # bounds memory; enough to even out slow and fast frames
+QUEUED_FRAMES = 8
+"""Frames that wait for the encoder at most; bounds memory. Chosen: with 4 and with 16 FFV1 is written at the same speed
+within the noise of a shared machine, 30 %."""
 
 
 class Sink(Protocol):
-    """Where frames go: one kind of file."""
+    """A file of some kind that takes frames."""
 
     def put(self, frame: Frame) -> None:
-        """Store a frame."""
+        """Store a frame; a MediaError where the file cannot be written."""
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the file; a MediaError where it cannot be written."""
 
     def discard(self) -> None:
-        """Let go of the file, in whatever state; never raises."""
+        """Close the file whatever its state; never raises."""
 
 
-class Background:
-    """A sink that works in its own thread: the caller renders while the codec encodes (which holds no GIL)."""
+class ThreadedSink:
+    """A sink that works in its own thread: the caller renders while the codec encodes, which holds no GIL.
+
+    Parameters
+    ----------
+    sink
+        The sink that stores the frames.
+    """
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
@@ -44,19 +52,19 @@ class Background:
         self._thread.start()
 
     def put(self, frame: Frame) -> None:
-        """Queue a copy of a frame; raise what went wrong with an earlier one."""
+        """Queue a copy of a frame; an error of an earlier frame is raised here."""
         self._raise_error()
         self._queue.put(dataclasses.replace(frame, pixels=frame.pixels.copy()))  # the caller may reuse its buffer
 
     def close(self) -> None:
-        """Encode what is queued, then finish the file."""
+        """Encode the queued frames, then finish the file; errors are raised here."""
         self._queue.put(None)
         self._thread.join()
         self._raise_error()
         self._sink.close()
 
     def discard(self) -> None:
-        """Drop what is queued and let go of the file."""
+        """Drop the queued frames and close the file."""
         self._stopping = True
         self._queue.put(None)
         self._thread.join()
@@ -64,7 +72,7 @@ class Background:
 
     def _work(self) -> None:
         while (frame := self._queue.get()) is not None:
-            if self._error is None and not self._stopping:  # else only drain, so that nobody waits on a full queue
+            if self._error is None and not self._stopping:  # else only empty the queue, so that no one waits for it
                 self._store(frame)
 
     def _store(self, frame: Frame) -> None:
@@ -82,8 +90,28 @@ class FilmWriter:
     """A film being written; made by `heliograph.media.create_film`.
 
     The file grows under a hidden name beside the target and takes the target's place when finished, so that the target
-    is always whole. Leaving the ``with`` block finishes the film, leaving it by an exception removes it; to keep what
-    there is after Ctrl-C, catch `KeyboardInterrupt` inside the block and call `finish`.
+    is always whole. Leaving the ``with`` block finishes the film, leaving it by an exception removes it. To keep the
+    frames written so far after Ctrl-C, catch `KeyboardInterrupt` inside the block and call `finish`.
+
+    Parameters
+    ----------
+    target
+        Final name of the film.
+    partial
+        Hidden name beside it.
+    spec
+        Form of the film.
+    sink
+        The file that takes the frames.
+
+    Attributes
+    ----------
+    path
+        Final name of the film.
+    spec
+        Form of the film.
+    frames_written
+        Frames written so far.
     """
 
     def __init__(self, target: Path, partial: Path, spec: FilmSpec, sink: Sink) -> None:
@@ -107,15 +135,15 @@ class FilmWriter:
         Raises
         ------
         MediaError
-            Wrong size, type or time (the film stays open), or the file could not be written, e.g. disk full (the
-            film is removed). Encoding runs behind, so this may speak of an earlier frame.
+            The frame has a wrong size, type or time (the film stays open), or the file cannot be written, for example
+            on a full disk (the film is removed). Encoding lags, so the error may be that of an earlier frame.
         """
         if not self._open:
             raise MediaError(f"{self.path} is already finished or aborted: no frame can be added")
         self._check(frame)
         try:
             self._sink.put(frame)
-        except Exception:  # not Ctrl-C, which mostly strikes here, waiting for the encoder: the caller may finish
+        except Exception:  # not Ctrl-C, which mostly arrives here, waiting for the encoder: the caller may finish
             self.abort()
             raise
         self._last_time_s = frame.time_s
@@ -127,7 +155,7 @@ class FilmWriter:
         Raises
         ------
         MediaError
-            No frame was written, or the file could not be written; nothing is left behind.
+            No frame was written, or the file cannot be written; no file is left.
         """
         if not self._open:
             return
@@ -136,7 +164,7 @@ class FilmWriter:
                 raise MediaError(f"no frames were written to {self.path}: a film needs at least one")
             self._sink.close()
             _publish(self._partial, self.path)
-        except BaseException:  # Ctrl-C while waiting as well: no half film may stay
+        except BaseException:  # Ctrl-C while waiting too: no half film may stay
             self.abort()
             raise
         self._open = False
@@ -166,7 +194,20 @@ class FilmWriter:
 
 
 def check_pixels(frame: Frame, spec: FilmSpec) -> None:
-    """Raise `MediaError` unless the frame fits the film in size, type and range of gray levels."""
+    """Check that a frame fits a film in size, type and range of gray levels.
+
+    Parameters
+    ----------
+    frame
+        The frame.
+    spec
+        Form of the film.
+
+    Raises
+    ------
+    MediaError
+        It does not fit.
+    """
     pixels, dtype = frame.pixels, np.dtype(np.uint8 if spec.bits == 8 else np.uint16)
     if pixels.ndim != 2:
         raise MediaError(f"a frame has the shape (rows, columns), got {pixels.shape}: films are gray")
@@ -182,7 +223,13 @@ def check_pixels(frame: Frame, spec: FilmSpec) -> None:
 
 
 def partial_path(target: Path) -> Path:
-    """Return a hidden name of its own beside the target, with its suffix, since muxers go by that."""
+    """Return a hidden, unique name beside the target, with its suffix, by which muxers choose the format.
+
+    Raises
+    ------
+    MediaError
+        The target is a folder, or its folder does not exist.
+    """
     if target.is_dir():
         raise MediaError(f"{target} is a folder: give the film a file name in it")
     if not target.parent.is_dir():
@@ -191,7 +238,15 @@ def partial_path(target: Path) -> Path:
 
 
 def write_error(error: Exception, target: Path) -> MediaError:
-    """Return the error of a codec or file library as one clear line."""
+    """Return a codec's or file library's error as a MediaError of one line.
+
+    Parameters
+    ----------
+    error
+        The error.
+    target
+        The film that was to be written.
+    """
     code = getattr(error, "errno", None)
     if code in (errno.ENOSPC, errno.EDQUOT) or "No space left" in str(error):
         return MediaError(f"disk full while writing {target}: free some space or write elsewhere (nothing was kept)")
