@@ -1,0 +1,246 @@
+"""Public functions, methods and classes of the packages in HELD describe their parameters and errors."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1] / "src" / "heliograph"
+
+HELD = ("base", "signal", "transmit", "channel", "media")
+"""Packages held to the rules; add one when all of it keeps them."""
+
+ERRORS = {"HeliographError", "SettingsError", "MediaError", "ValueError"}
+"""Errors that a body raises on purpose."""
+
+PUBLIC_MAGIC = ("__call__",)
+"""Magic methods that are called by hand, and so described."""
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+Definition = Function | ast.ClassDef
+Found = tuple[str, Definition]
+
+
+def is_public(name: str) -> bool:
+    return not name.startswith("_") or name in PUBLIC_MAGIC
+
+
+def definitions(body: list[ast.stmt], prefix: str) -> Iterator[Found]:
+    """Public functions, classes and their public methods, by dotted name."""
+    for node in body:
+        if isinstance(node, Definition) and is_public(node.name):
+            name = f"{prefix}.{node.name}"
+            yield name, node
+            if isinstance(node, ast.ClassDef):
+                yield from definitions(node.body, name)
+
+
+def found(package: str) -> list[Found]:
+    paths = sorted((ROOT / package).rglob("*.py"))
+    return [
+        item
+        for path in paths
+        for item in definitions(
+            ast.parse(path.read_text(encoding="utf-8")).body, ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        )
+    ]
+
+
+def section(doc: str, title: str) -> dict[str, str]:
+    """Items of a NumPy section: the text of each `name`, `name : type` or `a, b` line, by that line."""
+    match = re.search(rf"^{title}\n-{{{len(title)}}}\n(.*?)(?=\n\n?[^\n]+\n-{{3,}}\n|\Z)", doc, re.M | re.S)
+    items: dict[str, list[str]] = {}
+    for line in match[1].splitlines() if match else []:
+        if line and not line[0].isspace():
+            items[line] = []
+        elif items:
+            items[next(reversed(items))].append(line.strip())
+    return {name: " ".join(lines).strip() for name, lines in items.items()}
+
+
+def listed(doc: str, title: str) -> set[str]:
+    """Names of a section's items that have a text."""
+    items = section(doc, title)
+    return {name.strip() for line, text in items.items() if text for name in line.partition(" : ")[0].split(",")}
+
+
+def parameters(node: Function, method: bool) -> list[str]:
+    """Names of the parameters, but for self or cls, *args and **kwargs."""
+    names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+    static = any(isinstance(d, ast.Name) and d.id == "staticmethod" for d in node.decorator_list)
+    return names[1:] if method and not static else names
+
+
+def is_dataclass(node: ast.ClassDef) -> bool:
+    return any(re.match(r"(dataclass|checked)\b", ast.unparse(d)) for d in node.decorator_list) or any(
+        ast.unparse(base) == "NamedTuple" for base in node.bases
+    )
+
+
+def fields(node: ast.ClassDef) -> list[str]:
+    """Public fields of a dataclass."""
+    targets = [n.target for n in node.body if isinstance(n, ast.AnnAssign)]
+    return [t.id for t in targets if isinstance(t, ast.Name) and is_public(t.id)]
+
+
+def raised(node: Function) -> set[str]:
+    """Errors of `ERRORS` that a function's own body raises."""
+    names: set[str] = set()
+    waiting: list[ast.AST] = list(node.body)
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, Definition | ast.Lambda):
+            continue
+        if isinstance(one, ast.Raise) and isinstance(one.exc, ast.Call) and isinstance(one.exc.func, ast.Name):
+            names |= {one.exc.func.id} & ERRORS
+        waiting += ast.iter_child_nodes(one)
+    return names
+
+
+def constructors(node: ast.ClassDef) -> list[Function]:
+    return [n for n in node.body if isinstance(n, Function) and n.name in ("__init__", "__post_init__")]
+
+
+def problems(name: str, node: Definition, method: bool) -> Iterator[str]:
+    doc = ast.get_docstring(node)
+    if not doc:
+        yield f"{name}: no docstring"
+        return
+    if isinstance(node, ast.ClassDef):
+        wanted = fields(node) if is_dataclass(node) else []
+        wanted += [p for make in constructors(node) if len(p_all := parameters(make, True)) > 1 for p in p_all]
+        had, errors = (
+            listed(doc, "Parameters") | listed(doc, "Attributes"),
+            set[str]().union(*map(raised, constructors(node))),
+        )
+    else:
+        all_of_them = parameters(node, method)
+        wanted = all_of_them if len(all_of_them) > 1 else []
+        had, errors = listed(doc, "Parameters"), raised(node)
+    if missing := [p for p in wanted if p not in had]:
+        yield f"{name}: not described: {', '.join(missing)}"
+    if unsaid := errors - listed(doc, "Raises"):
+        yield f"{name}: not under Raises: {', '.join(sorted(unsaid))}"
+
+
+def all_problems(items: list[Found]) -> list[str]:
+    classes = {name for name, node in items if isinstance(node, ast.ClassDef)}
+    return [text for name, node in items for text in problems(name, node, name.rpartition(".")[0] in classes)]
+
+
+@pytest.mark.parametrize("package", HELD)
+def test_everything_public_is_described(package: str) -> None:
+    items = found(package)
+    assert items
+    assert all_problems(items) == []
+
+
+@pytest.mark.parametrize("package", HELD)
+def test_settings_describe_each_attribute_by_itself(package: str) -> None:
+    settings = [
+        (name, node)
+        for name, node in found(package)
+        if isinstance(node, ast.ClassDef) and any("config=CONFIG" in ast.unparse(d) for d in node.decorator_list)
+    ]
+    for name, node in settings:
+        assert list(section(ast.get_docstring(node) or "", "Attributes")) == fields(node), name
+
+
+BAD = '''
+def bare(x): pass
+
+def one(x):
+    """One parameter may stand in the summary."""
+
+def two(x, y, *rest, **more):
+    """Lack y.
+
+    Parameters
+    ----------
+    x
+        The first.
+
+    Returns
+    -------
+    y
+        Not a parameter.
+    """
+
+def pair(x, y):
+    """List both.
+
+    Parameters
+    ----------
+    x, y
+        Both.
+    """
+    def inner():
+        raise ValueError("of the inner one")
+    raise RuntimeError("not on purpose")
+
+def wrong(x):
+    """Raise without saying so."""
+    if x:
+        raise ValueError("x")
+
+def right(x):
+    """Raise.
+
+    Raises
+    ------
+    ValueError
+        x is true.
+    """
+    if x:
+        raise ValueError("x")
+
+class Made:
+    """Lack b.
+
+    Parameters
+    ----------
+    a
+        The first.
+    """
+
+    def __init__(self, a, b):
+        raise SettingsError("never made")
+
+    def method(self, x):
+        """One parameter."""
+
+    @staticmethod
+    def static(x, y):
+        """Two parameters."""
+
+    def _private(self, x, y): pass
+
+@dataclass(frozen=True)
+class Data:
+    """Lack count.
+
+    Attributes
+    ----------
+    size : int
+        The size.
+    count
+    """
+
+    size: int
+    count: int = 0
+    _own: int = 0
+'''
+
+
+def test_each_fault_is_found() -> None:
+    assert all_problems(list(definitions(ast.parse(BAD).body, "m"))) == [
+        "m.bare: no docstring",
+        "m.two: not described: y",
+        "m.wrong: not under Raises: ValueError",
+        "m.Made: not described: b",
+        "m.Made: not under Raises: SettingsError",
+        "m.Made.static: not described: x, y",
+        "m.Data: not described: count",
+    ]
