@@ -36,6 +36,9 @@ Chosen; the reference drive ends at 0.82."""
 _FAR_EDGE_PX = 1.001
 """Distance of the last place read from the far edge: its right and lower neighbours are within the image."""
 
+_WHITE = 255
+"""Gray level of white in images of 8 bits."""
+
 _ROUND_LAMPS = 0.5
 """Probability of a drawn lamp to be round. Chosen by eye."""
 
@@ -237,6 +240,9 @@ def cover_size(frame: Gray, size: tuple[int, int]) -> Gray:
 def draw_scene(size: tuple[int, int], rng: np.random.Generator) -> Gray:
     """Draw a street at dusk: sky, road, buildings with windows, round and rectangular lamps.
 
+    Numbers, sizes and gray levels of all of them are chosen by eye; a change would change every film with this
+    background.
+
     Parameters
     ----------
     size
@@ -299,7 +305,7 @@ def background(settings: ChannelSettings, footage: Footage | None, rng: np.rando
     SettingsError
         The kind is "footage" and there is none.
     """
-    kind, level, gain = settings.background.kind, settings.background.level, settings.background.gain / 255
+    kind, level, gain = settings.background.kind, settings.background.level, settings.background.gain / _WHITE
     if kind == "flat":
         return lambda light, *_: light.fill(level)
     camera = settings.camera

@@ -11,7 +11,7 @@ from heliograph.base.frames import Frame
 from heliograph.channel.exposure import Faults, Lighting, PatternFeed
 from heliograph.channel.footage import Footage
 from heliograph.channel.motion import ImuTrace, Motion, film_duration, motion
-from heliograph.channel.settings import ChannelSettings, Placement
+from heliograph.channel.settings import EXPOSURE_SLACK, ChannelSettings, Placement
 from heliograph.channel.transfer import Transfer
 from heliograph.channel.truth import NoiseModel, Truth
 
@@ -22,18 +22,15 @@ BLOCK_FRAMES = 64
 """Frames whose poses are computed together. Chosen: a window of the reference link takes 310 us of CPU time a frame, as
 at half the value; 285 us at twice."""
 
-_ROUNDING = 1e-6
+_LENGTH_SLACK = 1e-6
 """Frame periods by which a film may be too short for its last frame: far above rounding errors, far below a slot."""
-
-_TOLERANCE = 1e-9
-"""Relative excess of the exposure over T_b that counts as a rounding error."""
 
 
 def frame_count(settings: ChannelSettings) -> int:
     """Return the number of frames whose exposure ends within the film; dropped frames count."""
     camera = settings.camera
     room = film_duration(settings) - camera.start_s - camera.exposure_s
-    return max(0, math.floor(room / camera.frame_period_s + _ROUNDING) + 1)
+    return max(0, math.floor(room / camera.frame_period_s + _LENGTH_SLACK) + 1)
 
 
 def film(
@@ -115,7 +112,7 @@ def _check(
 ) -> None:
     if len(lights) != len(settings.arrays):
         raise SettingsError(f"there is one stream of patterns an array: {len(settings.arrays)}, not {len(lights)}")
-    if settings.camera.exposure_s > period_s * (1 + _TOLERANCE):
+    if settings.camera.exposure_s > period_s * (1 + EXPOSURE_SLACK):
         raise SettingsError(f"the exposure is at most T_b = {period_s:g} s, not {settings.camera.exposure_s:g} s")
     if sorted(order) != [0, 1, 2, 3]:
         raise SettingsError(f"the slot order is a permutation of 0 to 3, not {list(order)}")

@@ -23,7 +23,7 @@ do."""
 _NO_LIGHT_S = 1e-30
 """Least time an LED is lit, for a division: above 0, and below any piece of an exposure."""
 
-_TOLERANCE = 1e-9
+_PARTS_SLACK = 1e-9
 """Excess of a piece over a whole number of parts that counts as a rounding error."""
 
 
@@ -136,7 +136,7 @@ class Lit:
 
     def split(self, longest_s: float) -> "Lit":
         """Return the same exposure with its pieces cut into equal parts of at most `longest_s` seconds."""
-        count = np.maximum(np.ceil((self.end_s - self.start_s) / longest_s - _TOLERANCE), 1).astype(int)
+        count = np.maximum(np.ceil((self.end_s - self.start_s) / longest_s - _PARTS_SLACK), 1).astype(int)
         part = np.concatenate([np.arange(c) for c in count])
         length = np.repeat((self.end_s - self.start_s) / count, count)
         start = np.repeat(self.start_s, count) + part * length

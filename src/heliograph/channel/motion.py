@@ -45,6 +45,9 @@ _MARGIN_M = 10.0
 _LEAST_SAMPLES = 32
 """Least samples of a trace. Chosen: shorter columns are taken for a mistake; the splines need 4."""
 
+_TIME_ERROR_S = 1e-12
+"""Largest error of the time at which a distance is driven: 1e-10 m at any speed of the settings."""
+
 _LONGEST_S = 3600.0
 """Longest drive whose end is searched for. Chosen: an hour."""
 
@@ -265,7 +268,7 @@ class Travel:
 
         if float(self.distance(longest_s)) < distance_m:
             raise SettingsError(f"the vehicle does not drive {distance_m:g} m within {longest_s:g} s; set duration_s")
-        return float(brentq(lambda t: float(self.distance(t)) - distance_m, 0.0, longest_s, xtol=1e-12))
+        return float(brentq(lambda t: float(self.distance(t)) - distance_m, 0.0, longest_s, xtol=_TIME_ERROR_S))
 
 
 @dataclass(frozen=True)

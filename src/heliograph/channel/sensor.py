@@ -48,7 +48,10 @@ _POISSON_STEP = np.uint64(0xD1B54A32D192ED03)
 bits with its normal one."""
 
 _TWO_PI = np.float32(2 * math.pi)
+"""2 pi in single precision."""
+
 _LN2 = np.float32(math.log(2))
+"""ln 2 in single precision."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -13,7 +13,10 @@ from pydantic.dataclasses import dataclass
 from heliograph.base.config import CONFIG
 
 Positive = Annotated[float, Field(gt=0)]
+"""A number above 0."""
+
 NotNegative = Annotated[float, Field(ge=0)]
+"""A number of at least 0."""
 
 LightLevel = Annotated[float, Field(ge=0, le=4)]
 """Light in full scales. Chosen bound: four times saturation."""
@@ -30,8 +33,9 @@ TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 """Fraction of a whole."""
 
-_ROUNDING = 1e-9
-"""Relative excess of the exposure over the frame period that counts as a rounding error."""
+EXPOSURE_SLACK = 1e-9
+"""Relative excess of the exposure over the frame period, or over T_b, that counts as a rounding error of double
+precision."""
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
@@ -161,7 +165,7 @@ class CameraSettings:
 
     @model_validator(mode="after")
     def _consistent(self) -> "CameraSettings":
-        if self.exposure_s * self.fps > 1 + _ROUNDING:
+        if self.exposure_s * self.fps > 1 + EXPOSURE_SLACK:
             raise ValueError(f"exposure_s is at most 1 / fps = {1 / self.fps:g} s, not {self.exposure_s:g} s")
         if self.dropped + self.repeated >= 1:
             raise ValueError(f"dropped and repeated are below 1 together, not {self.dropped + self.repeated:g}")

@@ -26,6 +26,7 @@ _NEUTRAL = 128
 # Formats whose plane 0 is luma alone, samples in the low bits, little endian.
 _LUMA_FIRST = re.compile(r"(gray|yuva?4[0-4][0-4]p|yuvj4[0-4][0-4]p|nv(12|21|16|24))(9le|1[0-6]le)?")
 _GRAY = {8: "gray", 9: "gray9le", 10: "gray10le", 12: "gray12le", 14: "gray14le", 16: "gray16le"}
+"""FFmpeg's gray pixel formats by bits."""
 
 
 def gray_format(bits: int) -> str:

@@ -25,6 +25,7 @@ _CRC_START = 0xFFFFFFFF
 returns it for a right slice, whose remainder is 0."""
 
 _MIRROR = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+"""Each byte with its bits read backwards."""
 
 
 def ends_early(path: Path) -> bool | None:

@@ -45,6 +45,9 @@ _MAX_BYTE = 255
 WHITENER = 0b1100_0000_0000_0001
 """Polynomial of the whitening as bits: x^15 + x^14 + 1 (section 10), primitive, so the period is 32767 chips."""
 
+WHITENER_START = (1 << 15) - 1
+"""First 15 chips of the whitening: all ones (section 10)."""
+
 LAYER_CHIPS = 8192
 """Chips between the starts of two layers' whitening (section 10): a quarter of the period, so that first
 codewords of up to 8192 bits in the three layers have no chips in common. Twice the value
@@ -155,7 +158,7 @@ def unpack(bits: NDArray[np.uint8]) -> Block | None:
 
 @lru_cache(maxsize=1)
 def _period() -> NDArray[np.uint8]:
-    chips = m_sequence(WHITENER, (1 << 15) - 1)
+    chips = m_sequence(WHITENER, WHITENER_START)
     chips.setflags(write=False)
     return chips
 

@@ -30,6 +30,9 @@ RATE_BITS = 3
 BITS = 11
 """Bits of a format's number: two of the mode, three each of the high, middle and low layer's rate. RM(2, 4) has 11."""
 
+WORD_BITS = 16
+"""Bits of a format's word: one for each of the 4 x 4 cells of the header, the length of RM(2, 4)."""
+
 DIMMED = 0.5
 """Contrast of a cell whose bit of the word is 1 (section 4.1): the only one between 0 and 1 whose levels, 3 and 1, are
 whole. At 0 the cell would be flat, and detection by the header would lose it."""
@@ -112,10 +115,10 @@ def words() -> NDArray[np.uint8]:
     (1024, 16) uint8 bits 0 and 1, read-only: row by format number, column 4 row + column of the cell.
     """
     # w = f0 + f1 v0 + f2 v1 + f3 v2 + f4 v3 + f5 v0 v1 + f6 v0 v2 + ... + f10 v2 v3 (modulo 2)
-    index = np.arange(16)
+    index = np.arange(WORD_BITS)
     v = [index >> bit & 1 for bit in range(4)]
     # 1; v0 ... v3; v0 v1, v0 v2, v0 v3, v1 v2, v1 v3, v2 v3
-    rows = np.array([np.ones(16, int), *v, *(a * b for a, b in combinations(v, 2))])
+    rows = np.array([np.ones(WORD_BITS, int), *v, *(a * b for a, b in combinations(v, 2))])
     numbers = np.arange(len(MODES) << 3 * RATE_BITS)
     found = ((numbers[:, None] >> np.arange(BITS) & 1) @ rows % 2).astype(np.uint8)
     found.setflags(write=False)

@@ -43,9 +43,13 @@ _compile = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract
 # ln(1 + exp(-x)) = q(x)^8 on 0 <= x <= 16 within 5e-5, q = _Q0 + _Q1 x + ... + _Q5 x^5 fitted by minimax; the eighth
 # root keeps the polynomial short, as it falls only to exp(-2) at x = 16
 _LARGEST_X = np.float32(16.0)
+"""End of the fit of q. Beyond, the correction keeps its value there, 5e-6."""
+
 _Q0, _Q1, _Q2 = np.float32(0.9552112), np.float32(-0.08592595), np.float32(-0.006395051)
+"""Coefficients of q, and the next three."""
+
 _Q3, _Q4, _Q5 = np.float32(0.0022492933), np.float32(-0.00021102457), np.float32(6.5708796e-06)
-"""Coefficients of q. Beyond `_LARGEST_X` the correction keeps its value there, 5e-6."""
+"""Coefficients of q, after the three above."""
 
 
 def work_size(k: int) -> int:
@@ -122,7 +126,7 @@ def _backward_step(mother: Any, work: Any, beta: Any, k: int, row: int, exact: A
         u0z1 = _add4(a2 + b5, a3 + b1, a4 + b2, a5 + b6, exact)
         u1z0 = _add4(a2 + b1, a3 + b5, a4 + b6, a5 + b2, exact)
         u1z1 = _add4(a0 + b4, a1 + b0, a6 + b3, a7 + b7, exact)
-        # L_e(u) = ln sum over u = 0 less the same over u = 1; alpha's row has done its work and takes it
+        # L_e(u) = ln sum over u = 0 less the same over u = 1; it takes the place of alpha's first metric, used up
         w[i + _EXTRINSIC] = _add(u0z0 + lp, u0z1, exact) - _add(u1z0 + lp, u1z1, exact)
         b[i] = _add(b0 + both, b4, exact)
         b[i + L] = _add(b0, b4 + both, exact)

@@ -36,7 +36,7 @@ _F2 = """
     94 190 480
 """
 
-_CACHED = 32
+CACHED = 32
 """Permutations kept, of 49 kB at most. Chosen: three layers of ten formats need 30. One more is made in 0.2 ms."""
 
 _COEFFICIENTS = dict(
@@ -61,7 +61,7 @@ def coefficients(k: int) -> tuple[int, int]:
     return _COEFFICIENTS[k]
 
 
-@lru_cache(maxsize=_CACHED)
+@lru_cache(maxsize=CACHED)
 def interleaver(k: int) -> NDArray[np.int64]:
     """Return the permutation of the turbo code's internal interleaver (TS 36.212, 5.1.3.2.3).
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.errors import SettingsError
+from heliograph.signal.turbo.qpp import CACHED
 
 COLUMNS = 32
 """Columns of the sub-block interleaver (TS 36.212, 5.1.4.1.1)."""
@@ -23,14 +24,11 @@ STREAMS = 3
 _NULL = -1
 """Stands for an empty place of the circular buffer."""
 
-_CACHED = 32
-"""Lists kept; see `qpp`."""
-
-# table 5.1.4-1: column c of the output is column P(c) of the input, P(c) the five bits of c read backwards
 _COLUMN_ORDER = np.array([int(f"{column:05b}"[::-1], 2) for column in range(COLUMNS)])
+"""Table 5.1.4-1: column c of the output is column P(c) of the input, P(c) the five bits of c read backwards."""
 
 
-@lru_cache(maxsize=_CACHED)
+@lru_cache(maxsize=CACHED)
 def selection(stream_length: int, coded_bits: int, redundancy_version: int = 0) -> NDArray[np.int64]:
     """Return the position in the mother codeword of each sent bit (TS 36.212, 5.1.4.1.2).
 

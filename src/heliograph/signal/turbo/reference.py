@@ -14,8 +14,8 @@ from heliograph.signal.turbo.trellis import NEXT_STATE, PARITY, STATES, TAIL, TA
 
 Floats = NDArray[np.float64]
 
-# The two branches (flat index 2 state + bit) that end in each state, shape (8, 2)
 _INTO = np.argsort(NEXT_STATE.ravel(), kind="stable").reshape(STATES, 2)
+"""Shape (8, 2): the two branches, by the flat index 2 state + bit, that end in each state."""
 
 
 class ConstituentLlrs(NamedTuple):

@@ -38,6 +38,8 @@ def _tail(state: int) -> list[int]:
 
 
 _STEPS = np.array([[_step(state, bit) for bit in (0, 1)] for state in range(STATES)])
+"""Shape (8, 2, 2): next state and parity bit by state and bit."""
+
 NEXT_STATE: NDArray[np.int64] = _STEPS[..., 0]
 """Shape (8, 2): state after `bit` from `state`."""
 
