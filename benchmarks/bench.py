@@ -7,14 +7,14 @@ import os
 import time
 from collections.abc import Callable
 
-from heliograph.experiments.executors import THREAD_LIMITS, limit_threads
+from heliograph.sweeps.executors import THREAD_LIMITS, limit_threads
 
 os.environ.update(THREAD_LIMITS)  # before NumPy is imported: a worker has one core
 
 import numpy as np
 
-from heliograph.link.bench import run_block
 from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.measure.bench import run_block
 
 RUNS = 5
 

@@ -7,16 +7,16 @@ import os
 import time
 from collections.abc import Callable, Sequence
 
-from heliograph.experiments.executors import THREAD_LIMITS, limit_threads
+from heliograph.sweeps.executors import THREAD_LIMITS, limit_threads
 
 os.environ.update(THREAD_LIMITS)  # before NumPy is imported: one core, and no threads that wait for each other
 
 import numpy as np
 
 from heliograph.base.frames import Frame
-from heliograph.link.bench import window_margin_px
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
+from heliograph.measure.bench import window_margin_px
 from heliograph.receive import Packet, make_receiver
 
 RUNS = 5

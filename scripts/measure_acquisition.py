@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from heliograph.experiments.executors import limit_threads
-from heliograph.link.bench import random_messages, window_margin_px
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import simulate
-from heliograph.link.statistics import Count
+from heliograph.measure.bench import random_messages, window_margin_px
+from heliograph.measure.statistics import Count
 from heliograph.receive.detect import Detection
 from heliograph.receive.receivers import make_receiver
 from heliograph.signal.header import IDENTITIES
+from heliograph.sweeps.executors import limit_threads
 
 ON_S = 0.006
 """Frames before the light comes on, in s."""

@@ -9,9 +9,9 @@ brightness of 10 % is 0.9 dB where the sensor's dark noise rules and 0.5 dB wher
 import argparse
 from dataclasses import dataclass
 
-from heliograph.experiments.executors import cores, each
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.statistics import Count
+from heliograph.measure.statistics import Count
+from heliograph.sweeps.executors import cores, each
 
 
 @dataclass(frozen=True)

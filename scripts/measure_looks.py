@@ -11,13 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from heliograph.experiments.executors import limit_threads
-from heliograph.link.bench import window_margin_px
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, simulate
-from heliograph.link.statistics import Count
+from heliograph.measure.bench import window_margin_px
+from heliograph.measure.statistics import Count
 from heliograph.receive import Packet, make_receiver
 from heliograph.signal.packet import PacketFormat
+from heliograph.sweeps.executors import limit_threads
 
 
 def film_settings(distance_m: float, looks: int, changes: Sequence[str]) -> LinkSettings:

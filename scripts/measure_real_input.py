@@ -26,13 +26,13 @@ import numpy as np
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.channel import Truth
-from heliograph.link.errors import BIN_M, ErrorCounter
-from heliograph.link.reception import Reception, is_packet
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, default_messages, simulate
-from heliograph.link.statistics import Count
 from heliograph.link.truth import open_truth, truth_path
+from heliograph.measure.errors import BIN_M, ErrorCounter
+from heliograph.measure.reception import Reception, is_packet
+from heliograph.measure.statistics import Count
 from heliograph.media import open_film
 from heliograph.receive import Packet, make_receiver, receive_frames
 

@@ -9,10 +9,10 @@ prints for each scene and distance the codewords wrong (of packets missed altoge
 import argparse
 from collections.abc import Mapping, Sequence
 
-from heliograph.experiments.executors import limit_threads
-from heliograph.link.bench import BlockCounts, run_block
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.statistics import Count
+from heliograph.measure.bench import BlockCounts, run_block
+from heliograph.measure.statistics import Count
+from heliograph.sweeps.executors import limit_threads
 
 ARRAY = "channel.arrays.0."
 NIGHT = ("channel.emitter.panel_level=0", "channel.background.level=0")

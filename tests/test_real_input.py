@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
-from heliograph.link.errors import ErrorCounter
 from heliograph.link.film import receive_film, write_film
-from heliograph.link.reception import Reception, is_packet
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, default_messages, simulate
 from heliograph.link.truth import open_truth, truth_path
+from heliograph.measure.errors import ErrorCounter
+from heliograph.measure.reception import Reception, is_packet
 from heliograph.media import open_film
 from heliograph.receive import Packet, Receiver
 

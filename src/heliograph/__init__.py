@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from heliograph.base.errors import HeliographError, MediaError, SettingsError
     from heliograph.base.frames import Frame
-    from heliograph.experiments.sweep import sweep
     from heliograph.link.codec import decode, encode
     from heliograph.link.settings import LinkSettings, load_settings
     from heliograph.link.simulate import simulate
     from heliograph.media import create_film, open_film
     from heliograph.receive import Packet, Receiver, receive_frames
     from heliograph.signal.settings import SignalSettings
+    from heliograph.sweeps.sweep import sweep
     from heliograph.transmit import Transmitter
 
 __version__ = "0.1.0"
@@ -37,7 +37,7 @@ _HOMES = {
     "open_film": "media",
     "receive_frames": "receive",
     "simulate": "link.simulate",
-    "sweep": "experiments.sweep",
+    "sweep": "sweeps.sweep",
 }
 
 __all__ = [

@@ -10,11 +10,11 @@ from heliograph.base.frames import Frame
 from heliograph.experiments.chapter import Context
 from heliograph.experiments.error_rates import comparison, films, verdicts
 from heliograph.experiments.figures import ber
-from heliograph.link.bench import LayerCounts, random_messages, run_block
-from heliograph.link.errors import ErrorCounter
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import simulate
-from heliograph.link.statistics import Count
+from heliograph.measure.bench import LayerCounts, random_messages, run_block
+from heliograph.measure.errors import ErrorCounter
+from heliograph.measure.statistics import Count
 from heliograph.receive import Packet, Receiver
 from heliograph.signal.settings import LAYERS
 

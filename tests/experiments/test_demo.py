@@ -14,9 +14,9 @@ from heliograph.base.errors import MediaError
 from heliograph.experiments import plots
 from heliograph.experiments.demo import Demonstration, demo_messages, run
 from heliograph.experiments.report import Report
-from heliograph.link.errors import LayerErrors
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import Recordings
+from heliograph.measure.errors import LayerErrors
 
 SMALL = (
     "channel.speed_m_s=0", "channel.shake=none", "channel.camera.width=256", "channel.camera.height=96",

@@ -18,7 +18,7 @@ from heliograph.experiments.detection_verdicts import compared, ingredients
 from heliograph.experiments.figures import detection
 from heliograph.experiments.identities import confusion, small_camera, taken_for
 from heliograph.experiments.lamps import FRAMES, SIZE, drawn_backdrop, lamp_backdrop
-from heliograph.link.statistics import Count
+from heliograph.measure.statistics import Count
 from heliograph.signal.header import IDENTITIES
 
 

@@ -6,7 +6,7 @@ import pytest
 from heliograph.experiments.chapter import Context
 from heliograph.experiments.figures import systems as figure
 from heliograph.experiments.systems import ENOUGH, SCHEMES, SIDE, Heard, listen
-from heliograph.link.statistics import Count
+from heliograph.measure.statistics import Count
 
 
 @pytest.mark.parametrize("key", SCHEMES)

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from link_packets import SMALL, small
+from small_links import SMALL, small
 
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.link import film as link_film
 from heliograph.link.film import SIGNAL_TAG, check_truth, packet_row, receive_film, signal_of, write_film
-from heliograph.link.reception import Reception
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, Recordings, simulate
 from heliograph.link.truth import open_truth, truth_path
+from heliograph.measure.reception import Reception
 from heliograph.media import create_film, open_film
 from heliograph.receive import Receiver
 from heliograph.receive.packets import Status

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from link_packets import small
+from small_links import small
 
 from heliograph.base.errors import MediaError
 from heliograph.channel import NoiseModel, Truth

@@ -10,8 +10,8 @@ from receive_scenes import link as scene
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from heliograph.base.errors import SettingsError
-from heliograph.link.bench import run_block
 from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.measure.bench import run_block
 from heliograph.receive import ReceiveSettings, make_receiver, receive_frames
 from heliograph.receive.soft import cancel, shares, single
 from heliograph.receive.soft.equalise import Estimate, equalise

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from soft_looks import FORM, GAIN, IDENTITY, NOISE, cells_of, decoded, looks_at, random_blocks, right
 
-from heliograph.link.statistics import clopper_pearson
+from heliograph.measure.statistics import clopper_pearson
 from heliograph.receive.decode import ERASED
 from heliograph.receive.packets import Codeword
 from heliograph.receive.soft.cancel import Light

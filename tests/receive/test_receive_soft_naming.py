@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from receive_scenes import draw, frame_of, link, pitch_at
 
-from heliograph.link.bench import run_block
+from heliograph.measure.bench import run_block
 from heliograph.receive import Pose
 from heliograph.receive.soft.naming import NameReader
 from heliograph.signal.formats import AGREED, format_of, words

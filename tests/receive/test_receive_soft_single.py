@@ -9,7 +9,7 @@ from receive_scenes import draw, frame_of, link, pitch_at
 from scipy.special import erf
 
 from heliograph.base.frames import Frame
-from heliograph.link.bench import run_block
+from heliograph.measure.bench import run_block
 from heliograph.receive import Pose
 from heliograph.receive.kalman import PoseState
 from heliograph.receive.soft.behind import Header

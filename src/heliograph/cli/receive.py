@@ -13,9 +13,9 @@ from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.cli import console, options
 
 if TYPE_CHECKING:
-    from heliograph.link.errors import ErrorCounter, LayerErrors
-    from heliograph.link.reception import Reception
     from heliograph.link.settings import LinkSettings
+    from heliograph.measure.errors import ErrorCounter, LayerErrors
+    from heliograph.measure.reception import Reception
     from heliograph.media import FilmReader
     from heliograph.signal.message import Message
     from heliograph.signal.settings import SignalSettings
@@ -36,8 +36,8 @@ def run_receive(
     What the film notes of its signal wins over the preset; file and assignments win over the note.
     """
     from heliograph.link.film import check_truth, signal_of
-    from heliograph.link.reception import Reception
     from heliograph.link.truth import open_truth
+    from heliograph.measure.reception import Reception
     from heliograph.media import open_film
 
     changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
@@ -162,7 +162,7 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
 
 
 def _show_errors(errors: "ErrorCounter") -> None:
-    from heliograph.link.errors import BIN_M
+    from heliograph.measure.errors import BIN_M
 
     console.say("distance      bit error rate of so many bits, codewords wrong/sent: high, middle, low")
     for start, layers in errors.bins().items():

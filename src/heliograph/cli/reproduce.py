@@ -12,8 +12,8 @@ def run_reproduce(
 ) -> None:
     """Run the paper's experiments and write their report."""
     from heliograph.experiments.chapter import Context
-    from heliograph.experiments.executors import cores
     from heliograph.experiments.reproduce import chosen, recordings_in, reproduce
+    from heliograph.sweeps.executors import cores
 
     keys = chosen(figures)
     with clear_write_errors(output):

@@ -13,9 +13,9 @@ from heliograph.base.errors import HeliographError, SettingsError
 from heliograph.cli import console, options
 
 if TYPE_CHECKING:
-    from heliograph.experiments.points import Tally
-    from heliograph.experiments.sweep import Progress
-    from heliograph.link.statistics import Count
+    from heliograph.measure.statistics import Count
+    from heliograph.sweeps.points import Tally
+    from heliograph.sweeps.sweep import Progress
 
 SCALE = 1000
 """Parts of a point in the progress bar."""
@@ -37,11 +37,11 @@ def run_sweep(
     as_json: bool,
 ) -> None:
     """Count errors over a grid of settings; whatever ends it, what was counted before is kept and shown."""
-    from heliograph.experiments.executors import THREAD_LIMITS
+    from heliograph.sweeps.executors import THREAD_LIMITS
 
     os.environ.update(THREAD_LIMITS)  # NumPy is not imported yet
-    from heliograph.experiments.plan import plan
-    from heliograph.experiments.points import StopRule, Tally
+    from heliograph.sweeps.plan import plan
+    from heliograph.sweeps.points import StopRule, Tally
 
     points = plan(_varied(vary), preset, _over(file, assignments), seed, *recordings)
     tallies = [Tally(point, StopRule(**limits)) for point in points]
@@ -60,7 +60,7 @@ def run_sweep(
 
 def _run(tallies: "Sequence[Tally]", output: Path | None, crew: tuple[int | None, str | None]) -> BaseException | None:
     """Count to the end, or until something ends it: that is returned."""
-    from heliograph.experiments.sweep import count
+    from heliograph.sweeps.sweep import count
 
     try:
         with _progress(len(tallies)) as progress:
@@ -71,7 +71,7 @@ def _run(tallies: "Sequence[Tally]", output: Path | None, crew: tuple[int | None
 
 
 def _varied(texts: list[str] | None) -> dict[str, list[Any]]:
-    from heliograph.experiments.vary import parse_vary
+    from heliograph.sweeps.vary import parse_vary
 
     vary: dict[str, list[Any]] = {}
     for key, values in map(parse_vary, texts or ()):

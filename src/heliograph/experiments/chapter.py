@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from heliograph.experiments.executors import Result, Work, each
+from heliograph.sweeps.executors import Result, Work, each
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.link.bench import block_settings, dithered, random_messages, window_margin_px
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, simulate, transmitters
-from heliograph.link.statistics import Clustered
+from heliograph.measure.bench import block_settings, dithered, random_messages, window_margin_px
+from heliograph.measure.statistics import Clustered
 from heliograph.receive import Packet, make_receiver
 from heliograph.receive.packets import FrameReceiver
 from heliograph.signal.block import pack

@@ -16,12 +16,12 @@ from heliograph.base.files import write_whole
 from heliograph.base.frames import Frame
 from heliograph.experiments import plots
 from heliograph.experiments.report import Report
-from heliograph.link.errors import BIN_M
 from heliograph.link.film import frames_of, receive_film, write_film
-from heliograph.link.reception import Reception
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings
 from heliograph.link.truth import TruthFile, open_truth, truth_path
+from heliograph.measure.errors import BIN_M
+from heliograph.measure.reception import Reception
 from heliograph.media import open_film
 from heliograph.receive import Pose
 from heliograph.receive.detect import cut_out

@@ -12,7 +12,7 @@ from heliograph.experiments.chapter import Context
 from heliograph.experiments.clutter import Film, shoot
 from heliograph.experiments.identities import detections
 from heliograph.experiments.lamps import Backdrop
-from heliograph.link.statistics import Count
+from heliograph.measure.statistics import Count
 from heliograph.receive import Pose
 from heliograph.receive.settings import ReceiveSettings
 

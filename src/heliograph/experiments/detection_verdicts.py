@@ -16,7 +16,7 @@ from heliograph.experiments.detection_trials import (
     threshold_of,
 )
 from heliograph.experiments.identities import Confusion
-from heliograph.link.statistics import Count
+from heliograph.measure.statistics import Count
 
 FAR_M = 150.0
 """Beyond the paper's distances, where identities are told apart all the same."""

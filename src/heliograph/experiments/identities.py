@@ -13,7 +13,7 @@ from heliograph.experiments.chapter import Context
 from heliograph.experiments.clutter import Film, shoot
 from heliograph.experiments.lamps import Backdrop
 from heliograph.link.settings import load_settings
-from heliograph.link.statistics import Count
+from heliograph.measure.statistics import Count
 from heliograph.receive.detect import Detection, Detector
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.header import IDENTITIES

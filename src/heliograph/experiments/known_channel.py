@@ -11,10 +11,10 @@ import numpy as np
 
 from heliograph.base.frames import Frame
 from heliograph.channel import ArrayTruth
-from heliograph.link.bench import dithered, random_messages, window_margin_px
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import simulate, transmitters
-from heliograph.link.statistics import Count
+from heliograph.measure.bench import dithered, random_messages, window_margin_px
+from heliograph.measure.statistics import Count
 from heliograph.receive import Pose
 from heliograph.receive.packets import Packet
 from heliograph.receive.reading import Reading

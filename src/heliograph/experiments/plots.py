@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from heliograph.link.errors import BIN_M, LayerErrors
+from heliograph.measure.errors import BIN_M, LayerErrors
 from heliograph.signal.settings import LAYERS
 
 COLOURS = {"high": "#1b6ca8", "middle": "#d1741f", "low": "#5b8c3a"}

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.channel import ArrayTruth, film
-from heliograph.link.bench import window_margin_px
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.statistics import Clustered, Count
+from heliograph.measure.bench import window_margin_px
+from heliograph.measure.statistics import Clustered, Count
 from heliograph.receive import Pose, Receiver
 from heliograph.receive.extract import pair_luminances
 from heliograph.signal import haar, ook

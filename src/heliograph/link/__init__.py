@@ -1,1 +1,1 @@
-"""The whole link: transmitters, channel and receiver composed, films with their truth, errors counted."""
+"""The whole link: transmitters, channel and receiver composed, and films with their truth."""

@@ -11,10 +11,10 @@ from heliograph.base.config import from_mapping, keys_of, merge, to_mapping
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.channel import frame_count
-from heliograph.link.reception import Reception, is_packet
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
 from heliograph.link.truth import TruthFile, TruthWriter, truth_path
+from heliograph.measure.reception import Reception, is_packet
 from heliograph.media import FilmReader, create_film
 from heliograph.receive import Packet, make_receiver
 from heliograph.receive.packets import Observer, ignore

@@ -8,12 +8,12 @@ from typing import Literal
 import numpy as np
 
 from heliograph.experiments.systems import static_link
-from heliograph.link.bench import LayerCounts, random_messages, window_margin_px
-from heliograph.link.errors import BIN_M, ErrorCounter
 from heliograph.link.recordings import load_imu
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, simulate
-from heliograph.link.statistics import Clustered, Count
+from heliograph.measure.bench import LayerCounts, random_messages, window_margin_px
+from heliograph.measure.errors import BIN_M, ErrorCounter
+from heliograph.measure.statistics import Clustered, Count
 from heliograph.receive import Packet, make_receiver
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from heliograph.experiments.error_rates.comparison import MARGIN, Comparison
 from heliograph.experiments.error_rates.films import Sums, all_layers
 from heliograph.experiments.plots import COLOURS
-from heliograph.link.bench import LayerCounts
-from heliograph.link.statistics import Clustered, Count
+from heliograph.measure.bench import LayerCounts
+from heliograph.measure.statistics import Clustered, Count
 from heliograph.signal.settings import LAYERS
 
 

@@ -7,8 +7,8 @@ from typing import Any
 from heliograph.experiments.chapter import Table
 from heliograph.experiments.error_rates.comparison import MARGIN, Comparison
 from heliograph.experiments.error_rates.films import Sums, all_layers
-from heliograph.link.bench import LayerCounts
-from heliograph.link.errors import BIN_M
+from heliograph.measure.bench import LayerCounts
+from heliograph.measure.errors import BIN_M
 from heliograph.signal.settings import LAYERS
 
 

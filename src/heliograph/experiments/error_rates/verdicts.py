@@ -8,8 +8,8 @@ import numpy as np
 from heliograph.experiments.chapter import Finding, Verdict
 from heliograph.experiments.error_rates.comparison import MARGIN, RISK, Comparison
 from heliograph.experiments.error_rates.films import Sums, all_layers
-from heliograph.link.errors import BIN_M
-from heliograph.link.statistics import Count
+from heliograph.measure.errors import BIN_M
+from heliograph.measure.statistics import Count
 from heliograph.signal.settings import LAYERS
 
 LOST_MARGIN = 0.05

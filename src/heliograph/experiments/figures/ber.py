@@ -12,7 +12,7 @@ from heliograph.experiments.error_rates.films import Filmed, Sums, Task, bin_of,
 from heliograph.experiments.error_rates.pictures import pictures
 from heliograph.experiments.error_rates.tables import comparison_table, plain_values, rates_table
 from heliograph.experiments.error_rates.verdicts import alike, error_free, keying
-from heliograph.link.errors import BIN_M
+from heliograph.measure.errors import BIN_M
 
 QUICK_M, FULL_M = (25, 35, 45, 50, 55, 60, 70, 80), tuple(range(25, 85, 5))
 """Static distances."""

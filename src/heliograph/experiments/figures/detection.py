@@ -22,7 +22,7 @@ from heliograph.experiments.detection_trials import (
 from heliograph.experiments.detection_verdicts import FAR_M, as_set, compared, counted, ingredients, told_apart
 from heliograph.experiments.identities import BESIDE_M, Confusion, confusion
 from heliograph.link.recordings import load_imu
-from heliograph.link.statistics import Count
+from heliograph.measure.statistics import Count
 from heliograph.receive import Pose
 from heliograph.signal.header import IDENTITIES
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from heliograph.experiments import flicker
 from heliograph.experiments.chapter import Chapter, Context, Finding, Table, Verdict
 from heliograph.experiments.flicker import MFTP_S, SVM_LIMIT, Flicker, Spectrum
-from heliograph.link.bench import random_messages
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import transmitters
+from heliograph.measure.bench import random_messages
 from heliograph.signal import pwm
 from heliograph.signal.settings import SignalSettings
 

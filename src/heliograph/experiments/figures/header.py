@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from heliograph.experiments import plots
 from heliograph.experiments.chapter import Chapter, Context, Finding, Table
 from heliograph.experiments.figures.received import leds, read, still
-from heliograph.link.statistics import Count
+from heliograph.measure.statistics import Count
 from heliograph.signal.header import IDENTITIES, header_cells, header_levels
 from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence, periodic_correlation
 

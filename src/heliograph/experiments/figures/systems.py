@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from heliograph.experiments.chapter import Chapter, Context, Finding, Table
 from heliograph.experiments.plots import COLOURS
 from heliograph.experiments.systems import SCHEMES, Heard, Reading, listen
-from heliograph.link.statistics import Count
+from heliograph.measure.statistics import Count
 
 QUICK_BITS, FULL_BITS = 20_000, 100_000
 """Bits of on-off keying a distance."""

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from heliograph.link.errors import ErrorCounter
 from heliograph.link.truth import TruthFile
+from heliograph.measure.errors import ErrorCounter
 from heliograph.receive import Packet
 from heliograph.receive.packets import Codeword
 from heliograph.signal.block import payload_bytes

@@ -6,7 +6,7 @@ import pytest
 
 from heliograph.base.errors import HeliographError
 from heliograph.experiments.chapter import Context
-from heliograph.experiments.executors import THREAD_LIMITS, each
+from heliograph.sweeps.executors import THREAD_LIMITS, each
 
 
 def end(code: int) -> int:

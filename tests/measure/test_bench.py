@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from heliograph.base.errors import HeliographError
-from heliograph.link.bench import (
+from heliograph.link.film import frames_of, receive_film, write_film
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import transmitters
+from heliograph.link.truth import open_truth, truth_path
+from heliograph.measure.bench import (
     BlockCounts,
     LayerCounts,
     block_settings,
@@ -17,11 +21,7 @@ from heliograph.link.bench import (
     stands_still,
     window_margin_px,
 )
-from heliograph.link.film import frames_of, receive_film, write_film
-from heliograph.link.reception import Reception
-from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import transmitters
-from heliograph.link.truth import open_truth, truth_path
+from heliograph.measure.reception import Reception
 from heliograph.media import open_film
 
 OUT_OF_STEP = (

@@ -15,10 +15,10 @@ import numpy as np
 from heliograph import __version__
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import MediaError, SettingsError
-from heliograph.link.bench import BlockCounts, LayerCounts, run_block, stands_still
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings
+from heliograph.measure.bench import BlockCounts, LayerCounts, run_block, stands_still
 
 EMPTY_BLOCKS = 3
 """Blocks without any codeword after which a point is given up: its films hold no whole packet."""

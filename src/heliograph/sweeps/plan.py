@@ -7,11 +7,11 @@ from typing import Any
 
 from heliograph.base.config import merge, parse_assignment
 from heliograph.base.errors import SettingsError
-from heliograph.experiments.points import Point, Recorded
-from heliograph.experiments.vary import grid, nested, varied
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import transmitters
+from heliograph.sweeps.points import Point, Recorded
+from heliograph.sweeps.vary import grid, nested, varied
 
 
 def plan(

@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 import pytest
-from link_packets import LAYERS, perfect, small, sums, tampered, watch
+from sent_packets import LAYERS, perfect, small, sums, tampered, watch
 
-from heliograph.link.errors import BIN_M, ErrorCounter, pooled
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages
+from heliograph.measure.errors import BIN_M, ErrorCounter, pooled
 from heliograph.receive.decode import ERASED
 
 SETTINGS = small()

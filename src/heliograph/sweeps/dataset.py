@@ -9,8 +9,8 @@ import numpy as np
 from heliograph import __version__
 from heliograph.base.config import to_mapping
 from heliograph.base.errors import HeliographError
-from heliograph.experiments.points import Tally
 from heliograph.signal.settings import LAYERS
+from heliograph.sweeps.points import Tally
 
 if TYPE_CHECKING:
     import xarray

@@ -13,13 +13,13 @@ from typing import Any, cast
 import numpy as np
 
 from heliograph.base.frames import Frame
-from heliograph.link.errors import LayerErrors
 from heliograph.link.film import frames_of, receive_film
-from heliograph.link.reception import Reception
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
-from heliograph.link.statistics import Clustered, Count
 from heliograph.link.truth import TruthFile
+from heliograph.measure.errors import LayerErrors
+from heliograph.measure.reception import Reception
+from heliograph.measure.statistics import Clustered, Count
 from heliograph.media import FilmReader
 from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS
 from heliograph.signal.formats import AGREED

@@ -13,15 +13,15 @@ import pytest
 
 from heliograph.base.config import merge
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
-from heliograph.experiments import dataset, executors, sweep
-from heliograph.experiments import points as points_module
-from heliograph.experiments.executors import Result, Work
-from heliograph.experiments.plan import plan
-from heliograph.experiments.points import Point, StopRule, Tally, run_job
-from heliograph.experiments.store import NAME, Store
-from heliograph.experiments.vary import grid, parse_vary, varied
-from heliograph.link.bench import BlockCounts
-from heliograph.link.statistics import clopper_pearson
+from heliograph.measure.bench import BlockCounts
+from heliograph.measure.statistics import clopper_pearson
+from heliograph.sweeps import dataset, executors, sweep
+from heliograph.sweeps import points as points_module
+from heliograph.sweeps.executors import Result, Work
+from heliograph.sweeps.plan import plan
+from heliograph.sweeps.points import Point, StopRule, Tally, run_job
+from heliograph.sweeps.store import NAME, Store
+from heliograph.sweeps.vary import grid, parse_vary, varied
 
 SMALL = {"signal": {"data_pairs": 8}, "channel": {"camera": {"width": 480, "height": 288}}}
 
@@ -240,7 +240,7 @@ def test_seed_settings_and_version_are_new_keys(tmp_path: Path, monkeypatch: pyt
     (reseeded,) = plan({}, "static", SMALL, seed=1)
     (moved,) = plan({"channel.distance_m": [51]}, "static", SMALL)
     keys = {point.key, reseeded.key, moved.key}
-    monkeypatch.setattr("heliograph.experiments.points.__version__", "0.0.0")
+    monkeypatch.setattr("heliograph.sweeps.points.__version__", "0.0.0")
     assert len(keys | {point.key}) == 4
     with Store(tmp_path) as store:
         store.note(point)

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from heliograph.experiments.store import NAME
+from heliograph.sweeps.store import NAME
 
 BIN = Path(sys.executable).parent
 POINTS = ("--vary", "channel.distance_m=60:70:10", "--set", "signal.data_pairs=8", "--max-codewords", "80")

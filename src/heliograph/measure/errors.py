@@ -9,7 +9,7 @@ import numpy as np
 
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, transmitters
-from heliograph.link.statistics import Clustered, Count
+from heliograph.measure.statistics import Clustered, Count
 from heliograph.receive import Packet
 from heliograph.receive.decode import ERASED
 from heliograph.signal.block import pack

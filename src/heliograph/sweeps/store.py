@@ -12,8 +12,8 @@ from pathlib import Path
 
 from heliograph.base.config import to_mapping
 from heliograph.base.errors import MediaError
-from heliograph.experiments.points import Point, build
-from heliograph.link.bench import BlockCounts
+from heliograph.measure.bench import BlockCounts
+from heliograph.sweeps.points import Point, build
 
 NAME = "results.sqlite"
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from heliograph.link.errors import ErrorCounter
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, default_messages, transmitters
+from heliograph.measure.errors import ErrorCounter
 from heliograph.receive import Packet, Pose
 from heliograph.receive.decode import decode_packet
 from heliograph.receive.settings import DecodeSettings

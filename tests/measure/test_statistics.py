@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import beta, binomtest
 
-from heliograph.link.statistics import Clustered, Count, clopper_pearson
+from heliograph.measure.statistics import Clustered, Count, clopper_pearson
 
 
 @pytest.mark.parametrize(("errors", "trials"), [(1, 10), (5, 10), (9, 10), (1, 10**6), (37, 12345), (999, 1000)])

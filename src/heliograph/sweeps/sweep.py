@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.files import write_whole
-from heliograph.experiments.executors import Workers, open_workers
-from heliograph.experiments.plan import laid_over, plan
-from heliograph.experiments.points import StopRule, Tally, build, run_job
-from heliograph.experiments.store import Store
-from heliograph.experiments.vary import listed
-from heliograph.link.bench import BlockCounts
+from heliograph.measure.bench import BlockCounts
+from heliograph.sweeps.executors import Workers, open_workers
+from heliograph.sweeps.plan import laid_over, plan
+from heliograph.sweeps.points import StopRule, Tally, build, run_job
+from heliograph.sweeps.store import Store
+from heliograph.sweeps.vary import listed
 
 if TYPE_CHECKING:
     import xarray
@@ -117,7 +117,7 @@ def sweep(
     HeliographError
         A setting is wrong, or the extra "analysis" is not installed.
     """
-    from heliograph.experiments.dataset import need_xarray, to_dataset
+    from heliograph.sweeps.dataset import need_xarray, to_dataset
 
     need_xarray()
     rule = StopRule(min_errors=min_errors, max_codewords=max_codewords, max_seconds=max_seconds)
