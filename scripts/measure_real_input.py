@@ -26,12 +26,13 @@ import numpy as np
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.channel import Truth
+from heliograph.link.film import is_packet
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, default_messages, simulate
 from heliograph.link.truth import open_truth, truth_path
 from heliograph.measure.errors import BIN_M, ErrorCounter
-from heliograph.measure.reception import Reception, is_packet
+from heliograph.measure.reception import Reception
 from heliograph.measure.statistics import Count
 from heliograph.media import open_film
 from heliograph.receive import Packet, make_receiver, receive_frames
@@ -52,10 +53,10 @@ def counted(count: Count) -> str:
 def print_errors(errors: ErrorCounter) -> None:
     """Codewords wrong of sent, by distance and in all."""
     for start, layers in errors.bins().items():
-        row = ", ".join(f"{name} {e.codewords.errors}/{e.codewords.trials}" for name, e in layers.items())
+        row = ", ".join(f"{name} {e.codeword_errors}/{e.codewords}" for name, e in layers.items())
         print(f"  {start:g}-{start + BIN_M:g} m: {row}")
     for name, e in errors.total().items():
-        print(f"  {name}: {counted(e.codewords)} wrong, {e.missed} of them missed")
+        print(f"  {name}: {counted(e.words)} wrong, {e.missed} of them missed")
     print(f"  false codewords {errors.false_codewords}, false packets {errors.false_packets}", flush=True)
 
 

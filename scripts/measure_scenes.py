@@ -10,7 +10,8 @@ import argparse
 from collections.abc import Mapping, Sequence
 
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.measure.bench import BlockCounts, run_block
+from heliograph.measure.bench import run_block
+from heliograph.measure.counts import BlockCounts
 from heliograph.measure.statistics import Count
 from heliograph.sweeps.executors import limit_threads
 
@@ -78,7 +79,7 @@ def measure(scene: str, distance_m: float, seeds: range, receiver: str = "soft")
     """Counts of some blocks."""
     total = BlockCounts()
     for seed in seeds:
-        total.add(run_block(settings_of(scene, distance_m, receiver), seed))
+        total += run_block(settings_of(scene, distance_m, receiver), seed)
     return total
 
 

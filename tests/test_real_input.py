@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
-from heliograph.link.film import receive_film, write_film
+from heliograph.link.film import is_packet, write_film
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, default_messages, simulate
 from heliograph.link.truth import open_truth, truth_path
 from heliograph.measure.errors import ErrorCounter
-from heliograph.measure.reception import Reception, is_packet
+from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import open_film
 from heliograph.receive import Packet, Receiver
 
@@ -64,8 +64,8 @@ def test_layers_are_read_over_real_footage_and_shake(data: Path, clip: str, dist
             errors.received(packet)
     total = errors.total()
     # three packets are filmed whole
-    assert {n: e.codewords.trials for n, e in total.items()} == {"high": 3, "middle": 6, "low": 3}
-    assert {n: total[n].codewords.errors for n in READ_FROM[distance_m]} == dict.fromkeys(READ_FROM[distance_m], 0)
+    assert {n: e.codewords for n, e in total.items()} == {"high": 3, "middle": 6, "low": 3}
+    assert {n: total[n].codeword_errors for n in READ_FROM[distance_m]} == dict.fromkeys(READ_FROM[distance_m], 0)
     assert errors.false_codewords == 0
 
 
@@ -119,6 +119,6 @@ def test_a_lossy_film_gives_high_and_middle_layers(tmp_path: Path) -> None:
     with open_film(path) as film:
         deque(receive_film(film, settings.signal, settings, reception), maxlen=0)
     assert reception.errors is not None
-    words = {n: e.codewords for n, e in reception.errors.total().items()}
+    words = {n: e.words for n, e in reception.errors.total().items()}
     assert [(words[n].trials, words[n].errors) for n in ("high", "middle")] == [(3, 0), (6, 0)]
     assert reception.errors.false_codewords == 0

@@ -12,7 +12,8 @@ from heliograph.experiments.error_rates import comparison, films, verdicts
 from heliograph.experiments.figures import ber
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import simulate
-from heliograph.measure.bench import LayerCounts, random_messages, run_block
+from heliograph.measure.bench import random_messages, run_block
+from heliograph.measure.counts import LayerCounts
 from heliograph.measure.errors import ErrorCounter
 from heliograph.measure.statistics import Count
 from heliograph.receive import Packet, Receiver
@@ -82,9 +83,10 @@ def test_drives_that_differ_widen_the_interval() -> None:
     rng = np.random.default_rng(4)
     drives = [k % 4 for k in range(200)]
     one, other = records(0.02, 200, rng), records(0.02, 200, rng)
-    for k, record in zip(drives, one, strict=True):
-        for counts in record.layers.values():
-            counts.raw_errors = counts.raw_errors * (k + 1) // 2
+    one = [
+        replace(r, layers={n: replace(c, raw_errors=c.raw_errors * (k + 1) // 2) for n, c in r.layers.items()})
+        for k, r in zip(drives, one, strict=True)
+    ]
     plain, by_drive = (comparison.compare(one, other, np.random.default_rng(5), drives=d)[-1] for d in ((), drives))
     assert by_drive.ratio == plain.ratio
     assert by_drive.high - by_drive.low > 2 * (plain.high - plain.low)
@@ -93,7 +95,7 @@ def test_drives_that_differ_widen_the_interval() -> None:
 def test_layers_of_which_nothing_was_read_are_not_compared() -> None:
     rng = np.random.default_rng(6)
     one, other = records(0.02, 50, rng), records(0.02, 50, rng)
-    other[0].layers["low"].raw_bits = other[0].layers["low"].raw_errors = 0
+    other[0] = replace(other[0], layers={**other[0].layers, "low": LayerCounts()})
     pairs = {c.layer: c.pairs for c in comparison.compare(one, other, rng) if c.bin_m is None}
     assert pairs == {"high": 50, "middle": 50, "low": 49}
 
@@ -153,9 +155,7 @@ def test_packets_of_a_drive_by_themselves_are_the_whole_count() -> None:
     seed = int(np.random.default_rng(4).integers(2**31))
     block = run_block(settings, seed, max_packets=None)
     for name in LAYERS:
-        total = LayerCounts()
-        for record in one.packets:
-            total.add(record.layers[name])
+        total = sum((record.layers[name] for record in one.packets), LayerCounts())
         assert replace(total, missed=0) == replace(block.layers[name], missed=0)
         assert total.raw_errors > 0
 
@@ -174,8 +174,8 @@ def test_on_off_keying_end_to_end() -> None:
             counter.received(packet)
     assert statuses == ["ok", "ok"]
     total = counter.total()
-    assert {name: total[name].raw.trials for name in LAYERS} == {"high": 6144, "middle": 12288, "low": 6144}
-    assert all(total[name].raw.errors == total[name].bits.errors == 0 for name in LAYERS)
+    assert {name: total[name].raw_bits for name in LAYERS} == {"high": 6144, "middle": 12288, "low": 6144}
+    assert all(total[name].raw_errors == total[name].bit_errors == 0 for name in LAYERS)
     assert counter.false_codewords == 0
 
 

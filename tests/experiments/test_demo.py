@@ -16,7 +16,7 @@ from heliograph.experiments.demo import Demonstration, demo_messages, run
 from heliograph.experiments.report import Report
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import Recordings
-from heliograph.measure.errors import LayerErrors
+from heliograph.measure.counts import LayerCounts
 
 SMALL = (
     "channel.speed_m_s=0", "channel.shake=none", "channel.camera.width=256", "channel.camera.height=96",
@@ -117,9 +117,7 @@ def test_text_is_text_on_the_page(tmp_path: Path) -> None:
 
 
 def test_no_error_is_drawn_as_a_bound_of_three_by_n() -> None:
-    layers = {name: LayerErrors() for name in ("high", "middle", "low")}
-    layers["high"].bits.add(6000, 0)
-    layers["low"].bits.add(1000, 10)
+    layers = {"high": LayerCounts(bits=6000), "middle": LayerCounts(), "low": LayerCounts(bits=1000, bit_errors=10)}
     after = plots.errors_by_distance({50.0: layers}).axes[1]
     points = [(float(x), float(y)) for line in after.lines for x, y in np.array(line.get_xydata())]
     assert (52.5, 3 / 6000) in points

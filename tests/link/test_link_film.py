@@ -11,11 +11,12 @@ from small_links import SMALL, small
 
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.link import film as link_film
-from heliograph.link.film import SIGNAL_TAG, check_truth, packet_row, receive_film, signal_of, write_film
+from heliograph.link.film import packet_row, write_film
+from heliograph.link.notes import SIGNAL_TAG, check_truth, signal_of
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, Recordings, simulate
 from heliograph.link.truth import open_truth, truth_path
-from heliograph.measure.reception import Reception
+from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import create_film, open_film
 from heliograph.receive import Receiver
 from heliograph.receive.packets import Status
@@ -57,7 +58,7 @@ def test_messages_come_back_byte_for_byte_in_all_layers(tmp_path: Path) -> None:
     }
     assert reception.unfinished() == []
     assert reception.errors is not None
-    assert {n: (e.bits.errors, e.codewords.errors) for n, e in reception.errors.total().items()} == {
+    assert {n: (e.bit_errors, e.codeword_errors) for n, e in reception.errors.total().items()} == {
         "high": (0, 0), "middle": (0, 0), "low": (0, 0)
     }  # fmt: skip
     assert reception.errors.false_codewords == 0
@@ -89,7 +90,7 @@ def test_a_film_may_start_within_a_packet(tmp_path: Path) -> None:
     assert by_place(found) == {(0, "high", 0): b"odd", (0, "low", 0): LONG[:300]}
     assert reception.errors is not None
     assert reception.errors.false_codewords == 0
-    assert reception.errors.total()["high"].bits.errors == 0
+    assert reception.errors.total()["high"].bit_errors == 0
     assert [list(reception.errors.bins())] == [[50.0]]
 
 
@@ -294,7 +295,7 @@ def test_a_report_may_be_asked_for_at_any_time(tmp_path: Path) -> None:
             pass
     assert reception.errors is not None
     high = reception.errors.total()["high"]
-    assert (high.codewords.trials, high.codewords.errors, reception.errors.false_codewords) == (2, 0, 0)
+    assert (high.codewords, high.codeword_errors, reception.errors.false_codewords) == (2, 0, 0)
 
 
 def asked(reception: Reception) -> None:
@@ -333,4 +334,4 @@ def test_what_is_no_packet_is_neither_handed_on_nor_counted(
     assert (report["false_packets"], report["false_codewords"]) == (0, 0)
     assert reception.errors is not None
     high = reception.errors.total()["high"]
-    assert (high.codewords.trials, high.missed) == (3, 1)
+    assert (high.codewords, high.missed) == (3, 1)

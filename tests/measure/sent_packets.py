@@ -60,4 +60,4 @@ def tampered(packet: Packet, layer: str, word: int, bits: Sequence[int], raw: Se
 
 def sums(counter: ErrorCounter) -> Iterator[tuple[str, int, int, int, int, int, int]]:
     for name, e in counter.total().items():
-        yield name, e.bits.trials, e.bits.errors, e.raw.errors, e.codewords.trials, e.codewords.errors, e.missed
+        yield name, e.bits, e.bit_errors, e.raw_errors, e.codewords, e.codeword_errors, e.missed

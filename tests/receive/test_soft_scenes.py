@@ -10,7 +10,8 @@ from receive_scenes import draw, film, link, pitch_at
 
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.measure.bench import BlockCounts, run_block
+from heliograph.measure.bench import run_block
+from heliograph.measure.counts import BlockCounts
 from heliograph.receive import Packet, Pose
 from heliograph.receive.receivers import receive_frames
 from heliograph.receive.soft.glance import take_glance

@@ -5,6 +5,7 @@ import sqlite3
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,9 @@ import pytest
 
 from heliograph.base.config import merge
 from heliograph.base.errors import HeliographError, MediaError, SettingsError
-from heliograph.measure.bench import BlockCounts
+from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.measure.statistics import clopper_pearson
+from heliograph.signal.settings import LAYERS
 from heliograph.sweeps import dataset, executors, sweep
 from heliograph.sweeps import points as points_module
 from heliograph.sweeps.executors import Result, Work
@@ -27,10 +29,8 @@ SMALL = {"signal": {"data_pairs": 8}, "channel": {"camera": {"width": 480, "heig
 
 
 def fake_counts(codewords: int, errors: int) -> BlockCounts:
-    counts = BlockCounts(film_s=1.0, frames=1000)
-    for layer in counts.layers.values():
-        layer.codewords, layer.codeword_errors = codewords, errors
-    return counts
+    layers = {name: LayerCounts(codewords=codewords, codeword_errors=errors) for name in LAYERS}
+    return BlockCounts(layers, film_s=1.0, frames=1000)
 
 
 def points(**changes: Any) -> list[Any]:
@@ -163,9 +163,8 @@ def test_the_report_has_counts_rates_and_intervals() -> None:
     nothing = tally.report()
     assert nothing["net_bits_per_second"] is None
     assert nothing["layers"]["high"]["fer"] is None
-    counts = fake_counts(100, 0)
-    counts.payload_bits["high"] = 700
-    tally.add(0, counts, 1.0)
+    payload = {"high": 700, "middle": 0, "low": 0}
+    tally.add(0, replace(fake_counts(100, 0), payload_bits=payload), 1.0)
     layer = json.loads(json.dumps(tally.report()))["layers"]["high"]
     assert layer["fer"] == 0.0
     assert layer["fer_ci"] == pytest.approx([0, clopper_pearson(0, 100)[1]])
@@ -178,13 +177,10 @@ def test_the_report_tells_bounds_and_bits_that_fail_together() -> None:
     tally = Tally(point, StopRule())
     nothing = tally.report()["layers"]["high"]
     assert (nothing["ber_is_bound"], nothing["fer_is_bound"]) == (False, False)
-    counts = fake_counts(200, 0)
-    counts.false_packets, counts.duplicates = 2, 5
-    for layer in counts.layers.values():
-        layer.bits, layer.packets = 200 * 512, 200
-    bad = counts.layers["low"]
-    bad.bit_errors, bad.bit_squares, bad.codeword_errors = 10 * 50, 10 * 50**2, 10
-    tally.add(0, counts, 1.0)
+    good = LayerCounts(bits=200 * 512, codewords=200, packets=200)
+    bad = replace(good, bit_errors=10 * 50, bit_squares=10 * 50**2, codeword_errors=10)
+    layers = {"high": good, "middle": good, "low": bad}
+    tally.add(0, BlockCounts(layers, false_packets=2, duplicates=5, film_s=1.0, frames=1000), 1.0)
     report = json.loads(json.dumps(tally.report()))
     assert (report["false_packets"], report["duplicates"]) == (2, 5)
     high, low = report["layers"]["high"], report["layers"]["low"]

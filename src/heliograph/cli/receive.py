@@ -14,7 +14,8 @@ from heliograph.cli import console, options
 
 if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings
-    from heliograph.measure.errors import ErrorCounter, LayerErrors
+    from heliograph.measure.counts import LayerCounts
+    from heliograph.measure.errors import ErrorCounter
     from heliograph.measure.reception import Reception
     from heliograph.media import FilmReader
     from heliograph.signal.message import Message
@@ -35,7 +36,7 @@ def run_receive(
 
     What the film notes of its signal wins over the preset; file and assignments win over the note.
     """
-    from heliograph.link.film import check_truth, signal_of
+    from heliograph.link.notes import check_truth, signal_of
     from heliograph.link.truth import open_truth
     from heliograph.measure.reception import Reception
     from heliograph.media import open_film
@@ -68,7 +69,8 @@ def _read(
     source: "FilmReader", signal: "SignalSettings", settings: "LinkSettings", reception: "Reception", folder: "Folder"
 ) -> BaseException | None:
     """Read the film to its end, or until something ends it: that is returned."""
-    from heliograph.link.film import packet_row, receive_film
+    from heliograph.link.film import packet_row
+    from heliograph.measure.reception import receive_film
 
     try:
         with console.progress("receiving", source.frame_count) as advance:
@@ -166,12 +168,12 @@ def _show_errors(errors: "ErrorCounter") -> None:
 
     console.say("distance      bit error rate of so many bits, codewords wrong/sent: high, middle, low")
     for start, layers in errors.bins().items():
-        cells = "   ".join(_cell(e) for e in layers.values())
+        cells = "   ".join(_cell(counts) for counts in layers.values())
         console.say(f"{start:5.0f}-{start + BIN_M:<4.0f} m  {cells}")
     console.say(f"packets that were not sent: {errors.false_packets}")
     console.say(f"codewords taken for right that were not sent: {errors.false_codewords}")
 
 
-def _cell(errors: "LayerErrors") -> str:
-    bits, words = errors.bits, errors.codewords
+def _cell(counts: "LayerCounts") -> str:
+    bits, words = counts.decoded_bits, counts.words
     return f"{bits.text():>9} of {bits.trials:<7d} {words.errors:3d}/{words.trials:<3d}"

@@ -16,12 +16,12 @@ from heliograph.base.files import write_whole
 from heliograph.base.frames import Frame
 from heliograph.experiments import plots
 from heliograph.experiments.report import Report
-from heliograph.link.film import frames_of, receive_film, write_film
+from heliograph.link.film import frames_of, write_film
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings
 from heliograph.link.truth import TruthFile, open_truth, truth_path
 from heliograph.measure.errors import BIN_M
-from heliograph.measure.reception import Reception
+from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import open_film
 from heliograph.receive import Pose
 from heliograph.receive.detect import cut_out
@@ -238,7 +238,7 @@ def _show_errors(page: Report, reception: Reception) -> None:
         + [
             cell
             for e in layers.values()
-            for cell in (f"{e.bits.text()} of {e.bits.trials}", f"{e.codewords.errors} of {e.codewords.trials}")
+            for cell in (f"{e.decoded_bits.text()} of {e.bits}", f"{e.codeword_errors} of {e.codewords}")
         ]
         for start, layers in bins.items()
     ]

@@ -7,7 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from heliograph.measure.errors import BIN_M, LayerErrors
+from heliograph.measure.counts import LayerCounts
+from heliograph.measure.errors import BIN_M
 from heliograph.signal.settings import LAYERS
 
 COLOURS = {"high": "#1b6ca8", "middle": "#d1741f", "low": "#5b8c3a"}
@@ -66,10 +67,10 @@ def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping
     return figure
 
 
-def errors_by_distance(bins: Mapping[float, Mapping[str, LayerErrors]]) -> Figure:
+def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]]) -> Figure:
     """Bit error rate before and after the turbo code, by layer; no error counted is an arrow at its upper bound."""
     figure = Figure(figsize=(12, 4.2))
-    for axes, kind, title in zip(figure.subplots(1, 2), ("raw", "bits"), ("before", "after"), strict=True):
+    for axes, kind, title in zip(figure.subplots(1, 2), ("raw", "decoded_bits"), ("before", "after"), strict=True):
         for name in LAYERS:
             counts = [(start + BIN_M / 2, getattr(layers[name], kind)) for start, layers in bins.items()]
             _error_line(axes, [(z, c) for z, c in counts if c.trials], name)

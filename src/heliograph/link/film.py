@@ -1,36 +1,37 @@
-"""Films of simulated drives, and films received: the link with files at its ends."""
+"""Films of simulated drives, and packets of films: the link with files at its ends."""
 
 import contextlib
 import json
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from heliograph.base.config import from_mapping, keys_of, merge, to_mapping
+from heliograph.base.config import to_mapping
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.channel import frame_count
+from heliograph.link.notes import SIGNAL_TAG, TRUTH_TAG
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
-from heliograph.link.truth import TruthFile, TruthWriter, truth_path
-from heliograph.measure.reception import Reception, is_packet
-from heliograph.media import FilmReader, create_film
-from heliograph.receive import Packet, make_receiver
-from heliograph.receive.packets import Observer, ignore
-from heliograph.signal.message import Message
+from heliograph.link.truth import TruthWriter, truth_path
+from heliograph.media import create_film
+from heliograph.receive import Packet
+from heliograph.receive.packets import FrameReceiver
 from heliograph.signal.settings import SignalSettings
 
-SIGNAL_TAG = "heliograph_signal"
-"""Metadata of a film that tells what the light speaks; a receiver may know that."""
-
-RATE_TOLERANCE = 1e-3
-"""Departure of a film's rate from its truth's, as a share, that a container's rounding explains."""
-
-TRUTH_TAG = "heliograph_simulation"
-"""Metadata of a simulated film that tells which truth file is its own: a random id both have."""
-
 Progress = Callable[[int], None]
+"""Called with the number of frames done."""
+
+
+class FrameSource(Protocol):
+    """Frames in the order of time: a film opened for reading, or frames as they are rendered."""
+
+    @property
+    def path(self) -> Path | str:
+        """Names the film in messages."""
+
+    def __iter__(self) -> Iterator[Frame]: ...
 
 
 def silent(frames: int, /) -> None:
@@ -66,7 +67,7 @@ def write_film(
     Raises
     ------
     MediaError
-        The film or its truth cannot be written; nothing is left behind then, and what was there stays.
+        The film or its truth cannot be written, or has no frames; files of that name stay as they were.
     """
     camera, film_id = settings.channel.camera, uuid.uuid4().hex
     film = create_film(
@@ -105,158 +106,46 @@ def frames_of(settings: LinkSettings) -> int:
     return frame_count(settings.channel)
 
 
-def noted_signal(film: FilmReader) -> dict[str, Any]:
-    """What a film notes of its signal, as nested mappings; empty where it notes nothing.
+def read_packets(film: FrameSource, signal: SignalSettings, receiver: FrameReceiver) -> Iterator[Packet]:
+    """Packets of a film, each as soon as it is read.
 
-    Raises
-    ------
-    MediaError
-        The note is unreadable.
-    """
-    text = film.metadata.get(SIGNAL_TAG)
-    if text is None:
-        return {}
-    try:
-        note = json.loads(text)
-        from_mapping(SignalSettings, note)
-    except ValueError as error:  # no JSON, or no settings
-        raise MediaError(f"the film's note on its signal is unreadable ({error}); set signal.* yourself") from None
-    return dict(note)
-
-
-def signal_of(
-    film: FilmReader, preset: SignalSettings, changes: Sequence[Mapping[str, Any]] = ()
-) -> tuple[SignalSettings, str]:
-    """What the light of a film speaks: the preset's signal, over it the film's note, over it the changes.
-
-    Parameters
-    ----------
-    film
-        Its note wins over the preset. One that is unreadable is passed over where the changes say something.
-    preset
-        What is not noted.
-    changes
-        Nested mappings of signal settings, laid over the note key by key.
-
-    Returns
-    -------
-    The signal, and where the changes differ from the note: empty, or a line on it.
-
-    Raises
-    ------
-    MediaError
-        The film's note is unreadable.
-    """
-    try:
-        note = noted_signal(film)
-    except MediaError:
-        if not any(changes):
-            raise
-        note = {}
-    noted = merge(to_mapping(preset), note)
-    tree = noted
-    for change in changes:
-        tree = merge(tree, change)
-    signal = from_mapping(SignalSettings, tree)
-    departures = _differences(signal, from_mapping(SignalSettings, noted)) if note else []
-    listed = ", ".join(f"{key}={ours} instead of {theirs}" for key, ours, theirs in departures)
-    return signal, f"not as the film's note says: {listed}" if listed else ""
-
-
-def _differences(one: SignalSettings, other: SignalSettings) -> list[tuple[str, Any, Any]]:
-    """Dotted keys in which two signals differ, with both values."""
-    pairs = [(key, _value(one, key), _value(other, key)) for key in keys_of(SignalSettings)]
-    return [(f"signal.{key}", _shown(a), _shown(b)) for key, a, b in pairs if a != b]
-
-
-def _value(settings: Any, key: str) -> Any:
-    for part in key.split("."):
-        settings = getattr(settings, part)
-    return settings
-
-
-def _shown(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
-
-
-def check_truth(film: FilmReader, truth: TruthFile, signal: SignalSettings) -> None:
-    """Raise a MediaError where counting against a truth would invent errors.
-
-    It must be that of the film, and the signal the film is read with must be that sent.
-    """
-    camera, own = truth.settings.channel.camera, film.metadata.get(TRUTH_TAG)
-    size, rate = (camera.width, camera.height), camera.fps
-    if own and truth.film_id and own != truth.film_id:
-        differs = "they come from different simulations"
-    elif size != (film.width, film.height):
-        differs = f"it has frames of {size[0]}x{size[1]} pixels, the film of {film.width}x{film.height}"
-    elif abs(rate / film.rate_hz - 1) > RATE_TOLERANCE:
-        differs = f"it has {rate:g} frames/s, the film {film.rate_hz:g}"
-    elif departures := _differences(signal, truth.settings.signal):
-        key, ours, sent = departures[0]
-        raise MediaError(
-            f"{key} is {ours}, but {truth.path} says {sent} was sent: errors cannot be counted; "
-            f"leave signal.* as the film notes it, or give no truth"
-        )
-    else:
-        return
-    raise MediaError(f"{truth.path} is not the truth of {film.path}: {differs}; give the one written beside the film")
-
-
-def receive_film(
-    film: FilmReader,
-    signal: SignalSettings,
-    settings: LinkSettings,
-    reception: Reception,
-    observe: Observer = ignore,
-    progress: Progress = silent,
-) -> Iterator[tuple[Packet, list[Message]]]:
-    """Packets of a film, each with the messages it completes, as soon as they are read.
+    What the receiver hands out without a header and without a right codeword is left out, see `is_packet`.
 
     Parameters
     ----------
     film
         The film, open.
     signal
-        What its light speaks.
-    settings
-        The receiver's part is used.
-    reception
-        Counts what comes; it holds the results so far if reading breaks off.
-    observe
-        Gets what each stage of the receiver produces.
-    progress
-        Called with the number of frames read.
+        The signal that the receiver expects.
+    receiver
+        A new receiver; it is finished at the end.
 
     Raises
     ------
     MediaError
         The film breaks off or is shorter than a packet; all packets before have been given.
     """
-    receiver = make_receiver(signal, settings.receive, observe)
+    frames = 0
     broken: MediaError | None = None
     try:
-        for frame in _whole_film(film, reception, progress):
-            for packet in filter(is_packet, receiver.push(frame)):
-                yield packet, list(reception.add(packet))
-            reception.detections = receiver.detections
+        for frame in film:
+            frames += 1
+            yield from filter(is_packet, receiver.push(frame))
     except MediaError as error:
         broken = error
-    for packet in filter(is_packet, receiver.finish()):
-        yield packet, list(reception.add(packet))
+    yield from filter(is_packet, receiver.finish())
     if broken is not None:
         raise broken
-    if reception.frames < signal.packet_patterns:
-        raise MediaError(
-            f"{film.path} has {reception.frames} frames; a packet takes {signal.packet_patterns}: record longer"
-        )
+    if frames < signal.packet_patterns:
+        raise MediaError(f"{film.path} has {frames} frames; a packet takes {signal.packet_patterns}: record longer")
 
 
-def _whole_film(film: FilmReader, reception: Reception, progress: Progress) -> Iterator[Frame]:
-    for frame in film:
-        reception.saw(frame.index)
-        yield frame
-        progress(reception.frames)
+def is_packet(packet: Packet) -> bool:
+    """Whether a receiver's result is a packet: it has a header or a right codeword.
+
+    Anything else is neither counted nor logged; if it was sent, it is missed.
+    """
+    return packet.status not in ("no_header", "no_array")
 
 
 def packet_row(packet: Packet) -> Mapping[str, Any]:

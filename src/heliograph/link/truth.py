@@ -131,6 +131,28 @@ class TruthWriter:
                     left -= len(block)
 
 
+@dataclass(frozen=True, slots=True)
+class FrameTruth:
+    """The part of a frame's truth that errors are counted with.
+
+    Attributes
+    ----------
+    index
+        Number of the frame.
+    time_s
+        True time of the start of its exposure in s.
+    distances_m
+        Distance of each array in m, in the order of the settings, rounded to single precision as in a file.
+    visible
+        Whether all LEDs of each array are in view.
+    """
+
+    index: int
+    time_s: float
+    distances_m: Sequence[float]
+    visible: Sequence[bool]
+
+
 @dataclass(frozen=True)
 class TruthFile:
     """A truth file opened for reading.
@@ -151,8 +173,16 @@ class TruthFile:
     seed: int
     film_id: str = ""
 
+    def frames(self) -> Iterator[FrameTruth]:
+        """Truth of each frame, in the order of time; a MediaError where the file is damaged."""
+        for row in self.rows():
+            arrays = row["arrays"]
+            yield FrameTruth(
+                int(row["index"]), float(row["time_s"]), arrays["distance_m"].tolist(), arrays["visible"].tolist()
+            )
+
     def rows(self) -> Iterator[NDArray[Any]]:
-        """Rows of `row_type`, one a frame."""
+        """Rows of `row_type`, one a frame, in the order of time; a MediaError where the file is damaged."""
         kind = row_type(len(self.settings.channel.arrays))
         with _broken_is_clear(self.path), zipfile.ZipFile(self.path) as archive, archive.open("frames.npy") as file:
             np.lib.format.read_magic(file)

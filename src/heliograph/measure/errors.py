@@ -1,49 +1,22 @@
 """Error counting: packets received against packets sent, by layer and distance."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, transmitters
-from heliograph.measure.statistics import Clustered, Count
+from heliograph.measure.counts import LayerCounts, Layers, no_errors, pooled
+from heliograph.measure.statistics import Count
 from heliograph.receive import Packet
 from heliograph.receive.decode import ERASED
 from heliograph.signal.block import pack
-from heliograph.signal.settings import LAYERS
 from heliograph.transmit import Transmitter
 
 BIN_M = 5.0
 """Width of a distance bin in m."""
-
-
-@dataclass(slots=True)
-class LayerErrors:
-    """Errors of a layer.
-
-    Attributes
-    ----------
-    bits
-        Information bits after the turbo decoder, of received packets, by packet. None wrong of n bits is told as
-        below 3 / n beside n: too few packets come from one place for a bound by packets to say anything.
-    raw
-        Coded bits before it, of received packets, by packet.
-    codewords
-        Codewords sent; an error is one not read rightly, missed ones included.
-    missed
-        Codewords of packets that were not received at all.
-    """
-
-    bits: Clustered = field(default_factory=partial(Clustered, scattered=True))
-    raw: Clustered = field(default_factory=partial(Clustered, scattered=True))
-    codewords: Count = field(default_factory=Count)
-    missed: int = 0
-
-
-_Layers = dict[str, LayerErrors]
 
 
 @dataclass(slots=True)
@@ -55,8 +28,8 @@ class _Sent:
     distance_m: float = 0.0
     """At the frame nearest to its middle, which is `off_middle` of the packet away."""
     off_middle: float = 1.0
-    errors: _Layers = field(default_factory=dict)
-    """Of the best of what was received of it; empty if nothing was."""
+    counts: Layers = field(default_factory=dict)
+    """Of the best reception of it; empty if nothing was received."""
     right: int = 0
     """Codewords read rightly in it."""
 
@@ -69,14 +42,14 @@ class ErrorCounter:
     settings
         The link as simulated.
     messages
-        What each array sent.
+        What each array sent, in the order of the arrays.
 
     Attributes
     ----------
     false_packets
-        Packets of an array there is not, or of a time at which the array sent nothing.
+        Packets of an array that does not exist, or of a time at which the array sent nothing.
     false_codewords
-        Codewords passed as right whose content was not sent there and then: there must be none.
+        Codewords accepted as right whose content was not sent at that time: there must be none.
     duplicates
         Packets received again; the one with more right codewords counts, the first of equals.
     """
@@ -91,7 +64,15 @@ class ErrorCounter:
         self._last_s: float | None = None
 
     def saw(self, time_s: float, distances_m: Sequence[float], visible: Sequence[bool]) -> None:
-        """Take the truth of a frame: the time of its exposure and where the arrays were."""
+        """Take the truth of a frame; frames come in the order of time.
+
+        Parameters
+        ----------
+        time_s
+            True time of the start of its exposure in s.
+        distances_m, visible
+            Distance of each array in m, and whether all its LEDs are in view.
+        """
         lost, self._last_s = self._lost_before(time_s), time_s
         for array, (distance, in_view) in enumerate(zip(distances_m, visible, strict=True)):
             number, place = self._packet_at(array, time_s)
@@ -119,22 +100,22 @@ class ErrorCounter:
         if sent is None:
             self._count_false(packet)
             return
-        errors, right = self._compare(self._senders[array], number, packet)
-        self.duplicates += bool(sent.errors)
-        if not sent.errors or right > sent.right:
-            sent.errors, sent.right = errors, right
+        counts, right = self._compare(self._senders[array], number, packet)
+        self.duplicates += bool(sent.counts)
+        if not sent.counts or right > sent.right:
+            sent.counts, sent.right = counts, right
 
-    def bins(self) -> dict[float, _Layers]:
+    def bins(self) -> dict[float, Layers]:
         """Errors by the lower edge of the distance bin and by layer, near first; missed packets counted.
 
         A packet filmed whole and not received so far counts as missed, for now: it may still come. One cut off by the
         end of the film is left out, whatever was read of it.
         """
-        bins: dict[int, list[_Layers]] = {}
+        bins: dict[int, list[Layers]] = {}
         for array, packets in enumerate(self._sent):
             for number, sent in packets.items():
-                if self._whole(array, sent) and (sent.errors or not sent.hidden):
-                    layers = sent.errors or self._missed(array, number)
+                if self._whole(array, sent) and (sent.counts or not sent.hidden):
+                    layers = sent.counts or self._missed(array, number)
                     bins.setdefault(int(sent.distance_m // BIN_M), []).append(layers)
         return {key * BIN_M: pooled(bins[key]) for key in sorted(bins)}
 
@@ -142,45 +123,40 @@ class ErrorCounter:
         """The bins as plain values, for JSON."""
         rows = []
         for start, layers in self.bins().items():
-            rows.append({"from_m": start, "to_m": start + BIN_M, **{n: _plain(e) for n, e in layers.items()}})
+            rows.append({"from_m": start, "to_m": start + BIN_M, **{n: _plain(c) for n, c in layers.items()}})
         return rows
 
-    def total(self) -> _Layers:
+    def total(self) -> Layers:
         """All bins together, by layer."""
         return pooled(self.bins().values())
 
-    def _compare(self, sender: Transmitter, number: int, packet: Packet) -> tuple[_Layers, int]:
-        """Errors of a packet, and how many of its codewords are right; false ones are counted."""
-        layers, right = _no_errors(), 0
+    def _compare(self, sender: Transmitter, number: int, packet: Packet) -> tuple[Layers, int]:
+        """Counts of a packet, and how many of its codewords are right; false ones are counted."""
+        layers, right = no_errors(), 0
         for name, words in packet.layers.items():
-            code, errors = sender.format_of(number).layers[name].code, layers[name]
-            bits, raw = Count(), Count()
-            blocks = sender.blocks(number)[name]
+            code, blocks = sender.format_of(number).layers[name].code, sender.blocks(number)[name]
             if len(words) != len(blocks) or words[0].bits.size != code.k or words[0].raw.size != code.length:
                 # taken for a packet of another format: nothing of it was read
                 self.false_codewords += sum(word.status == "ok" for word in words)
-                errors.codewords.add(len(blocks), len(blocks))
+                layers[name] = LayerCounts.of_packet(Count(), Count(), Count(len(blocks), len(blocks)))
                 continue
+            bits, raw, sent_words = Count(), Count(), Count()
             for word, block in zip(words, blocks, strict=True):
                 sent = pack(block, code.k)
                 wrong = int(np.count_nonzero(word.bits != sent))
                 known = word.raw != ERASED
                 raw.add(int(known.sum()), int(np.count_nonzero((word.raw != code.encode(sent)) & known)))
                 bits.add(code.k, wrong)
-                errors.codewords.add(1, wrong > 0 or word.status != "ok")
+                sent_words.add(1, wrong > 0 or word.status != "ok")
                 right += word.status == "ok" and wrong == 0
                 self.false_codewords += word.status == "ok" and wrong > 0
-            errors.bits.add(bits.trials, bits.errors)
-            errors.raw.add(raw.trials, raw.errors)
+            layers[name] = LayerCounts.of_packet(bits, raw, sent_words)
         return layers, right
 
-    def _missed(self, array: int, number: int) -> _Layers:
-        """Errors of a packet of which nothing was received."""
-        layers = _no_errors()
-        for name, layer in self._senders[array].format_of(number).layers.items():
-            layers[name].codewords.add(layer.codewords, layer.codewords)
-            layers[name].missed = layer.codewords
-        return layers
+    def _missed(self, array: int, number: int) -> Layers:
+        """Counts of a packet of which nothing was received."""
+        layers = self._senders[array].format_of(number).layers
+        return {name: LayerCounts.of_missed(layer.codewords) for name, layer in layers.items()}
 
     def _count_false(self, packet: Packet) -> None:
         self.false_packets += 1
@@ -212,29 +188,13 @@ class ErrorCounter:
         return int(number), share
 
 
-def _no_errors() -> _Layers:
-    return {name: LayerErrors() for name in LAYERS}
-
-
-def pooled(bins: Iterable[Mapping[str, LayerErrors]]) -> _Layers:
-    """Sum of several bins, by layer."""
-    out = _no_errors()
-    for layers in bins:
-        for name, errors in layers.items():
-            out[name].bits.include(errors.bits)
-            out[name].raw.include(errors.raw)
-            out[name].codewords.include(errors.codewords)
-            out[name].missed += errors.missed
-    return out
-
-
-def _plain(errors: LayerErrors) -> Mapping[str, Any]:
+def _plain(counts: LayerCounts) -> Mapping[str, Any]:
     return {
-        "bits": errors.bits.trials,
-        "errors": errors.bits.errors,
-        "raw_bits": errors.raw.trials,
-        "raw_errors": errors.raw.errors,
-        "codewords": errors.codewords.trials,
-        "codeword_errors": errors.codewords.errors,
-        "missed": errors.missed,
+        "bits": counts.bits,
+        "errors": counts.bit_errors,
+        "raw_bits": counts.raw_bits,
+        "raw_errors": counts.raw_errors,
+        "codewords": counts.codewords,
+        "codeword_errors": counts.codeword_errors,
+        "missed": counts.missed,
     }

@@ -1,16 +1,36 @@
-"""What a reception amounts to: counts by array and layer, messages, errors where the truth is known."""
+"""A film received and counted: codewords by array and layer, messages, errors where the truth is known."""
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
 
-from heliograph.link.truth import TruthFile
+from heliograph.base.frames import Frame
+from heliograph.link.film import FrameSource, Progress, is_packet, read_packets, silent
+from heliograph.link.settings import LinkSettings
+from heliograph.link.simulate import Messages
+from heliograph.link.truth import FrameTruth
 from heliograph.measure.errors import ErrorCounter
-from heliograph.receive import Packet
-from heliograph.receive.packets import Codeword
+from heliograph.receive import Packet, make_receiver
+from heliograph.receive.packets import Codeword, FrameReceiver, Observer, ignore
 from heliograph.signal.block import payload_bytes
 from heliograph.signal.message import Message, Reassembler
-from heliograph.signal.settings import LAYERS
+from heliograph.signal.settings import LAYERS, SignalSettings
+
+
+class TruthSource(Protocol):
+    """The truth of a film: a truth file, or that of frames as they are rendered."""
+
+    @property
+    def settings(self) -> LinkSettings:
+        """The link as simulated."""
+
+    @property
+    def messages(self) -> Sequence[Messages]:
+        """What each array sent, in the order of the arrays."""
+
+    def frames(self) -> Iterator[FrameTruth]:
+        """Yield the truth of each frame, in the order of time."""
 
 
 @dataclass(slots=True)
@@ -61,14 +81,6 @@ class ArrayTally:
                 tally.bytes += len(word.block.payload) if word.block else 0
 
 
-def is_packet(packet: Packet) -> bool:
-    """Whether what a receiver hands out is a packet: with neither header nor a right codeword it is none.
-
-    What is none is neither counted nor logged; if it was sent, it is missed.
-    """
-    return packet.status not in ("no_header", "no_array")
-
-
 class Reception:
     """Gathers packets to messages and counts.
 
@@ -76,26 +88,35 @@ class Reception:
     ----------
     truth
         Truth of the film, if known.
+
+    Attributes
+    ----------
+    arrays
+        Packets and codewords by identity.
+    frames
+        Frames taken.
+    detections
+        Times the receiver took something for an array.
+    errors
+        Errors against the truth; None where it is not known.
     """
 
-    def __init__(self, truth: TruthFile | None = None):
+    def __init__(self, truth: TruthSource | None = None):
         self.arrays: dict[int, ArrayTally] = {}
         self.frames = 0
         self.detections = 0
-        """Times the receiver took something for an array."""
         self.errors = ErrorCounter(truth.settings, truth.messages) if truth else None
-        self._rows = truth.rows() if truth else None
+        self._truths = truth.frames() if truth else None
         self._reassembler = Reassembler()
 
     def saw(self, index: int) -> None:
-        """A frame was taken; the truth moves on with it."""
+        """Take the number of a frame; the truth moves on with it."""
         self.frames += 1
-        if self._rows is None or self.errors is None:
+        if self._truths is None or self.errors is None:
             return
-        for row in self._rows:
-            arrays = row["arrays"]
-            self.errors.saw(float(row["time_s"]), arrays["distance_m"].tolist(), arrays["visible"].tolist())
-            if row["index"] >= index:
+        for truth in self._truths:
+            self.errors.saw(truth.time_s, truth.distances_m, truth.visible)
+            if truth.index >= index:
                 break
 
     def add(self, packet: Packet) -> Iterator[Message]:
@@ -109,11 +130,11 @@ class Reception:
             yield from _completed(self._reassembler, words)
 
     def unfinished(self) -> list[tuple[int, str, int, int, int]]:
-        """Messages that lack segments: (identity, layer, stream, bytes had, bytes in all)."""
+        """Messages that lack segments: (identity, layer, stream, bytes received, bytes in all)."""
         return self._reassembler.unfinished()
 
     def report(self, seconds: float) -> dict[str, Any]:
-        """All counts as plain values, for JSON."""
+        """All counts as plain values, for JSON; `seconds` is the computing time."""
         out: dict[str, Any] = {
             "frames": self.frames,
             "seconds": round(seconds, 3),
@@ -128,6 +149,62 @@ class Reception:
         return out
 
 
+def receive_film(
+    film: FrameSource,
+    signal: SignalSettings,
+    settings: LinkSettings,
+    reception: Reception,
+    observe: Observer = ignore,
+    progress: Progress = silent,
+) -> Iterator[tuple[Packet, list[Message]]]:
+    """Packets of a film, each with the messages it completes, as soon as they are read; all are counted.
+
+    Parameters
+    ----------
+    film
+        The film, open.
+    signal
+        The signal that the receiver expects.
+    settings
+        Only the receiver's part is used.
+    reception
+        Counts the packets; it holds the results so far if reading breaks off.
+    observe
+        Gets the results of each stage of the receiver.
+    progress
+        Called with the number of frames read.
+
+    Raises
+    ------
+    MediaError
+        The film breaks off or is shorter than a packet; all packets before have been given.
+    """
+    receiver = make_receiver(signal, settings.receive, observe)
+    for packet in read_packets(_Counted(film, receiver, reception, progress), signal, receiver):
+        yield packet, list(reception.add(packet))
+
+
+@dataclass(frozen=True, slots=True)
+class _Counted:
+    """A film whose frames are counted as they are taken."""
+
+    film: FrameSource
+    receiver: FrameReceiver
+    reception: Reception
+    progress: Progress
+
+    @property
+    def path(self) -> Path | str:
+        return self.film.path
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self.film:
+            self.reception.saw(frame.index)
+            yield frame
+            self.progress(self.reception.frames)
+            self.reception.detections = self.receiver.detections
+
+
 def _completed(reassembler: Reassembler, words: Iterable[Codeword]) -> Iterator[Message]:
     for word in words:
         message = reassembler.add(word.block, payload_bytes(word.bits.size)) if word.block else None
@@ -136,11 +213,4 @@ def _completed(reassembler: Reassembler, words: Iterable[Codeword]) -> Iterator[
 
 
 def _plain(identity: int, tally: ArrayTally) -> dict[str, Any]:
-    layers = {n: {"ok": t.ok, "failed": t.failed, "bytes": t.bytes} for n, t in tally.layers.items()}
-    return {
-        "id": identity,
-        "first_frame": tally.first_frame,
-        "last_frame": tally.last_frame,
-        "packets": tally.packets,
-        "layers": layers,
-    }
+    return {"id": identity, **asdict(tally)}

@@ -18,7 +18,8 @@ from heliograph.base.errors import MediaError, SettingsError
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings
-from heliograph.measure.bench import BlockCounts, LayerCounts, run_block, stands_still
+from heliograph.measure.bench import run_block, stands_still
+from heliograph.measure.counts import BlockCounts, LayerCounts
 
 EMPTY_BLOCKS = 3
 """Blocks without any codeword after which a point is given up: its films hold no whole packet."""
@@ -148,7 +149,7 @@ class Tally:
             self._waiting[block] = counts, seconds
         while not self.done and self.blocks in self._waiting:
             counts, seconds = self._waiting.pop(self.blocks)
-            self.total.add(counts)
+            self.total += counts
             self.seconds += seconds
             self.blocks += 1
 

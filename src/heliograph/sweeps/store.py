@@ -12,7 +12,7 @@ from pathlib import Path
 
 from heliograph.base.config import to_mapping
 from heliograph.base.errors import MediaError
-from heliograph.measure.bench import BlockCounts
+from heliograph.measure.counts import BlockCounts
 from heliograph.sweeps.points import Point, build
 
 NAME = "results.sqlite"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.files import write_whole
-from heliograph.measure.bench import BlockCounts
+from heliograph.measure.counts import BlockCounts
 from heliograph.sweeps.executors import Workers, open_workers
 from heliograph.sweeps.plan import laid_over, plan
 from heliograph.sweeps.points import StopRule, Tally, build, run_job

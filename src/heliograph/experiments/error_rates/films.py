@@ -11,7 +11,8 @@ from heliograph.experiments.systems import static_link
 from heliograph.link.recordings import load_imu
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, simulate
-from heliograph.measure.bench import LayerCounts, random_messages, window_margin_px
+from heliograph.measure.bench import random_messages, window_margin_px
+from heliograph.measure.counts import LayerCounts, Layers, pooled
 from heliograph.measure.errors import BIN_M, ErrorCounter
 from heliograph.measure.statistics import Clustered, Count
 from heliograph.receive import Packet, make_receiver
@@ -24,7 +25,7 @@ class Record:
     """A packet received: the true distance at its middle, and its counts by layer."""
 
     distance_m: float
-    layers: Mapping[str, LayerCounts]
+    layers: Layers
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,45 +112,28 @@ def film_packets(settings: LinkSettings, rng: np.random.Generator, recordings: R
 
 def _counted(counter: ErrorCounter, packet: Packet, distance_m: float) -> Record | None:
     """What a packet adds to the counts; None if it is none of its own: cut by the film's end, or received before."""
-    before = {name: LayerCounts.of(errors) for name, errors in counter.total().items()}
+    before = counter.total()
     counter.received(packet)
-    after = {name: LayerCounts.of(errors) for name, errors in counter.total().items()}
-    counts = {name: _more(after[name], before[name]) for name in LAYERS}
+    after = counter.total()
+    # a packet that was missed so far is not any more
+    counts = {name: after[name].received - before[name].received for name in LAYERS}
     own = all(one.codewords > 0 and min(asdict(one).values()) >= 0 for one in counts.values())
     return Record(distance_m, counts) if own and any(one.raw_bits for one in counts.values()) else None
-
-
-def _more(after: LayerCounts, before: LayerCounts) -> LayerCounts:
-    """What was counted since, without the packets that are missed so far."""
-    return LayerCounts(
-        after.bits - before.bits,
-        after.bit_errors - before.bit_errors,
-        after.raw_bits - before.raw_bits,
-        after.raw_errors - before.raw_errors,
-        (after.codewords - after.missed) - (before.codewords - before.missed),
-        (after.codeword_errors - after.missed) - (before.codeword_errors - before.missed),
-        packets=after.packets - before.packets,
-        bit_squares=after.bit_squares - before.bit_squares,
-        raw_squares=after.raw_squares - before.raw_squares,
-    )
 
 
 @dataclass(slots=True)
 class Sums:
     """Counts of several packets, by distance and layer."""
 
-    places: dict[float, dict[str, LayerCounts]] = field(default_factory=dict)
+    places: dict[float, Layers] = field(default_factory=dict)
 
     def add(self, place: float, record: Record) -> None:
         """Count a packet."""
-        here = self.places.setdefault(place, {name: LayerCounts() for name in LAYERS})
-        for name, counts in record.layers.items():
-            here[name].add(counts)
+        self.places[place] = pooled([self.places.get(place, {}), record.layers])
 
     def miss(self, place: float, layer: str, codewords: int) -> None:
         """Count codewords that were not received."""
-        here = self.places.setdefault(place, {name: LayerCounts() for name in LAYERS})
-        here[layer].add(LayerCounts(codewords=codewords, codeword_errors=codewords, missed=codewords))
+        self.places[place] = pooled([self.places.get(place, {}), {layer: LayerCounts.of_missed(codewords)}])
 
 
 def bin_of(distance_m: float) -> float:
@@ -162,7 +146,7 @@ def lost_packets(films: Sequence[Filmed]) -> Count:
     return Count(sum(len(one.packets) + len(one.lost) for one in films), sum(len(one.lost) for one in films))
 
 
-def all_layers(layers: Mapping[str, LayerCounts]) -> Clustered:
+def all_layers(layers: Layers) -> Clustered:
     """Raw errors of all layers, by packet."""
     parts = [counts.raw for counts in layers.values()]
     # squares of packets' sums are not kept: at most this by Minkowski, if layers fail in step

@@ -1,6 +1,6 @@
 """Pictures of error rates by distance, and of driving over static."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from heliograph.experiments.error_rates.comparison import MARGIN, Comparison
 from heliograph.experiments.error_rates.films import Sums, all_layers
 from heliograph.experiments.plots import COLOURS
-from heliograph.measure.bench import LayerCounts
+from heliograph.measure.counts import Layers
 from heliograph.measure.statistics import Clustered, Count
 from heliograph.signal.settings import LAYERS
 
@@ -53,7 +53,7 @@ def _rates_picture(still: Sums, moving: Sums, keyed: Sums) -> Figure:
 def _draw(
     axes: Any,
     sums: Sums,
-    count: Callable[[Mapping[str, LayerCounts]], Count],
+    count: Callable[[Layers], Count],
     colour: str,
     label: str,
     dashes: str,
@@ -103,5 +103,5 @@ def _clean(axes: Any) -> None:
     axes.grid(alpha=0.25, lw=0.6)
 
 
-def _of(layer: str, kind: str, layers: Mapping[str, LayerCounts]) -> Clustered:
+def _of(layer: str, kind: str, layers: Layers) -> Clustered:
     return layers[layer].raw if kind == "raw" else layers[layer].decoded

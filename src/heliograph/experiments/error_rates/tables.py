@@ -1,13 +1,13 @@
 """Error rates and their comparison as tables and plain values."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 from heliograph.experiments.chapter import Table
 from heliograph.experiments.error_rates.comparison import MARGIN, Comparison
 from heliograph.experiments.error_rates.films import Sums, all_layers
-from heliograph.measure.bench import LayerCounts
+from heliograph.measure.counts import Layers
 from heliograph.measure.errors import BIN_M
 from heliograph.signal.settings import LAYERS
 
@@ -26,7 +26,7 @@ def rates_table(still: Sums, moving: Sums, keyed: Sums) -> Table:
     )
 
 
-def _rates_row(name: str, layers: Mapping[str, LayerCounts], keyed: Mapping[str, LayerCounts] | None) -> list[str]:
+def _rates_row(name: str, layers: Layers, keyed: Layers | None) -> list[str]:
     cells = [name]
     for one in layers.values():
         cells += [one.raw.text(), one.decoded.text(), f"{one.codeword_errors} of {one.codewords}"]

@@ -1,0 +1,189 @@
+"""Counts of errors by layer, of a packet, a film or a whole sweep."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any, Self
+
+from heliograph.measure.statistics import Clustered, Count
+from heliograph.signal.settings import LAYERS
+
+
+@dataclass(frozen=True, slots=True)
+class LayerCounts:
+    """Counts of a layer; a codeword is wrong where it was not read rightly, missed ones included.
+
+    Attributes
+    ----------
+    bits, bit_errors
+        Information bits after the turbo decoder, of received packets.
+    raw_bits, raw_errors
+        Coded bits before it, of received packets.
+    codewords, codeword_errors, missed
+        Codewords sent; those that are wrong; those of packets of which nothing was received, which are wrong too.
+    packets
+        Packets received.
+    bit_squares, raw_squares
+        Sums over the packets of the squares of their `bit_errors` and `raw_errors`: they show how much errors cluster.
+    """
+
+    bits: int = 0
+    bit_errors: int = 0
+    raw_bits: int = 0
+    raw_errors: int = 0
+    codewords: int = 0
+    codeword_errors: int = 0
+    missed: int = 0
+    packets: int = 0
+    bit_squares: int = 0
+    raw_squares: int = 0
+
+    @classmethod
+    def of_packet(cls, bits: Count, raw: Count, words: Count) -> Self:
+        """Counts of one received packet.
+
+        Parameters
+        ----------
+        bits, raw
+            Information bits after the turbo decoder and coded bits before it; no bits where the packet was read in
+            another format than it was sent in.
+        words
+            Its codewords.
+        """
+        return cls(
+            bits.trials,
+            bits.errors,
+            raw.trials,
+            raw.errors,
+            words.trials,
+            words.errors,
+            packets=int(bits.trials > 0),
+            bit_squares=bits.errors**2,
+            raw_squares=raw.errors**2,
+        )
+
+    @classmethod
+    def of_missed(cls, codewords: int) -> Self:
+        """Counts of so many codewords of which nothing was received."""
+        return cls(codewords=codewords, codeword_errors=codewords, missed=codewords)
+
+    def __add__(self, other: "LayerCounts") -> "LayerCounts":
+        return LayerCounts(*(getattr(self, one.name) + getattr(other, one.name) for one in fields(self)))
+
+    def __sub__(self, other: "LayerCounts") -> "LayerCounts":
+        return LayerCounts(*(getattr(self, one.name) - getattr(other, one.name) for one in fields(self)))
+
+    @property
+    def decoded(self) -> Clustered:
+        """Information bits after the turbo decoder; where none is wrong, the bound is by packets."""
+        return Clustered(self.bits, self.bit_errors, self.packets, self.bit_squares)
+
+    @property
+    def decoded_bits(self) -> Clustered:
+        """The same; where none is wrong, the bound is by bits, as a film has too few packets for one by packets."""
+        return Clustered(self.bits, self.bit_errors, self.packets, self.bit_squares, scattered=True)
+
+    @property
+    def raw(self) -> Clustered:
+        """Coded bits before the turbo decoder; where none is wrong, the bound is by bits."""
+        return Clustered(self.raw_bits, self.raw_errors, self.packets, self.raw_squares, scattered=True)
+
+    @property
+    def words(self) -> Count:
+        """Codewords sent, and those that are wrong."""
+        return Count(self.codewords, self.codeword_errors)
+
+    @property
+    def received(self) -> "LayerCounts":
+        """The same without the codewords that were missed."""
+        return replace(
+            self,
+            codewords=self.codewords - self.missed,
+            codeword_errors=self.codeword_errors - self.missed,
+            missed=0,
+        )
+
+
+Layers = Mapping[str, LayerCounts]
+"""Counts by layer."""
+
+
+def no_errors() -> dict[str, LayerCounts]:
+    """Nothing counted, for each layer."""
+    return {name: LayerCounts() for name in LAYERS}
+
+
+def pooled(parts: Iterable[Layers]) -> dict[str, LayerCounts]:
+    """Sum of several counts, by layer."""
+    total = no_errors()
+    for layers in parts:
+        for name, counts in layers.items():
+            total[name] = total[name] + counts
+    return total
+
+
+@dataclass(frozen=True, slots=True)
+class BlockCounts:
+    """Counts of a block, or the sum of several.
+
+    Attributes
+    ----------
+    layers
+        Counts by layer.
+    bins
+        The same by the lower edge in m of the distance bin.
+    payload_bits
+        Payload of the codewords read, by layer.
+    false_codewords
+        Codewords accepted as right that were not sent.
+    false_packets, duplicates
+        Packets received that were not sent, and those received again.
+    film_s
+        Length of the film in s.
+    frames
+        Frames rendered.
+    """
+
+    layers: Layers = field(default_factory=no_errors)
+    bins: Mapping[float, Layers] = field(default_factory=dict)
+    payload_bits: Mapping[str, int] = field(default_factory=lambda: dict.fromkeys(LAYERS, 0))
+    false_codewords: int = 0
+    false_packets: int = 0
+    duplicates: int = 0
+    film_s: float = 0.0
+    frames: int = 0
+
+    @property
+    def codewords(self) -> int:
+        """Codewords sent, all layers."""
+        return sum(layer.codewords for layer in self.layers.values())
+
+    def __add__(self, other: "BlockCounts") -> "BlockCounts":
+        starts = dict.fromkeys([*self.bins, *other.bins])
+        return BlockCounts(
+            pooled([self.layers, other.layers]),
+            {start: pooled(one.bins[start] for one in (self, other) if start in one.bins) for start in starts},
+            {name: bits + other.payload_bits[name] for name, bits in self.payload_bits.items()},
+            self.false_codewords + other.false_codewords,
+            self.false_packets + other.false_packets,
+            self.duplicates + other.duplicates,
+            self.film_s + other.film_s,
+            self.frames + other.frames,
+        )
+
+    def to_plain(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {**asdict(self), "bins": [[start, _plain(layers)] for start, layers in sorted(self.bins.items())]}
+
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> Self:
+        """The inverse of `to_plain`."""
+        bins = {float(start): _layers(layers) for start, layers in plain["bins"]}
+        return cls(**{**plain, "layers": _layers(plain["layers"]), "bins": bins})
+
+
+def _plain(layers: Layers) -> dict[str, Any]:
+    return {name: asdict(counts) for name, counts in layers.items()}
+
+
+def _layers(plain: Mapping[str, Any]) -> Layers:
+    return {name: LayerCounts(**counts) for name, counts in plain.items()}

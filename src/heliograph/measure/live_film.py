@@ -1,0 +1,64 @@
+"""Frames and their truth straight from the channel, in place of a film and its truth file."""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from heliograph.base.frames import Frame
+from heliograph.channel import Truth
+from heliograph.link.settings import LinkSettings
+from heliograph.link.simulate import Messages, Recordings, simulate
+from heliograph.link.truth import FrameTruth
+
+
+class LiveFilm:
+    """Frames as they are rendered, and the truth of each frame that was taken.
+
+    It is a `FrameSource` and a `TruthSource`. Frames are taken once, in the order of time.
+
+    Parameters
+    ----------
+    settings
+        The link.
+    messages
+        What each array sends, in the order of the arrays.
+    seed
+        Of road, scene and noise.
+    recordings
+        Real background and motion.
+    margin_px
+        Only the arrays' surroundings are rendered, this many px wider than they are.
+    """
+
+    path = "the film"
+
+    def __init__(
+        self,
+        settings: LinkSettings,
+        messages: Sequence[Messages],
+        seed: int,
+        recordings: Recordings | None,
+        margin_px: int,
+    ):
+        self.settings = settings
+        self.messages = messages
+        self._rendered = simulate(settings, messages, seed, recordings, margin_px)
+        self._truths: deque[FrameTruth] = deque()
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield the frames; the truth of a frame is there before the frame is."""
+        for frame, truth in self._rendered:
+            self._truths.append(_counted_truth(truth))
+            yield frame
+
+    def frames(self) -> Iterator[FrameTruth]:
+        """Yield the truth of each frame taken so far, in the order of time; to be asked once for each frame."""
+        while True:
+            yield self._truths.popleft()
+
+
+def _counted_truth(truth: Truth) -> FrameTruth:
+    # a truth file has distances in single precision
+    distances = [float(np.float32(array.distance_m)) for array in truth.arrays]
+    return FrameTruth(truth.index, truth.time_s, distances, [array.visible for array in truth.arrays])
