@@ -26,7 +26,7 @@ class Work:
 
 def measure(work: Work) -> Count:
     """Codewords wrong."""
-    from heliograph.experiments.known_channel import count
+    from heliograph.experiments.calibration.known_channel import count
 
     total = Count()
     for seed in work.seeds:

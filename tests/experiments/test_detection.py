@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from heliograph.channel import Placement
-from heliograph.experiments import candidates as cand
-from heliograph.experiments import detection_trials as trials
-from heliograph.experiments.candidates import WAYS, Probe, Scores
-from heliograph.experiments.chapter import Chapter, Context
-from heliograph.experiments.clutter import backdrops, shoot
-from heliograph.experiments.detection_trials import Effort, Measured
-from heliograph.experiments.detection_verdicts import compared, ingredients
-from heliograph.experiments.figures import detection
-from heliograph.experiments.identities import confusion, small_camera, taken_for
-from heliograph.experiments.lamps import FRAMES, SIZE, drawn_backdrop, lamp_backdrop
+from heliograph.experiments.detection import ablation as cand
+from heliograph.experiments.detection import experiment as detection
+from heliograph.experiments.detection import trials as trials
+from heliograph.experiments.detection.ablation import WAYS, Probe, Scores
+from heliograph.experiments.detection.clutter import backdrops, shoot
+from heliograph.experiments.detection.identities import confusion, small_camera, taken_for
+from heliograph.experiments.detection.lamps import FRAMES, SIZE, drawn_backdrop, lamp_backdrop
+from heliograph.experiments.detection.trials import Effort, Measured
+from heliograph.experiments.detection.verdicts import compared, ingredients
+from heliograph.experiments.result import Chapter, Context
 from heliograph.measure.statistics import Count
 from heliograph.signal.header import IDENTITIES
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from heliograph.experiments import flicker
-from heliograph.experiments.chapter import Context
-from heliograph.experiments.figures import flicker as chapter
-from heliograph.experiments.flicker import Spectrum
+from heliograph.experiments.flicker import experiment as chapter
+from heliograph.experiments.flicker import metrics as flicker
+from heliograph.experiments.flicker.metrics import Spectrum
+from heliograph.experiments.result import Context
 
 SLOT_S = 0.25e-3
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.cli.main import app
 from heliograph.experiments import reproduce as book
-from heliograph.experiments.chapter import Chapter, Context, Finding
+from heliograph.experiments.result import Chapter, Context, Finding
 
 
 def test_all_experiments_by_default_and_each_once() -> None:
@@ -25,7 +25,7 @@ def test_unknown_figure_names_the_nearest() -> None:
 
 def test_every_experiment_can_be_run() -> None:
     for module, _ in book.EXPERIMENTS.values():
-        assert callable(__import__(f"heliograph.experiments.figures.{module}", fromlist=["run"]).run)
+        assert callable(__import__(f"heliograph.experiments.{module}", fromlist=["run"]).run)
 
 
 def test_folder_without_clips_is_refused(tmp_path: Path) -> None:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from heliograph.experiments.chapter import Context
-from heliograph.experiments.figures import systems as figure
-from heliograph.experiments.systems import ENOUGH, SCHEMES, SIDE, Heard, listen
+from heliograph.experiments.result import Context
+from heliograph.experiments.systems import experiment as figure
+from heliograph.experiments.systems.schemes import ENOUGH, SCHEMES, SIDE, Heard, listen
 from heliograph.measure.statistics import Count
 
 

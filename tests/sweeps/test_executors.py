@@ -5,7 +5,7 @@ import os
 import pytest
 
 from heliograph.base.errors import HeliographError
-from heliograph.experiments.chapter import Context
+from heliograph.experiments.result import Context
 from heliograph.sweeps.executors import THREAD_LIMITS, each
 
 

@@ -18,7 +18,7 @@ def run_demo(
     imu: Path | None,
 ) -> None:
     """Simulate, receive, report."""
-    from heliograph.experiments.demo import run
+    from heliograph.experiments.demo.drive import run
 
     settings, recordings = scene_from(preset, file, assignments, background, imu)
     with clear_write_errors(output):

@@ -10,24 +10,24 @@ from typing import Any
 
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.base.files import write_whole
-from heliograph.experiments.chapter import Chapter, Context, Finding
 from heliograph.experiments.report import Report
+from heliograph.experiments.result import Chapter, Context, Finding
 
 EXPERIMENTS = {
-    "fig3": ("received", "received image at 10 m and 70 m"),
-    "fig4": ("pwm", "pulse width modulation and the exposure"),
-    "fig5": ("packet", "packet format"),
-    "fig6": ("detection", "false detections, and identities told apart"),
-    "fig7": ("header", "the header near and at 25 m"),
-    "fig8": ("inverse", "inverted pattern and sum (Fig. 8 and 9)"),
-    "fig11": ("tracking", "tracking over a drive (Fig. 11 and 12)"),
-    "fig13": ("ber", "bit error rate by distance, static and driving"),
-    "tables": ("tables", "Tables I and II, data rates"),
-    "flicker": ("flicker", "flicker of the whole array"),
-    "systems": ("systems", "other systems in the same channel"),
-    "soft": ("soft", "the soft receiver: likelihoods and distances"),
+    "fig3": ("patterns.received", "received image at 10 m and 70 m"),
+    "fig4": ("patterns.pwm", "pulse width modulation and the exposure"),
+    "fig5": ("patterns.packet", "packet format"),
+    "fig6": ("detection.experiment", "false detections, and identities told apart"),
+    "fig7": ("patterns.header", "the header near and at 25 m"),
+    "fig8": ("patterns.inverse", "inverted pattern and sum (Fig. 8 and 9)"),
+    "fig11": ("tracking.experiment", "tracking over a drive (Fig. 11 and 12)"),
+    "fig13": ("error_rates.experiment", "bit error rate by distance, static and driving"),
+    "tables": ("patterns.parameters", "Tables I and II, data rates"),
+    "flicker": ("flicker.experiment", "flicker of the whole array"),
+    "systems": ("systems.experiment", "other systems in the same channel"),
+    "soft": ("calibration.experiment", "the soft receiver: likelihoods and distances"),
 }
-"""Experiments by name: the module that runs each, and what it shows."""
+"""Experiments by name: the module below this package that runs each, and what it shows."""
 
 ALIASES = {"fig9": "fig8", "fig12": "fig11", "table1": "tables", "table2": "tables"}
 
@@ -82,7 +82,7 @@ def reproduce(keys: Sequence[str], context: Context, folder: Path, begin: Callab
     for key in keys:
         module, title = EXPERIMENTS[key]
         begin(key, title)
-        chapter = import_module(f"heliograph.experiments.figures.{module}").run(context)
+        chapter = import_module(f"heliograph.experiments.{module}").run(context)
         _write_parts(folder, chapter)
         chapters.append(chapter)
         write_report(folder / "report.html", chapters, context)

@@ -1,1 +1,1 @@
-"""What the figure of error rates needs: films counted packet by packet, compared, judged and shown."""
+"""Error rates by distance, at rest and driving: films counted packet by packet, compared, judged and drawn."""

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from heliograph.experiments.systems import static_link
+from heliograph.experiments.systems.schemes import static_link
 from heliograph.link.recordings import load_imu
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, simulate

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from heliograph.experiments.chapter import Table
 from heliograph.experiments.error_rates.comparison import MARGIN, Comparison
 from heliograph.experiments.error_rates.films import Sums, all_layers
+from heliograph.experiments.result import Table
 from heliograph.measure.counts import Layers
 from heliograph.measure.errors import BIN_M
 from heliograph.signal.settings import LAYERS

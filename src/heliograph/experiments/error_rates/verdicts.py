@@ -5,9 +5,9 @@ from typing import Literal
 
 import numpy as np
 
-from heliograph.experiments.chapter import Finding, Verdict
 from heliograph.experiments.error_rates.comparison import MARGIN, RISK, Comparison
 from heliograph.experiments.error_rates.films import Sums, all_layers
+from heliograph.experiments.result import Finding, Verdict
 from heliograph.measure.errors import BIN_M
 from heliograph.measure.statistics import Count
 from heliograph.signal.settings import LAYERS

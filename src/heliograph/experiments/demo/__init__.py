@@ -1,0 +1,1 @@
+"""The demonstration: a drive filmed, received and shown."""

@@ -1,0 +1,183 @@
+"""What four ways of detecting make of a film: each ingredient of the detector on its own, scored without thresholds."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.experiments.detection.clutter import Film
+from heliograph.receive import Pose
+from heliograph.receive.detect import BLOCK, COMB, UPRIGHT, Detector, _change, _fit_window
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.signal.settings import SignalSettings
+
+NEAR = 0.25
+"""Share of the array's side by which a candidate may lie beside it and still be it."""
+
+LIKE = 1.25
+"""Ratio of sizes up to which it is."""
+
+CANDIDATES, BANDS = 5, 3
+"""Candidates of each range of sizes that are fitted, and ranges."""
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A way of detecting: the header's shape looked for, and the frames combined."""
+
+    name: str
+    detector: Literal["all_on", "m_sequence"]
+    frames: int
+
+
+WAYS = (
+    Way("all on, 2 frames", "all_on", 2),
+    Way("all on, 4 frames", "all_on", 4),
+    Way("M-sequence, 2 frames", "m_sequence", 2),
+    Way("M-sequence, 4 frames", "m_sequence", 4),
+)
+"""The first is what the paper compares with, the third what it proposes, the fourth the receiver's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """Something like a header: correlation with the fitted header, its pose, its identity."""
+
+    score: float
+    pose: Pose
+    identity: int
+
+
+class Probe(Detector):
+    """The receiver's detector without thresholds on its scores, and without the look at the frames around.
+
+    Parameters
+    ----------
+    way
+        What it looks for.
+    """
+
+    def __init__(self, way: Way):
+        lowered = replace(
+            ReceiveSettings().detect,
+            detector=way.detector, coarse_score=0.2, score=0.0, regularity=0.0, candidates=CANDIDATES,
+        )  # fmt: skip
+        super().__init__(ReceiveSettings(detect=lowered), SignalSettings())
+        self._frames_used = way.frames
+        self._bands = np.array_split(self._sides, BANDS)
+
+    def candidates(self, film: Film) -> list[Candidate]:
+        """Candidates in the frames where the header is, or would be; where there is an array, those at its place."""
+        window = film.frames[film.first : film.first + self._frames_used]
+        change, full_scale = _change([f.pixels for f in window]), window[0].full_scale
+        busy = self._busy(change, (0, 0), (), full_scale)
+        if film.truth is not None:
+            busy &= _around(film.truth, busy.shape)
+        if not busy.any():
+            return []
+        rows = self._coarse_by_size(change, busy, window[0])
+        found = [self._fitted(change, row, full_scale) for row in rows]
+        return [one for one in found if one is not None]
+
+    def _coarse_by_size(
+        self, change: NDArray[np.float32], busy: NDArray[np.bool_], frame: Frame
+    ) -> NDArray[np.float64]:
+        """Candidates of each range of sizes: a square's parts are like it, and would be kept in place of it."""
+        parts = []
+        for sides in self._bands:
+            self._sides = sides
+            parts.append(self._coarse(change, busy, frame))
+        return np.concatenate(parts)
+
+    def _fitted(self, change: NDArray[np.float32], row: NDArray[np.float64], full_scale: int) -> Candidate | None:
+        """A candidate's pose as the detector fits it: first under a blur that hides single LEDs, then as it is."""
+        number, blur = int(row[4]), self._settings.calibration.blur_px
+        weights = float(np.sign(row[0])) * self._weights(number)
+        start = Pose(row[1] - 0.5, row[2] - 0.5, row[3] / self._side, 0.0, blur)
+        rough = _fit_window(change, (0, 0), start, weights, self._side, UPRIGHT, COMB)
+        if rough is None:
+            return None
+        fit = _fit_window(change, (0, 0), replace(rough.pose, blur=blur), weights, self._side, UPRIGHT)
+        if fit is None or not self._convincing(fit, 1.0, full_scale):
+            return None
+        return Candidate(fit.score, fit.pose, number)
+
+
+@dataclass(slots=True)
+class Scores:
+    """Best scores by way of detecting.
+
+    Attributes
+    ----------
+    false
+        By scene: the best candidate of each film without an array, 0 for none.
+    true
+        By scene and distance: the array's own candidate in each film with one, 0 where it is missed.
+    """
+
+    false: dict[str, list[float]]
+    true: dict[tuple[str, float], list[float]]
+
+    def all_false(self) -> NDArray[np.float64]:
+        """Of all scenes."""
+        return np.array([score for scores in self.false.values() for score in scores])
+
+    def all_true(self, distance_m: float) -> NDArray[np.float64]:
+        """At a distance, of all scenes."""
+        return np.array([s for (_, z), scores in self.true.items() if z == distance_m for s in scores])
+
+
+def _around(truth: Pose, blocks: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Blocks of the search within half the array's side of its centre."""
+    reach = 8 * truth.pitch + BLOCK
+    y, x = ((np.arange(n) + 0.5) * BLOCK for n in blocks)
+    return np.asarray((abs(y - truth.y) < reach)[:, None] & (abs(x - truth.x) < reach))
+
+
+def best_false(found: Sequence[Candidate]) -> Candidate | None:
+    """The candidate that would be taken first."""
+    return max(found, key=lambda one: one.score, default=None)
+
+
+def score_of_array(found: Sequence[Candidate], truth: Pose, identity: int | None) -> float:
+    """Score of the candidate that is the array, 0 if none is; identity None: whatever it is taken for."""
+    return max((c.score for c in found if same(c.pose, truth) and identity in (None, c.identity)), default=0.0)
+
+
+def same(pose: Pose, truth: Pose) -> bool:
+    """Whether a pose is that of the array, roughly."""
+    beside = np.hypot(pose.x - truth.x, pose.y - truth.y)
+    return bool(beside < NEAR * 16 * truth.pitch and 1 / LIKE < pose.pitch / truth.pitch < LIKE)
+
+
+def threshold_for_false(false: NDArray[np.float64], share: float) -> float:
+    """Least threshold (a score above it counts) that at most a share of the films without an array exceed."""
+    allowed = int(share * false.size)
+    return float(np.sort(false)[::-1][allowed]) if false.size > allowed else 0.0
+
+
+def threshold_for_found(true: NDArray[np.float64], share: float) -> float:
+    """Largest threshold above which at least a share of the arrays lie; 0 where so many are not even candidates."""
+    needed = int(np.ceil(share * true.size))
+    return float(np.nextafter(np.sort(true)[::-1][needed - 1], -1)) if needed else 1.0
+
+
+def curve(false: NDArray[np.float64], true: NDArray[np.float64]) -> tuple[list[float], list[float]]:
+    """Shares of false alarms and of arrays found as the threshold falls, both rising, ends at every candidate."""
+    thresholds = np.unique(np.concatenate([false, true, [0.0, 1.0]]))[::-1]
+    alarms = [float((false > t).mean()) for t in thresholds]
+    return alarms, [float((true > t).mean()) for t in thresholds]
+
+
+def plain(scores: Mapping[str, Scores]) -> dict[str, dict[str, dict[str, list[float]]]]:
+    """Scores as plain values, rounded."""
+    return {
+        name: {
+            "false": {scene: [round(s, 4) for s in found] for scene, found in one.false.items()},
+            "true": {f"{scene}, {z:g} m": [round(s, 4) for s in found] for (scene, z), found in one.true.items()},
+        }
+        for name, one in scores.items()
+    }

@@ -1,0 +1,1 @@
+"""Other systems in the same channel: on-off keying, repetition and the hierarchical code."""

@@ -1,0 +1,84 @@
+"""Errors of the trackers in numbers."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.experiments.tracking.runs import Run
+
+Floats = NDArray[np.float64]
+
+NEAR_PX = 0.25
+"""An error up to this is called near."""
+
+FEWEST = 10
+"""Pairs of a packet that are enough to take a straight line out of."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Score:
+    """One tracker in one film.
+
+    Attributes
+    ----------
+    pairs
+        Pairs of frames tracked.
+    rms_px, q999_px
+        Error of the array's centre: rms and the value that 99.9 % of the pairs stay below.
+    near
+        Pairs with an error of up to 0.25 px.
+    lost
+        Pairs with an error in x or y of more than half the array's side: in a cut-out twice as wide as the array a
+        part of it is missing.
+    shake_px
+        Rms error within a packet after its best straight line in time is taken out: what is left of the vibration
+        for a receiver that finds the array anew at each header and knows how it moves on average.
+    pitch
+        Rms error of the pitch, as a share; None where the tracker tells none.
+    """
+
+    pairs: int
+    rms_px: float
+    q999_px: float
+    near: int
+    lost: int
+    shake_px: float
+    pitch: float | None
+
+
+Scores = Mapping[str, Mapping[str, Score]]
+"""By film and tracker."""
+
+
+def scores(runs: Sequence[Run]) -> dict[str, dict[str, Score]]:
+    """All trackers in all films."""
+    return {run.name: {name: score(run, errors) for name, errors in run.errors.items()} for run in runs}
+
+
+def score(run: Run, errors: Floats) -> Score:
+    """Score of errors (n, 3) in a film."""
+    off = np.hypot(errors[:, 0], errors[:, 1])
+    widest = np.abs(errors[:, :2]).max(1)
+    pitch = None if np.isnan(errors[:, 2]).any() else float(np.sqrt(np.mean(errors[:, 2] ** 2)))
+    return Score(
+        pairs=len(off),
+        rms_px=float(np.sqrt(np.mean(off**2))),
+        q999_px=float(np.quantile(off, 0.999)),
+        near=int((off <= NEAR_PX).sum()),
+        lost=int((widest > run.side_px / 2).sum()),
+        shake_px=_shake(run, errors[:, :2]),
+        pitch=pitch,
+    )
+
+
+def _shake(run: Run, errors: Floats) -> float:
+    rests = []
+    for packet in np.unique(run.packet):
+        part = run.packet == packet
+        if part.sum() >= FEWEST:
+            line = np.vander(run.times_s[part] - run.times_s[part][0], 2)
+            way = np.linalg.lstsq(line, errors[part], rcond=None)[0]
+            rests.append(errors[part] - line @ way)
+    return float(np.sqrt(np.mean(np.sum(np.concatenate(rests) ** 2, axis=1)))) if rests else 0.0

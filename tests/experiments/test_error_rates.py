@@ -1,0 +1,209 @@
+"""Fig. 13: counts by packet, and the test of driving against static."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from heliograph.base.frames import Frame
+from heliograph.experiments.error_rates import comparison, films, verdicts
+from heliograph.experiments.error_rates import experiment as ber
+from heliograph.experiments.result import Context
+from heliograph.link.settings import load_settings
+from heliograph.link.simulate import simulate
+from heliograph.measure.bench import random_messages, run_block
+from heliograph.measure.counts import LayerCounts
+from heliograph.measure.errors import ErrorCounter
+from heliograph.measure.statistics import Count
+from heliograph.receive import Packet, Receiver
+from heliograph.signal.settings import LAYERS
+
+NONE_LOST = Count(200, 0), Count(200, 0)
+
+
+def records(rate: float, count: int, rng: np.random.Generator) -> list[films.Record]:
+    """Packets at 50 m to 60 m whose error rates vary from packet to packet more than bits do."""
+    out = []
+    for z in np.linspace(50.1, 59.9, count):
+        errors = rng.binomial(3072, min(rate * rng.lognormal(0, 0.3), 0.5), 3)
+        layers = {n: LayerCounts(raw_bits=3072, raw_errors=int(e)) for n, e in zip(LAYERS, errors, strict=True)}
+        out.append(films.Record(float(z), layers))
+    return out
+
+
+def test_equal_rates_are_alike() -> None:
+    rng = np.random.default_rng(0)
+    found = comparison.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
+    assert {c.bin_m for c in found} == {52.5, 57.5, None}
+    assert [c.verdict for c in found] == ["alike"] * 9
+    assert verdicts.alike(found, *NONE_LOST).verdict == "holds"
+
+
+def test_a_faked_difference_is_found() -> None:
+    rng = np.random.default_rng(1)
+    found = comparison.compare(records(0.02 * 1.9, 120, rng), records(0.02, 120, rng), rng)
+    assert {c.verdict for c in found} == {"apart"}
+    assert all(1.6 < c.ratio < 2.3 for c in found)
+    assert verdicts.alike(found, *NONE_LOST).verdict == "differs"
+
+
+def test_few_packets_decide_nothing() -> None:
+    rng = np.random.default_rng(2)
+    found = comparison.compare(records(0.03, 4, rng), records(0.02, 4, rng), rng)
+    assert all(c.verdict != "apart" for c in found)
+    assert comparison.compare([], [], rng) == []
+    assert verdicts.alike([], *NONE_LOST).verdict == "shown"
+
+
+def test_false_alarms_are_rare() -> None:
+    """Packets that are alike are called apart hardly ever, however much they vary by themselves."""
+    rng = np.random.default_rng(3)
+    alarms = [
+        c.verdict == "apart"
+        for _ in range(20)
+        for c in comparison.compare(records(0.01, 20, rng), records(0.01, 20, rng), rng)
+    ]
+    assert np.mean(alarms) < 0.02
+
+
+def test_lost_packets_count() -> None:
+    rng = np.random.default_rng(0)
+    found = comparison.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
+    worse = verdicts.alike(found, Count(200, 20), Count(200, 2))
+    assert worse.verdict == "differs"
+    assert "20 of 200 driving, 2 of 200 at rest" in worse.ours
+    assert "lost" in worse.why
+    assert verdicts.alike(found, Count(200, 2), Count(200, 20)).verdict == "holds"
+    assert verdicts.alike(found, Count(20, 1), Count(20, 0)).verdict == "shown"
+    assert verdicts.alike(found, Count(), Count()).verdict == "shown"
+
+
+def test_drives_that_differ_widen_the_interval() -> None:
+    rng = np.random.default_rng(4)
+    drives = [k % 4 for k in range(200)]
+    one, other = records(0.02, 200, rng), records(0.02, 200, rng)
+    one = [
+        replace(r, layers={n: replace(c, raw_errors=c.raw_errors * (k + 1) // 2) for n, c in r.layers.items()})
+        for k, r in zip(drives, one, strict=True)
+    ]
+    plain, by_drive = (comparison.compare(one, other, np.random.default_rng(5), drives=d)[-1] for d in ((), drives))
+    assert by_drive.ratio == plain.ratio
+    assert by_drive.high - by_drive.low > 2 * (plain.high - plain.low)
+
+
+def test_layers_of_which_nothing_was_read_are_not_compared() -> None:
+    rng = np.random.default_rng(6)
+    one, other = records(0.02, 50, rng), records(0.02, 50, rng)
+    other[0] = replace(other[0], layers={**other[0].layers, "low": LayerCounts()})
+    pairs = {c.layer: c.pairs for c in comparison.compare(one, other, rng) if c.bin_m is None}
+    assert pairs == {"high": 50, "middle": 50, "low": 49}
+
+
+@pytest.mark.parametrize(
+    ("counts", "verdict", "why"),
+    [
+        (LayerCounts(codewords=1000), "holds", ""),
+        (LayerCounts(codewords=100), "shown", "Too few"),
+        (LayerCounts(raw_bits=1000, raw_errors=20, codewords=100, codeword_errors=5), "differs", ""),
+        (LayerCounts(raw_bits=1000, raw_errors=200, codewords=100, codeword_errors=5), "differs", "too much"),
+        (LayerCounts(0, 0, 1000, 200, 100, 5, 5), "differs", "5 of the 5 wrong codewords are of packets not received."),
+        (LayerCounts(0, 0, 1000, 200, 100, 5, 2), "differs", "2 of the 5 wrong"),
+        (LayerCounts(), "shown", "Too few"),
+    ],
+)
+def test_reasons_of_wrong_codewords(counts: LayerCounts, verdict: str, why: str) -> None:
+    finding = next(verdicts.error_free(films.Sums({77.5: dict.fromkeys(LAYERS, counts)})))
+    assert finding.verdict == verdict
+    assert why in finding.why
+    assert bool(finding.why) == bool(why)
+    assert ("too much" in finding.why) == (counts.raw_errors == 200 and counts.missed < counts.codeword_errors)
+
+
+class Deaf:
+    """A receiver that passes on each packet twice, or none."""
+
+    def __init__(self, receiver: Receiver, times: int):
+        self.receiver, self.times = receiver, times
+
+    def push(self, frame: Frame) -> list[Packet]:
+        return [packet for packet in self.receiver.push(frame) for _ in range(self.times)]
+
+
+@pytest.mark.parametrize(("times", "packets", "lost"), [(0, 0, 1), (2, 1, 0)])
+def test_lost_and_repeated_packets(monkeypatch: pytest.MonkeyPatch, times: int, packets: int, lost: int) -> None:
+    monkeypatch.setattr(films, "make_receiver", lambda *args: Deaf(Receiver(*args), times))
+    one = films.measure(films.Task(35.0, "haar", (7,)))
+    assert (len(one.packets), list(one.lost)) == (packets, [37.5] * lost)
+    assert films.lost_packets([one, one]) == Count(2, 2 * lost)
+
+
+def test_holm() -> None:
+    assert comparison.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert comparison.holm([0.5, 0.9]) == [1.0, 1.0]
+    assert comparison.holm([]) == []
+
+
+def test_packets_of_a_drive_by_themselves_are_the_whole_count() -> None:
+    settings = load_settings("paper", {"channel": {"distance_m": 62.0, "duration_s": 0.35}})
+    one = films.film_packets(settings, np.random.default_rng(4))
+    assert len(one.packets) == 3
+    assert one.false_codewords == 0
+    assert all(55 < record.distance_m < 62 for record in one.packets)
+    distances = [record.distance_m for record in one.packets]
+    assert distances == sorted(distances, reverse=True)
+    seed = int(np.random.default_rng(4).integers(2**31))
+    block = run_block(settings, seed, max_packets=None)
+    for name in LAYERS:
+        total = sum((record.layers[name] for record in one.packets), LayerCounts())
+        assert replace(total, missed=0) == replace(block.layers[name], missed=0)
+        assert total.raw_errors > 0
+
+
+def test_on_off_keying_end_to_end() -> None:
+    """Near, all layers of the link with on-off keying arrive, and the error counter counts every bit."""
+    changes = {"signal": {"modulation": "ook"}, "channel": {"distance_m": 35.0, "duration_s": 0.2001}}
+    settings = load_settings("static", changes)
+    messages = random_messages(settings, 5)
+    counter, receiver = ErrorCounter(settings, messages), Receiver(settings.signal, settings.receive)
+    statuses = []
+    for frame, truth in simulate(settings, messages, 5, roi_margin_px=20):
+        counter.saw(truth.time_s, [truth.arrays[0].distance_m], [truth.arrays[0].visible])
+        for packet in receiver.push(frame):
+            statuses.append(packet.status)
+            counter.received(packet)
+    assert statuses == ["ok", "ok"]
+    total = counter.total()
+    assert {name: total[name].raw_bits for name in LAYERS} == {"high": 6144, "middle": 12288, "low": 6144}
+    assert all(total[name].raw_errors == total[name].bit_errors == 0 for name in LAYERS)
+    assert counter.false_codewords == 0
+
+
+def test_on_off_keying_errors_are_alike_in_all_layers() -> None:
+    one = films.measure(films.Task(60.0, "ook", (6,)))
+    rates = [one.packets[0].layers[name].raw_errors / one.packets[0].layers[name].raw_bits for name in LAYERS]
+    assert min(rates) > 0.03
+    assert max(rates) < 0.2
+
+
+def test_chapter(monkeypatch: pytest.MonkeyPatch) -> None:
+    short = load_settings("paper", {"channel": {"distance_m": 66.0, "duration_s": 0.72}})
+    monkeypatch.setattr(films, "load_settings", lambda *_: short)
+    done: list[float] = []
+    context = Context(progress=lambda _, share: done.append(share))
+    chapter = ber.chapter(context, [30.0, 60.0], films=1, drives=1)
+    assert chapter.key == "fig13"
+    assert done == sorted(done)
+    assert done[-1] == pytest.approx(1)
+    data = json.loads(json.dumps(chapter.data))
+    assert [row["distance_m"] for row in data["static"]] == [30.0, 60.0]
+    assert data["static"][0]["low"]["raw_errors"] == 0
+    assert data["static"][1]["low"]["raw_bits"] == 3072
+    assert 0.05 < data["static"][1]["low"]["raw_errors"] / 3072 < 0.3
+    assert data["driving"]
+    assert data["false_codewords"] == 0
+    assert all(np.isfinite([c["ratio"], c["p"]]).all() for c in data["comparison"])
+    assert [f.verdict for f in chapter.findings][1] == "shown"
+    assert data["lost"]["driving"]["trials"] == data["lost"]["static"]["trials"] > 0
+    assert len(chapter.pictures) == 2
+    assert all(len(row) == len(t.head) for t in chapter.tables for row in t.rows)

@@ -1,0 +1,215 @@
+"""Trackers on small films, and verdicts that follow the numbers."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from heliograph.base.frames import Frame
+from heliograph.experiments.result import Finding
+from heliograph.experiments.tracking import experiment as tracking
+from heliograph.experiments.tracking.known import GROWTH, SPREAD, KnownPattern, known_leds, known_light
+from heliograph.experiments.tracking.runs import KNOWN, TRACKERS, Film, Run, race
+from heliograph.experiments.tracking.score import Score, score, scores
+from heliograph.experiments.tracking.verdicts import BACKGROUND, OURS, findings, rate_finding, rates
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.receive import Pose
+from heliograph.receive.detect import Detection
+from heliograph.receive.fit import Fit
+
+DAY, DARK = "day", "dark"
+
+
+def settings(background: dict[str, Any]) -> LinkSettings:
+    """An array near the middle of a small camera on a bad road."""
+    channel = {
+        "distance_m": 50.0,
+        "duration_s": 0.24,
+        "road_class": "C",
+        "camera": {"width": 256, "height": 192},
+        "arrays": [{"x_m": 0.2, "y_m": -0.2}],
+        "background": background,
+        "emitter": {"panel_level": 0.0},
+    }
+    return load_settings("paper", {"channel": channel})
+
+
+@pytest.fixture(scope="module")
+def day() -> Run:
+    return race(Film(name=DAY, settings=settings({"kind": "synthetic", "gain": 0.3}), seed=3))
+
+
+@pytest.fixture(scope="module")
+def dark() -> Run:
+    return race(Film(name=DARK, settings=settings({"kind": "flat", "level": 0.0}), seed=3))
+
+
+def test_all_trackers_see_the_same_pairs(day: Run) -> None:
+    assert list(day.errors) == list(TRACKERS)
+    # 120 pairs, the first two are the header that they start from
+    assert {len(errors) for errors in day.errors.values()} == {118}
+    assert len(day.cuts) == 8
+
+
+@pytest.mark.parametrize("name", [OURS, KNOWN])
+@pytest.mark.parametrize("light", [DAY, DARK])
+def test_trackers_of_the_light_need_no_background(name: str, light: str, request: pytest.FixtureRequest) -> None:
+    run = request.getfixturevalue(light)
+    found = score(run, run.errors[name])
+    assert found.rms_px < 0.1
+    assert found.lost == 0
+    assert found.pitch is not None
+    assert found.pitch < 0.03
+
+
+def test_without_tracking_the_array_goes_away(day: Run) -> None:
+    still, ours = (score(day, day.errors[name]) for name in ("none", OURS))
+    assert still.rms_px > 1.0
+    assert still.shake_px > 10 * ours.shake_px
+    assert still.pitch is None
+
+
+def test_the_background_moves_with_the_camera_where_there_is_one(day: Run) -> None:
+    assert score(day, day.errors[BACKGROUND]).shake_px < 0.3 * score(day, day.errors["none"]).shake_px
+
+
+def test_the_background_tells_nothing_where_there_is_none(dark: Run) -> None:
+    assert score(dark, dark.errors[BACKGROUND]).shake_px > 0.5 * score(dark, dark.errors["none"]).shake_px
+
+
+def test_the_background_does_not_see_what_is_near_come_nearer(day: Run) -> None:
+    assert score(day, day.errors[BACKGROUND]).rms_px > 3 * score(day, day.errors[OURS]).rms_px
+
+
+@pytest.mark.parametrize("name", ["OpenCV MIL", "OpenCV template"])
+def test_general_trackers_stay_near(name: str, dark: Run) -> None:
+    assert score(dark, dark.errors[name]).lost == 0
+
+
+def test_known_light_keeps_its_leds_lit_and_is_not_inverted() -> None:
+    link = settings({"kind": "flat"})
+    light = known_light(link, 0, 1)
+    patterns = np.stack([next(light) for _ in range(60)])
+    known = known_leds(16)
+    assert known.sum() == 64
+    assert (patterns[0] + patterns[1] == 4).all()  # the header and its inverse
+    assert (patterns[4:, known] == 4).all()
+    assert not (patterns[4:-1:2] + patterns[5::2] == 4).all((1, 2)).any()
+    # the spread that the fit assumes of data
+    assert patterns[4:, ~known].std() / 4 == pytest.approx(SPREAD, rel=0.05)
+
+
+def test_a_known_pattern_that_is_lost_stays_and_looks_at_no_more_than_before() -> None:
+    link = settings({"kind": "synthetic"})
+    tracker, rng = KnownPattern(link), np.random.default_rng(0)
+    pose = Pose(128.0, 96.0, 1.2, 0.0, 0.8)
+    fit = Fit(pose.vector(), np.diag([0.01, 0.01, 1e-4, 1e-4, 1e-2]), 150.0, 0.99)
+    frames = [Frame(k, 1e-3 * k, rng.integers(0, 255, (192, 256), dtype=np.uint8), 8) for k in range(800)]
+    tracker.start(Detection(0, 0.0, fit, 0.0015, 0.99, 1.0, np.ones((16, 16))), *frames[2:4])
+    found = [tracker.update(one, other) for one, other in zip(frames[4::2], frames[5::2], strict=True)]
+    assert all(GROWTH[0] <= p.pitch / pose.pitch <= GROWTH[1] for p in found)
+    assert all(0 <= p.x < 256 and 0 <= p.y < 192 for p in found)
+
+
+def test_scores_of_known_errors() -> None:
+    n = 200
+    errors = np.column_stack([np.full(n, 0.3), np.full(n, 0.4), np.full(n, np.nan)])
+    errors[0, :2] = 20.0, 0.0
+    times = np.linspace(0, 2e-3 * (n - 1), n)
+    run = Run("film", times, np.full(n, 50.0), np.full(n, 18.0), (times / 0.1 + 1e-6).astype(np.int64), {})
+    found = score(run, errors)
+    assert (found.pairs, found.near, found.lost, found.pitch) == (n, 0, 1, None)
+    assert found.rms_px == pytest.approx(np.sqrt((199 * 0.25 + 400) / 200))
+    steady = np.column_stack([0.3 + 5 * times, 1 - 3 * times, np.zeros(n)])
+    assert score(run, steady).shake_px == pytest.approx(0, abs=1e-9)
+    assert score(run, steady).pitch == 0
+
+
+GOOD = Score(pairs=100, rms_px=0.01, q999_px=0.03, near=100, lost=0, shake_px=0.01, pitch=0.001)
+AWAY = Score(pairs=100, rms_px=9.0, q999_px=20.0, near=0, lost=60, shake_px=0.4, pitch=None)
+
+
+def fake(**changes: Score) -> dict[str, dict[str, Score]]:
+    """A table in which all claims about tracking hold; changes are named film_tracker."""
+    row = dict.fromkeys(TRACKERS, GOOD) | {"none": AWAY}
+    table = {DAY: dict(row), DARK: row | {BACKGROUND: AWAY}}
+    for key, value in changes.items():
+        film, name = key.split("_")
+        table[film][{"ours": OURS, "back": BACKGROUND}.get(name, name)] = value
+    return table
+
+
+def told(table: dict[str, dict[str, Score]], start: str) -> Finding:
+    (found,) = (f for f in findings(table, {"at night": {DARK: [DAY]}}) if f.claim.startswith(start))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("start", "change"),
+    [
+        ("Fig. 11", {"day_none": GOOD}),
+        ("Fig. 12", {"day_ours": replace(GOOD, q999_px=1.5)}),
+        ("Fig. 12", {"dark_ours": replace(GOOD, lost=1)}),
+        ("IV.B.2", {"dark_back": GOOD}),
+        ("IV.B: inverted signals solve", {"dark_ours": replace(GOOD, near=99)}),
+    ],
+)
+def test_verdicts_follow_the_numbers(start: str, change: dict[str, Score]) -> None:
+    assert told(fake(), start).verdict == "holds"
+    assert not told(fake(), start).why
+    other = told(fake(**change), start)
+    assert other.verdict == "differs"
+    assert other.why
+
+
+def test_a_part_of_the_drive_tells_nothing_against_fig_11() -> None:
+    (part,) = (
+        f for f in findings(fake(day_none=GOOD), {"at night": {DARK: [DAY]}}, whole=False) if "Fig. 11" in f.claim
+    )
+    assert part.verdict == "shown"
+    assert DAY in part.why
+
+
+@pytest.mark.parametrize(
+    ("drawn", "clip", "verdict"),
+    [(AWAY, AWAY, "holds"), (GOOD, GOOD, "differs"), (AWAY, GOOD, "shown"), (GOOD, AWAY, "shown")],
+)
+def test_night_is_judged_by_all_dark_films(drawn: Score, clip: Score, verdict: str) -> None:
+    found = night(drawn, clip, by_day=GOOD)
+    assert found.verdict == verdict
+    assert "night-road: " in found.ours
+    assert ("night-road" in found.why) == (verdict != "holds")
+
+
+def night(drawn: Score, clip: Score, by_day: Score) -> Finding:
+    """Judged by the background tracker's scores in a drawn film and a clip at night, and in a clip by day."""
+    table = fake(dark_back=drawn)
+    for name, one in (("night-road", clip), ("dashcam", by_day)):
+        table[name] = table[DARK] | {BACKGROUND: one}
+    films = {DARK: [DAY], **tracking.night_clips(["dashcam", "night-road"])}
+    (found,) = (f for f in findings(table, {"at night": films}) if f.claim.startswith("IV.B.2"))
+    return found
+
+
+def test_a_dark_film_tells_nothing_where_the_background_fails_by_day_too() -> None:
+    for clip in (GOOD, AWAY):
+        by_drawn_alone = night(AWAY, clip, by_day=AWAY)
+        assert by_drawn_alone.verdict == "holds"
+        assert "Not judged: night-road" in by_drawn_alone.why
+    (none,) = (f for f in findings(fake(day_back=AWAY), {"at night": {DARK: [DAY]}}) if f.claim.startswith("IV.B.2"))
+    assert none.verdict == "shown"
+
+
+def test_the_claim_about_data_rate_hangs_on_the_leds_lost() -> None:
+    by = {rate.method: rate.kb_s for rate in rates()}
+    assert (by["inverted signals"], by["known pattern"]) == (128, 192)
+    assert rate_finding(rates()).verdict == "differs"
+    assert rate_finding(rates(lost=129)).verdict == "holds"
+
+
+def test_tables_and_pictures_of_two_films(day: Run, dark: Run) -> None:
+    table = scores([day, dark])
+    for one in tracking.tables(table):
+        assert {len(row) for row in one.rows} == {len(one.head)}
+    assert len(tracking.pictures([day, dark])) == 3
