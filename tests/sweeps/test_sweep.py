@@ -21,7 +21,7 @@ from heliograph.sweeps import dataset, executors, sweep
 from heliograph.sweeps import points as points_module
 from heliograph.sweeps.executors import Result, Work
 from heliograph.sweeps.plan import plan
-from heliograph.sweeps.points import Point, StopRule, Tally, run_job
+from heliograph.sweeps.points import Point, PointTally, StopRule, run_job
 from heliograph.sweeps.store import NAME, Store
 from heliograph.sweeps.vary import grid, parse_vary, varied
 
@@ -128,26 +128,26 @@ def test_all_receivers_get_the_same_films_and_other_scenes_others() -> None:
 
 def test_a_point_ends_by_errors_codewords_seconds_or_emptiness() -> None:
     (point,) = plan({}, "static", SMALL)
-    tally = Tally(point, StopRule(min_errors=5, max_codewords=100, max_seconds=9))
+    tally = PointTally(point, StopRule(min_errors=5, max_codewords=100, max_seconds=9))
     tally.add(0, fake_counts(10, 4), 1.0)
     assert tally.ending is None
     assert tally.share == pytest.approx(0.8)
     tally.add(1, fake_counts(10, 1), 1.0)
     assert tally.ending == "errors"
     for counts, seconds, ending in (((100, 0), 1, "codewords"), ((9, 0), 9, "seconds"), ((9, 0), 1, None)):
-        tally = Tally(point, StopRule(min_errors=5, max_codewords=100, max_seconds=9))
+        tally = PointTally(point, StopRule(min_errors=5, max_codewords=100, max_seconds=9))
         tally.add(0, fake_counts(*counts), seconds)
         assert tally.ending == ending
     for block in range(3):
         assert tally.ending is None or tally.blocks == 1
-        tally = Tally(point, StopRule()) if not block else tally
+        tally = PointTally(point, StopRule()) if not block else tally
         tally.add(block, fake_counts(0, 0), 1.0)
     assert tally.ending == "empty"
 
 
 def test_blocks_count_in_their_order_and_surplus_ones_do_not() -> None:
     (point,) = plan({}, "static", SMALL)
-    tally = Tally(point, StopRule(min_errors=5, max_codewords=20))
+    tally = PointTally(point, StopRule(min_errors=5, max_codewords=20))
     tally.add(2, fake_counts(10, 9), 1.0)
     tally.add(1, fake_counts(10, 1), 1.0)
     assert tally.blocks == 0
@@ -159,7 +159,7 @@ def test_blocks_count_in_their_order_and_surplus_ones_do_not() -> None:
 
 def test_the_report_has_counts_rates_and_intervals() -> None:
     (point,) = plan({}, "static", SMALL)
-    tally = Tally(point, StopRule())
+    tally = PointTally(point, StopRule())
     nothing = tally.report()
     assert nothing["net_bits_per_second"] is None
     assert nothing["layers"]["high"]["fer"] is None
@@ -174,7 +174,7 @@ def test_the_report_has_counts_rates_and_intervals() -> None:
 
 def test_the_report_tells_bounds_and_bits_that_fail_together() -> None:
     (point,) = plan({}, "static", SMALL)
-    tally = Tally(point, StopRule())
+    tally = PointTally(point, StopRule())
     nothing = tally.report()["layers"]["high"]
     assert (nothing["ber_is_bound"], nothing["fer_is_bound"]) == (False, False)
     good = LayerCounts(bits=200 * 512, codewords=200, packets=200)
@@ -199,7 +199,7 @@ def test_stop_rules_are_checked(bad: Mapping[str, Any]) -> None:
 
 def count(output: Path | None, rule: StopRule | None = None, seed: int = 0) -> list[dict[str, Any]]:
     chosen = plan({"channel.distance_m": [40, 70]}, "static", SMALL, seed)
-    tallies = [Tally(point, rule or StopRule(min_errors=5, max_codewords=20)) for point in chosen]
+    tallies = [PointTally(point, rule or StopRule(min_errors=5, max_codewords=20)) for point in chosen]
     sweep.count(tallies, output, workers=1)
     return [tally.report() for tally in tallies]
 
@@ -299,11 +299,11 @@ class Fragile:
 
 
 def test_lost_workers_are_replaced_and_at_last_given_up() -> None:
-    tallies = [Tally(point, StopRule(max_codewords=10)) for point in points()]
+    tallies = [PointTally(point, StopRule(max_codewords=10)) for point in points()]
     with Store() as store:
         sweep.run(tallies, store, Fragile(2))
     assert all(tally.done for tally in tallies)
-    again = [Tally(point, StopRule(max_codewords=10)) for point in points()]
+    again = [PointTally(point, StopRule(max_codewords=10)) for point in points()]
     with Store() as store, pytest.raises(HeliographError, match="died"):
         sweep.run(again, store, Fragile(100))
 
@@ -311,7 +311,7 @@ def test_lost_workers_are_replaced_and_at_last_given_up() -> None:
 def test_an_error_of_a_block_names_its_point() -> None:
     chosen = plan({"channel.camera.fps": [500.0]}, "static", SMALL)
     with pytest.raises(HeliographError, match=r"channel\.camera\.fps=500\.0: the plain receiver"):
-        sweep.count([Tally(point, StopRule()) for point in chosen], workers=1)
+        sweep.count([PointTally(point, StopRule()) for point in chosen], workers=1)
 
 
 def test_a_failure_of_a_worker_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -320,13 +320,13 @@ def test_a_failure_of_a_worker_is_one_line(monkeypatch: pytest.MonkeyPatch) -> N
 
     monkeypatch.setattr(sweep, "run_job", fail)
     with pytest.raises(HeliographError, match="MemoryError: no room"):
-        sweep.count([Tally(points()[0], StopRule())], workers=1)
+        sweep.count([PointTally(points()[0], StopRule())], workers=1)
 
 
 def test_a_worker_of_another_version_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sweep, "run_job", lambda work: {**run_job(work), "version": "0.0.0"})
     with pytest.raises(HeliographError, match="install the same"):
-        sweep.count([Tally(points()[0], StopRule())], workers=1)
+        sweep.count([PointTally(points()[0], StopRule())], workers=1)
 
 
 def imu_point(path: Path, rate: float) -> Point:

@@ -14,7 +14,7 @@ from heliograph.cli import console, options
 
 if TYPE_CHECKING:
     from heliograph.measure.statistics import Count
-    from heliograph.sweeps.points import Tally
+    from heliograph.sweeps.points import PointTally
     from heliograph.sweeps.sweep import Progress
 
 SCALE = 1000
@@ -41,10 +41,10 @@ def run_sweep(
 
     os.environ.update(THREAD_LIMITS)  # NumPy is not imported yet
     from heliograph.sweeps.plan import plan
-    from heliograph.sweeps.points import StopRule, Tally
+    from heliograph.sweeps.points import PointTally, StopRule
 
     points = plan(_varied(vary), preset, _over(file, assignments), seed, *recordings)
-    tallies = [Tally(point, StopRule(**limits)) for point in points]
+    tallies = [PointTally(point, StopRule(**limits)) for point in points]
     logging.disable(logging.CRITICAL)  # what is lost of a cluster is said in one line
     ending = _run(tallies, output, crew)
     if isinstance(ending, Exception) and not any(tally.blocks for tally in tallies):
@@ -58,7 +58,9 @@ def run_sweep(
         raise ending
 
 
-def _run(tallies: "Sequence[Tally]", output: Path | None, crew: tuple[int | None, str | None]) -> BaseException | None:
+def _run(
+    tallies: "Sequence[PointTally]", output: Path | None, crew: tuple[int | None, str | None]
+) -> BaseException | None:
     """Count to the end, or until something ends it: that is returned."""
     from heliograph.sweeps.sweep import count
 
@@ -105,14 +107,14 @@ def _progress(points: int) -> "Iterator[Progress]":
     with Progress(*columns, console=screen, transient=True, speed_estimate_period=SPEED_PERIOD_S) as bar:
         task = bar.add_task("sweeping", total=SCALE * points)
 
-        def show(tallies: "Sequence[Tally]") -> None:
+        def show(tallies: "Sequence[PointTally]") -> None:
             done = f"{sum(t.done for t in tallies)} of {points} points"
             bar.update(task, description=done, completed=round(SCALE * sum(t.share for t in tallies)))
 
         yield show
 
 
-def _show(tallies: "Sequence[Tally]") -> None:
+def _show(tallies: "Sequence[PointTally]") -> None:
     """A line a point and layer: codewords wrong, error rates with intervals, or bounds where no error was met."""
     rows = [row for tally in tallies for row in _rows(tally)]
     head = [*tallies[0].point.choice, "layer", "wrong", "of", "FER (95 %)", "BER (95 %)", "net bit/s"]
@@ -121,7 +123,7 @@ def _show(tallies: "Sequence[Tally]") -> None:
         console.say("  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
 
 
-def _rows(tally: "Tally") -> "Iterator[list[str]]":
+def _rows(tally: "PointTally") -> "Iterator[list[str]]":
     """The net rate, which is of all layers, stands beside the first."""
     net = tally.net_bits_per_second
     rate = "no data" if net is None else f"{net:.0f}"

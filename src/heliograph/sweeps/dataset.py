@@ -10,7 +10,7 @@ from heliograph import __version__
 from heliograph.base.config import to_mapping
 from heliograph.base.errors import HeliographError
 from heliograph.signal.settings import LAYERS
-from heliograph.sweeps.points import Tally
+from heliograph.sweeps.points import PointTally
 
 if TYPE_CHECKING:
     import xarray
@@ -70,7 +70,7 @@ def unit(key: str) -> str:
     return next((name for end, name in UNITS.items() if key.endswith(end)), "1")
 
 
-def to_dataset(vary: Mapping[str, Sequence[Any]], tallies: Sequence[Tally]) -> "xarray.Dataset":
+def to_dataset(vary: Mapping[str, Sequence[Any]], tallies: Sequence[PointTally]) -> "xarray.Dataset":
     """Dataset of the points of a grid, in its order: a dimension for each varied key, and "layer"."""
     import xarray
 
@@ -123,7 +123,7 @@ def _values(values: Sequence[Any]) -> Any:
     return np.array(values) if simple else np.array([json.dumps(v) for v in values])
 
 
-def _provenance(vary: Mapping[str, Sequence[Any]], tallies: Sequence[Tally]) -> dict[str, Any]:
+def _provenance(vary: Mapping[str, Sequence[Any]], tallies: Sequence[PointTally]) -> dict[str, Any]:
     first, rule = tallies[0].point, tallies[0].rule
     shared = to_mapping(first.settings)
     for tally in tallies[1:]:

@@ -126,7 +126,7 @@ def _code_digest() -> str:
     return code.hexdigest()[:12]
 
 
-class Tally:
+class PointTally:
     """Blocks of a point, counted in their order whatever the order in which they come.
 
     Parameters

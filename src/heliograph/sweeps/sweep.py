@@ -13,7 +13,7 @@ from heliograph.base.files import write_whole
 from heliograph.measure.counts import BlockCounts
 from heliograph.sweeps.executors import Workers, open_workers
 from heliograph.sweeps.plan import laid_over, plan
-from heliograph.sweeps.points import StopRule, Tally, build, run_job
+from heliograph.sweeps.points import PointTally, StopRule, build, run_job
 from heliograph.sweeps.store import Store
 from heliograph.sweeps.vary import listed
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 LOSSES = 4
 """Times in a row that workers may be lost without a block done in between."""
 
-Progress = Callable[[Sequence[Tally]], None]
+Progress = Callable[[Sequence[PointTally]], None]
 
 
-def silent(tallies: Sequence[Tally], /) -> None:
+def silent(tallies: Sequence[PointTally], /) -> None:
     """Report no progress."""
 
 
-def run(tallies: Sequence[Tally], store: Store, workers: Workers, progress: Progress = silent) -> None:
+def run(tallies: Sequence[PointTally], store: Store, workers: Workers, progress: Progress = silent) -> None:
     """Count until all points have enough; the tallies hold the results so far at any time.
 
     Parameters
@@ -53,7 +53,7 @@ def run(tallies: Sequence[Tally], store: Store, workers: Workers, progress: Prog
         store.note(tally.point)
         _recall(tally, store)
     progress(tallies)
-    flying: dict[Future[dict[str, Any]], tuple[Tally, int]] = {}
+    flying: dict[Future[dict[str, Any]], tuple[PointTally, int]] = {}
     losses = 0
     while _fill(flying, tallies, store, workers):
         ended, _ = wait(flying, return_when=FIRST_COMPLETED)
@@ -123,13 +123,13 @@ def sweep(
     rule = StopRule(min_errors=min_errors, max_codewords=max_codewords, max_seconds=max_seconds)
     grid = listed(vary)
     points = plan(grid, preset, laid_over(set), seed, _path(background), _path(imu))
-    tallies = [Tally(point, rule) for point in points]
+    tallies = [PointTally(point, rule) for point in points]
     count(tallies, _path(output), None if scheduler and workers == 1 else workers, scheduler)
     return to_dataset(grid, tallies)
 
 
 def count(
-    tallies: Sequence[Tally],
+    tallies: Sequence[PointTally],
     output: Path | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -156,7 +156,7 @@ def count(
                 write_results(output, tallies)
 
 
-def write_results(folder: Path, tallies: Sequence[Tally]) -> None:
+def write_results(folder: Path, tallies: Sequence[PointTally]) -> None:
     """Write points.json and points.csv, each whole or not at all."""
     reports = [tally.report() for tally in tallies]
     write_whole(folder / "points.json", (json.dumps(reports, indent=1) + "\n").encode())
@@ -173,8 +173,8 @@ def write_results(folder: Path, tallies: Sequence[Tally]) -> None:
 
 
 def _fill(
-    flying: dict[Future[dict[str, Any]], tuple[Tally, int]],
-    tallies: Sequence[Tally],
+    flying: dict[Future[dict[str, Any]], tuple[PointTally, int]],
+    tallies: Sequence[PointTally],
     store: Store,
     workers: Workers,
 ) -> bool:
@@ -192,8 +192,8 @@ def _fill(
 
 
 def _next(
-    flying: Mapping[Future[dict[str, Any]], tuple[Tally, int]], tallies: Sequence[Tally], slots: int
-) -> tuple[Tally, int] | None:
+    flying: Mapping[Future[dict[str, Any]], tuple[PointTally, int]], tallies: Sequence[PointTally], slots: int
+) -> tuple[PointTally, int] | None:
     """The next block: of the first points that lack some, the one with fewest under way."""
     ahead: dict[int, list[int]] = {}
     for tally, block in flying.values():
@@ -208,7 +208,7 @@ def _next(
     return tally, block
 
 
-def _take(future: Future[dict[str, Any]], tally: Tally, block: int, store: Store) -> bool:
+def _take(future: Future[dict[str, Any]], tally: PointTally, block: int, store: Store) -> bool:
     """Count and keep a block; whether it was lost with its worker."""
     try:
         result = future.result()
@@ -229,7 +229,7 @@ def _take(future: Future[dict[str, Any]], tally: Tally, block: int, store: Store
     return False
 
 
-def _recall(tally: Tally, store: Store) -> bool:
+def _recall(tally: PointTally, store: Store) -> bool:
     """Count what the store holds; whether there was anything new."""
     new = {block: row for block, row in store.blocks(tally.point, tally.blocks).items() if not tally.has(block)}
     for block, (counts, seconds) in new.items():
