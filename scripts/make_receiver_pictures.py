@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from heliograph.experiments.plots import COLOURS, image_row
+from heliograph.experiments.plots import LAYER_COLOURS, image_row
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose, make_receiver
@@ -102,7 +102,8 @@ def first_round(packet: Packet) -> Figure:
         llr, sent = packet.rounds[0][name].ravel(), packet.sent[name].ravel()
         edges = np.linspace(-15, 15, 61)
         for bit, alpha in ((0, 0.9), (1, 0.4)):
-            axes.hist(np.clip(llr[sent == bit], -15, 15), edges, color=COLOURS[name], alpha=alpha, label=f"sent {bit}")
+            shown, colour = np.clip(llr[sent == bit], -15, 15), LAYER_COLOURS[name]
+            axes.hist(shown, edges, color=colour, alpha=alpha, label=f"sent {bit}")
         wrong = np.mean((llr < 0) != sent)
         axes.set_title(f"{name}: {wrong:.1%} wrong", fontsize=10)
         axes.set_xlabel("LLR")
@@ -128,7 +129,7 @@ def disturbers(packet: Packet) -> Figure:
         others = np.sort(np.abs(np.delete(s[i], i)))[-count:]
         rest, signs = k * s[i, i] - (others**2).sum(), np.array([*product((-1, 1), repeat=count)])
         side = {c: np.logaddexp.reduce([-((u - c * k + others @ x) ** 2) / 2 / rest for x in signs]) for c in (1, -1)}
-        axes.plot(u, side[1] - side[-1], style, color=COLOURS["middle"], label=f"the {count} strongest as +-1")
+        axes.plot(u, side[1] - side[-1], style, color=LAYER_COLOURS["middle"], label=f"the {count} strongest as +-1")
     axes.set(xlabel="statistic u of a middle cell", ylabel="LLR", ylim=(-9, 9))
     axes.legend(frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
@@ -142,7 +143,7 @@ def rounds(packet: Packet) -> Figure:
     axes = figure.subplots()
     for name in LAYERS:
         for word in range(len(packet.sent[name])):
-            axes.plot(*packet.told(name, word), "o-", color=COLOURS[name], label=None if word else name)
+            axes.plot(*packet.told(name, word), "o-", color=LAYER_COLOURS[name], label=None if word else name)
     _finish(axes, len(packet.rounds))
     figure.tight_layout()
     return figure
@@ -153,7 +154,7 @@ def sites(kinds: Mapping[str, Packet]) -> Figure:
     figure = Figure(figsize=(6, 3.2))
     axes = figure.subplots()
     for (name, packet), style in zip(kinds.items(), ("o--", "o-"), strict=True):
-        axes.plot(*packet.told("high", 0), style, color=COLOURS["high"], label=name)
+        axes.plot(*packet.told("high", 0), style, color=LAYER_COLOURS["high"], label=name)
     _finish(axes, max(len(packet.rounds) for packet in kinds.values()))
     figure.tight_layout()
     return figure

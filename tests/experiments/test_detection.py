@@ -1,4 +1,4 @@
-"""False detections: thresholds and curves on made-up scores, the four ways on a few films."""
+"""False detections: thresholds and curves on made-up scores, the four variants on a few films."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -7,24 +7,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
 from heliograph.channel import Placement
-from heliograph.experiments.detection import ablation as cand
+from heliograph.experiments.detection import ablation, trials
 from heliograph.experiments.detection import experiment as detection
-from heliograph.experiments.detection import trials as trials
-from heliograph.experiments.detection.ablation import WAYS, Probe, Scores
-from heliograph.experiments.detection.clutter import backdrops, shoot
-from heliograph.experiments.detection.identities import confusion, small_camera, taken_for
+from heliograph.experiments.detection.ablation import VARIANTS, DetectionScores, VariantDetector
+from heliograph.experiments.detection.clutter import ClipBackdrop, backdrops, film_moment
+from heliograph.experiments.detection.identities import confusion, identities_seen, small_camera
 from heliograph.experiments.detection.lamps import FRAMES, SIZE, drawn_backdrop, lamp_backdrop
-from heliograph.experiments.detection.trials import Effort, Measured
+from heliograph.experiments.detection.trials import DetectionTrials, Effort
 from heliograph.experiments.detection.verdicts import compared, ingredients
-from heliograph.experiments.result import Chapter, Context
+from heliograph.experiments.result import Context, ExperimentResult
 from heliograph.measure.statistics import Count
+from heliograph.media import create_film
 from heliograph.signal.header import IDENTITIES
 
 
 def test_curve_rises_from_nothing_to_all() -> None:
     rng = np.random.default_rng(0)
-    alarms, found = cand.curve(rng.random(50), rng.random(40) ** 0.3)
+    alarms, found = ablation.curve(rng.random(50), rng.random(40) ** 0.3)
     assert alarms == sorted(alarms)
     assert found == sorted(found)
     assert (alarms[0], found[0]) == (0, 0)
@@ -33,27 +35,27 @@ def test_curve_rises_from_nothing_to_all() -> None:
 
 def test_thresholds_let_through_what_they_should() -> None:
     scores = np.arange(100) / 100
-    assert (scores > cand.threshold_for_false(scores, 0.01)).sum() == 1
-    assert (scores > cand.threshold_for_false(scores, 0.0)).sum() == 0
-    assert (scores > cand.threshold_for_found(scores, 0.95)).sum() == 95
+    assert (scores > ablation.threshold_for_false(scores, 0.01)).sum() == 1
+    assert (scores > ablation.threshold_for_false(scores, 0.0)).sum() == 0
+    assert (scores > ablation.threshold_for_found(scores, 0.95)).sum() == 95
     # equal scores pass together
-    assert (np.full(7, 0.5) > cand.threshold_for_found(np.full(7, 0.5), 0.9)).all()
+    assert (np.full(7, 0.5) > ablation.threshold_for_found(np.full(7, 0.5), 0.9)).all()
 
 
 def test_less_needs_intervals_apart() -> None:
-    assert trials.less(Count(100, 0), Count(100, 20))
-    assert trials.less(Count(100, 20), Count(100, 0)) is False
-    assert trials.less(Count(10, 0), Count(10, 2)) is None
+    assert trials.is_lower(Count(100, 0), Count(100, 20))
+    assert trials.is_lower(Count(100, 20), Count(100, 0)) is False
+    assert trials.is_lower(Count(10, 0), Count(10, 2)) is None
 
 
 @pytest.fixture(scope="module")
-def measured() -> Measured:
+def measured() -> DetectionTrials:
     scenes = {"lamps": lamp_backdrop, "drawn scene": drawn_backdrop}
     return trials.measure(scenes, Effort(2, 1, 4, 1), None, Context(seed=3))
 
 
-def test_m_sequence_dominates_at_equal_false_alarms(measured: Measured) -> None:
-    all_on, sequence = measured.scores[WAYS[0].name], measured.scores[WAYS[3].name]
+def test_m_sequence_dominates_at_equal_false_alarms(measured: DetectionTrials) -> None:
+    all_on, sequence = measured.scores[VARIANTS[0].name], measured.scores[VARIANTS[3].name]
     assert sequence.all_false().max() < all_on.all_false().max()
     for distance in trials.DISTANCES:
         for share in (0.0, 0.2, 0.5):
@@ -63,10 +65,10 @@ def test_m_sequence_dominates_at_equal_false_alarms(measured: Measured) -> None:
     assert trials.false_alarms(all_on).errors > trials.false_alarms(sequence).errors
 
 
-def test_films_are_counted_once_by_each_way(measured: Measured) -> None:
-    for way in WAYS:
-        assert measured.scores[way.name].all_false().size == 2 * trials.LAMP_FILMS + 2
-        assert [measured.scores[way.name].all_true(z).size for z in trials.DISTANCES] == [2, 2, 2]
+def test_films_are_counted_once_by_each_way(measured: DetectionTrials) -> None:
+    for variant in VARIANTS:
+        assert measured.scores[variant.name].all_false().size == 2 * trials.LAMP_FILMS + 2
+        assert [measured.scores[variant.name].all_true(z).size for z in trials.DISTANCES] == [2, 2, 2]
     assert {scene: count.trials for scene, count in measured.receiver_false.items()} == {"lamps": 6, "drawn scene": 2}
     assert measured.set_false().trials == 8
     assert [measured.set_found(z, ["lamps"]).trials for z in trials.DISTANCES] == [1, 1, 1]
@@ -85,7 +87,9 @@ def test_lamps_are_judged_apart_from_what_is_filmed() -> None:
     false = {scene: [0.0] * films for scene, films in scenes.items()}
     true = {(scene, z): [0.99] for scene in scenes for z in trials.DISTANCES}
     alarms = false | {"lamps": [0.95] * 60 + [0.0] * 60}
-    counts = Measured({way.name: Scores(alarms if way.detector == "all_on" else false, true) for way in WAYS})
+    counts = DetectionTrials(
+        {variant.name: DetectionScores(alarms if variant.detector == "all_on" else false, true) for variant in VARIANTS}
+    )
     claims = compared(counts)
     assert [one.verdict for one in claims] == ["differs", "holds", "shown", "holds"]
     assert "clip 0 of 40" in claims[0].ours
@@ -99,7 +103,7 @@ def test_films_are_repeatable_and_hold_what_they_say() -> None:
     films = []
     for _ in range(2):
         rng = np.random.default_rng(5)
-        films.append(shoot(lamp_backdrop(rng), rng, None, 50.0, "all_on"))
+        films.append(film_moment(lamp_backdrop(rng), rng, None, 50.0, "all_on"))
     one, other = films
     assert len(one.frames) == FRAMES
     assert all(np.array_equal(a.pixels, b.pixels) for a, b in zip(one.frames, other.frames, strict=True))
@@ -109,9 +113,9 @@ def test_films_are_repeatable_and_hold_what_they_say() -> None:
     light = [frame.pixels[y - 3 : y + 4, x - 3 : x + 4].mean() for frame in one.frames[one.first : one.first + 4]]
     assert min(light[0], light[2]) > 150
     assert max(light[1], light[3]) < 30
-    found = Probe(WAYS[0]).candidates(one)
-    assert cand.score_of_array(found, one.truth, None) > 0.9
-    assert cand.score_of_array(found, one.truth.moved(40, 0), None) == 0
+    found = VariantDetector(VARIANTS[0]).candidates(one)
+    assert ablation.score_of_array(found, one.truth, None) > 0.9
+    assert ablation.score_of_array(found, one.truth.moved(40, 0), None) == 0
 
 
 def test_lamps_change_between_frames() -> None:
@@ -135,21 +139,21 @@ def test_identities_are_told_apart(beside: bool) -> None:
 def test_two_arrays_in_one_view_are_counted_each_at_its_place() -> None:
     places = [Placement(x_m=-0.4, y_m=0.0), Placement(x_m=0.4, y_m=0.1)]
     rng = np.random.default_rng(2)
-    film = shoot(drawn_backdrop(rng), rng, None, 50.0, "m_sequence", (3, 17), small_camera(places))
-    assert taken_for(film) == [3, 17]
+    film = film_moment(drawn_backdrop(rng), rng, None, 50.0, "m_sequence", (3, 17), small_camera(places))
+    assert identities_seen(film) == [3, 17]
     left, right = film.truths
     assert right.x - left.x == pytest.approx(0.8 * 2917 / 50, abs=0.5)
     # where there is no array it is missed, and its neighbour is not taken for it
-    assert taken_for(replace(film, truths=(left.moved(0, 60), right))) == [IDENTITIES, 17]
+    assert identities_seen(replace(film, truths=(left.moved(0, 60), right))) == [IDENTITIES, 17]
 
 
 def test_best_of_nothing() -> None:
-    assert cand.best_false([]) is None
-    assert Scores({}, {}).all_false().size == 0
+    assert ablation.best_false([]) is None
+    assert DetectionScores({}, {}).all_false().size == 0
 
 
-def test_chapter_has_counts() -> None:
-    done: Chapter = detection.run(Context(), Effort(1, 1, 4, 1, 15))
+def test_the_result_has_counts() -> None:
+    done: ExperimentResult = detection.run(Context(), Effort(1, 1, 4, 1, 15))
     assert done.key == "fig6"
     assert all(" of " in finding.ours for finding in done.findings)
     assert [finding.verdict for finding in done.findings[-2:]] == ["shown", "shown"]
@@ -160,7 +164,26 @@ def test_chapter_has_counts() -> None:
 def test_clips_are_backdrops(data: Path) -> None:
     scenes = backdrops({"night": data / "driving" / "night-road.mp4"}, 4)
     rng = np.random.default_rng(0)
-    film = shoot(scenes["night"](rng), rng, None)
+    film = film_moment(scenes["night"](rng), rng, None)
     assert film.truth is None
     assert film.frames[0].pixels.shape == (512, 1024)
     assert film.frames[0].pixels.std() > 5
+
+
+def clip_of(path: Path, level: int) -> None:
+    """A clip of four frames of one gray level."""
+    with create_film(path, width=64, height=48, rate_hz=30) as film:
+        for k in range(4):
+            film.write(Frame(k, k / 30, np.full((48, 64), level, np.uint8)))
+
+
+def test_a_clip_that_is_replaced_is_read_anew(tmp_path: Path) -> None:
+    path, rng = tmp_path / "clip.mkv", np.random.default_rng(0)
+    levels = []
+    for level in (40, 200):
+        clip_of(path, level)
+        levels.append(int(next(iter(ClipBackdrop(path, 4)(rng).footage.frames())).mean()))
+    assert levels == pytest.approx([40, 200], abs=1)
+    path.unlink()
+    with pytest.raises(MediaError, match="cannot read"):
+        ClipBackdrop(path, 4)(rng)

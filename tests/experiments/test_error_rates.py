@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
-from heliograph.experiments.error_rates import comparison, films, verdicts
-from heliograph.experiments.error_rates import experiment as ber
+from heliograph.experiments.error_rates import comparison, experiment, films, verdicts
 from heliograph.experiments.result import Context
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import simulate
@@ -22,13 +21,13 @@ from heliograph.signal.settings import LAYERS
 NONE_LOST = Count(200, 0), Count(200, 0)
 
 
-def records(rate: float, count: int, rng: np.random.Generator) -> list[films.Record]:
+def records(rate: float, count: int, rng: np.random.Generator) -> list[films.PacketRecord]:
     """Packets at 50 m to 60 m whose error rates vary from packet to packet more than bits do."""
     out = []
     for z in np.linspace(50.1, 59.9, count):
         errors = rng.binomial(3072, min(rate * rng.lognormal(0, 0.3), 0.5), 3)
         layers = {n: LayerCounts(raw_bits=3072, raw_errors=int(e)) for n, e in zip(LAYERS, errors, strict=True)}
-        out.append(films.Record(float(z), layers))
+        out.append(films.PacketRecord(float(z), layers))
     return out
 
 
@@ -113,7 +112,7 @@ def test_layers_of_which_nothing_was_read_are_not_compared() -> None:
     ],
 )
 def test_reasons_of_wrong_codewords(counts: LayerCounts, verdict: str, why: str) -> None:
-    finding = next(verdicts.error_free(films.Sums({77.5: dict.fromkeys(LAYERS, counts)})))
+    finding = next(verdicts.error_free(films.CountsByDistance({77.5: dict.fromkeys(LAYERS, counts)})))
     assert finding.verdict == verdict
     assert why in finding.why
     assert bool(finding.why) == bool(why)
@@ -133,7 +132,7 @@ class Deaf:
 @pytest.mark.parametrize(("times", "packets", "lost"), [(0, 0, 1), (2, 1, 0)])
 def test_lost_and_repeated_packets(monkeypatch: pytest.MonkeyPatch, times: int, packets: int, lost: int) -> None:
     monkeypatch.setattr(films, "make_receiver", lambda *args: Deaf(Receiver(*args), times))
-    one = films.measure(films.Task(35.0, "haar", (7,)))
+    one = films.count_film(films.FilmTask(35.0, "haar", (7,)))
     assert (len(one.packets), list(one.lost)) == (packets, [37.5] * lost)
     assert films.lost_packets([one, one]) == Count(2, 2 * lost)
 
@@ -180,22 +179,22 @@ def test_on_off_keying_end_to_end() -> None:
 
 
 def test_on_off_keying_errors_are_alike_in_all_layers() -> None:
-    one = films.measure(films.Task(60.0, "ook", (6,)))
+    one = films.count_film(films.FilmTask(60.0, "ook", (6,)))
     rates = [one.packets[0].layers[name].raw_errors / one.packets[0].layers[name].raw_bits for name in LAYERS]
     assert min(rates) > 0.03
     assert max(rates) < 0.2
 
 
-def test_chapter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
     short = load_settings("paper", {"channel": {"distance_m": 66.0, "duration_s": 0.72}})
     monkeypatch.setattr(films, "load_settings", lambda *_: short)
     done: list[float] = []
     context = Context(progress=lambda _, share: done.append(share))
-    chapter = ber.chapter(context, [30.0, 60.0], films=1, drives=1)
-    assert chapter.key == "fig13"
+    result = experiment.run(context, experiment.Effort([30.0, 60.0], films=1, drives=1))
+    assert result.key == "fig13"
     assert done == sorted(done)
     assert done[-1] == pytest.approx(1)
-    data = json.loads(json.dumps(chapter.data))
+    data = json.loads(json.dumps(result.data))
     assert [row["distance_m"] for row in data["static"]] == [30.0, 60.0]
     assert data["static"][0]["low"]["raw_errors"] == 0
     assert data["static"][1]["low"]["raw_bits"] == 3072
@@ -203,7 +202,7 @@ def test_chapter(monkeypatch: pytest.MonkeyPatch) -> None:
     assert data["driving"]
     assert data["false_codewords"] == 0
     assert all(np.isfinite([c["ratio"], c["p"]]).all() for c in data["comparison"])
-    assert [f.verdict for f in chapter.findings][1] == "shown"
+    assert [f.verdict for f in result.findings][1] == "shown"
     assert data["lost"]["driving"]["trials"] == data["lost"]["static"]["trials"] > 0
-    assert len(chapter.pictures) == 2
-    assert all(len(row) == len(t.head) for t in chapter.tables for row in t.rows)
+    assert len(result.pictures) == 2
+    assert all(len(row) == len(t.head) for t in result.tables for row in t.rows)

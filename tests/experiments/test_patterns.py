@@ -1,4 +1,4 @@
-"""Chapters of single figures: they run, count, and judge by what they counted."""
+"""Experiments on single patterns: they run, count, and judge by what they counted."""
 
 import io
 import json
@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 from heliograph.experiments.patterns import header, inverse, packet, parameters, pwm, received
-from heliograph.experiments.result import Chapter, Context
+from heliograph.experiments.result import Context, ExperimentResult
 from heliograph.link.settings import load_settings
 
 MODULES = {"fig3": received, "fig4": pwm, "fig5": packet, "fig7": header, "fig8": inverse, "tables": parameters}
 
 
 @pytest.fixture(scope="module")
-def chapters() -> dict[str, Chapter]:
+def results() -> dict[str, ExperimentResult]:
     return {key: module.run(Context()) for key, module in MODULES.items()}
 
 
 @pytest.mark.parametrize("key", MODULES)
-def test_chapters_are_whole(key: str, chapters: dict[str, Chapter]) -> None:
-    done = chapters[key]
+def test_results_are_whole(key: str, results: dict[str, ExperimentResult]) -> None:
+    done = results[key]
     assert done.key == key
     assert done.findings
     assert all(any(letter.isdigit() for letter in finding.ours) for finding in done.findings)
@@ -34,20 +34,20 @@ def test_chapters_are_whole(key: str, chapters: dict[str, Chapter]) -> None:
         assert all(len(row) == len(table.head) for row in table.rows)
 
 
-def test_leds_are_resolved_near_only(chapters: dict[str, Chapter]) -> None:
-    contrast = chapters["fig3"].data["contrast"]
+def test_leds_are_resolved_near_only(results: dict[str, ExperimentResult]) -> None:
+    contrast = results["fig3"].data["contrast"]
     assert min(contrast["10 m"]) > 0.9
     assert max(contrast["70 m"]) < 0.05
     means = [np.mean(values) for values in contrast.values()]
     assert means[:6] == sorted(means[:6], reverse=True)
 
 
-def test_exposure_integrates_the_pulses(chapters: dict[str, Chapter]) -> None:
-    data = chapters["fig4"].data
+def test_exposure_integrates_the_pulses(results: dict[str, ExperimentResult]) -> None:
+    data = results["fig4"].data
     assert np.mean(data["1 ms"], 0) == pytest.approx([0, 0.25, 0.5, 0.75, 1], abs=0.01)
     # half of T_b sees two slots of four
     assert np.mean(data["0.5 ms"], 0) == pytest.approx([0, 0.5, 1, 1, 1], abs=0.01)
-    assert [f.verdict for f in chapters["fig4"].findings] == ["holds", "differs"]
+    assert [f.verdict for f in results["fig4"].findings] == ["holds", "differs"]
 
 
 def test_a_reason_is_given_only_where_half_an_exposure_differs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,29 +56,29 @@ def test_a_reason_is_given_only_where_half_an_exposure_differs(monkeypatch: pyte
     assert (half.verdict, half.why) == ("holds", "")
 
 
-def test_packets_hold_headers_and_inverses(chapters: dict[str, Chapter]) -> None:
-    assert chapters["fig5"].findings[0].verdict == "holds"
-    assert "6 of 6" in chapters["fig5"].findings[0].ours
-    assert "150 of 150" in chapters["fig5"].findings[0].ours
+def test_packets_hold_headers_and_inverses(results: dict[str, ExperimentResult]) -> None:
+    assert results["fig5"].findings[0].verdict == "holds"
+    assert "6 of 6" in results["fig5"].findings[0].ours
+    assert "150 of 150" in results["fig5"].findings[0].ours
 
 
-def test_header_is_read_at_25_m(chapters: dict[str, Chapter]) -> None:
-    assert chapters["fig7"].data["wrong_cells"]["25 m"] == [0, 160]
-    assert {f.verdict for f in chapters["fig7"].findings} == {"holds"}
+def test_header_is_read_at_25_m(results: dict[str, ExperimentResult]) -> None:
+    assert results["fig7"].data["wrong_cells"]["25 m"] == [0, 160]
+    assert {f.verdict for f in results["fig7"].findings} == {"holds"}
 
 
-def test_sum_is_uniform_unless_leds_saturate(chapters: dict[str, Chapter]) -> None:
-    data = chapters["fig8"].data
+def test_sum_is_uniform_unless_leds_saturate(results: dict[str, ExperimentResult]) -> None:
+    data = results["fig8"].data
     for distance in ("50 m", "80 m"):
         single, both, on = data[distance]["bright"]
         assert both - on < 0.05 * single
     single, both, on = data["10 m"]["dim"]
     assert both - on < 0.05 * single
-    assert "saturate" in chapters["fig8"].findings[0].why
+    assert "saturate" in results["fig8"].findings[0].why
 
 
-def test_tables_compare_the_preset(chapters: dict[str, Chapter]) -> None:
-    assert [f.verdict for f in chapters["tables"].findings] == ["holds", "holds", "holds", "differs"]
+def test_tables_compare_the_preset(results: dict[str, ExperimentResult]) -> None:
+    assert [f.verdict for f in results["tables"].findings] == ["holds", "holds", "holds", "differs"]
     other = load_settings("motorway")
     off = [row.name for row in parameters.EXPERIMENT if not row.equal(other)]
     assert off == ["vehicle speed", "distance, from"]

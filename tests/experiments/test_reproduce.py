@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.cli.main import app
 from heliograph.experiments import reproduce as book
-from heliograph.experiments.result import Chapter, Context, Finding
+from heliograph.experiments.result import Context, ExperimentResult, Finding
 
 
 def test_all_experiments_by_default_and_each_once() -> None:
@@ -19,7 +19,7 @@ def test_all_experiments_by_default_and_each_once() -> None:
 
 
 def test_unknown_figure_names_the_nearest() -> None:
-    with pytest.raises(HeliographError, match="unknown figure 'fig133'; did you mean 'fig13'"):
+    with pytest.raises(HeliographError, match="unknown experiment 'fig133'; did you mean 'fig13'"):
         book.chosen(["fig133"])
 
 
@@ -49,7 +49,7 @@ def test_report_pictures_and_data(tmp_path: Path) -> None:
 
 
 def test_what_was_done_before_an_interruption_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done = Chapter("fig5", "first", "text", findings=[Finding("claim", "12 of 13 | more", "holds")])
+    done = ExperimentResult("fig5", "first", "text", findings=[Finding("claim", "12 of 13 | more", "holds")])
 
     def module(name: str) -> SimpleNamespace:
         return SimpleNamespace(

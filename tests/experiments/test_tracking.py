@@ -10,8 +10,9 @@ from heliograph.base.frames import Frame
 from heliograph.experiments.result import Finding
 from heliograph.experiments.tracking import experiment as tracking
 from heliograph.experiments.tracking.known import GROWTH, SPREAD, KnownPattern, known_leds, known_light
-from heliograph.experiments.tracking.runs import KNOWN, TRACKERS, Film, Run, race
-from heliograph.experiments.tracking.score import Score, score, scores
+from heliograph.experiments.tracking.pictures import pictures
+from heliograph.experiments.tracking.runs import KNOWN, TRACKERS, TrackingFilm, TrackingRun, run_trackers
+from heliograph.experiments.tracking.score import TrackingScore, score, scores
 from heliograph.experiments.tracking.verdicts import BACKGROUND, OURS, findings, rate_finding, rates
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.receive import Pose
@@ -36,16 +37,16 @@ def settings(background: dict[str, Any]) -> LinkSettings:
 
 
 @pytest.fixture(scope="module")
-def day() -> Run:
-    return race(Film(name=DAY, settings=settings({"kind": "synthetic", "gain": 0.3}), seed=3))
+def day() -> TrackingRun:
+    return run_trackers(TrackingFilm(name=DAY, settings=settings({"kind": "synthetic", "gain": 0.3}), seed=3))
 
 
 @pytest.fixture(scope="module")
-def dark() -> Run:
-    return race(Film(name=DARK, settings=settings({"kind": "flat", "level": 0.0}), seed=3))
+def dark() -> TrackingRun:
+    return run_trackers(TrackingFilm(name=DARK, settings=settings({"kind": "flat", "level": 0.0}), seed=3))
 
 
-def test_all_trackers_see_the_same_pairs(day: Run) -> None:
+def test_all_trackers_see_the_same_pairs(day: TrackingRun) -> None:
     assert list(day.errors) == list(TRACKERS)
     # 120 pairs, the first two are the header that they start from
     assert {len(errors) for errors in day.errors.values()} == {118}
@@ -63,27 +64,27 @@ def test_trackers_of_the_light_need_no_background(name: str, light: str, request
     assert found.pitch < 0.03
 
 
-def test_without_tracking_the_array_goes_away(day: Run) -> None:
+def test_without_tracking_the_array_goes_away(day: TrackingRun) -> None:
     still, ours = (score(day, day.errors[name]) for name in ("none", OURS))
     assert still.rms_px > 1.0
     assert still.shake_px > 10 * ours.shake_px
     assert still.pitch is None
 
 
-def test_the_background_moves_with_the_camera_where_there_is_one(day: Run) -> None:
+def test_the_background_moves_with_the_camera_where_there_is_one(day: TrackingRun) -> None:
     assert score(day, day.errors[BACKGROUND]).shake_px < 0.3 * score(day, day.errors["none"]).shake_px
 
 
-def test_the_background_tells_nothing_where_there_is_none(dark: Run) -> None:
+def test_the_background_tells_nothing_where_there_is_none(dark: TrackingRun) -> None:
     assert score(dark, dark.errors[BACKGROUND]).shake_px > 0.5 * score(dark, dark.errors["none"]).shake_px
 
 
-def test_the_background_does_not_see_what_is_near_come_nearer(day: Run) -> None:
+def test_the_background_does_not_see_what_is_near_come_nearer(day: TrackingRun) -> None:
     assert score(day, day.errors[BACKGROUND]).rms_px > 3 * score(day, day.errors[OURS]).rms_px
 
 
 @pytest.mark.parametrize("name", ["OpenCV MIL", "OpenCV template"])
-def test_general_trackers_stay_near(name: str, dark: Run) -> None:
+def test_general_trackers_stay_near(name: str, dark: TrackingRun) -> None:
     assert score(dark, dark.errors[name]).lost == 0
 
 
@@ -117,7 +118,7 @@ def test_scores_of_known_errors() -> None:
     errors = np.column_stack([np.full(n, 0.3), np.full(n, 0.4), np.full(n, np.nan)])
     errors[0, :2] = 20.0, 0.0
     times = np.linspace(0, 2e-3 * (n - 1), n)
-    run = Run("film", times, np.full(n, 50.0), np.full(n, 18.0), (times / 0.1 + 1e-6).astype(np.int64), {})
+    run = TrackingRun("film", times, np.full(n, 50.0), np.full(n, 18.0), (times / 0.1 + 1e-6).astype(np.int64), {})
     found = score(run, errors)
     assert (found.pairs, found.near, found.lost, found.pitch) == (n, 0, 1, None)
     assert found.rms_px == pytest.approx(np.sqrt((199 * 0.25 + 400) / 200))
@@ -126,11 +127,11 @@ def test_scores_of_known_errors() -> None:
     assert score(run, steady).pitch == 0
 
 
-GOOD = Score(pairs=100, rms_px=0.01, q999_px=0.03, near=100, lost=0, shake_px=0.01, pitch=0.001)
-AWAY = Score(pairs=100, rms_px=9.0, q999_px=20.0, near=0, lost=60, shake_px=0.4, pitch=None)
+GOOD = TrackingScore(pairs=100, rms_px=0.01, q999_px=0.03, near=100, lost=0, shake_px=0.01, pitch=0.001)
+AWAY = TrackingScore(pairs=100, rms_px=9.0, q999_px=20.0, near=0, lost=60, shake_px=0.4, pitch=None)
 
 
-def fake(**changes: Score) -> dict[str, dict[str, Score]]:
+def fake(**changes: TrackingScore) -> dict[str, dict[str, TrackingScore]]:
     """A table in which all claims about tracking hold; changes are named film_tracker."""
     row = dict.fromkeys(TRACKERS, GOOD) | {"none": AWAY}
     table = {DAY: dict(row), DARK: row | {BACKGROUND: AWAY}}
@@ -140,7 +141,7 @@ def fake(**changes: Score) -> dict[str, dict[str, Score]]:
     return table
 
 
-def told(table: dict[str, dict[str, Score]], start: str) -> Finding:
+def told(table: dict[str, dict[str, TrackingScore]], start: str) -> Finding:
     (found,) = (f for f in findings(table, {"at night": {DARK: [DAY]}}) if f.claim.startswith(start))
     return found
 
@@ -155,7 +156,7 @@ def told(table: dict[str, dict[str, Score]], start: str) -> Finding:
         ("IV.B: inverted signals solve", {"dark_ours": replace(GOOD, near=99)}),
     ],
 )
-def test_verdicts_follow_the_numbers(start: str, change: dict[str, Score]) -> None:
+def test_verdicts_follow_the_numbers(start: str, change: dict[str, TrackingScore]) -> None:
     assert told(fake(), start).verdict == "holds"
     assert not told(fake(), start).why
     other = told(fake(**change), start)
@@ -175,14 +176,14 @@ def test_a_part_of_the_drive_tells_nothing_against_fig_11() -> None:
     ("drawn", "clip", "verdict"),
     [(AWAY, AWAY, "holds"), (GOOD, GOOD, "differs"), (AWAY, GOOD, "shown"), (GOOD, AWAY, "shown")],
 )
-def test_night_is_judged_by_all_dark_films(drawn: Score, clip: Score, verdict: str) -> None:
+def test_night_is_judged_by_all_dark_films(drawn: TrackingScore, clip: TrackingScore, verdict: str) -> None:
     found = night(drawn, clip, by_day=GOOD)
     assert found.verdict == verdict
     assert "night-road: " in found.ours
     assert ("night-road" in found.why) == (verdict != "holds")
 
 
-def night(drawn: Score, clip: Score, by_day: Score) -> Finding:
+def night(drawn: TrackingScore, clip: TrackingScore, by_day: TrackingScore) -> Finding:
     """Judged by the background tracker's scores in a drawn film and a clip at night, and in a clip by day."""
     table = fake(dark_back=drawn)
     for name, one in (("night-road", clip), ("dashcam", by_day)):
@@ -208,8 +209,8 @@ def test_the_claim_about_data_rate_hangs_on_the_leds_lost() -> None:
     assert rate_finding(rates(lost=129)).verdict == "holds"
 
 
-def test_tables_and_pictures_of_two_films(day: Run, dark: Run) -> None:
+def test_tables_and_pictures_of_two_films(day: TrackingRun, dark: TrackingRun) -> None:
     table = scores([day, dark])
     for one in tracking.tables(table):
         assert {len(row) for row in one.rows} == {len(one.head)}
-    assert len(tracking.pictures([day, dark])) == 3
+    assert len(pictures([day, dark])) == 3

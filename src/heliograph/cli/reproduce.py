@@ -29,13 +29,13 @@ def run_reproduce(
                 advance(done)
 
             context = Context(**known, progress=lambda _, share: advance(done + share))
-            chapters = reproduce(keys, context, output, begin)
+            results = reproduce(keys, context, output, begin)
     except KeyboardInterrupt:
         console.complain(f"interrupted; {output} holds the experiments done so far")
         sys.exit(console.INTERRUPTED)
-    for chapter in chapters:
-        for finding in chapter.findings:
-            console.say(f"{chapter.key:8} {finding.verdict:8} {finding.claim} Measured: {finding.ours}")
+    for result in results:
+        for finding in result.findings:
+            console.say(f"{result.key:8} {finding.verdict:8} {finding.claim} Measured: {finding.ours}")
     if quick:
         console.say("a quick run: the intervals are wide")
     console.say(f"look at {output / 'report.html'}")

@@ -1,21 +1,49 @@
-"""Pictures of a reception."""
+"""Colours and pictures that several experiments share."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from heliograph.measure.counts import LayerCounts
 from heliograph.measure.errors import BIN_M
+from heliograph.measure.statistics import Count
 from heliograph.signal.settings import LAYERS
 
-COLOURS = {"high": "#1b6ca8", "middle": "#d1741f", "low": "#5b8c3a"}
+BLUE, ORANGE, GREEN, PINK, PURPLE = "#1b6ca8", "#d1741f", "#5b8c3a", "#b5446e", "#6b4fa0"
+VIOLET, RED = "#8e44ad", "#c0392b"
+BLACK, DARK_GRAY, GRAY, MIDDLE_GRAY = "#1d2126", "#4a5056", "#8a929b", "#9aa1a8"
+LIGHT_GRAY, PALE_GRAY = "#c9ced6", "#eef0f2"
+MARK = "#ff6b35"
+"""Colour that marks a place in an image."""
+
+LAYER_COLOURS = {"high": BLUE, "middle": ORANGE, "low": GREEN}
+"""Colour of each layer."""
+
+
+def tidy(axes: Axes) -> None:
+    """Take the upper and the right line of the frame off, and draw a pale grid."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.25, lw=0.6)
 
 
 def image_row(images: Sequence[NDArray[Any]], titles: Sequence[str], rows: int = 1, largest: float = 255) -> Figure:
-    """Gray images side by side, in `rows` rows, each with a title."""
+    """Gray images side by side, each with a title.
+
+    Parameters
+    ----------
+    images
+        Each (height, width), 0 for black.
+    titles
+        One an image.
+    rows
+        Rows to put them in.
+    largest
+        Value that is drawn white.
+    """
     columns = -(-len(images) // rows)
     figure = Figure(figsize=(min(2.0 * columns, 12), 2.3 * rows))
     for k, (image, title) in enumerate(zip(images, titles, strict=True)):
@@ -28,7 +56,19 @@ def image_row(images: Sequence[NDArray[Any]], titles: Sequence[str], rows: int =
 
 
 def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, title: str, largest: float = 255) -> Figure:
-    """A whole frame, the array marked, and the array enlarged beside it."""
+    """A whole frame, the array marked, and the array enlarged beside it.
+
+    Parameters
+    ----------
+    pixels
+        (height, width) gray levels.
+    x, y, half
+        Centre and half the side of the square to mark and enlarge, in px.
+    title
+        Of the whole frame.
+    largest
+        Gray level that is drawn white.
+    """
     figure = Figure(figsize=(12, 3.6))
     whole, near = figure.subplots(1, 2, width_ratios=(2.2, 1))
     whole.imshow(pixels, cmap="gray", vmin=0, vmax=largest)
@@ -36,7 +76,7 @@ def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, titl
         axes.set_xticks([])
         axes.set_yticks([])
     box_x = [x - half, x + half, x + half, x - half, x - half]
-    whole.plot(box_x, [y - half, y - half, y + half, y + half, y - half], color="#ff6b35", lw=1)
+    whole.plot(box_x, [y - half, y - half, y + half, y + half, y - half], color=MARK, lw=1)
     near.imshow(pixels, cmap="gray", vmin=0, vmax=largest, interpolation="nearest")
     near.set_xlim(x - half, x + half)
     near.set_ylim(y + half, y - half)
@@ -47,28 +87,39 @@ def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, titl
 
 
 def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping[str, NDArray[Any]]) -> Figure:
-    """Position and distance over time, found and true, and the errors of position."""
+    """Position and distance over time, found and true, and the errors of position.
+
+    Parameters
+    ----------
+    times
+        (n,) in s.
+    found, truth
+        "x" and "y" in px and "distance_m", (n,) each.
+    """
     figure = Figure(figsize=(12, 6))
     axes = figure.subplots(2, 2, sharex=True)
     panels = (("x", "x (px)"), ("y", "y (px)"), ("distance_m", "distance (m)"))
     for (name, label), place in zip(panels, axes.flat, strict=False):
         place.plot(times, truth[name], color="#b9c0c8", lw=3, label="true")
-        place.plot(times, found[name], color="#1b6ca8", lw=0.8, label="found")
+        place.plot(times, found[name], color=BLUE, lw=0.8, label="found")
         place.set_ylabel(label)
     axes[0, 0].legend(frameon=False)
-    for name, colour in (("x", "#1b6ca8"), ("y", "#d1741f")):
+    for name, colour in (("x", BLUE), ("y", ORANGE)):
         axes[1, 1].plot(times, found[name] - truth[name], color=colour, lw=0.6, label=f"error of {name}")
     axes[1, 1].set_ylabel("error (px)")
     axes[1, 1].set_ylim(-0.3, 0.3)
     axes[1, 1].legend(frameon=False, ncols=2)
     for place in axes[1]:
         place.set_xlabel("time (s)")
-    _clean(figure)
+    _tidy_all(figure)
     return figure
 
 
 def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]]) -> Figure:
-    """Bit error rate before and after the turbo code, by layer; no error counted is an arrow at its upper bound."""
+    """Bit error rate before and after the turbo code, by layer; no error counted is an arrow at its upper bound.
+
+    `bins` holds counts by the lower edge of the distance bin in m, and by layer.
+    """
     figure = Figure(figsize=(12, 4.2))
     for axes, kind, title in zip(figure.subplots(1, 2), ("raw", "decoded_bits"), ("before", "after"), strict=True):
         for name in LAYERS:
@@ -81,12 +132,12 @@ def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]]) -> Figur
         axes.set_title(f"{title} the turbo code", fontsize=10)
         if axes.get_legend_handles_labels()[0]:  # nothing received: no bit counted
             axes.legend(frameon=False)
-    _clean(figure)
+    _tidy_all(figure)
     return figure
 
 
-def _error_line(axes: Any, counts: Sequence[tuple[float, Any]], name: str) -> None:
-    colour = COLOURS[name]
+def _error_line(axes: Axes, counts: Sequence[tuple[float, Count]], name: str) -> None:
+    colour = LAYER_COLOURS[name]
     seen = [(z, c.rate, *c.interval()) for z, c in counts if c.errors]
     if seen:
         z, rate, low, high = np.array(seen).T
@@ -98,8 +149,7 @@ def _error_line(axes: Any, counts: Sequence[tuple[float, Any]], name: str) -> No
         axes.plot(z, bound, color=colour, marker=r"$\downarrow$", ms=9, ls="none", alpha=0.7, label=label)
 
 
-def _clean(figure: Figure) -> None:
+def _tidy_all(figure: Figure) -> None:
     for axes in figure.axes:
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.grid(alpha=0.25, lw=0.6)
+        tidy(axes)
     figure.tight_layout()

@@ -1,4 +1,4 @@
-"""The paper's experiments, each with its claims beside what was measured."""
+"""Experiments run by name, and their report: each claim beside the measurement."""
 
 import io
 import json
@@ -11,13 +11,13 @@ from typing import Any
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.base.files import write_whole
 from heliograph.experiments.report import Report
-from heliograph.experiments.result import Chapter, Context, Finding
+from heliograph.experiments.result import Context, ExperimentResult, Finding
 
 EXPERIMENTS = {
     "fig3": ("patterns.received", "received image at 10 m and 70 m"),
     "fig4": ("patterns.pwm", "pulse width modulation and the exposure"),
     "fig5": ("patterns.packet", "packet format"),
-    "fig6": ("detection.experiment", "false detections, and identities told apart"),
+    "fig6": ("detection.experiment", "false detections and identities"),
     "fig7": ("patterns.header", "the header near and at 25 m"),
     "fig8": ("patterns.inverse", "inverted pattern and sum (Fig. 8 and 9)"),
     "fig11": ("tracking.experiment", "tracking over a drive (Fig. 11 and 12)"),
@@ -25,19 +25,19 @@ EXPERIMENTS = {
     "tables": ("patterns.parameters", "Tables I and II, data rates"),
     "flicker": ("flicker.experiment", "flicker of the whole array"),
     "systems": ("systems.experiment", "other systems in the same channel"),
-    "soft": ("calibration.experiment", "the soft receiver: likelihoods and distances"),
+    "soft": ("calibration.experiment", "the soft receiver: calibration of LLRs, and distances"),
 }
-"""Experiments by name: the module below this package that runs each, and what it shows."""
+"""Experiments that are run by default, by name: the module below this package that runs each, and its subject."""
 
-ALIASES = {"fig9": "fig8", "fig12": "fig11", "table1": "tables", "table2": "tables"}
+ALIASES = {"fig9": "fig8", "fig12": "fig11", "table1": "tables", "table2": "tables", "calibration": "soft"}
 
 CLIPS = "driving"
 IMU = Path("motion") / "car-imu.csv"
-"""Where a folder of recordings has its clips and its motion trace."""
+"""Places of clips and motion trace in a folder of recordings."""
 
 
 def chosen(names: Sequence[str]) -> list[str]:
-    """Names of experiments as asked for, all where none is named.
+    """Names of experiments as asked for, those of `EXPERIMENTS` where none is named.
 
     Raises
     ------
@@ -49,12 +49,18 @@ def chosen(names: Sequence[str]) -> list[str]:
         if key not in EXPERIMENTS:
             close = get_close_matches(key, [*EXPERIMENTS, *ALIASES], 1)
             hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(EXPERIMENTS)}"
-            raise SettingsError(f"unknown figure '{key}'; {hint}")
+            raise SettingsError(f"unknown experiment '{key}'; {hint}")
     return list(dict.fromkeys(keys)) or list(EXPERIMENTS)
 
 
 def recordings_in(folder: Path | None) -> dict[str, Any]:
-    """Clips and motion trace of a folder of recordings, as fields of `Context`."""
+    """Clips and motion trace of a folder of recordings, as fields of `Context`; none for None.
+
+    Raises
+    ------
+    MediaError
+        The folder has no clips.
+    """
     if folder is None:
         return {}
     clips = {path.stem: path for path in sorted((folder / CLIPS).glob("*.mp4"))}
@@ -64,7 +70,9 @@ def recordings_in(folder: Path | None) -> dict[str, Any]:
     return {"clips": clips, "imu": imu if imu.is_file() else None}
 
 
-def reproduce(keys: Sequence[str], context: Context, folder: Path, begin: Callable[[str, str], None]) -> list[Chapter]:
+def reproduce(
+    keys: Sequence[str], context: Context, folder: Path, begin: Callable[[str, str], None]
+) -> list[ExperimentResult]:
     """Run experiments and write the report anew after each, so that an interrupted run leaves what it had.
 
     Parameters
@@ -72,26 +80,36 @@ def reproduce(keys: Sequence[str], context: Context, folder: Path, begin: Callab
     keys
         Names of `EXPERIMENTS`.
     context
-        What they may use.
+        Effort, seed, recordings and workers.
     folder
         Gets report.html, its claims as report.md, pictures (NAME-1.png, ...) and data (NAME.json).
     begin
         Called with name and title before each.
     """
-    chapters: list[Chapter] = []
+    results: list[ExperimentResult] = []
     for key in keys:
         module, title = EXPERIMENTS[key]
         begin(key, title)
-        chapter = import_module(f"heliograph.experiments.{module}").run(context)
-        _write_parts(folder, chapter)
-        chapters.append(chapter)
-        write_report(folder / "report.html", chapters, context)
-        write_whole(folder / "report.md", markdown(chapters, context).encode())
-    return chapters
+        result = import_module(f"heliograph.experiments.{module}").run(context)
+        _write_parts(folder, result)
+        results.append(result)
+        write_report(folder / "report.html", results, context)
+        write_whole(folder / "report.md", markdown(results, context).encode())
+    return results
 
 
-def write_report(path: Path, chapters: Sequence[Chapter], context: Context) -> None:
-    """Write the page of all chapters."""
+def write_report(path: Path, results: Sequence[ExperimentResult], context: Context) -> None:
+    """Write the page of all results.
+
+    Parameters
+    ----------
+    path
+        The HTML file.
+    results
+        One an experiment.
+    context
+        As they were run.
+    """
     page = Report("The experiments of Nagura et al. 2010, measured")
     scene = f"footage {', '.join(context.clips)}" if context.clips else "a drawn scene"
     motion = "a recorded trace" if context.imu else "a road by ISO 8608"
@@ -99,20 +117,30 @@ def write_report(path: Path, chapters: Sequence[Chapter], context: Context) -> N
     if context.quick:
         page.text("A quick run: few trials, so the intervals are wide.")
     page.heading("Claims and measurements")
-    page.table(("", "claim", "measured", "verdict"), [row for c in chapters for row in _verdicts(c)], prose=True)
-    for chapter in chapters:
-        _add(page, chapter)
+    page.table(
+        ("", "claim", "measured", "verdict"), [row for result in results for row in _verdicts(result)], prose=True
+    )
+    for result in results:
+        _add(page, result)
     page.write(path)
 
 
-def markdown(chapters: Sequence[Chapter], context: Context) -> str:
-    """Claims and measurements as a Markdown page, for a project's documents."""
+def markdown(results: Sequence[ExperimentResult], context: Context) -> str:
+    """Claims and measurements as a Markdown page, for a project's documents.
+
+    Parameters
+    ----------
+    results
+        One an experiment.
+    context
+        As they were run.
+    """
     run = "A quick run: few trials, wide intervals." if context.quick else "The full run."
     scene = ", ".join(context.clips) or "a drawn scene"
     lines = ["# The paper's experiments, measured", "", f"{run} Background: {scene}; seed {context.seed}.", ""]
-    for chapter in chapters:
-        lines += [f"## {chapter.title}", "", chapter.text, "", "| claim | measured | verdict |", "|---|---|---|"]
-        lines += [f"| {_cell(f.claim)} | {_cell(f'{f.ours} {f.why}')} | {f.verdict} |" for f in chapter.findings]
+    for result in results:
+        lines += [f"## {result.title}", "", result.text, "", "| claim | measured | verdict |", "|---|---|---|"]
+        lines += [f"| {_cell(f.claim)} | {_cell(f'{f.ours} {f.why}')} | {f.verdict} |" for f in result.findings]
         lines.append("")
     return "\n".join(lines)
 
@@ -121,30 +149,30 @@ def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|")
 
 
-def _verdicts(chapter: Chapter) -> list[tuple[str, str, str, str]]:
-    return [(chapter.key, f.claim, f.ours, f.verdict) for f in chapter.findings]
+def _verdicts(result: ExperimentResult) -> list[tuple[str, str, str, str]]:
+    return [(result.key, f.claim, f.ours, f.verdict) for f in result.findings]
 
 
-def _add(page: Report, chapter: Chapter) -> None:
-    page.heading(chapter.title)
-    page.text(chapter.text)
-    for finding in chapter.findings:
+def _add(page: Report, result: ExperimentResult) -> None:
+    page.heading(result.title)
+    page.text(result.text)
+    for finding in result.findings:
         page.text(f"{finding.verdict}: {finding.claim} Measured: {finding.ours} {finding.why}".rstrip())
-    for figure, caption in chapter.pictures:
+    for figure, caption in result.pictures:
         page.figure(figure, caption)
-    for table in chapter.tables:
+    for table in result.tables:
         page.text(table.title)
         page.table(table.head, table.rows)
 
 
-def _write_parts(folder: Path, chapter: Chapter) -> None:
-    """Pictures and data of a chapter, each file whole or not at all."""
-    for number, (figure, _) in enumerate(chapter.pictures, 1):
+def _write_parts(folder: Path, result: ExperimentResult) -> None:
+    """Pictures and data of a result, each file whole or not at all."""
+    for number, (figure, _) in enumerate(result.pictures, 1):
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=130, bbox_inches="tight")
-        write_whole(folder / f"{chapter.key}-{number}.png", picture.getvalue())
-    content = {"title": chapter.title, "findings": [_plain(f) for f in chapter.findings], "data": chapter.data}
-    write_whole(folder / f"{chapter.key}.json", json.dumps(content, indent=1).encode())
+        write_whole(folder / f"{result.key}-{number}.png", picture.getvalue())
+    content = {"title": result.title, "findings": [_plain(f) for f in result.findings], "data": result.data}
+    write_whole(folder / f"{result.key}.json", json.dumps(content, indent=1).encode())
 
 
 def _plain(finding: Finding) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""What an experiment leaves: pictures, tables, data, and each claim of the paper beside what was measured."""
+"""The result of an experiment: pictures, tables, data, and each claim of the paper beside the measurement."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,23 +11,23 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Verdict = Literal["holds", "differs", "shown"]
-"""A claim holds or not in what was measured; "shown" where the paper claims nothing that can be counted."""
+"""A claim "holds" or "differs"; "shown": nothing was claimed that can be counted, or too little was counted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A claim and what was measured.
+    """A claim and the measurement beside it.
 
     Attributes
     ----------
     claim
-        What the paper says, or what was asked.
+        The paper's claim, or a question of our own.
     ours
-        What was measured, with counts and interval.
+        The measurement, with counts and interval.
     verdict
         See `Verdict`.
     why
-        Where they differ: why.
+        The reason where they differ; empty where there is none to give.
     """
 
     claim: str
@@ -38,23 +38,38 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table: its heading, the heads of its columns, its rows."""
+    """A table.
+
+    Attributes
+    ----------
+    title
+        Its heading.
+    head
+        Heads of the columns.
+    rows
+        Cells, row by row; each row has a cell for each column.
+    """
 
     title: str
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
 
+    def markdown(self) -> str:
+        """The table in Markdown, without its heading."""
+        lines = [self.head, ["---"] * len(self.head), *self.rows]
+        return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
 
 @dataclass(frozen=True, slots=True)
-class Chapter:
-    """Results of an experiment.
+class ExperimentResult:
+    """The result of an experiment.
 
     Attributes
     ----------
     key, title
         Name on the command line, such as "fig13", and heading.
     text
-        What was done, for a reader of the report.
+        Describes the experiment for a reader of the report.
     findings
         Claims and measurements.
     pictures
@@ -62,7 +77,7 @@ class Chapter:
     tables
         Tables.
     data
-        Numbers behind pictures and tables: plain values, for JSON.
+        The numbers of pictures and tables as plain values, for JSON.
     """
 
     key: str
@@ -80,22 +95,22 @@ def quiet(title: str, done: float, /) -> None:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Context:
-    """What an experiment may use.
+    """Effort, seed, recordings and workers of an experiment.
 
     Attributes
     ----------
     quick
-        Whether to be done soon, with wide intervals.
+        Few trials: minutes in place of tens of minutes, with wide intervals.
     seed
-        Of all randomness.
+        Of all randomness, 0 or more.
     clips
-        Real footage by name; empty: a drawn scene takes its place.
+        Files of real footage by name; empty: a drawn scene takes their place.
     imu
-        Recorded motion of a car, or None: a road takes its place.
+        File of recorded car motion; None: a road takes its place.
     workers
-        Processes to use.
+        Processes to use, 1 or more.
     progress
-        Called with a title and the share done, 0 to 1.
+        Called with a title and the fraction done, 0 to 1.
     """
 
     quick: bool = True
@@ -112,16 +127,23 @@ class Context:
         works: Iterable[Work],
         span: tuple[float, float] = (0.0, 1.0),
     ) -> list[Result]:
-        """Results of a job for each of some works by the workers; see `executors.each`.
+        """Results of a job for each of some works, computed by the workers; see `executors.each`.
 
         Parameters
         ----------
         title
             For the progress.
-        job, works
-            What is done, and with what.
+        job
+            A function of a module, so that a worker process can find it.
+        works
+            Its arguments.
         span
-            Shares of the experiment done before and after.
+            Fractions of the experiment done before and after, each 0 to 1.
+
+        Raises
+        ------
+        HeliographError
+            A worker process was lost.
         """
         start, end = span
         return each(self.workers, job, works, lambda share: self.progress(title, start + (end - start) * share))

@@ -1,4 +1,4 @@
-"""What a receiver claims of packets that were sent: likelihoods of bits and distances, beside the truth."""
+"""Packets received beside the truth: predicted error probabilities of their bits, and their distances."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,89 +19,113 @@ from heliograph.signal.block import pack
 Floats = NDArray[np.float64]
 
 EDGES = (0.0, 1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5)
-"""Bins of the claimed error probability."""
+"""Edges of the bins of the predicted error probability."""
 
-FIRST, LAST = "first round", "last round"
-"""LLRs of the equaliser before anything is known; those a codeword that came later was last decoded from."""
+FIRST, LAST = "first iteration", "last iteration"
+"""LLRs of the equaliser before anything is known; and those a codeword that came later was last decoded from."""
 
 
 @dataclass(slots=True)
-class Claims:
-    """Bits by bin of the claimed error probability, a row a packet, since a packet's errors may come together.
+class ReliabilityCounts:
+    """Bits by bin of the predicted error probability, a row a packet, since errors of a packet may come together.
 
     Attributes
     ----------
     table
-        (packets, 3, bins): bits, those wrong, and the sum of what was claimed: errors to be expected.
+        (packets, 3, bins): bits, wrong bits, and the sum of the predicted error probabilities, which is the expected
+        number of wrong bits.
     """
 
     table: Floats = field(default_factory=partial(np.zeros, (0, 3, len(EDGES) - 1)))
 
     def add(self, llr: Floats, sent: NDArray[np.uint8]) -> None:
-        """Count the bits of a packet that were received at all, LLR = ln P(b=0)/P(b=1)."""
+        """Count the bits of a packet that were received.
+
+        Parameters
+        ----------
+        llr
+            (n,) ln P(b=0) / P(b=1); 0 where nothing was received.
+        sent
+            (n,) bits that were sent.
+        """
         known = llr != 0
         # P(wrong) = 1 / (1 + exp |LLR|)
-        claimed = 1 / (1 + np.exp(np.abs(llr[known])))
+        predicted = 1 / (1 + np.exp(np.abs(llr[known])))
         wrong = (llr[known] < 0) != sent[known]
-        row = [
-            np.histogram(claimed, EDGES, weights=w)[0] for w in (np.ones(len(claimed)), wrong.astype(float), claimed)
-        ]
+        weights = (np.ones(len(predicted)), wrong.astype(float), predicted)
+        row = [np.histogram(predicted, EDGES, weights=w)[0] for w in weights]
         self.table = np.concatenate([self.table, [row]])
 
-    def include(self, other: "Claims") -> None:
-        """Count another's as well."""
+    def include(self, other: "ReliabilityCounts") -> None:
+        """Count the packets of `other` as well."""
         self.table = np.concatenate([self.table, other.table])
 
-    def bins(self) -> list["Bin"]:
-        """What was claimed and observed, by bin."""
+    def bins(self) -> list["ReliabilityBin"]:
+        """Predicted and observed error probabilities, by bin."""
         out = []
         for k in range(len(EDGES) - 1):
             count = Clustered(scattered=True)
             for bits, wrong, _ in self.table[:, :, k]:
                 count.add(int(bits), int(wrong))
-            claimed = float(self.table[:, 2, k].sum() / max(count.trials, 1))
-            out.append(Bin((EDGES[k], EDGES[k + 1]), claimed, count))
+            predicted = float(self.table[:, 2, k].sum() / max(count.trials, 1))
+            out.append(ReliabilityBin((EDGES[k], EDGES[k + 1]), predicted, count))
         return out
 
 
 @dataclass(frozen=True, slots=True)
-class Bin:
-    """Bits of about one claimed error probability.
+class ReliabilityBin:
+    """Bits of similar predicted error probability.
 
     Attributes
     ----------
     edges
-        Of the bin.
-    claimed
-        Mean of the claimed error probability.
+        Least and largest predicted error probability of the bin.
+    predicted
+        Mean of the predicted error probability.
     count
         Bits and errors, by packet.
     """
 
     edges: tuple[float, float]
-    claimed: float
+    predicted: float
     count: Clustered
 
+    @property
+    def expected(self) -> float:
+        """Expected number of wrong bits."""
+        return self.predicted * self.count.trials
+
     def ratio(self) -> tuple[float, float, float]:
-        """Observed over claimed error probability, and its interval."""
+        """Observed over predicted error probability, and its 95 % interval."""
         low, high = self.count.interval()
-        return self.count.rate / self.claimed, low / self.claimed, high / self.claimed
+        return self.count.rate / self.predicted, low / self.predicted, high / self.predicted
+
+    def range_text(self) -> str:
+        """The edges as text."""
+        return f"{self.edges[0]:g} to {self.edges[1]:g}"
+
+    def ratio_text(self) -> str:
+        """The ratio and its interval as text; "-" where there are no bits."""
+        if not (self.count.trials and self.predicted):
+            return "-"
+        ratio, low, high = self.ratio()
+        return f"{ratio:.2f} ({low:.2f} to {high:.2f})"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Block:
+class CalibrationFilm:
     """A film to be received.
 
     Attributes
     ----------
     case
-        What it is counted under.
+        Name under which it is counted.
     settings
-        The link.
+        The link, with one array.
     seed
         Of messages, road, noise and place.
     packets
-        Its length; None: the whole drive.
+        Its length in packets; None: the whole drive.
     """
 
     case: str
@@ -111,81 +135,95 @@ class Block:
 
 
 @dataclass(slots=True)
-class Told:
-    """What the receiver told of a block.
+class CalibrationRecord:
+    """Predictions and distances of a film's packets.
 
     Attributes
     ----------
     case
-        The block's.
-    claims
+        The film's.
+    reliability
         Bits by `FIRST` and `LAST`.
     distances
-        (packets, 3): true distance in m in the middle of the packet, that told (NaN where nothing of the packet was
-        read), number of the packet in its block.
+        (packets, 3): true distance in m in the middle of the packet, the receiver's (NaN where no codeword of the
+        packet was read), number of the packet in its film.
     """
 
     case: str
-    claims: dict[str, Claims] = field(default_factory=lambda: {FIRST: Claims(), LAST: Claims()})
+    reliability: dict[str, ReliabilityCounts] = field(
+        default_factory=lambda: {FIRST: ReliabilityCounts(), LAST: ReliabilityCounts()}
+    )
     distances: Floats = field(default_factory=partial(np.zeros, (0, 3)))
 
 
-def listen(block: Block) -> Told:
-    """Simulate a film and receive it; the truth is compared afterwards."""
-    settings = dithered(block_settings(block.settings, block.packets), block.seed)
-    messages = random_messages(settings, block.seed)
+def record(film: CalibrationFilm) -> CalibrationRecord:
+    """Simulate a film and receive it blind; each packet is then compared with the truth."""
+    settings = dithered(block_settings(film.settings, film.packets), film.seed)
+    messages = random_messages(settings, film.seed)
     (sender,) = transmitters(settings, messages)
-    ear, out, distance = _Ear(), Told(block.case), dict[int, float]()
-    receiver = make_receiver(settings.signal, settings.receive, ear)
-    for packet in _received(receiver, settings, messages, block.seed, distance):
+    recorder, out, distance_m = LlrRecorder(), CalibrationRecord(film.case), dict[int, float]()
+    receiver = make_receiver(settings.signal, settings.receive, recorder)
+    for packet in _received(receiver, settings, messages, film.seed, distance_m):
         number = round(packet.start_time_s / settings.signal.packet_s)
         blocks = sender.blocks(number)
         layers = sender.format_of(number).layers
         sent = {n: layers[n].code.encode([pack(b, layers[n].code.k) for b in blocks[n]]) for n in layers}
-        ear.tell(sent, out.claims)
-        true = distance[(packet.first_frame + packet.last_frame) // 2]
-        out.distances = np.vstack([out.distances, [true, _distance(packet), number]])
+        recorder.count(sent, out.reliability)
+        true = distance_m[(packet.first_frame + packet.last_frame) // 2]
+        out.distances = np.vstack([out.distances, [true, _distance_m(packet), number]])
     return out
 
 
 def _received(
-    receiver: FrameReceiver, settings: LinkSettings, messages: Sequence[Messages], seed: int, distance: dict[int, float]
+    receiver: FrameReceiver,
+    settings: LinkSettings,
+    messages: Sequence[Messages],
+    seed: int,
+    distance_m: dict[int, float],
 ) -> Iterator[Packet]:
-    """Packets of a film, the last one that its end completes included; the true distance of each frame is noted."""
+    """Packets of a film, with the last one that its end completes; the true distance of each frame is noted."""
     for frame, truth in simulate(settings, messages, seed, None, window_margin_px(settings)):
-        distance[frame.index] = truth.arrays[0].distance_m
+        distance_m[frame.index] = truth.arrays[0].distance_m
         yield from receiver.push(frame)
     yield from receiver.finish()
 
 
-def _distance(packet: Packet) -> float:
+def _distance_m(packet: Packet) -> float:
     return packet.distance_m if packet.status in ("ok", "partial") else float("nan")
 
 
-class _Ear:
-    """Keeps the LLRs of a packet's rounds."""
+class LlrRecorder:
+    """Observer of a receiver that keeps the LLRs of a packet's iterations."""
 
     def __init__(self) -> None:
-        self._rounds: list[dict[str, Floats]] = []
+        self._iterations: list[dict[str, Floats]] = []
 
     def __call__(self, stage: str, data: Mapping[str, Any], /) -> None:
-        """Take what the equaliser makes."""
+        """Keep the LLRs that the equaliser hands out."""
         if stage == "equalise":
-            self._rounds.append({name: llr.copy() for name, llr in data["llr"].items()})
+            self._iterations.append({name: llr.copy() for name, llr in data["llr"].items()})
 
-    def tell(self, sent: Mapping[str, NDArray[np.uint8]], claims: Mapping[str, Claims]) -> None:
-        """Count what was claimed of a packet, and forget it."""
-        rounds, self._rounds = self._rounds, []
-        if not rounds:
+    def count(self, sent: Mapping[str, NDArray[np.uint8]], reliability: Mapping[str, ReliabilityCounts]) -> None:
+        """Count the bits of the packet that was just received, and forget it.
+
+        Parameters
+        ----------
+        sent
+            Coded bits by layer, (codewords, length).
+        reliability
+            Gets the bits, by `FIRST` and `LAST`.
+        """
+        iterations, self._iterations = self._iterations, []
+        if not iterations:
             return
-        first = np.concatenate([rounds[0][name].ravel() for name in sent])
+        first = np.concatenate([iterations[0][name].ravel() for name in sent])
         bits = np.concatenate([sent[name].ravel() for name in sent])
         if len(first) != len(bits):  # taken for a packet of another format
             return
-        claims[FIRST].add(first, bits)
+        reliability[FIRST].add(first, bits)
         last = np.zeros_like(first)
-        for one in rounds[1:]:
+        for one in iterations[1:]:
             # a decoded codeword is not estimated any more
             llr = np.concatenate([one[name].ravel() for name in sent])
             last = np.where(llr != 0, llr, last)
-        claims[LAST].add(last, bits)
+        reliability[LAST].add(last, bits)

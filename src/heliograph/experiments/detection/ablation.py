@@ -1,4 +1,4 @@
-"""What four ways of detecting make of a film: each ingredient of the detector on its own, scored without thresholds."""
+"""Detector ablation: four variants of the detector, scored without thresholds."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,69 +8,89 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.experiments.detection.clutter import Film
+from heliograph.experiments.detection.clutter import ClutterFilm
 from heliograph.receive import Pose
 from heliograph.receive.detect import BLOCK, COMB, UPRIGHT, Detector, _change, _fit_window
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
 NEAR = 0.25
-"""Share of the array's side by which a candidate may lie beside it and still be it."""
+"""Fraction of the array's side by which a candidate may lie beside the array and still count as it."""
 
 LIKE = 1.25
-"""Ratio of sizes up to which it is."""
+"""Ratio of sizes up to which a candidate counts as the array."""
 
 CANDIDATES, BANDS = 5, 3
 """Candidates of each range of sizes that are fitted, and ranges."""
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
-    """A way of detecting: the header's shape looked for, and the frames combined."""
+class DetectorVariant:
+    """A variant of the detector.
+
+    Attributes
+    ----------
+    name
+        Its name in tables.
+    detector
+        The header's shape that it looks for: the lit array, or the M-sequences.
+    frames
+        Frames that it combines, 2 or 4.
+    """
 
     name: str
     detector: Literal["all_on", "m_sequence"]
     frames: int
 
 
-WAYS = (
-    Way("all on, 2 frames", "all_on", 2),
-    Way("all on, 4 frames", "all_on", 4),
-    Way("M-sequence, 2 frames", "m_sequence", 2),
-    Way("M-sequence, 4 frames", "m_sequence", 4),
+VARIANTS = (
+    DetectorVariant("all on, 2 frames", "all_on", 2),
+    DetectorVariant("all on, 4 frames", "all_on", 4),
+    DetectorVariant("M-sequence, 2 frames", "m_sequence", 2),
+    DetectorVariant("M-sequence, 4 frames", "m_sequence", 4),
 )
-"""The first is what the paper compares with, the third what it proposes, the fourth the receiver's."""
+"""The first is the one the paper compares with, the third the paper's own, the fourth the receiver's."""
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """Something like a header: correlation with the fitted header, its pose, its identity."""
+    """A place in the image that looks like a header.
+
+    Attributes
+    ----------
+    score
+        Correlation of the pixels with the fitted header, up to 1.
+    pose
+        Its pose.
+    identity
+        Its identity.
+    """
 
     score: float
     pose: Pose
     identity: int
 
 
-class Probe(Detector):
-    """The receiver's detector without thresholds on its scores, and without the look at the frames around.
+class VariantDetector(Detector):
+    """The receiver's detector without thresholds on its scores, and without its check of the frames around.
 
     Parameters
     ----------
-    way
-        What it looks for.
+    variant
+        The header's shape and the number of frames.
     """
 
-    def __init__(self, way: Way):
+    def __init__(self, variant: DetectorVariant):
         lowered = replace(
             ReceiveSettings().detect,
-            detector=way.detector, coarse_score=0.2, score=0.0, regularity=0.0, candidates=CANDIDATES,
+            detector=variant.detector, coarse_score=0.2, score=0.0, regularity=0.0, candidates=CANDIDATES,
         )  # fmt: skip
         super().__init__(ReceiveSettings(detect=lowered), SignalSettings())
-        self._frames_used = way.frames
+        self._frames_used = variant.frames
         self._bands = np.array_split(self._sides, BANDS)
 
-    def candidates(self, film: Film) -> list[Candidate]:
-        """Candidates in the frames where the header is, or would be; where there is an array, those at its place."""
+    def candidates(self, film: ClutterFilm) -> list[Candidate]:
+        """Candidates in the header's frames of a film; where there is an array, those at its place only."""
         window = film.frames[film.first : film.first + self._frames_used]
         change, full_scale = _change([f.pixels for f in window]), window[0].full_scale
         busy = self._busy(change, (0, 0), (), full_scale)
@@ -107,73 +127,105 @@ class Probe(Detector):
 
 
 @dataclass(slots=True)
-class Scores:
-    """Best scores by way of detecting.
+class DetectionScores:
+    """Best scores of a variant.
 
     Attributes
     ----------
     false
-        By scene: the best candidate of each film without an array, 0 for none.
+        By scene: score of the best candidate of each film without an array, 0 for none.
     true
-        By scene and distance: the array's own candidate in each film with one, 0 where it is missed.
+        By scene and distance in m: score of the array's own candidate in each film with one, 0 where it is missed.
     """
 
     false: dict[str, list[float]]
     true: dict[tuple[str, float], list[float]]
 
     def all_false(self) -> NDArray[np.float64]:
-        """Of all scenes."""
+        """Scores of all films without an array, (n,)."""
         return np.array([score for scores in self.false.values() for score in scores])
 
     def all_true(self, distance_m: float) -> NDArray[np.float64]:
-        """At a distance, of all scenes."""
+        """Scores of all films with an array at a distance in m, (n,)."""
         return np.array([s for (_, z), scores in self.true.items() if z == distance_m for s in scores])
 
 
 def _around(truth: Pose, blocks: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Blocks of the search within half the array's side of its centre."""
+    """Blocks of the search, (rows, columns), within half the array's side of its centre."""
     reach = 8 * truth.pitch + BLOCK
     y, x = ((np.arange(n) + 0.5) * BLOCK for n in blocks)
     return np.asarray((abs(y - truth.y) < reach)[:, None] & (abs(x - truth.x) < reach))
 
 
 def best_false(found: Sequence[Candidate]) -> Candidate | None:
-    """The candidate that would be taken first."""
+    """The candidate with the highest score; None where there is none."""
     return max(found, key=lambda one: one.score, default=None)
 
 
 def score_of_array(found: Sequence[Candidate], truth: Pose, identity: int | None) -> float:
-    """Score of the candidate that is the array, 0 if none is; identity None: whatever it is taken for."""
+    """Score of the candidate that is the array, 0 if none is.
+
+    Parameters
+    ----------
+    found
+        Candidates.
+    truth
+        Pose of the array.
+    identity
+        The array's; None: a candidate of any identity counts.
+    """
     return max((c.score for c in found if same(c.pose, truth) and identity in (None, c.identity)), default=0.0)
 
 
 def same(pose: Pose, truth: Pose) -> bool:
-    """Whether a pose is that of the array, roughly."""
+    """Whether a pose is about that of the array, by `NEAR` and `LIKE`."""
     beside = np.hypot(pose.x - truth.x, pose.y - truth.y)
     return bool(beside < NEAR * 16 * truth.pitch and 1 / LIKE < pose.pitch / truth.pitch < LIKE)
 
 
-def threshold_for_false(false: NDArray[np.float64], share: float) -> float:
-    """Least threshold (a score above it counts) that at most a share of the films without an array exceed."""
-    allowed = int(share * false.size)
+def threshold_for_false(false: NDArray[np.float64], fraction: float) -> float:
+    """Least threshold (a score above it counts) that at most a fraction of the films without an array exceed.
+
+    Parameters
+    ----------
+    false
+        (n,) scores of films without an array.
+    fraction
+        The fraction, 0 to 1.
+    """
+    allowed = int(fraction * false.size)
     return float(np.sort(false)[::-1][allowed]) if false.size > allowed else 0.0
 
 
-def threshold_for_found(true: NDArray[np.float64], share: float) -> float:
-    """Largest threshold above which at least a share of the arrays lie; 0 where so many are not even candidates."""
-    needed = int(np.ceil(share * true.size))
+def threshold_for_found(true: NDArray[np.float64], fraction: float) -> float:
+    """Largest threshold above which at least a fraction of the arrays lie; 0 where fewer are even candidates.
+
+    Parameters
+    ----------
+    true
+        (n,) scores of arrays.
+    fraction
+        The fraction, 0 to 1.
+    """
+    needed = int(np.ceil(fraction * true.size))
     return float(np.nextafter(np.sort(true)[::-1][needed - 1], -1)) if needed else 1.0
 
 
 def curve(false: NDArray[np.float64], true: NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    """Shares of false alarms and of arrays found as the threshold falls, both rising, ends at every candidate."""
+    """Fractions of false alarms and of arrays found as the threshold falls; both rise, to the end of all candidates.
+
+    Parameters
+    ----------
+    false, true
+        (n,) and (m,) scores of films without an array and of arrays.
+    """
     thresholds = np.unique(np.concatenate([false, true, [0.0, 1.0]]))[::-1]
     alarms = [float((false > t).mean()) for t in thresholds]
     return alarms, [float((true > t).mean()) for t in thresholds]
 
 
-def plain(scores: Mapping[str, Scores]) -> dict[str, dict[str, dict[str, list[float]]]]:
-    """Scores as plain values, rounded."""
+def plain(scores: Mapping[str, DetectionScores]) -> dict[str, dict[str, dict[str, list[float]]]]:
+    """Scores by variant as plain values, rounded to 4 digits."""
     return {
         name: {
             "false": {scene: [round(s, 4) for s in found] for scene, found in one.false.items()},

@@ -1,15 +1,16 @@
-"""Short films of what a detector may take for an array: footage and lamps before a shaking camera."""
+"""Short films of clutter that a detector may take for an array: footage and lamps before a shaking camera."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.channel import Footage, ImuTrace, Placement, film
 from heliograph.channel.settings import ChannelSettings
@@ -19,7 +20,7 @@ from heliograph.experiments.detection.lamps import (
     SIZE,
     Backdrop,
     Gray,
-    Stretch,
+    Moment,
     drawn_backdrop,
     lamp_backdrop,
 )
@@ -30,7 +31,7 @@ from heliograph.signal.block import Block
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
-Header = Literal["m_sequence", "all_on"]
+HeaderKind = Literal["m_sequence", "all_on"]
 
 LEAD = (2, 3)
 """Frames of a film before the header's four: the packet's end, of either phase."""
@@ -40,8 +41,18 @@ MOST_PAIRS = 32
 
 
 @dataclass(frozen=True, slots=True)
-class Film:
-    """A short film: frames, the first of the (first array's) header, and where the arrays are."""
+class ClutterFilm:
+    """A short film.
+
+    Attributes
+    ----------
+    frames
+        Its frames.
+    first
+        Number of the frame in which the first array's header begins, or would begin.
+    truths
+        Pose of each array.
+    """
 
     frames: list[Frame]
     first: int
@@ -49,37 +60,79 @@ class Film:
 
     @property
     def truth(self) -> Pose | None:
-        """Where the only array is; None: there is none."""
+        """Pose of the only array; None: there is none."""
         return self.truths[0] if self.truths else None
 
 
 def backdrops(clips: Mapping[str, Path], reach: int) -> dict[str, Backdrop]:
-    """All scenes by name: `reach` frames of each clip, a drawn street at rest, one full of changing lamps."""
+    """All scenes by name: each clip, a drawn street at rest, and one full of changing lamps.
+
+    Parameters
+    ----------
+    clips
+        Files of real footage by name.
+    reach
+        Frames of each clip that are used.
+    """
     scenes: dict[str, Backdrop] = {name: ClipBackdrop(path, reach) for name, path in clips.items()}
     return {**scenes, "drawn scene": drawn_backdrop, "lamps": lamp_backdrop}
 
 
 @dataclass(frozen=True, slots=True)
 class ClipBackdrop:
-    """Moments between two frames of a clip's first `reach` ones; the channel fades one into the other."""
+    """Moments between two successive frames of a clip; the channel fades one into the other.
+
+    Attributes
+    ----------
+    path
+        File of the clip.
+    reach
+        Frames of it that are used, from the first on.
+    """
 
     path: Path
     reach: int
 
-    def __call__(self, rng: np.random.Generator) -> Stretch:
+    def __call__(self, rng: np.random.Generator) -> Moment:
         """Draw a moment."""
-        rate_hz, pairs = _clip_pairs(self.path, self.reach)
+        rate_hz, pairs = _clip_pairs(ClipVersion.of(self.path), self.reach)
         one, other = pairs[int(rng.integers(len(pairs)))]
         room = max(1 / rate_hz - FRAMES / RATE_HZ, 0.0)
-        return Stretch(Footage(lambda: iter([one, other]), rate_hz), float(rng.uniform(0, room)))
+        return Moment(Footage(lambda: iter([one, other]), rate_hz), float(rng.uniform(0, room)))
+
+
+@dataclass(frozen=True, slots=True)
+class ClipVersion:
+    """A clip as it is in its file now: a cache of its frames must not outlive a change of the file.
+
+    Attributes
+    ----------
+    path
+        The file.
+    changed_ns, size_bytes
+        When it was last changed, and its size.
+    """
+
+    path: Path
+    changed_ns: int
+    size_bytes: int
+
+    @classmethod
+    def of(cls, path: Path) -> Self:
+        """The clip in a file; a MediaError where there is none."""
+        try:
+            found = path.stat()
+        except OSError as error:
+            raise MediaError(f"cannot read {path}: {error.strerror}") from None
+        return cls(path, found.st_mtime_ns, found.st_size)
 
 
 @lru_cache(maxsize=8)
-def _clip_pairs(path: Path, reach: int) -> tuple[float, list[tuple[Gray, Gray]]]:
-    """A clip's rate, and pairs of frames that follow each other; read once in each process."""
+def _clip_pairs(clip: ClipVersion, reach: int) -> tuple[float, list[tuple[Gray, Gray]]]:
+    """A clip's rate, and pairs of successive frames; read once in each process."""
     from heliograph.channel.background import cover_size
 
-    source = load_footage(path)
+    source = load_footage(clip.path)
     step = max(2, -(-reach // MOST_PAIRS))
     held: dict[int, Gray] = {}
     for k, frame in enumerate(islice(source.frames(), reach)):
@@ -88,21 +141,21 @@ def _clip_pairs(path: Path, reach: int) -> tuple[float, list[tuple[Gray, Gray]]]
     return source.rate_hz, [(held[k], held[k + 1]) for k in held if k % step == 0 and k + 1 in held]
 
 
-def shoot(
-    stretch: Stretch,
+def film_moment(
+    moment: Moment,
     rng: np.random.Generator,
     imu: ImuTrace | None,
     distance_m: float | None = None,
-    header: Header = "m_sequence",
+    header: HeaderKind = "m_sequence",
     identities: Sequence[int] = (0,),
     over: ChannelSettings | None = None,
-) -> Film:
-    """Film a moment in the reference link.
+) -> ClutterFilm:
+    """Film a moment of a scene in the reference link.
 
     Parameters
     ----------
-    stretch
-        The scene.
+    moment
+        The scene and when the film begins.
     rng
         Draws shake, noise, data, when each array's header begins and, unless `over` places it, where the array stands.
     imu
@@ -115,7 +168,7 @@ def shoot(
         Channel in place of the reference link's, with a place for each array.
     """
     base = over or load_settings("paper").channel
-    start = stretch.start_s
+    start = moment.start_s
     camera = replace(base.camera, start_s=start)
     places = over.arrays if over else (_placed(distance_m or 50.0, base, rng),)
     settings = replace(
@@ -134,9 +187,11 @@ def shoot(
         firsts.append(int(rng.choice(LEAD)))
         lights.append(_patterns(header, identity, firsts[-1], rng) if distance_m else [])
     lights = lights if distance_m else []
-    shots = list(film(settings, lights, rng, pattern_period_s=1e-3, footage=stretch.footage, imu=imu))
+    shots = list(film(settings, lights, rng, pattern_period_s=1e-3, footage=moment.footage, imu=imu))
     truths = [shots[first + 1][1].arrays[k] for k, first in enumerate(firsts)] if distance_m else []
-    return Film([frame for frame, _ in shots], firsts[0], tuple(Pose(t.x, t.y, t.pitch_px, t.roll_rad) for t in truths))
+    return ClutterFilm(
+        [frame for frame, _ in shots], firsts[0], tuple(Pose(t.x, t.y, t.pitch_px, t.roll_rad) for t in truths)
+    )
 
 
 def _placed(distance_m: float, settings: ChannelSettings, rng: np.random.Generator) -> Placement:
@@ -147,7 +202,7 @@ def _placed(distance_m: float, settings: ChannelSettings, rng: np.random.Generat
     return Placement(x_m=x, y_m=y)
 
 
-def _patterns(header: Header, identity: int, first: int, rng: np.random.Generator) -> list[NDArray[np.uint8]]:
+def _patterns(header: HeaderKind, identity: int, first: int, rng: np.random.Generator) -> list[NDArray[np.uint8]]:
     """The last patterns of a packet of random data, then the first of it."""
     form = PacketFormat(SignalSettings(header=header))
     blocks = {

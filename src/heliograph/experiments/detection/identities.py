@@ -1,4 +1,4 @@
-"""Arrays told apart: each identity filmed, and what the receiver's detector takes it for."""
+"""Identities: each filmed, and the identity that the receiver's detector finds."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from heliograph.channel import ImuTrace, Placement
 from heliograph.channel.settings import ChannelSettings
 from heliograph.experiments.detection.ablation import same
-from heliograph.experiments.detection.clutter import Film, shoot
+from heliograph.experiments.detection.clutter import ClutterFilm, film_moment
 from heliograph.experiments.detection.lamps import Backdrop
 from heliograph.experiments.result import Context
 from heliograph.link.settings import load_settings
@@ -20,38 +20,62 @@ from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings
 
 SMALLEST_PX = 5.0
-"""Least side looked for: an array 150 m away has 6.2 px, less than the receiver's default of 8."""
+"""Least side in px that is searched for: an array 150 m away has 6.2 px, less than the receiver's default of 8."""
 
 BESIDE_M = (0.5, 1.2)
-"""Distance between the centres of two arrays in one view, whose panels are 0.36 m wide."""
+"""Range of the distance in m between the centres of two arrays in one view; their panels are 0.36 m wide."""
 
 
 @dataclass(frozen=True, slots=True)
 class Confusion:
-    """Arrays filmed by identity shown (row) and found (column, the last: missed), (30, 31) counts."""
+    """Arrays filmed, by the identity shown and the identity found.
+
+    Attributes
+    ----------
+    counts
+        (30, 31): a row an identity shown, a column an identity found; the last column: missed.
+    """
 
     counts: NDArray[np.int64]
 
     @property
     def right(self) -> Count:
-        """Found as what they are, among all; the rest is missed or wrong."""
+        """Arrays found with their own identity, among all; the rest is missed or wrong."""
         return Count(int(self.counts.sum()), int(np.trace(self.counts)))
 
     @property
     def wrong(self) -> Count:
-        """Taken for another, among those found."""
+        """Arrays found with another identity, among those found."""
         found = int(self.counts[:, :-1].sum())
         return Count(found, found - int(np.trace(self.counts)))
 
     @property
     def missed(self) -> Count:
-        """Not found, among all."""
+        """Arrays not found, among all."""
         return Count(int(self.counts.sum()), int(self.counts[:, -1].sum()))
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
-    """Films of an identity at a distance, alone or beside another one, before each scene in turn."""
+class IdentityFilms:
+    """Films of an identity at a distance, before each scene in turn.
+
+    Attributes
+    ----------
+    distance_m
+        Distance in m.
+    shown
+        The identity.
+    beside
+        Whether an array of another identity stands in the same view.
+    repeats
+        Number of films.
+    scenes
+        The scenes.
+    imu
+        Recorded motion; None: a road.
+    seed
+        Of all films.
+    """
 
     distance_m: float
     shown: int
@@ -77,30 +101,40 @@ def confusion(
 
     Parameters
     ----------
-    distances, scenes
-        Where the arrays are, and before what, in turn.
+    distances
+        In m.
+    scenes
+        The arrays stand before each in turn.
     repeats
         Films of each identity at each distance.
     imu
         Recorded motion; None: a road.
-    context, span
-        Seed, workers, progress, and the share of the experiment done before and after.
+    context
+        Gives seed, workers and progress.
+    span
+        Fractions of the experiment done before and after.
     identities
         Those that are filmed.
     beside
         Whether another array, of any other identity, stands in the same view; both are counted then.
+
+    Returns
+    -------
+    The confusion by distance in m.
     """
     backs = tuple(scenes.values())
-    batches = [Batch(z, one, beside, repeats, backs, imu, context.seed) for z in distances for one in identities]
+    batches = [
+        IdentityFilms(z, one, beside, repeats, backs, imu, context.seed) for z in distances for one in identities
+    ]
     title = "identities, two in view" if beside else "identities"
     counts = {z: np.zeros((IDENTITIES, IDENTITIES + 1), dtype=np.int64) for z in distances}
-    for batch, pairs in zip(batches, context.each(title, film_batch, batches, span), strict=True):
+    for batch, pairs in zip(batches, context.each(title, film_identity, batches, span), strict=True):
         for shown, found in pairs:
             counts[batch.distance_m][shown, found] += 1
     return {z: Confusion(one) for z, one in counts.items()}
 
 
-def film_batch(batch: Batch) -> list[tuple[int, int]]:
+def film_identity(batch: IdentityFilms) -> list[tuple[int, int]]:
     """Identity shown and identity found of each array in the films."""
     pairs: list[tuple[int, int]] = []
     for repeat in range(batch.repeats):
@@ -111,8 +145,8 @@ def film_batch(batch: Batch) -> list[tuple[int, int]]:
             shown.append(int((batch.shown + rng.integers(1, IDENTITIES)) % IDENTITIES))
             places = _side_by_side(rng)
         scene = batch.scenes[(batch.shown + repeat) % len(batch.scenes)](rng)
-        film = shoot(scene, rng, batch.imu, batch.distance_m, "m_sequence", shown, small_camera(places))
-        pairs += zip(shown, taken_for(film), strict=True)
+        film = film_moment(scene, rng, batch.imu, batch.distance_m, "m_sequence", shown, small_camera(places))
+        pairs += zip(shown, identities_seen(film), strict=True)
     return pairs
 
 
@@ -128,15 +162,23 @@ def small_camera(places: Sequence[Placement]) -> ChannelSettings:
     return replace(channel, arrays=tuple(places))
 
 
-def taken_for(film: Film) -> list[int]:
+def identities_seen(film: ClutterFilm) -> list[int]:
     """Identity that the detector gives each of the film's arrays; 30 where it misses one."""
     every = detections(film, SMALLEST_PX)
     near = ([one for one in every if same(one.fit.pose, truth)] for truth in film.truths)
     return [max(found, key=lambda one: one.score).identity if found else IDENTITIES for found in near]
 
 
-def detections(film: Film, smallest_px: float | None = None) -> list[Detection]:
-    """What the receiver's detector, as it is set, finds in a film."""
+def detections(film: ClutterFilm, smallest_px: float | None = None) -> list[Detection]:
+    """Detections of the receiver's detector in a film.
+
+    Parameters
+    ----------
+    film
+        The film.
+    smallest_px
+        Least side in px that is searched for; None: the receiver's default.
+    """
     settings = ReceiveSettings()
     if smallest_px:
         settings = replace(settings, detect=replace(settings.detect, min_side_px=smallest_px))

@@ -19,34 +19,53 @@ SIZE = (640, 1152)
 RATE_HZ = 1000.0
 LAMPS = 8
 SUBSTEPS = (np.arange(8) + 0.5) / 8 / RATE_HZ
-"""Instants of an exposure at which a lamp's light is looked at."""
+"""Instants of an exposure in s at which a lamp's light is taken."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
-    """A moment of a scene: frames, and when the camera starts within them."""
+class Moment:
+    """A moment of a scene.
+
+    Attributes
+    ----------
+    footage
+        The scene over time.
+    start_s
+        When the camera starts in it, in s.
+    """
 
     footage: Footage
     start_s: float
 
 
-Backdrop = Callable[[np.random.Generator], Stretch]
+Backdrop = Callable[[np.random.Generator], Moment]
 """Draws a moment of a scene."""
 
 
-def drawn_backdrop(rng: np.random.Generator) -> Stretch:
+def drawn_backdrop(rng: np.random.Generator) -> Moment:
     """A drawn street; only the camera moves."""
     from heliograph.channel.background import draw_scene
 
-    still = draw_scene(SIZE, rng)
-    return Stretch(Footage(lambda: iter([still, still]), RATE_HZ / FRAMES), 0.0)
+    street = draw_scene(SIZE, rng)
+    return Moment(Footage(lambda: iter([street, street]), RATE_HZ / FRAMES), 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Lamp:
-    """A lamp: centre in px, (half) size in px, shape, speed in px/s, light over time in 0 to 1 by row of the sign.
+    """A lamp.
 
-    ``cells`` is the picture of a matrix sign, (rows, columns) of 0 and 1, or None for a plain disc or rectangle.
+    Attributes
+    ----------
+    at, half
+        Its centre and half its sizes (x, y) in px.
+    round
+        Whether it is a disc; else a rectangle.
+    speed
+        (x, y) in px/s.
+    light
+        Light of 0 to 1 at times in s, for a matrix sign by its rows.
+    picture
+        Picture of a matrix sign, (rows, columns) of 0 and 1; None for a plain lamp.
     """
 
     at: tuple[float, float]
@@ -54,15 +73,14 @@ class Lamp:
     round: bool
     speed: tuple[float, float]
     light: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    cells: Gray | None = None
+    picture: Gray | None = None
 
 
-def lamp_backdrop(rng: np.random.Generator) -> Stretch:
+def lamp_backdrop(rng: np.random.Generator) -> Moment:
     """A drawn street with lamps that move, flicker, blink and turn."""
     import cv2
 
-    still = drawn_backdrop(rng).footage.frames()
-    street = next(iter(still))
+    street = next(iter(drawn_backdrop(rng).footage.frames()))
     makers = (_mains, _moving, _beacon, _pulsed, _sign)
     lamps = [makers[int(rng.integers(len(makers)))](rng) for _ in range(LAMPS)]
     images = []
@@ -72,7 +90,7 @@ def lamp_backdrop(rng: np.random.Generator) -> Stretch:
             _draw(image, lamp, k / RATE_HZ)
         images.append(np.asarray(cv2.GaussianBlur(image, (0, 0), 0.5), np.uint8))
     # the channel looks at the middle of an exposure: half a frame on, so that it meets whole images
-    return Stretch(Footage(lambda: iter(images), RATE_HZ), 0.5 / RATE_HZ)
+    return Moment(Footage(lambda: iter(images), RATE_HZ), 0.5 / RATE_HZ)
 
 
 def _draw(image: Gray, lamp: Lamp, time_s: float) -> None:
@@ -81,7 +99,7 @@ def _draw(image: Gray, lamp: Lamp, time_s: float) -> None:
 
     light = lamp.light(time_s + SUBSTEPS).mean(-1)
     x, y = (a + v * (time_s + 0.5 / RATE_HZ) for a, v in zip(lamp.at, lamp.speed, strict=True))
-    if lamp.cells is not None:
+    if lamp.picture is not None:
         _draw_sign(image, lamp, np.asarray(light))
         return
     shade, fine = int(20 + 235 * float(light)), 16  # 16ths of a pixel
@@ -93,9 +111,9 @@ def _draw(image: Gray, lamp: Lamp, time_s: float) -> None:
 
 
 def _draw_sign(image: Gray, lamp: Lamp, light: NDArray[np.float64]) -> None:
-    assert lamp.cells is not None
-    size = max(1, round(2 * lamp.half[1] / lamp.cells.shape[0]))
-    shades = 15 + 240 * lamp.cells * light[:, None]
+    assert lamp.picture is not None
+    size = max(1, round(2 * lamp.half[1] / lamp.picture.shape[0]))
+    shades = 15 + 240 * lamp.picture * light[:, None]
     patch = np.kron(shades, np.ones((size, size))).astype(np.uint8)
     x, y = (int(np.clip(a, 0, s - n)) for a, s, n in zip(lamp.at, image.shape[::-1], patch.shape[::-1], strict=True))
     image[y : y + patch.shape[0], x : x + patch.shape[1]] = patch
@@ -135,7 +153,7 @@ def _pulsed(rng: np.random.Generator) -> Lamp:
 def _sign(rng: np.random.Generator) -> Lamp:
     """A matrix sign with a random picture, its rows lit in turn by quarters, 100 to 1000 times a second."""
     hz, phase, rows = rng.uniform(100, 1000), rng.random(), int(rng.integers(6, 13))
-    cells = (rng.random((rows, int(rng.integers(6, 25)))) < 0.6).astype(np.uint8)
+    picture = (rng.random((rows, int(rng.integers(6, 25)))) < 0.6).astype(np.uint8)
     turn = np.arange(rows)[:, None] % 4 / 4
     at, half, _ = _body(rng)
-    return Lamp(at, half, False, (0, 0), lambda t: ((hz * t + phase + turn) % 1 < 0.25).astype(float), cells)
+    return Lamp(at, half, False, (0, 0), lambda t: ((hz * t + phase + turn) % 1 < 0.25).astype(float), picture)

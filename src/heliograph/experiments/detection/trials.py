@@ -1,4 +1,4 @@
-"""Films with and without an array, and what each way of detecting and the receiver make of them."""
+"""Films with and without an array, searched by each variant of the detector and by the receiver."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from heliograph.channel import ImuTrace
-from heliograph.experiments.detection import ablation as cand
-from heliograph.experiments.detection.ablation import WAYS, Probe, Scores
-from heliograph.experiments.detection.clutter import Film, shoot
+from heliograph.experiments.detection import ablation
+from heliograph.experiments.detection.ablation import VARIANTS, DetectionScores, VariantDetector
+from heliograph.experiments.detection.clutter import ClutterFilm, film_moment
 from heliograph.experiments.detection.identities import detections
 from heliograph.experiments.detection.lamps import Backdrop
 from heliograph.experiments.result import Context
@@ -18,10 +18,10 @@ from heliograph.receive.settings import ReceiveSettings
 
 DISTANCES = (25.0, 50.0, 80.0)
 FOUND = 0.95
-"""Share of arrays that the second threshold lets through."""
+"""Fraction of the arrays that exceed the second threshold."""
 
 SCORE = ReceiveSettings().detect.score
-"""The receiver's own threshold, by which the ways are compared first."""
+"""The receiver's own threshold, the first by which the variants are compared."""
 
 LAMPS = "lamps"
 """The scene full of lamps, which move, flicker and turn; the others are footage and a drawn street at rest."""
@@ -35,7 +35,7 @@ LAMP_FILMS = 3
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How much is filmed.
+    """How many films are taken.
 
     Attributes
     ----------
@@ -43,8 +43,10 @@ class Effort:
         Films of each scene without an array, and with one at each distance.
     reach
         Frames of a clip that are used.
-    repeats, step
-        Films of an identity at each distance; every `step`-th identity is filmed.
+    repeats
+        Films of an identity at each distance.
+    step
+        Every `step`-th identity is filmed.
     """
 
     without: int
@@ -55,16 +57,30 @@ class Effort:
 
 
 @dataclass(slots=True)
-class Measured:
-    """Scores of the four ways, and counts of the receiver as it is set."""
+class DetectionTrials:
+    """Scores of the variants, and counts of the receiver as it is set.
 
-    scores: dict[str, Scores] = field(default_factory=lambda: {way.name: Scores({}, {}) for way in WAYS})
+    Attributes
+    ----------
+    scores
+        By variant.
+    receiver_false
+        Films without an array in which the receiver finds one, by scene.
+    receiver_found
+        Films with an array that the receiver finds, by scene and distance in m.
+    example
+        The worst false alarm of the first variant: score, film and pose.
+    """
+
+    scores: dict[str, DetectionScores] = field(
+        default_factory=lambda: {variant.name: DetectionScores({}, {}) for variant in VARIANTS}
+    )
     receiver_false: dict[str, Count] = field(default_factory=dict)
     receiver_found: dict[tuple[str, float], Count] = field(default_factory=dict)
-    example: tuple[float, Film, Pose] | None = None
+    example: tuple[float, ClutterFilm, Pose] | None = None
 
-    def add(self, more: "Measured") -> None:
-        """Take the films of another batch."""
+    def add(self, more: "DetectionTrials") -> None:
+        """Count the films of another batch as well."""
         for name, scores in more.scores.items():
             for scene, false in scores.false.items():
                 self.scores[name].false.setdefault(scene, []).extend(false)
@@ -78,11 +94,19 @@ class Measured:
             self.example = more.example
 
     def set_false(self, scenes: Collection[str] | None = None) -> Count:
-        """False alarms of the receiver as it is set, in some scenes or all."""
+        """False alarms of the receiver as it is set, in some scenes; None: in all."""
         return together(count for scene, count in self.receiver_false.items() if scenes is None or scene in scenes)
 
     def set_found(self, distance_m: float, scenes: Collection[str] | None = None) -> Count:
-        """Arrays it finds at a distance, in some scenes or all."""
+        """Arrays that the receiver as it is set finds.
+
+        Parameters
+        ----------
+        distance_m
+            Their distance in m.
+        scenes
+            The scenes to count; None: all.
+        """
         return together(
             count
             for (scene, z), count in self.receiver_found.items()
@@ -91,8 +115,22 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
-    """Films of a scene: which, with an array at a distance (None: without one), and what they are drawn from."""
+class SceneFilms:
+    """Films of a scene.
+
+    Attributes
+    ----------
+    scene, backdrop, place
+        Name of the scene, the scene, and its number among all.
+    distance_m
+        Distance of the array in m; None: there is none.
+    trials
+        Numbers of the films.
+    imu
+        Recorded motion; None: a road.
+    seed
+        Of all films.
+    """
 
     scene: str
     backdrop: Backdrop
@@ -103,49 +141,61 @@ class Batch:
     seed: int
 
 
-def measure(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None, context: Context) -> Measured:
-    """Scores of all ways in all films."""
-    out = Measured()
-    for one in context.each("detection", film_batch, _batches(scenes, effort, imu, context.seed), (0.0, 0.7)):
+def measure(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None, context: Context) -> DetectionTrials:
+    """Scores of all variants in all films.
+
+    Parameters
+    ----------
+    scenes
+        By name.
+    effort
+        How many films.
+    imu
+        Recorded motion; None: a road.
+    context
+        Gives seed, workers and progress.
+    """
+    out = DetectionTrials()
+    for one in context.each("detection", film_scene, _batches(scenes, effort, imu, context.seed), (0.0, 0.7)):
         out.add(one)
     return out
 
 
-def _batches(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None, seed: int) -> Iterator[Batch]:
+def _batches(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None, seed: int) -> Iterator[SceneFilms]:
     for place, (name, scene) in enumerate(scenes.items()):
         for distance in (None, *DISTANCES):
             bare = effort.without * (LAMP_FILMS if name == LAMPS else 1)
             films = range(bare if distance is None else effort.with_array)
             for start in films[::BATCH]:
-                yield Batch(name, scene, place, distance, films[start : start + BATCH], imu, seed)
+                yield SceneFilms(name, scene, place, distance, films[start : start + BATCH], imu, seed)
 
 
-def film_batch(batch: Batch) -> Measured:
+def film_scene(batch: SceneFilms) -> DetectionTrials:
     """Film and search."""
-    out, probes = Measured(), {way.name: Probe(way) for way in WAYS}
+    out, detectors = DetectionTrials(), {variant.name: VariantDetector(variant) for variant in VARIANTS}
     for trial in batch.trials:
         if batch.distance_m is None:
             rng = np.random.default_rng([batch.seed, batch.place, trial, 0])
-            _without(out, probes, batch.scene, shoot(batch.backdrop(rng), rng, batch.imu))
+            _without(out, detectors, batch.scene, film_moment(batch.backdrop(rng), rng, batch.imu))
         else:
             seed = (batch.seed, batch.place, trial, round(batch.distance_m))
-            _with(out, probes, batch.scene, batch.backdrop, batch.distance_m, seed, batch.imu)
+            _with(out, detectors, batch.scene, batch.backdrop, batch.distance_m, seed, batch.imu)
     return out
 
 
-def _without(out: Measured, probes: Mapping[str, Probe], scene: str, film: Film) -> None:
-    for name, probe in probes.items():
-        best = cand.best_false(probe.candidates(film))
+def _without(out: DetectionTrials, detectors: Mapping[str, VariantDetector], scene: str, film: ClutterFilm) -> None:
+    for name, detector in detectors.items():
+        best = ablation.best_false(detector.candidates(film))
         score = best.score if best else 0.0
         out.scores[name].false.setdefault(scene, []).append(score)
-        if best and name == WAYS[0].name and (out.example is None or score > out.example[0]):
+        if best and name == VARIANTS[0].name and (out.example is None or score > out.example[0]):
             out.example = score, film, best.pose
     out.receiver_false.setdefault(scene, Count()).add(1, bool(detections(film)))
 
 
 def _with(
-    out: Measured,
-    probes: Mapping[str, Probe],
+    out: DetectionTrials,
+    detectors: Mapping[str, VariantDetector],
     scene: str,
     backdrop: Backdrop,
     distance: float,
@@ -153,20 +203,20 @@ def _with(
     imu: ImuTrace | None,
 ) -> None:
     """The same moment with an array of each kind of header."""
-    films: dict[str, Film] = {}
-    for way in WAYS:
-        if way.detector not in films:
+    films: dict[str, ClutterFilm] = {}
+    for variant in VARIANTS:
+        if variant.detector not in films:
             rng = np.random.default_rng(seed)
             identity = int(rng.integers(30))
-            films[way.detector] = shoot(backdrop(rng), rng, imu, distance, way.detector, (identity,))
-        film, wanted = films[way.detector], identity if way.detector == "m_sequence" else None
+            films[variant.detector] = film_moment(backdrop(rng), rng, imu, distance, variant.detector, (identity,))
+        film, wanted = films[variant.detector], identity if variant.detector == "m_sequence" else None
         assert film.truth is not None
-        score = cand.score_of_array(probes[way.name].candidates(film), film.truth, wanted)
-        out.scores[way.name].true.setdefault((scene, distance), []).append(score)
+        score = ablation.score_of_array(detectors[variant.name].candidates(film), film.truth, wanted)
+        out.scores[variant.name].true.setdefault((scene, distance), []).append(score)
     film = films["m_sequence"]
     assert film.truth is not None
     truth = film.truth
-    found = any(cand.same(one.fit.pose, truth) and one.identity == identity for one in detections(film))
+    found = any(ablation.same(one.fit.pose, truth) and one.identity == identity for one in detections(film))
     out.receiver_found.setdefault((scene, distance), Count()).add(1, found)
 
 
@@ -176,31 +226,61 @@ def together(counts: Iterable[Count]) -> Count:
     return Count(sum(c.trials for c in every), sum(c.errors for c in every))
 
 
-def false_alarms(scores: Scores, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
-    """Films without an array, of some scenes or all, in which something exceeds a threshold."""
+def false_alarms(scores: DetectionScores, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
+    """Films without an array in which a candidate exceeds a threshold.
+
+    Parameters
+    ----------
+    scores
+        Of a variant.
+    threshold
+        Score to exceed.
+    scenes
+        The scenes to count; None: all.
+    """
     false = [s for scene, found in scores.false.items() if scenes is None or scene in scenes for s in found]
     return Count(len(false), sum(s > threshold for s in false))
 
 
-def found_above(scores: Scores, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
-    """Arrays at all distances, in some scenes or all, that exceed a threshold."""
+def found_above(scores: DetectionScores, threshold: float = SCORE, scenes: Collection[str] | None = None) -> Count:
+    """Arrays at all distances whose score exceeds a threshold.
+
+    Parameters
+    ----------
+    scores
+        Of a variant.
+    threshold
+        Score to exceed.
+    scenes
+        The scenes to count; None: all.
+    """
     true = [s for (scene, _), found in scores.true.items() if scenes is None or scene in scenes for s in found]
     return Count(len(true), sum(s > threshold for s in true))
 
 
-def threshold_of(scores: Scores) -> float:
+def threshold_of(scores: DetectionScores) -> float:
     """The threshold that `FOUND` of the arrays exceed, all distances together."""
-    return cand.threshold_for_found(np.concatenate([scores.all_true(z) for z in DISTANCES]), FOUND)
+    return ablation.threshold_for_found(np.concatenate([scores.all_true(z) for z in DISTANCES]), FOUND)
 
 
-def found_at(scores: Scores, distance: float, share: float) -> Count:
-    """Arrays found at the threshold that at most a share of the films without one exceed."""
+def found_at(scores: DetectionScores, distance: float, fraction: float) -> Count:
+    """Arrays found at the threshold that at most a fraction of the films without one exceed.
+
+    Parameters
+    ----------
+    scores
+        Of a variant.
+    distance
+        Distance of the arrays in m.
+    fraction
+        The fraction, 0 to 1.
+    """
     true = scores.all_true(distance)
-    return Count(true.size, int((true > cand.threshold_for_false(scores.all_false(), share)).sum()))
+    return Count(true.size, int((true > ablation.threshold_for_false(scores.all_false(), fraction)).sum()))
 
 
-def less(a: Count, b: Count) -> bool | None:
-    """Whether rate a is below rate b; None where the intervals overlap."""
+def is_lower(a: Count, b: Count) -> bool | None:
+    """Whether rate a is below rate b; None where their 95 % intervals overlap."""
     if a.interval()[1] < b.interval()[0]:
         return True
     return False if a.interval()[0] > b.interval()[1] else None

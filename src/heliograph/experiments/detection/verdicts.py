@@ -2,27 +2,27 @@
 
 from collections.abc import Collection, Mapping
 
-from heliograph.experiments.detection.ablation import WAYS, Scores
+from heliograph.experiments.detection.ablation import VARIANTS, DetectionScores
 from heliograph.experiments.detection.identities import Confusion
 from heliograph.experiments.detection.trials import (
     DISTANCES,
     FOUND,
     LAMPS,
     SCORE,
-    Measured,
+    DetectionTrials,
     false_alarms,
     found_above,
-    less,
+    is_lower,
     threshold_of,
 )
 from heliograph.experiments.result import Finding, Verdict
 from heliograph.measure.statistics import Count
 
 FAR_M = 150.0
-"""Beyond the paper's distances, where identities are told apart all the same."""
+"""A distance in m beyond the paper's, at which identities are found all the same."""
 
 
-def compared(measured: Measured) -> list[Finding]:
+def compared(measured: DetectionTrials) -> list[Finding]:
     """The paper's two claims about false detections at the receiver's own threshold, each by kind of scene."""
     groups = kinds(measured)
     return [
@@ -31,9 +31,9 @@ def compared(measured: Measured) -> list[Finding]:
     ]
 
 
-def kinds(measured: Measured) -> dict[str, list[str]]:
-    """Scenes by kind: what is filmed or drawn at rest, and the drawn lamps made to deceive."""
-    names = list(measured.scores[WAYS[0].name].false)
+def kinds(measured: DetectionTrials) -> dict[str, list[str]]:
+    """Scenes by kind: those filmed or drawn at rest, and the drawn lamps, which are made to deceive."""
+    names = list(measured.scores[VARIANTS[0].name].false)
     groups = {
         "footage and a still street": [name for name in names if name != LAMPS],
         "drawn lamps": [name for name in names if name == LAMPS],
@@ -41,8 +41,8 @@ def kinds(measured: Measured) -> dict[str, list[str]]:
     return {kind: scenes for kind, scenes in groups.items() if scenes}
 
 
-def _taken(measured: Measured, kind: str, scenes: list[str]) -> Finding:
-    all_on = measured.scores[WAYS[0].name]
+def _taken(measured: DetectionTrials, kind: str, scenes: list[str]) -> Finding:
+    all_on = measured.scores[VARIANTS[0].name]
     alarms = false_alarms(all_on, scenes=scenes)
     return Finding(
         f"Fig. 6: with all LEDs on, what is left of the background can be taken for the array: {kind}.",
@@ -52,8 +52,8 @@ def _taken(measured: Measured, kind: str, scenes: list[str]) -> Finding:
     )
 
 
-def _nothing(scores: Scores, alarms: Count, scenes: list[str]) -> str:
-    """Why nothing was taken for the array: how near to it the background came."""
+def _nothing(scores: DetectionScores, alarms: Count, scenes: list[str]) -> str:
+    """The reason why there was no false alarm: the best scores of the background."""
     highest = max((score for scene in scenes for score in scores.false[scene]), default=0.0)
     best = f"the best candidate in any scored {highest:.2f}" if highest else "none had a candidate"
     return (
@@ -62,12 +62,12 @@ def _nothing(scores: Scores, alarms: Count, scenes: list[str]) -> str:
     )
 
 
-def _unique(measured: Measured, kind: str, scenes: list[str]) -> Finding:
-    all_on, paper = (measured.scores[WAYS[k].name] for k in (0, 2))
-    fewer = less(false_alarms(paper, scenes=scenes), false_alarms(all_on, scenes=scenes))
+def _unique(measured: DetectionTrials, kind: str, scenes: list[str]) -> Finding:
+    all_on, paper = (measured.scores[VARIANTS[k].name] for k in (0, 2))
+    fewer = is_lower(false_alarms(paper, scenes=scenes), false_alarms(all_on, scenes=scenes))
     verdicts: dict[bool | None, Verdict] = {True: "holds", False: "differs", None: "shown"}
     parts = [
-        f"{WAYS[k].name}: films with a false alarm {_by_scene(s, scenes)}, found "
+        f"{VARIANTS[k].name}: films with a false alarm {_by_scene(s, scenes)}, found "
         f"{_of(found_above(s, scenes=scenes))}; above {threshold_of(s):.3f}, {_by_scene(s, scenes, threshold_of(s))}"
         for k, s in ((2, paper), (0, all_on))
     ]
@@ -76,21 +76,29 @@ def _unique(measured: Measured, kind: str, scenes: list[str]) -> Finding:
         f"Score above {SCORE}, and above the threshold that {FOUND:.0%} of all these arrays exceed. "
         f"{'. '.join(parts)}.",
         verdicts[fewer],
-        "" if fewer is not None else "The intervals overlap: these films do not tell.",
+        "" if fewer is not None else "The intervals overlap: these films do not decide it.",
     )
 
 
-def _by_scene(scores: Scores, scenes: Collection[str], threshold: float = SCORE) -> str:
+def _by_scene(scores: DetectionScores, scenes: Collection[str], threshold: float = SCORE) -> str:
     """Films with a false alarm of each scene."""
     return ", ".join(f"{scene} {counted(false_alarms(scores, threshold, [scene]))}" for scene in scenes)
 
 
-def told_apart(told: Mapping[float, Confusion], *, beside: bool = False) -> Finding:
-    """Several arrays by their M-sequences, each alone or two in one view."""
-    near = [one for z, one in told.items() if z in DISTANCES]
+def identities_found(confusions: Mapping[float, Confusion], *, beside: bool = False) -> Finding:
+    """Whether arrays are found with their own identities.
+
+    Parameters
+    ----------
+    confusions
+        By distance in m.
+    beside
+        Whether two arrays were in one view; else each alone.
+    """
+    near = [one for z, one in confusions.items() if z in DISTANCES]
     wrong = Count(sum(c.wrong.trials for c in near), sum(c.wrong.errors for c in near))
     right = Count(sum(c.right.trials for c in near), sum(c.right.errors for c in near))
-    far = told[FAR_M]
+    far = confusions[FAR_M]
     return Finding(
         f"Section IV-A: arrays with different M-sequences are told apart: {'two in one view' if beside else 'alone'}.",
         f"At 25 m to 80 m: right {right.errors} of {right.trials} ({_range(right)}), taken for another "
@@ -100,20 +108,20 @@ def told_apart(told: Mapping[float, Confusion], *, beside: bool = False) -> Find
     )
 
 
-def ingredients(measured: Measured) -> Finding:
-    """What the header and the number of frames each bring."""
+def ingredients(measured: DetectionTrials) -> Finding:
+    """The effect of the header and of the number of frames."""
     parts = []
-    for way in WAYS:
-        scores = measured.scores[way.name]
+    for variant in VARIANTS:
+        scores = measured.scores[variant.name]
         for kind, scenes in kinds(measured).items():
             parts.append(
-                f"{way.name}, {kind}: films with a false alarm {_by_scene(scores, scenes)}, found "
+                f"{variant.name}, {kind}: films with a false alarm {_by_scene(scores, scenes)}, found "
                 f"{_of(found_above(scores, scenes=scenes))}"
             )
     return Finding(f"Asked: what each ingredient brings, score above {SCORE}.", "; ".join(parts) + ".", "shown")
 
 
-def as_set(measured: Measured) -> Finding:
+def as_set(measured: DetectionTrials) -> Finding:
     """The receiver's detector with its own thresholds."""
     parts = []
     for kind, scenes in kinds(measured).items():

@@ -7,21 +7,23 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.experiments.error_rates.films import Record, bin_of
+from heliograph.experiments.error_rates.films import PacketRecord, bin_of
 from heliograph.signal.settings import LAYERS
 
 Floats = NDArray[np.float64]
 
 MARGIN = 1.5
-"""Factor between driving and static within which they are taken for alike; a layer's error rate changes by so much
-within about 3 m."""
+"""Factor between driving and static within which they count as alike; a layer's error rate changes by so much within
+about 3 m."""
 
 RISK = 0.05
+"""Level of significance of the tests; intervals cover 1 less this."""
 
 FEWEST = 30
 """Raw errors of both together below which a bin is not compared."""
 
 RESAMPLES = 4000
+"""Draws of a bootstrap, and turnings of signs of a test."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +63,8 @@ _Paired = tuple[str, float | None, tuple[float, ...]]
 
 
 def compare(
-    driving: Sequence[Record],
-    static: Sequence[Record],
+    driving: Sequence[PacketRecord],
+    static: Sequence[PacketRecord],
     rng: np.random.Generator,
     margin: float = MARGIN,
     drives: Sequence[int] = (),
@@ -80,9 +82,9 @@ def compare(
     rng
         Of the resampling.
     margin
-        Factor up to which they are taken for alike.
+        Factor up to which they count as alike.
     drives
-        Which drive each packet is of; none given: all of one, and the bootstrap is over pairs only.
+        Number of the drive of each packet; none given: all of one drive, and the bootstrap is over pairs only.
 
     Returns
     -------
@@ -111,13 +113,13 @@ def _adjusted(found: Sequence[_Paired]) -> list[float]:
     return [adjusted[k] for k in range(len(found))]
 
 
-def _read(driving: Sequence[Record], static: Sequence[Record], layer: str) -> NDArray[np.bool_]:
+def _read(driving: Sequence[PacketRecord], static: Sequence[PacketRecord], layer: str) -> NDArray[np.bool_]:
     """In which pairs bits of the layer were read, of both."""
     both = zip(driving, static, strict=True)
     return np.array([min(a.layers[layer].raw_bits, b.layers[layer].raw_bits) > 0 for a, b in both], dtype=bool)
 
 
-def _rates(records: Sequence[Record], layer: str) -> tuple[Floats, int]:
+def _rates(records: Sequence[PacketRecord], layer: str) -> tuple[Floats, int]:
     """Raw error rate of each packet, and their errors in all."""
     counts = [record.layers[layer] for record in records]
     rates = np.array([c.raw_errors / max(c.raw_bits, 1) for c in counts])

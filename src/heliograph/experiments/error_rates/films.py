@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from heliograph.experiments.systems.schemes import static_link
+from heliograph.experiments.links import static_link
 from heliograph.link.recordings import load_imu
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, simulate
@@ -21,49 +21,57 @@ from heliograph.signal.settings import LAYERS
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
-    """A packet received: the true distance at its middle, and its counts by layer."""
+class PacketRecord:
+    """A packet received.
+
+    Attributes
+    ----------
+    distance_m
+        True distance in m at its middle.
+    layers
+        Counts by layer.
+    """
 
     distance_m: float
     layers: Layers
 
 
 @dataclass(frozen=True, slots=True)
-class Filmed:
-    """What came of a film.
+class FilmCounts:
+    """Counts of a film, packet by packet.
 
     Attributes
     ----------
     packets
-        Those received.
+        Packets received.
     missed
-        Codewords of the others by distance bin and layer.
+        Codewords of packets of which nothing was received, by the lower edge of the distance bin in m and by layer.
     lost
-        The packets filmed whole of which nothing was received, each by the middle of its distance bin.
+        Packets filmed whole of which nothing was received, each by the middle of its distance bin in m.
     false_codewords
-        Codewords taken for right that were not sent.
+        Codewords accepted as right that were not sent.
     """
 
-    packets: Sequence[Record]
+    packets: Sequence[PacketRecord]
     missed: Mapping[float, Mapping[str, int]]
     lost: Sequence[float] = ()
     false_codewords: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class FilmTask:
     """A film to be received: at rest at a distance, or a drive.
 
     Attributes
     ----------
     distance_m
-        Distance at rest; None: a drive from 80 m to 25 m at 30 km/h.
+        Distance at rest in m; None: a drive from 80 m to 25 m at 30 km/h.
     modulation
         See `SignalSettings`.
     seed
         Of messages, place, motion and noise.
     imu
-        Recorded motion of the drive; None: a road.
+        File of the recorded motion of the drive; None: a road.
     """
 
     distance_m: float | None
@@ -72,7 +80,7 @@ class Task:
     imu: Path | None = None
 
 
-def measure(task: Task) -> Filmed:
+def count_film(task: FilmTask) -> FilmCounts:
     """Film, receive, count."""
     rng = np.random.default_rng(task.seed)
     signal = {"modulation": task.modulation}
@@ -85,14 +93,24 @@ def measure(task: Task) -> Filmed:
     return film_packets(load_settings("paper", {"signal": signal, "channel": shake}), rng, Recordings(imu=trace))
 
 
-def film_packets(settings: LinkSettings, rng: np.random.Generator, recordings: Recordings | None = None) -> Filmed:
-    """Counts of each packet of a film by itself: errors within a packet are not independent."""
+def film_packets(settings: LinkSettings, rng: np.random.Generator, recordings: Recordings | None = None) -> FilmCounts:
+    """Counts of each packet of a film by itself: errors within a packet are not independent.
+
+    Parameters
+    ----------
+    settings
+        The link, with one array.
+    rng
+        Draws the seed of messages, motion and noise.
+    recordings
+        Real motion.
+    """
     seed = int(rng.integers(2**31))
     messages = random_messages(settings, seed)
     counter, receiver = ErrorCounter(settings, messages), make_receiver(settings.signal, settings.receive)
     times: list[float] = []
     distances: list[float] = []
-    records: list[Record] = []
+    records: list[PacketRecord] = []
     for frame, truth in simulate(settings, messages, seed, recordings, window_margin_px(settings)):
         array = truth.arrays[0]
         counter.saw(truth.time_s, [array.distance_m], [array.visible])
@@ -107,41 +125,47 @@ def film_packets(settings: LinkSettings, rng: np.random.Generator, recordings: R
     missed = {start: layers for start, layers in missed.items() if layers}
     words = PacketFormat(settings.signal).layers["high"].codewords
     lost = [start + BIN_M / 2 for start, layers in missed.items() for _ in range(layers["high"] // words)]
-    return Filmed(records, missed, lost, counter.false_codewords)
+    return FilmCounts(records, missed, lost, counter.false_codewords)
 
 
-def _counted(counter: ErrorCounter, packet: Packet, distance_m: float) -> Record | None:
-    """What a packet adds to the counts; None if it is none of its own: cut by the film's end, or received before."""
+def _counted(counter: ErrorCounter, packet: Packet, distance_m: float) -> PacketRecord | None:
+    """The counts that a packet adds; None if it adds none: cut by the film's end, or received before."""
     before = counter.total()
     counter.received(packet)
     after = counter.total()
     # a packet that was missed so far is not any more
     counts = {name: after[name].received - before[name].received for name in LAYERS}
     own = all(one.codewords > 0 and min(asdict(one).values()) >= 0 for one in counts.values())
-    return Record(distance_m, counts) if own and any(one.raw_bits for one in counts.values()) else None
+    return PacketRecord(distance_m, counts) if own and any(one.raw_bits for one in counts.values()) else None
 
 
 @dataclass(slots=True)
-class Sums:
-    """Counts of several packets, by distance and layer."""
+class CountsByDistance:
+    """Counts of several packets, by distance and layer.
+
+    Attributes
+    ----------
+    places
+        Counts by layer, by distance in m.
+    """
 
     places: dict[float, Layers] = field(default_factory=dict)
 
-    def add(self, place: float, record: Record) -> None:
-        """Count a packet."""
+    def add(self, place: float, record: PacketRecord) -> None:
+        """Count a packet at a distance in m."""
         self.places[place] = pooled([self.places.get(place, {}), record.layers])
 
     def miss(self, place: float, layer: str, codewords: int) -> None:
-        """Count codewords that were not received."""
+        """Count codewords of a layer that were not received, at a distance in m."""
         self.places[place] = pooled([self.places.get(place, {}), {layer: LayerCounts.of_missed(codewords)}])
 
 
 def bin_of(distance_m: float) -> float:
-    """Middle of the distance bin."""
+    """Middle in m of the distance bin."""
     return float(distance_m // BIN_M * BIN_M + BIN_M / 2)
 
 
-def lost_packets(films: Sequence[Filmed]) -> Count:
+def lost_packets(films: Sequence[FilmCounts]) -> Count:
     """Packets filmed whole, and those of them of which nothing was received."""
     return Count(sum(len(one.packets) + len(one.lost) for one in films), sum(len(one.lost) for one in films))
 

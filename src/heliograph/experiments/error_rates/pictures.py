@@ -5,18 +5,30 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from heliograph.experiments import plots
 from heliograph.experiments.error_rates.comparison import MARGIN, Comparison
-from heliograph.experiments.error_rates.films import Sums, all_layers
-from heliograph.experiments.plots import COLOURS
+from heliograph.experiments.error_rates.films import CountsByDistance, all_layers
+from heliograph.experiments.plots import LAYER_COLOURS
 from heliograph.measure.counts import Layers
 from heliograph.measure.statistics import Clustered, Count
 from heliograph.signal.settings import LAYERS
 
 
-def pictures(still: Sums, moving: Sums, keyed: Sums, found: Sequence[Comparison]) -> list[tuple[Figure, str]]:
-    """Rates by distance, and driving over static; each with its caption."""
+def pictures(
+    static: CountsByDistance, driving: CountsByDistance, keyed: CountsByDistance, found: Sequence[Comparison]
+) -> list[tuple[Figure, str]]:
+    """Rates by distance, and driving over static; each with its caption.
+
+    Parameters
+    ----------
+    static, driving, keyed
+        Counts at rest, driving, and of on-off keying at rest.
+    found
+        Driving against static.
+    """
     rates = (
         "Bit error rate before and after the turbo code: static (lines), driving (open squares), on-off keying before "
         "any code (gray). Layers are drawn half a metre aside. 95 % intervals; an arrow is a bound (3/n), no error met "
@@ -26,18 +38,18 @@ def pictures(still: Sums, moving: Sums, keyed: Sums, found: Sequence[Comparison]
         "Raw errors driving over static at the same distances, 95 % over packets or drives; "
         f"gray: alike, a factor {MARGIN:g}."
     )
-    return [(_rates_picture(still, moving, keyed), rates), (_ratio_picture(found), ratio)]
+    return [(_rates_picture(static, driving, keyed), rates), (_ratio_picture(found), ratio)]
 
 
-def _rates_picture(still: Sums, moving: Sums, keyed: Sums) -> Figure:
+def _rates_picture(static: CountsByDistance, driving: CountsByDistance, keyed: CountsByDistance) -> Figure:
     figure = Figure(figsize=(12, 4.8))
     for axes, kind, title in zip(figure.subplots(1, 2), ("raw", "decoded"), ("before", "after"), strict=True):
         for k, name in enumerate(LAYERS):
             count = partial(_of, name, kind)
-            _draw(axes, still, count, COLOURS[name], f"{name}, static", "-", 0.5 * (k - 1))
-            _draw(axes, moving, count, COLOURS[name], f"{name}, driving", "none", 0.5 * (k - 1))
+            _draw(axes, static, count, LAYER_COLOURS[name], f"{name}, static", "-", 0.5 * (k - 1))
+            _draw(axes, driving, count, LAYER_COLOURS[name], f"{name}, driving", "none", 0.5 * (k - 1))
         if kind == "raw":
-            _draw(axes, keyed, all_layers, "#4a5056", "on-off keying, static", "--")
+            _draw(axes, keyed, all_layers, plots.DARK_GRAY, "on-off keying, static", "--")
         axes.set_title(f"{title} the turbo code", fontsize=10)
         axes.set_yscale("log")
         axes.set_ylim(1e-6, 1)
@@ -45,14 +57,14 @@ def _rates_picture(still: Sums, moving: Sums, keyed: Sums) -> Figure:
         axes.set_ylabel("bit error rate")
         # where no curve is: errors come far off and, after the code, bounds lie high
         axes.legend(frameon=False, fontsize=8, loc="upper left" if kind == "raw" else "lower left")
-        _clean(axes)
+        plots.tidy(axes)
     figure.tight_layout()
     return figure
 
 
 def _draw(
-    axes: Any,
-    sums: Sums,
+    axes: Axes,
+    sums: CountsByDistance,
     count: Callable[[Layers], Count],
     colour: str,
     label: str,
@@ -61,7 +73,7 @@ def _draw(
 ) -> None:
     counts = [(z + aside_m, count(layers)) for z, layers in sorted(sums.places.items())]
     met = [(z, c.rate, *c.interval()) for z, c in counts if c.errors]
-    style = {"color": colour, "ls": dashes, "lw": 1.2, "capsize": 2}
+    style: dict[str, Any] = {"color": colour, "ls": dashes, "lw": 1.2, "capsize": 2}
     style |= {"marker": "s", "mfc": "none", "ms": 6} if dashes == "none" else {"marker": "o", "ms": 3}
     if met:
         z, rate, low, high = np.array(met).T
@@ -76,15 +88,15 @@ def _draw(
 def _ratio_picture(found: Sequence[Comparison]) -> Figure:
     figure = Figure(figsize=(9, 3.6))
     axes = figure.subplots()
-    axes.axhspan(1 / MARGIN, MARGIN, color="#eef0f2", zorder=0)
-    axes.axhline(1, color="#c9ced6", lw=1, zorder=1)
+    axes.axhspan(1 / MARGIN, MARGIN, color=plots.PALE_GRAY, zorder=0)
+    axes.axhline(1, color=plots.LIGHT_GRAY, lw=1, zorder=1)
     for k, name in enumerate(LAYERS):
         rows = [(c.bin_m + k - 1, c.ratio, c.low, c.high) for c in found if c.layer == name and c.bin_m is not None]
         if rows:
             z, ratio, low, high = np.array(rows).T
             high = np.minimum(high, 1e3)
             bars = (ratio - np.minimum(low, ratio), np.maximum(high, ratio) - ratio)
-            axes.errorbar(z, ratio, bars, color=COLOURS[name], marker="o", ms=4, ls="none", capsize=2, label=name)
+            axes.errorbar(z, ratio, bars, color=LAYER_COLOURS[name], marker="o", ms=4, ls="none", capsize=2, label=name)
     axes.set_yscale("log")
     axes.set_ylim(0.2, 5)
     axes.set_yticks((0.2, 0.5, 1, 2, 5), ("0.2", "0.5", "1", "2", "5"))
@@ -93,14 +105,9 @@ def _ratio_picture(found: Sequence[Comparison]) -> Figure:
     axes.set_ylabel("driving / static")
     if axes.get_legend_handles_labels()[0]:
         axes.legend(frameon=False, ncols=3)
-    _clean(axes)
+    plots.tidy(axes)
     figure.tight_layout()
     return figure
-
-
-def _clean(axes: Any) -> None:
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25, lw=0.6)
 
 
 def _of(layer: str, kind: str, layers: Layers) -> Clustered:

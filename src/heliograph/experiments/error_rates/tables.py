@@ -5,21 +5,27 @@ from dataclasses import asdict
 from typing import Any
 
 from heliograph.experiments.error_rates.comparison import MARGIN, Comparison
-from heliograph.experiments.error_rates.films import Sums, all_layers
+from heliograph.experiments.error_rates.films import CountsByDistance, all_layers
 from heliograph.experiments.result import Table
 from heliograph.measure.counts import Layers
 from heliograph.measure.errors import BIN_M
 from heliograph.signal.settings import LAYERS
 
 
-def rates_table(still: Sums, moving: Sums, keyed: Sums) -> Table:
-    """Error rates at rest, driving and of on-off keying, a row a distance."""
+def rates_table(static: CountsByDistance, driving: CountsByDistance, keyed: CountsByDistance) -> Table:
+    """Error rates at rest, driving and of on-off keying, a row a distance.
+
+    Parameters
+    ----------
+    static, driving, keyed
+        Counts at rest, driving, and of on-off keying at rest.
+    """
     head = ["distance"]
     head += [f"{n}: {what}" for n in LAYERS for what in ("raw", "decoded", "codewords wrong")] + ["on-off keying: raw"]
-    rows = [_rates_row(f"static {z:g} m", layers, keyed.places.get(z)) for z, layers in sorted(still.places.items())]
+    rows = [_rates_row(f"static {z:g} m", layers, keyed.places.get(z)) for z, layers in sorted(static.places.items())]
     rows += [
         _rates_row(f"driving {z - BIN_M / 2:g}-{z + BIN_M / 2:g} m", layers, None)
-        for z, layers in sorted(moving.places.items())
+        for z, layers in sorted(driving.places.items())
     ]
     return Table(
         "Bit error rates; no error among n raw bits, or after the code n packets, is written < 3/n", head, rows
@@ -53,15 +59,25 @@ def comparison_table(found: Sequence[Comparison]) -> Table:
     return Table(f"Driving against static, raw; alike: within a factor {MARGIN:g}", head, rows)
 
 
-def plain_values(still: Sums, moving: Sums, keyed: Sums, found: Sequence[Comparison]) -> dict[str, Any]:
-    """All counts and comparisons, for JSON."""
+def plain_values(
+    static: CountsByDistance, driving: CountsByDistance, keyed: CountsByDistance, found: Sequence[Comparison]
+) -> dict[str, Any]:
+    """All counts and comparisons as plain values, for JSON.
 
-    def plain(sums: Sums) -> list[dict[str, Any]]:
+    Parameters
+    ----------
+    static, driving, keyed
+        Counts at rest, driving, and of on-off keying at rest.
+    found
+        Driving against static.
+    """
+
+    def plain(sums: CountsByDistance) -> list[dict[str, Any]]:
         return [{"distance_m": z, **{n: asdict(c) for n, c in by.items()}} for z, by in sorted(sums.places.items())]
 
     return {
-        "static": plain(still),
-        "driving": plain(moving),
+        "static": plain(static),
+        "driving": plain(driving),
         "ook": plain(keyed),
         "comparison": [asdict(c) for c in found],
     }

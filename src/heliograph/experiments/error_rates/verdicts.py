@@ -6,24 +6,32 @@ from typing import Literal
 import numpy as np
 
 from heliograph.experiments.error_rates.comparison import MARGIN, RISK, Comparison
-from heliograph.experiments.error_rates.films import Sums, all_layers
+from heliograph.experiments.error_rates.films import CountsByDistance, all_layers
 from heliograph.experiments.result import Finding, Verdict
 from heliograph.measure.errors import BIN_M
 from heliograph.measure.statistics import Count
 from heliograph.signal.settings import LAYERS
 
 LOST_MARGIN = 0.05
-"""Difference of the shares of packets lost up to which driving and static are taken for alike."""
+"""Difference of the fractions of packets lost up to which driving and static count as alike."""
 
 RARE = 1e-2
-"""Bound of the rate of wrong codewords below which none wrong is taken for free of error."""
+"""Bound of the rate of wrong codewords below which a layer without a wrong one counts as free of error."""
 
 TOO_MUCH = 0.13
-"""Raw error rate from which on the code may be the reason of wrong codewords; rate 1/3 stands about 0.15."""
+"""Raw error rate from which on the code may be the reason of wrong codewords; rate 1/3 corrects about 0.15."""
 
 
 def alike(found: Sequence[Comparison], driving: Count, static: Count) -> Finding:
-    """Driving shows tendencies similar to the static ones."""
+    """Whether error rates and losses while driving are like those at rest.
+
+    Parameters
+    ----------
+    found
+        Comparisons by bin and of whole layers.
+    driving, static
+        Packets filmed whole, and those of which nothing was received.
+    """
     single, pooled = ([c for c in found if (c.bin_m is None) == whole] for whole in (False, True))
     count = {name: sum(c.verdict == name for c in single) for name in ("alike", "apart", "open")}
     apart = "; ".join(f"{c.layer} at {c.bin_m:g} m: {c.ratio:.2f}" for c in single if c.verdict == "apart")
@@ -66,12 +74,12 @@ def _judged(single: Sequence[Comparison], pooled: Sequence[Comparison], loss: st
     return "shown", "Too few packets to decide."
 
 
-def error_free(moving: Sums) -> Iterator[Finding]:
-    """Error-free communication from 25 m to 80 m with a code of rate one-third, for each layer."""
+def error_free(driving: CountsByDistance) -> Iterator[Finding]:
+    """Whether the drive from 80 m to 25 m with a code of rate one-third is free of error, for each layer."""
     for name in LAYERS:
         words, missed = Count(), 0
         first: tuple[float, Count] | None = None
-        for place, layers in sorted(moving.places.items()):
+        for place, layers in sorted(driving.places.items()):
             here = layers[name]
             words.add(here.codewords, here.codeword_errors)
             missed += here.missed
@@ -96,13 +104,19 @@ def _reasons(wrong: int, missed: int, raw: Count) -> str:
     return " ".join(reasons)
 
 
-def keying(still: Sums, keyed: Sums) -> Finding:
-    """Where plain keying, all its bits alike, lies among the layers."""
-    shared = [z for z in sorted(keyed.places) if z in still.places and z >= 50]
+def keying(static: CountsByDistance, keyed: CountsByDistance) -> Finding:
+    """Raw error rate of plain on-off keying beside those of the layers.
+
+    Parameters
+    ----------
+    static, keyed
+        Counts at rest of the layers and of on-off keying.
+    """
+    shared = [z for z in sorted(keyed.places) if z in static.places and z >= 50]
     parts, between = [], []
     for z in shared:
         one = all_layers(keyed.places[z])
-        rates = {name: still.places[z][name].raw for name in LAYERS}
+        rates = {name: static.places[z][name].raw for name in LAYERS}
         if one.errors:
             parts.append(f"{z:g} m: {one.text()} beside {' / '.join(rates[name].text() for name in LAYERS)}")
             between.append(rates["high"].rate < one.rate)

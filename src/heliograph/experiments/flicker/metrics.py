@@ -1,4 +1,4 @@
-"""Measures of flicker of a light that repeats, given by its flux slot by slot.
+"""Measures of the flicker of a light that repeats, from its flux by slot.
 
 IEEE 1789-2015 low-risk limits, stroboscopic visibility measure (CIE TN 006:2016, IEC TR 63158), flickering time period
 (IEEE 802.15.7).
@@ -25,7 +25,15 @@ LIMITED_HZ = 1250.0
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """Modulation by frequency: amplitude of each Fourier component as a share of the mean."""
+    """Modulation by frequency.
+
+    Attributes
+    ----------
+    hz
+        (n,) frequencies in Hz.
+    modulation
+        (n,) amplitude of each Fourier component by the mean.
+    """
 
     hz: Floats
     modulation: Floats
@@ -65,7 +73,15 @@ class Flicker:
 
 
 def measure(flux: ArrayLike, slot_s: float) -> Flicker:
-    """All measures of a light of given flux by slot, repeated without end."""
+    """All measures of a light that is repeated without end.
+
+    Parameters
+    ----------
+    flux
+        (slots,) light of each slot, 0 or more.
+    slot_s
+        Length of a slot in s.
+    """
     f = np.asarray(flux, float)
     lines = spectrum(f, slot_s)
     share = lines.modulation / low_risk_limit(lines.hz)
@@ -82,7 +98,17 @@ def measure(flux: ArrayLike, slot_s: float) -> Flicker:
 
 
 def spectrum(flux: ArrayLike, slot_s: float, top_hz: float = SVM_TOP_HZ) -> Spectrum:
-    """Fourier components of a light that holds each value for a slot and then repeats, without its mean."""
+    """Fourier components of a light that holds each value for a slot and then repeats, without its mean.
+
+    Parameters
+    ----------
+    flux
+        (slots,) light of each slot, 0 or more.
+    slot_s
+        Length of a slot in s.
+    top_hz
+        Largest frequency in Hz.
+    """
     f = np.asarray(flux, float)
     hz = np.arange(1, int(top_hz * f.size * slot_s + 1e-9) + 1) / (f.size * slot_s)
     lines = np.fft.fft(f) / f.size
@@ -92,14 +118,14 @@ def spectrum(flux: ArrayLike, slot_s: float, top_hz: float = SVM_TOP_HZ) -> Spec
 
 
 def percent_flicker(flux: ArrayLike) -> float:
-    """Largest less least flux by their sum, in percent: 0 for a steady light, 100 for one that goes out."""
+    """Largest less least flux (slots,) by their sum, in percent: 0 for a steady light, 100 for one that goes out."""
     f = np.asarray(flux, float)
     low, high = float(f.min()), float(f.max())
     return 100 * (high - low) / max(high + low, 1e-12)
 
 
 def low_risk_limit(hz: ArrayLike) -> Floats:
-    """Largest modulation of low risk by IEEE 1789-2015, as a share; infinite where it sets none."""
+    """Largest modulation of low risk (IEEE 1789-2015), 1 for 100 %, by frequency in Hz; infinite where none is set."""
     f = np.asarray(hz, float)
     # 0.025 f % below 90 Hz (and never above 5 %), 0.08 f % up to 1250 Hz
     limit = np.where(f < 90, np.minimum(0.025 * f, 5.0), 0.08 * f) / 100
@@ -107,7 +133,7 @@ def low_risk_limit(hz: ArrayLike) -> Floats:
 
 
 def visibility_threshold(hz: ArrayLike) -> Floats:
-    """Modulation of a sine whose stroboscopic effect half of the observers see (Perz et al. 2018, CIE TN 006)."""
+    """Modulation of a sine of a frequency in Hz that half of the observers see (Perz et al. 2018, CIE TN 006)."""
     f = np.asarray(hz, float)
     # T(f) = 1 / (1 + exp(-0.00518 (f - 306.6))) + 20 exp(-f / 10)
     return 1 / (1 + np.exp(-0.00518 * (f - 306.6))) + 20 * np.exp(-f / 10)
@@ -121,9 +147,16 @@ def svm(lines: Spectrum) -> float:
 
 
 def flickering_period(flux: ArrayLike, slot_s: float) -> float:
-    """Longest time between instants at which the light given so far equals that of a steady light of the same mean.
+    """Longest time in s between instants at which the light given so far equals a steady light's of the same mean.
 
     Over such a stretch the mean brightness is the light's own; within it, it is not. 0 for a steady light.
+
+    Parameters
+    ----------
+    flux
+        (slots,) light of each slot, 0 or more.
+    slot_s
+        Length of a slot in s.
     """
     f = np.asarray(flux, float)
     ahead = np.append(0.0, np.cumsum(f - f.mean()))  # straight lines in between

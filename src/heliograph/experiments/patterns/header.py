@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.experiments import plots
-from heliograph.experiments.patterns.received import leds, read, still
-from heliograph.experiments.result import Chapter, Context, Finding, Table
+from heliograph.experiments.patterns.received import led_points, luminance_at, static_frame
+from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
 from heliograph.measure.statistics import Count
 from heliograph.signal.header import IDENTITIES, header_cells, header_levels
 from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence, periodic_correlation
@@ -19,32 +19,19 @@ TEXT = (
 )
 
 
-def run(context: Context) -> Chapter:
+def run(context: Context) -> ExperimentResult:
     """Film headers and read their cells."""
-    shown = range(0, IDENTITIES, 3 if context.quick else 1)
-    counts = {z: _wrong_cells(z, shown, context.seed) for z in DISTANCES}
-    peaks = [periodic_correlation(m_sequence(p), m_sequence(p)) for p in HEADER_POLYNOMIALS]
-    good = all(p[0] == 15 and set(p[1:].tolist()) == {-1} for p in peaks)
-    at_25 = counts[PAPER_M]
-    pictures = [header_levels(0) * 63, *(still(z, header_levels(0), context.seed)[0].pixels for z in DISTANCES[:4])]
+    wrong = measure(range(0, IDENTITIES, 3 if context.quick else 1), context.seed)
+    pictures = [
+        header_levels(0) * 63,
+        *(static_frame(z, header_levels(0), context.seed)[0].pixels for z in DISTANCES[:4]),
+    ]
     names = ["sent", *(f"received at {z:g} m" for z in DISTANCES[:4])]
-    return Chapter(
+    return ExperimentResult(
         key="fig7",
         title="Fig. 7: the header",
         text=TEXT,
-        findings=[
-            Finding(
-                "Section IV-A: the 15-bit M-sequence of x^4 + x^3 + 1 has a good autocorrelation.",
-                f"Periodic autocorrelation of both polynomials: {peaks[0][0]} at shift 0, "
-                f"{peaks[0][1:].min()} to {peaks[0][1:].max()} at the 14 others.",
-                "holds" if good else "differs",
-            ),
-            Finding(
-                "Fig. 7(b): the pattern is received at 25 m.",
-                f"{at_25.errors} of {at_25.trials} cells read wrong at {PAPER_M:g} m (rate {at_25.text()}).",
-                "holds" if not at_25.errors else "differs",
-            ),
-        ],
+        findings=[_autocorrelation(), _received(wrong[PAPER_M])],
         pictures=[
             (plots.image_row(pictures, names), "The header of identity 0 (another layout than the paper's Fig. 7).")
         ],
@@ -52,18 +39,50 @@ def run(context: Context) -> Chapter:
             Table(
                 "Cells of the header read wrong, one frame each",
                 ["distance", "wrong", "of", "95 % interval"],
-                [[f"{z:g} m", str(c.errors), str(c.trials), _interval(c)] for z, c in counts.items()],
+                [[f"{z:g} m", str(c.errors), str(c.trials), _interval(c)] for z, c in wrong.items()],
             )
         ],
-        data={"wrong_cells": {f"{z:g} m": [c.errors, c.trials] for z, c in counts.items()}},
+        data={"wrong_cells": {f"{z:g} m": [c.errors, c.trials] for z, c in wrong.items()}},
+    )
+
+
+def measure(identities: range, seed: int) -> dict[float, Count]:
+    """Cells read wrong, by distance in m.
+
+    Parameters
+    ----------
+    identities
+        Those whose header is filmed, once at each distance.
+    seed
+        Of place and noise.
+    """
+    return {z: _wrong_cells(z, identities, seed) for z in DISTANCES}
+
+
+def _autocorrelation() -> Finding:
+    peaks = [periodic_correlation(m_sequence(p), m_sequence(p)) for p in HEADER_POLYNOMIALS]
+    good = all(p[0] == 15 and set(p[1:].tolist()) == {-1} for p in peaks)
+    return Finding(
+        "Section IV-A: the 15-bit M-sequence of x^4 + x^3 + 1 has a good autocorrelation.",
+        f"Periodic autocorrelation of both polynomials: {peaks[0][0]} at shift 0, "
+        f"{peaks[0][1:].min()} to {peaks[0][1:].max()} at the 14 others.",
+        "holds" if good else "differs",
+    )
+
+
+def _received(wrong: Count) -> Finding:
+    return Finding(
+        "Fig. 7(b): the pattern is received at 25 m.",
+        f"{wrong.errors} of {wrong.trials} cells read wrong at {PAPER_M:g} m (rate {wrong.text()}).",
+        "holds" if not wrong.errors else "differs",
     )
 
 
 def _wrong_cells(distance: float, identities: range, seed: int) -> Count:
     count = Count()
     for number in identities:
-        frame, truth = still(distance, header_levels(number), seed + number)
-        count.add(16, int((_cells(read(frame, leds(truth))) != (header_cells(number) > 0)).sum()))
+        frame, truth = static_frame(distance, header_levels(number), seed + number)
+        count.add(16, int((_cells(luminance_at(frame, led_points(truth))) != (header_cells(number) > 0)).sum()))
     return count
 
 

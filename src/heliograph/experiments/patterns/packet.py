@@ -1,18 +1,18 @@
 """Fig. 5: the packet format."""
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from heliograph.experiments import plots
-from heliograph.experiments.result import Chapter, Context, Finding, Table
-from heliograph.link.settings import load_settings
+from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, transmitters
 from heliograph.signal.settings import LAYERS
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from heliograph.transmit import Transmitter
 
 SHOWN = 10
 
@@ -22,68 +22,99 @@ TEXT = (
 )
 
 
-def run(context: Context) -> Chapter:
+@dataclass(frozen=True, slots=True)
+class Packets:
+    """Packets as a transmitter sends them.
+
+    Attributes
+    ----------
+    settings
+        The link.
+    sender
+        The transmitter.
+    patterns
+        (packets, patterns, 16, 16) levels 0 to 4.
+    """
+
+    settings: LinkSettings
+    sender: Transmitter
+    patterns: NDArray[np.uint8]
+
+    @property
+    def head(self) -> int:
+        """Patterns of a header."""
+        return 2 * self.settings.signal.header_pairs
+
+
+def run(context: Context) -> ExperimentResult:
     """Take packets from the transmitter and check their build."""
-    settings = load_settings("paper")
-    sender = transmitters(settings, default_messages(settings))[0]
-    source, count = sender.packets(), 3 if context.quick else 30
-    packets = np.stack([next(source) for _ in range(count)])
-    head = 2 * settings.signal.header_pairs
-    pairs = packets.reshape(count, -1, 2, 16, 16)
-    inverses = int((pairs.sum(2, dtype=int) == 4).all((2, 3)).sum())
-    headers = int((packets[:, 0:head:2] == sender.format.header_pattern(sender.identity)).all((2, 3)).sum())
-    whole = inverses == pairs.shape[0] * pairs.shape[1] and headers == count * settings.signal.header_pairs
+    sent = measure(3 if context.quick else 30)
     rows = [
         [name, str(form.codewords), str(form.code.k), str(form.code.length), str(form.payload_bytes)]
-        for name, form in sender.format.layers.items()
+        for name, form in sent.sender.format.layers.items()
     ]
-    return Chapter(
+    signal = sent.settings.signal
+    return ExperimentResult(
         key="fig5",
         title="Fig. 5: packet format",
         text=TEXT,
-        findings=[
-            Finding(
-                "Fig. 5: a packet is a header part, where the array is detected, and a data part, where it is tracked.",
-                f"{headers} of {count * settings.signal.header_pairs} header pairs are the M-sequence; in "
-                f"{inverses} of {pairs.shape[0] * pairs.shape[1]} pairs the second pattern is the first one's inverse; "
-                f"the header takes {head} of {settings.signal.packet_patterns} patterns.",
-                "holds" if whole else "differs",
-            )
-        ],
+        findings=[judge(sent)],
         pictures=[
-            (_strip(packets[0], head), "The first patterns of a packet; white is level 4."),
-            (_timeline(packets[0], head), "The packet in time, and the mean level of each pattern."),
+            (_strip(sent.patterns[0], sent.head), "The first patterns of a packet; white is level 4."),
+            (_timeline(sent.patterns[0], sent.head), "The packet in time, and the mean level of each pattern."),
         ],
         tables=[
             Table(
-                f"What a packet of {1e3 * settings.signal.packet_s:g} ms carries, by layer",
+                f"What a packet of {1e3 * signal.packet_s:g} ms carries, by layer",
                 ["layer", "codewords", "bits in", "bits sent", "bytes of payload"],
                 rows,
             )
         ],
         data={
-            "patterns": settings.signal.packet_patterns,
-            "header": head,
+            "patterns": signal.packet_patterns,
+            "header": sent.head,
             "layers": dict(zip(LAYERS, rows, strict=True)),
         },
     )
 
 
-def _strip(packet: NDArray[np.uint8], head: int) -> "Figure":
+def measure(count: int) -> Packets:
+    """The first `count` packets of the preset's transmitter."""
+    settings = load_settings("paper")
+    sender = transmitters(settings, default_messages(settings))[0]
+    return Packets(settings, sender, np.stack(list(islice(sender.packets(), count))))
+
+
+def judge(sent: Packets) -> Finding:
+    """Whether each packet is headers and pairs of pattern and inverse."""
+    count, signal = len(sent.patterns), sent.settings.signal
+    pairs = sent.patterns.reshape(count, -1, 2, 16, 16)
+    header = sent.sender.format.header_pattern(sent.sender.identity)
+    inverses = int((pairs.sum(2, dtype=int) == 4).all((2, 3)).sum())
+    headers = int((sent.patterns[:, 0 : sent.head : 2] == header).all((2, 3)).sum())
+    whole = inverses == pairs.shape[0] * pairs.shape[1] and headers == count * signal.header_pairs
+    return Finding(
+        "Fig. 5: a packet is a header part, where the array is detected, and a data part, where it is tracked.",
+        f"{headers} of {count * signal.header_pairs} header pairs are the M-sequence; in "
+        f"{inverses} of {pairs.shape[0] * pairs.shape[1]} pairs the second pattern is the first one's inverse; "
+        f"the header takes {sent.head} of {signal.packet_patterns} patterns.",
+        "holds" if whole else "differs",
+    )
+
+
+def _strip(packet: NDArray[np.uint8], head: int) -> Figure:
     names = [("header" if k < head else "data") + (", inverse" if k % 2 else "") for k in range(SHOWN)]
     return plots.image_row(list(packet[:SHOWN]), names, rows=2, largest=4)
 
 
-def _timeline(packet: NDArray[np.uint8], head: int) -> "Figure":
-    from matplotlib.figure import Figure
-
+def _timeline(packet: NDArray[np.uint8], head: int) -> Figure:
     figure = Figure(figsize=(12, 2.4))
     axes = figure.add_subplot()
     for k, mean in enumerate(packet.mean((1, 2)) / 4):
-        colour = "#1b6ca8" if k < head else "#d1741f"
+        colour = plots.BLUE if k < head else plots.ORANGE
         axes.bar(k + 0.5, mean, width=1, color=colour, alpha=0.55 if k % 2 else 0.95, lw=0)
     axes.set(xlim=(0, len(packet)), ylim=(0, 1), xlabel="time (patterns of T_b)", ylabel="LEDs' mean level")
-    axes.text(head / 2, 0.75, "header", ha="center", fontsize=9, color="#1b6ca8")
+    axes.text(head / 2, 0.75, "header", ha="center", fontsize=9, color=plots.BLUE)
     axes.text((len(packet) + head) / 2, 0.75, "data: pattern dark, inverse pale", ha="center", fontsize=9)
     axes.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from heliograph.experiments.result import Chapter, Context, Finding, Table
+from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
 from heliograph.experiments.tracking.verdicts import rates
 from heliograph.link.settings import LinkSettings, load_settings
 
@@ -15,8 +15,20 @@ TEXT = (
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """A value of the paper and how the preset says it."""
+class Parameter:
+    """A parameter of the paper beside the preset's.
+
+    Attributes
+    ----------
+    name
+        Its name.
+    paper
+        The paper's value.
+    unit
+        Unit of the value; empty where it has none.
+    of
+        Takes the value from the settings.
+    """
 
     name: str
     paper: float | str
@@ -43,28 +55,28 @@ class Row:
 
 
 CAMERA = (
-    Row("focal length", 35.0, "mm", lambda s: 1e3 * s.channel.camera.focal_m),
-    Row("frame rate used, of 60 to 16000", 1000.0, "fps", lambda s: s.channel.camera.fps),
-    Row("pixel (FASTCAM-1280PCI)", 12.0, "um", lambda s: 1e6 * s.channel.camera.pixel_m),
-    Row("fits within 1280 x 1024 pixels", "yes", "", lambda s: "yes" if _fits(s) else "no"),
+    Parameter("focal length", 35.0, "mm", lambda s: 1e3 * s.channel.camera.focal_m),
+    Parameter("frame rate used, of 60 to 16000", 1000.0, "fps", lambda s: s.channel.camera.fps),
+    Parameter("pixel (FASTCAM-1280PCI)", 12.0, "um", lambda s: 1e6 * s.channel.camera.pixel_m),
+    Parameter("fits within 1280 x 1024 pixels", "yes", "", lambda s: "yes" if _fits(s) else "no"),
 )
 """Table I; the pixel is the model's."""
 
 EXPERIMENT = (
-    Row("vehicle speed", 30.0, "km/h", lambda s: 3.6 * s.channel.speed_m_s),
-    Row("lighting frequency of the LEDs", 4.0, "kHz", lambda s: 4e-3 / s.signal.pattern_period_s),
-    Row("shutter speed", 1000.0, "fps", lambda s: s.channel.camera.fps),
-    Row("turbo code rate, high layer", 1 / 3, "", lambda s: s.signal.rate.high),
-    Row("turbo code rate, middle layer", 1 / 3, "", lambda s: s.signal.rate.middle),
-    Row("turbo code rate, low layer", 1 / 3, "", lambda s: s.signal.rate.low),
-    Row("focal length", 35.0, "mm", lambda s: 1e3 * s.channel.camera.focal_m),
-    Row("resolution, across", 1024.0, "px", lambda s: float(s.channel.camera.width)),
-    Row("resolution, down", 512.0, "px", lambda s: float(s.channel.camera.height)),
-    Row("distance, from", 80.0, "m", lambda s: s.channel.distance_m),
-    Row("distance, to", 25.0, "m", lambda s: s.channel.stop_m),
-    Row("LEDs in a row", 16.0, "", lambda s: float(s.signal.side)),
-    Row("LED spacing", 20.0, "mm", lambda s: 1e3 * s.channel.emitter.pitch_m),
-    Row("half-value angle", 22.6, "deg", lambda s: s.channel.emitter.half_angle_deg),
+    Parameter("vehicle speed", 30.0, "km/h", lambda s: 3.6 * s.channel.speed_m_s),
+    Parameter("lighting frequency of the LEDs", 4.0, "kHz", lambda s: 4e-3 / s.signal.pattern_period_s),
+    Parameter("shutter speed", 1000.0, "fps", lambda s: s.channel.camera.fps),
+    Parameter("turbo code rate, high layer", 1 / 3, "", lambda s: s.signal.rate.high),
+    Parameter("turbo code rate, middle layer", 1 / 3, "", lambda s: s.signal.rate.middle),
+    Parameter("turbo code rate, low layer", 1 / 3, "", lambda s: s.signal.rate.low),
+    Parameter("focal length", 35.0, "mm", lambda s: 1e3 * s.channel.camera.focal_m),
+    Parameter("resolution, across", 1024.0, "px", lambda s: float(s.channel.camera.width)),
+    Parameter("resolution, down", 512.0, "px", lambda s: float(s.channel.camera.height)),
+    Parameter("distance, from", 80.0, "m", lambda s: s.channel.distance_m),
+    Parameter("distance, to", 25.0, "m", lambda s: s.channel.stop_m),
+    Parameter("LEDs in a row", 16.0, "", lambda s: float(s.signal.side)),
+    Parameter("LED spacing", 20.0, "mm", lambda s: 1e3 * s.channel.emitter.pitch_m),
+    Parameter("half-value angle", 22.6, "deg", lambda s: s.channel.emitter.half_angle_deg),
 )
 """Table II, and the array's data from the text before it."""
 
@@ -77,32 +89,14 @@ UNSAID = (
 STATIC_KB_S, DRIVING_KB_S = 128.0, 16.0
 
 
-def run(context: Context) -> Chapter:  # noqa: ARG001 - every experiment takes a context
+def run(context: Context) -> ExperimentResult:  # noqa: ARG001 - every experiment takes a context
     """Compare."""
-    link = load_settings("paper")
-    rate = net_kb_s(link)
-    by_tracking = rates()
-    return Chapter(
+    link, by_tracking = load_settings("paper"), rates()
+    return ExperimentResult(
         key="tables",
         title="Tables I and II, data rates",
         text=TEXT,
-        findings=[
-            _agreement("Table I: the camera.", CAMERA, link),
-            _agreement("Table II: the experiment's parameters.", EXPERIMENT, link),
-            Finding(
-                "Table II: 128 kb/s in the static experiment.",
-                f"{link.signal.side**2} bits a pair, {_pairs_a_second(link):g} pairs a second: {rate:g} kb/s; with the "
-                f"headers {rate * _data_share(link):.1f} kb/s, of information bits {_information_kb_s(link):.1f} kb/s.",
-                "holds" if abs(rate - STATIC_KB_S) < 0.5 else "differs",
-            ),
-            Finding(
-                "Table II: 16 kb/s when driving.",
-                f"{rate:g} kb/s: the preset's driving film carries the same signal as the static one.",
-                "holds" if abs(rate - DRIVING_KB_S) < 0.5 else "differs",
-                f"16 kb/s is {DRIVING_KB_S / rate:g} of it; the paper does not say where the rest goes, so the preset "
-                "does not leave it out.",
-            ),
-        ],
+        findings=judge(link),
         tables=[
             *(
                 _table(title, rows, link)
@@ -121,6 +115,28 @@ def run(context: Context) -> Chapter:  # noqa: ARG001 - every experiment takes a
             "rates_kb_s": {r.method: r.kb_s for r in by_tracking},
         },
     )
+
+
+def judge(link: LinkSettings) -> list[Finding]:
+    """Whether parameters and data rates of a link are the paper's."""
+    rate = net_kb_s(link)
+    return [
+        _agreement("Table I: the camera.", CAMERA, link),
+        _agreement("Table II: the experiment's parameters.", EXPERIMENT, link),
+        Finding(
+            "Table II: 128 kb/s in the static experiment.",
+            f"{link.signal.side**2} bits a pair, {_pairs_a_second(link):g} pairs a second: {rate:g} kb/s; with the "
+            f"headers {rate * _data_share(link):.1f} kb/s, of information bits {_information_kb_s(link):.1f} kb/s.",
+            "holds" if abs(rate - STATIC_KB_S) < 0.5 else "differs",
+        ),
+        Finding(
+            "Table II: 16 kb/s when driving.",
+            f"{rate:g} kb/s: the preset's driving film carries the same signal as the static one.",
+            "holds" if abs(rate - DRIVING_KB_S) < 0.5 else "differs",
+            f"16 kb/s is {DRIVING_KB_S / rate:g} of it; the paper does not say where the rest goes, so the preset "
+            "does not leave it out.",
+        ),
+    ]
 
 
 def net_kb_s(link: LinkSettings) -> float:
@@ -145,7 +161,7 @@ def _fits(link: LinkSettings) -> bool:
     return link.channel.camera.width <= 1280 and link.channel.camera.height <= 1024
 
 
-def _agreement(claim: str, rows: tuple[Row, ...], link: LinkSettings) -> Finding:
+def _agreement(claim: str, rows: tuple[Parameter, ...], link: LinkSettings) -> Finding:
     off = [row.name for row in rows if not row.equal(link)]
     text = f"{len(rows) - len(off)} of {len(rows)} values of the preset are the paper's" + (
         f"; not: {', '.join(off)}." if off else "."
@@ -153,5 +169,5 @@ def _agreement(claim: str, rows: tuple[Row, ...], link: LinkSettings) -> Finding
     return Finding(claim, text, "differs" if off else "holds")
 
 
-def _table(title: str, rows: tuple[Row, ...], link: LinkSettings) -> Table:
+def _table(title: str, rows: tuple[Parameter, ...], link: LinkSettings) -> Table:
     return Table(title, ["name", "paper", "preset", "equal"], [row.cells(link) for row in rows])

@@ -1,30 +1,23 @@
 """Fig. 11 and 12: the array cut out without and with tracking, and five ways of tracking on the same films."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from heliograph.experiments import plots
-from heliograph.experiments.result import Chapter, Context, Table
-from heliograph.experiments.tracking.runs import TRACKERS, Film, Run, race
-from heliograph.experiments.tracking.score import NEAR_PX, Score, Scores, scores
+from heliograph.experiments.result import Context, ExperimentResult, Table
+from heliograph.experiments.tracking.pictures import pictures
+from heliograph.experiments.tracking.runs import TRACKERS, TrackingFilm, run_trackers
+from heliograph.experiments.tracking.score import NEAR_PX, ScoreTable, TrackingScore, scores
 from heliograph.experiments.tracking.verdicts import OURS, findings, rates
 from heliograph.link.settings import load_settings
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 DAY = "drawn scene"
 APERTURE = {"5 stops less": 2.0**-5, "8 stops less": 2.0**-8}
-"""Background light of the small apertures: from f/2 to f/11 and to f/32."""
+"""Background light at the small apertures, by that at f/2: f/11 and f/32."""
 
 NIGHT = "no light"
 START_M, SHORT_S = 50.0, 2.0
-"""Where a quick run begins, and how long all its films last together."""
-
-COLOURS = ("#8a929b", "#1b6ca8", "#5b8c3a", "#d1741f", "#b5446e", "#6b4fa0")
+"""Distance in m at which the films of a quick run begin, and their length in s, all together."""
 
 TEXT = (
     "One drive, filmed before several backgrounds with the same motion and the same noise, tracked by all. Each "
@@ -34,9 +27,9 @@ TEXT = (
     "0.2 ms before the middle of the exposures, where the truth is taken: the tracker allows for that. Known "
     "pattern: four blocks of 4 x 4 LEDs in the corners always lit, random data elsewhere, no inverse, "
     "each frame fitted with the same motion model; its light differs, its headers do not; where its fit runs away "
-    "it counts as lost, and stays. Background: Lucas-Kanade on features around the array, their median way from a "
-    "key pair, the ways added up; it sees neither the array's size nor its own drift, nor that the array, being "
-    "nearer, moves otherwise than what is behind it. General: of OpenCV 5 only TrackerMIL needs no trained model; "
+    "it counts as lost, and stays. Background: Lucas-Kanade on features around the array, their median motion from "
+    "a key pair, added up; it measures neither the array's size nor its own drift, and takes the array, "
+    "which is nearer, to move like the background. General: of OpenCV 5 only TrackerMIL needs no trained model; "
     "its boxes have whole pixels, and its features are drawn by a generator that cannot be set, so its numbers "
     "change with the films a process tracked before; sub-pixel template matching stands beside it. Both get the "
     "sums of pairs, which exist only because inverses are sent. Vibration left: error within a packet of 100 ms "
@@ -51,15 +44,15 @@ TEXT = (
 )
 
 
-def run(context: Context) -> Chapter:
+def run(context: Context) -> ExperimentResult:
     """Run all trackers on all films."""
-    runs = context.each("tracking", race, _films(context))
+    runs = context.each("tracking", run_trackers, _films(context))
     table = scores(runs)
     dark = {
         "at a small aperture": {name: [DAY] for name in APERTURE},
         "at night": {NIGHT: [DAY], **night_clips(context.clips)},
     }
-    return Chapter(
+    return ExperimentResult(
         key="fig11",
         title="Fig. 11 and 12: tracking",
         text=TEXT,
@@ -77,7 +70,7 @@ def night_clips(clips: Iterable[str]) -> dict[str, list[str]]:
     return {name: [day for day in every if day not in dark] for name in dark}
 
 
-def _films(context: Context) -> list[Film]:
+def _films(context: Context) -> list[TrackingFilm]:
     """The drive before a drawn scene, at small apertures, at night, and before each clip."""
     drawn = {"kind": "synthetic"}
     films = [_film(context, DAY, drawn)]
@@ -92,7 +85,7 @@ def _film(
     background: Mapping[str, Any],
     emitter: Mapping[str, Any] | None = None,
     clip: str | None = None,
-) -> Film:
+) -> TrackingFilm:
     shake = {"shake": "imu"} if context.imu else {"shake": "road", "road_class": "C"}
     part = (
         {"distance_m": START_M, "duration_s": SHORT_S / (2 + len(APERTURE) + len(context.clips))}
@@ -100,7 +93,7 @@ def _film(
         else {}
     )
     channel = {**shake, **part, "background": background, "emitter": emitter or {}}
-    return Film(
+    return TrackingFilm(
         name=name,
         settings=load_settings("paper", {"channel": channel}),
         seed=context.seed,
@@ -109,14 +102,14 @@ def _film(
     )
 
 
-def tables(table: Scores) -> list[Table]:
+def tables(table: ScoreTable) -> list[Table]:
     """Errors by tracker and film, and the data rate each way of tracking leaves."""
     some = next(iter(table.values()))[OURS].pairs
     return [
         _table(f"Error of the centre, rms / 99.9 % in px ({some} pairs a film)", table, _error_cell),
         _table("Vibration left within a packet, rms in px", table, lambda s: f"{s.shake_px:.3f}"),
         _table(f"Pairs within {NEAR_PX:g} px, and pairs lost", table, lambda s: f"{s.near / s.pairs:.1%}, {s.lost}"),
-        _table("Error of the pitch, rms", table, lambda s: "not told" if s.pitch is None else f"{s.pitch:.2%}"),
+        _table("Error of the pitch, rms", table, lambda s: "none" if s.pitch is None else f"{s.pitch:.2%}"),
         Table(
             "Data rate by way of tracking: bits of a pattern, halved where an inverse follows, times 1000 patterns a "
             "second; headers (4 of 100 patterns) and code left out",
@@ -126,50 +119,14 @@ def tables(table: Scores) -> list[Table]:
     ]
 
 
-def _table(title: str, table: Scores, cell: Any) -> Table:
+def _table(title: str, table: ScoreTable, cell: Callable[[TrackingScore], str]) -> Table:
     rows = [[name, *(cell(row[name]) for row in table.values())] for name in TRACKERS]
     return Table(title, ["tracker", *table], rows)
 
 
-def _error_cell(s: Score) -> str:
+def _error_cell(s: TrackingScore) -> str:
     return f"{s.rms_px:.3f} / {s.q999_px:.3f}" if s.q999_px < 10 else f"{s.rms_px:.1f} / {s.q999_px:.1f}"
 
 
-def pictures(runs: Sequence[Run]) -> list[tuple["Figure", str]]:
-    """The array cut out without and with tracking, and the errors over time."""
-    shown = runs[0]
-    names = [f"{time:.2f} s" for time, _ in shown.cuts]
-    pictures = []
-    for place, label in ((0, "Fig. 11: without tracking"), (1, "Fig. 12: with tracking by inverted signals")):
-        images = [cuts[place] for _, cuts in shown.cuts]
-        figure = plots.image_row(images, names, largest=max(float(image.max()) for image in images))
-        caption = f"{label}: pattern plus inverse, cut out twice as wide as the array was found, {shown.name}."
-        pictures.append((figure, caption))
-    caption = "Error of the tracked centre over time; the dashed line is half of the array's side, where it is lost."
-    return [*pictures, (_error_lines(runs), caption)]
-
-
-def _error_lines(runs: Sequence[Run]) -> "Figure":
-    from matplotlib.figure import Figure
-
-    columns = min(len(runs), 4)
-    rows = -(-len(runs) // columns)
-    figure = Figure(figsize=(12, 0.6 + 2.8 * rows))
-    for k, one in enumerate(runs):
-        axes = figure.add_subplot(rows, columns, k + 1)
-        for (name, errors), colour in zip(one.errors.items(), COLOURS, strict=True):
-            off = np.maximum(np.hypot(errors[:, 0], errors[:, 1]), 1e-4)
-            axes.plot(one.times_s, off, color=colour, lw=0.8, label=name)
-        axes.plot(one.times_s, one.side_px / 2, color="#1d2126", lw=0.8, ls="--")
-        axes.set(yscale="log", ylim=(1e-4, 1e3), title=one.name, xlabel="time (s)")
-        axes.set_ylabel("error (px)" if k % columns == 0 else "")
-        axes.grid(alpha=0.25, lw=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.tight_layout(rect=(0, 0.3 / figure.get_figheight() * 1.2, 1, 1))
-    figure.legend(handles, labels, ncols=len(labels), frameon=False, loc="lower center")
-    return figure
-
-
-def _plain(table: Scores) -> dict[str, dict[str, dict[str, Any]]]:
+def _plain(table: ScoreTable) -> dict[str, dict[str, dict[str, Any]]]:
     return {film: {name: asdict(one) for name, one in row.items()} for film, row in table.items()}

@@ -1,4 +1,4 @@
-"""What a tracker is here; the one that does nothing, and the receiver's own."""
+"""The interface of a tracker, the one that does nothing, and the receiver's own."""
 
 from typing import Protocol
 
@@ -17,21 +17,29 @@ class Follower(Protocol):
     Attributes
     ----------
     sized
-        Whether its poses tell the array's pitch; else the pitch is that of the start.
+        Whether its poses have the array's pitch; else the pitch is that of the start.
     """
 
     sized: bool
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Begin where the array was found; the two frames are a pair of its header."""
+        """Begin where the array was found.
+
+        Parameters
+        ----------
+        found
+            The detection.
+        pattern, inverted
+            A pair of its header.
+        """
         ...
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """The pose in the middle of the next pair."""
+        """The pose in the middle of the next pair, `pattern` and `inverted`."""
         ...
 
 
-class Still:
+class NoTracking:
     """No tracking: the array stays where it was found."""
 
     sized = False
@@ -78,6 +86,6 @@ class InvertedSignals:
 
 
 def in_header(settings: LinkSettings, since_s: float) -> bool:
-    """Whether the pattern shown so long after the first header's start is a header's."""
+    """Whether the pattern shown `since_s` seconds after the start of the first header belongs to a header."""
     signal = settings.signal
     return round(since_s / signal.pattern_period_s) % signal.packet_patterns < 2 * signal.header_pairs

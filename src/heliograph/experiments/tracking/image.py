@@ -1,4 +1,4 @@
-"""Trackers that know nothing of the light: motion of the background, and OpenCV's general ones."""
+"""Trackers that make no use of the light's structure: motion of the background, and OpenCV's general ones."""
 
 from typing import Any
 
@@ -17,15 +17,15 @@ KEY_PAIRS = 10
 """Background features, and pairs after which they are chosen anew."""
 
 REACH_PX = 3
-"""A pair later the array is looked for no further away; in the drives here it moves by up to 2 px."""
+"""Largest motion in px from pair to pair that is searched; in the drives here it is up to 2 px."""
 
 
 class BackgroundMotion:
-    """Motion of the background, section IV.B.2: the median way of its features is added to the array's position.
+    """Motion of the background, section IV.B.2: the median motion of its features is added to the array's position.
 
-    Pyramidal Lucas-Kanade from a key pair to each of the next; the array and its panel are left out. The sum of a pair
-    is looked at, stretched to 8 bits by what the key pair holds. It sees neither the array's size nor its own drift,
-    nor that a near array moves otherwise than what is far behind it.
+    Pyramidal Lucas-Kanade from a key pair to each of the next, on the sums of pairs, scaled to 8 bits by the key
+    pair's. The array and its panel are left out. The tracker has no measure of the array's size and of its own drift,
+    and takes a near array to move like the background far behind it.
     """
 
     sized = False

@@ -1,4 +1,4 @@
-"""A partially known tracking pattern, section IV.B.1: some LEDs shine always, each single frame is fitted.
+"""A partially known tracking pattern, section IV.B.1: some LEDs are always lit, each single frame is fitted.
 
 The known LEDs are four blocks in the corners. The Haar code puts four data into each square of 2 x 2 LEDs, so the side
 of a block is even: known LEDs take whole squares and leave the other data as they are.
@@ -30,7 +30,7 @@ SPREAD = 0.25
 """Rms of a data LED's luminance about its mean, 1/2: levels 0 to 4 with probabilities 1, 4, 6, 4, 1 of 16."""
 
 GROWTH = (0.5, 5.0)
-"""Pitches, as shares of the one found, beyond which the array is lost; a drive makes it grow by less than 4."""
+"""Least and largest pitch, by the one found, of an array that is not lost; in a drive it grows by less than 4."""
 
 MARGIN_PX = 3.0
 STEPS = 3
@@ -43,7 +43,21 @@ def known_leds(side: int) -> NDArray[np.bool_]:
 
 
 def known_light(settings: LinkSettings, identity: int, seed: int) -> Iterator[NDArray[np.uint8]]:
-    """Endless patterns: headers as in the signal, between them random data, none of it inverted, and known LEDs lit."""
+    """Endless patterns: headers as in the signal, and random data without inverses, the known LEDs lit.
+
+    Parameters
+    ----------
+    settings
+        The link.
+    identity
+        Of the headers.
+    seed
+        Of the data.
+
+    Yields
+    ------
+    (side, side) levels 0 to 4.
+    """
     signal, rng = settings.signal, np.random.default_rng(seed)
     header, known = header_levels(identity, signal.side), known_leds(signal.side)
     for number in count():
@@ -56,10 +70,10 @@ def known_light(settings: LinkSettings, identity: int, seed: int) -> Iterator[ND
 
 
 class KnownPattern:
-    """Fits the expected image to each frame: known LEDs lit, data LEDs at their mean and trusted little.
+    """Fits the expected image to each frame: known LEDs lit, data LEDs at their mean with a large variance.
 
-    Once its fit has left the frame, or has a size the array cannot have, it is lost and stays where it was: nothing
-    but a header brings it back, and what it looks at, as large as its array, would grow without end.
+    Once its fit has left the frame, or has a size the array cannot have, it is lost and stays where it was: only a
+    header could find the array again, and its window, as large as its array, would grow without end.
 
     Parameters
     ----------
@@ -85,10 +99,10 @@ class KnownPattern:
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
         """Fit both frames by themselves: there is no inverse."""
-        first, second = self._look(pattern), self._look(inverted)
+        first, second = self._frame_pose(pattern), self._frame_pose(inverted)
         return Pose.of(0.5 * (first + second))
 
-    def _look(self, frame: Frame) -> Floats:
+    def _frame_pose(self, frame: Frame) -> Floats:
         if not self._lost:
             self._follow(frame)
         return self._state.mean[:5].copy()
@@ -114,11 +128,11 @@ class KnownPattern:
         return place % 2 if place < 2 * signal.header_pairs else 2
 
     def _fit(self, frame: Frame, mean: Floats, data: Floats) -> tuple[Floats, Floats]:
-        """Posterior pose and covariance by Gauss-Newton; each pixel counts by its noise and its share of data."""
+        """Posterior pose and covariance by Gauss-Newton; noise and light of data LEDs weight the pixels."""
         start, prior = self._state.mean[:5], np.linalg.inv(self._state.covariance[:5, :5])
         x0, y0, width, height = window_around(self._state.pose, self._side, MARGIN_PX)
         image = cut_out(frame, x0, y0, width, height)
-        trust, scene = self._trust(image, data, (x0, y0)), _Scene(image.shape, (x0, y0))
+        trust, scene = self._trust(image, data, (x0, y0)), _ArrayImages(image.shape, (x0, y0))
         vector = start.copy()
         for _ in range(STEPS):
             shapes = scene.place(vector, mean)
@@ -152,7 +166,7 @@ class KnownPattern:
         return np.asarray(np.linalg.solve(matrix + 1e-9 * np.diag(np.diag(matrix) + 1e-3), rhs))
 
 
-class _Scene:
+class _ArrayImages:
     """Images of the array, the panel's two squares and a plane, with their derivatives: (6, 6, rows, columns)."""
 
     def __init__(self, shape: tuple[int, ...], corner: tuple[int, int]):

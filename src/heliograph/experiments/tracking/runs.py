@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.channel import ArrayTruth, film
-from heliograph.experiments.tracking.follow import Follower, InvertedSignals, Still, in_header
+from heliograph.experiments.tracking.follow import Follower, InvertedSignals, NoTracking, in_header
 from heliograph.experiments.tracking.image import BackgroundMotion, MultipleInstance, TemplateMatch
 from heliograph.experiments.tracking.known import KnownPattern, known_light
 from heliograph.link.recordings import load_footage, load_imu
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 KNOWN = "known pattern"
 TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {
-    "none": lambda _: Still(),
+    "none": lambda _: NoTracking(),
     "inverted signals": InvertedSignals,
     KNOWN: KnownPattern,
     "background": lambda _: BackgroundMotion(),
@@ -35,18 +35,19 @@ TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {
 
 CUTS = 8
 ROI_PX = 24
-"""Pixels kept around the array for the known pattern: its window needs no more while it is not lost, and a window's
-pixels are the same."""
+"""Pixels rendered around the array for the known pattern: its window needs no more while it is not lost, and they are
+the pixels of whole frames."""
 
 HELD = 16
 """Pairs kept until the array is found: more than its header and what the detector waits for."""
 
 Pair = tuple[Frame, Frame, ArrayTruth, ArrayTruth]
+"""A pattern and the one after it, and the array's truth in both."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Film:
-    """A film to track in.
+class TrackingFilm:
+    """A film to run the trackers on.
 
     Attributes
     ----------
@@ -57,7 +58,7 @@ class Film:
     seed
         Of road, scene and noise.
     clip, imu
-        Recordings used.
+        Files of recorded footage and motion; None: as the settings draw them.
     """
 
     name: str
@@ -68,19 +69,19 @@ class Film:
 
 
 @dataclass(frozen=True)
-class Run:
-    """What the trackers made of a film, by pair of frames.
+class TrackingRun:
+    """Errors of the trackers in a film, by pair of frames.
 
     Attributes
     ----------
     name
         The film's.
     times_s, distance_m, side_px
-        (n,) time of the pair since the film's start; true distance and side of the array.
+        (n,) time of the pair since the film's start in s; true distance in m and side of the array in px.
     packet
         (n,) number of the packet the pair belongs to.
     errors
-        By tracker (n, 3): x and y, found minus true, in px, and pitch found over true, less 1 (NaN: not told).
+        By tracker (n, 3): x and y, found minus true, in px, and pitch found over true, less 1 (NaN: not given).
     cuts
         Moments for the pictures: time, and the sum cut out at the first pose and at the tracked one.
     """
@@ -94,7 +95,7 @@ class Run:
     cuts: list[tuple[float, tuple[Floats, Floats]]] = field(default_factory=list)
 
 
-def race(job: Film) -> Run:
+def run_trackers(job: TrackingFilm) -> TrackingRun:
     """Run all trackers on a film.
 
     Raises
@@ -105,20 +106,20 @@ def race(job: Film) -> Run:
     recordings = Recordings(
         footage=load_footage(job.clip) if job.clip else None, imu=load_imu(job.imu) if job.imu else None
     )
-    lane = _Lane(job.settings, [name for name in TRACKERS if name != KNOWN])
+    group = _TrackerGroup(job.settings, [name for name in TRACKERS if name != KNOWN])
     frames = simulate(job.settings, default_messages(job.settings), job.seed, recordings)
     moments = _moments(job.settings)
     for pair in _pairs(frames):
-        lane.push(pair)
-        if moments and lane.found and pair[0].index >= moments[0]:
+        group.push(pair)
+        if moments and group.found and pair[0].index >= moments[0]:
             moments.pop(0)
-            lane.cut(pair)
-    if lane.found is None:
+            group.cut(pair)
+    if group.found is None:
         raise HeliographError(f"the array was not found in the film '{job.name}'")
-    other = _Lane(job.settings, [KNOWN], lane.found)
+    known = _TrackerGroup(job.settings, [KNOWN], group.found)
     for pair in _pairs(_known_film(job, recordings)):
-        other.push(pair)
-    return _result(job, lane, other)
+        known.push(pair)
+    return _result(job, group, known)
 
 
 def _moments(settings: LinkSettings) -> list[int]:
@@ -127,7 +128,7 @@ def _moments(settings: LinkSettings) -> list[int]:
     return [int(k) for k in np.linspace(0.02, 0.97, CUTS) * length * channel.camera.fps]
 
 
-def _known_film(job: Film, recordings: Recordings) -> Iterator[tuple[Frame, Any]]:
+def _known_film(job: TrackingFilm, recordings: Recordings) -> Iterator[tuple[Frame, Any]]:
     """The same drive, scene and noise with the light of the known pattern."""
     settings, signal = job.settings, job.settings.signal
     return film(
@@ -148,8 +149,8 @@ def _pairs(frames: Iterator[tuple[Frame, Any]]) -> Iterator[Pair]:
         yield first, second, true.arrays[0], later.arrays[0]
 
 
-class _Lane:
-    """Trackers that see one film: the detector first, then all of them from the end of the header on."""
+class _TrackerGroup:
+    """Trackers that get one film: the detector first, then all of them from the end of the header on."""
 
     def __init__(self, settings: LinkSettings, names: list[str], found: Detection | None = None):
         self._settings, self.found = settings, found
@@ -201,10 +202,10 @@ class _Lane:
         """Keep the sum at the first pose and at that of the inverted signals, twice the array's side across."""
         if self.first is None or "inverted signals" not in self.poses:
             return
-        still, moved = (
+        fixed, tracked = (
             _cut(pair, pose, self._settings.signal.side) for pose in (self.first, self.poses["inverted signals"])
         )
-        self.cuts.append((pair[0].time_s, (still, moved)))
+        self.cuts.append((pair[0].time_s, (fixed, tracked)))
 
 
 def _mean(true: ArrayTruth, later: ArrayTruth, name: str) -> float:
@@ -222,8 +223,8 @@ def _cut(pair: Pair, pose: Pose, side: int) -> Floats:
     return cut_out(pair[0], *place) + cut_out(pair[1], *place)
 
 
-def _result(job: Film, lane: _Lane, other: _Lane) -> Run:
-    times, distance, pitch = np.array(lane.rows).T
-    errors = {name: np.array((lane.errors | other.errors)[name]) for name in TRACKERS}
+def _result(job: TrackingFilm, group: _TrackerGroup, known: _TrackerGroup) -> TrackingRun:
+    times, distance, pitch = np.array(group.rows).T
+    errors = {name: np.array((group.errors | known.errors)[name]) for name in TRACKERS}
     packet = np.floor(times / job.settings.signal.packet_s + 1e-6).astype(np.int64)
-    return Run(job.name, times, distance, job.settings.signal.side * pitch, packet, errors, lane.cuts)
+    return TrackingRun(job.name, times, distance, job.settings.signal.side * pitch, packet, errors, group.cuts)

@@ -1,4 +1,4 @@
-"""Errors of the trackers in numbers."""
+"""Errors of the trackers, summed up by film and tracker."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,37 +6,37 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.experiments.tracking.runs import Run
+from heliograph.experiments.tracking.runs import TrackingRun
 
 Floats = NDArray[np.float64]
 
 NEAR_PX = 0.25
-"""An error up to this is called near."""
+"""Largest error in px that counts as near."""
 
 FEWEST = 10
-"""Pairs of a packet that are enough to take a straight line out of."""
+"""Least pairs of a packet from which a straight line is taken out."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Score:
-    """One tracker in one film.
+class TrackingScore:
+    """Errors of one tracker in one film.
 
     Attributes
     ----------
     pairs
         Pairs of frames tracked.
     rms_px, q999_px
-        Error of the array's centre: rms and the value that 99.9 % of the pairs stay below.
+        Error of the array's centre in px: rms and the 99.9 % quantile over the pairs.
     near
         Pairs with an error of up to 0.25 px.
     lost
         Pairs with an error in x or y of more than half the array's side: in a cut-out twice as wide as the array a
         part of it is missing.
     shake_px
-        Rms error within a packet after its best straight line in time is taken out: what is left of the vibration
-        for a receiver that finds the array anew at each header and knows how it moves on average.
+        Rms error in px within a packet after its best straight line in time is taken out: the vibration left for a
+        receiver that finds the array anew at each header and knows its mean motion.
     pitch
-        Rms error of the pitch, as a share; None where the tracker tells none.
+        Relative rms error of the pitch; None where the tracker gives none.
     """
 
     pairs: int
@@ -48,21 +48,29 @@ class Score:
     pitch: float | None
 
 
-Scores = Mapping[str, Mapping[str, Score]]
+ScoreTable = Mapping[str, Mapping[str, TrackingScore]]
 """By film and tracker."""
 
 
-def scores(runs: Sequence[Run]) -> dict[str, dict[str, Score]]:
+def scores(runs: Sequence[TrackingRun]) -> dict[str, dict[str, TrackingScore]]:
     """All trackers in all films."""
     return {run.name: {name: score(run, errors) for name, errors in run.errors.items()} for run in runs}
 
 
-def score(run: Run, errors: Floats) -> Score:
-    """Score of errors (n, 3) in a film."""
+def score(run: TrackingRun, errors: Floats) -> TrackingScore:
+    """Score of a tracker.
+
+    Parameters
+    ----------
+    run
+        The film.
+    errors
+        (n, 3) as in `TrackingRun.errors`.
+    """
     off = np.hypot(errors[:, 0], errors[:, 1])
     widest = np.abs(errors[:, :2]).max(1)
     pitch = None if np.isnan(errors[:, 2]).any() else float(np.sqrt(np.mean(errors[:, 2] ** 2)))
-    return Score(
+    return TrackingScore(
         pairs=len(off),
         rms_px=float(np.sqrt(np.mean(off**2))),
         q999_px=float(np.quantile(off, 0.999)),
@@ -73,7 +81,7 @@ def score(run: Run, errors: Floats) -> Score:
     )
 
 
-def _shake(run: Run, errors: Floats) -> float:
+def _shake(run: TrackingRun, errors: Floats) -> float:
     rests = []
     for packet in np.unique(run.packet):
         part = run.packet == packet

@@ -6,22 +6,22 @@ from dataclasses import dataclass
 from heliograph.experiments.result import Finding, Verdict
 from heliograph.experiments.tracking.known import BLOCK, known_leds
 from heliograph.experiments.tracking.runs import KNOWN
-from heliograph.experiments.tracking.score import NEAR_PX, Score, Scores
+from heliograph.experiments.tracking.score import NEAR_PX, ScoreTable, TrackingScore
 
 OURS, BACKGROUND = "inverted signals", "background"
 
 MIDDLE_PX = 1.0
-"""The array is in the middle of its cut-out if 99.9 % of the pairs are no further off."""
+"""The array counts as in the middle of its cut-out if 99.9 % of the pairs are at most this many px off."""
 
 LEFT = 0.5
-"""Share of the vibration left from which on a tracker is said to fail."""
+"""Fraction of the vibration left from which on a tracker counts as failing."""
 
 SIDE, PATTERNS_S = 16, 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Rate:
-    """Data that a tracking method leaves.
+class TrackingRate:
+    """Data rate that a tracking method leaves.
 
     Attributes
     ----------
@@ -48,22 +48,24 @@ class Rate:
         return self.per_slot * PATTERNS_S / 1000
 
 
-def rates(lost: int | None = None) -> list[Rate]:
-    """Data rates by method; `lost` bits a pattern go to the known tracking pattern."""
+def rates(lost: int | None = None) -> list[TrackingRate]:
+    """Data rates by method; the known pattern takes `lost` bits a pattern, None: as many as it has LEDs."""
     every = SIDE * SIDE
     left = every - (int(known_leds(SIDE).sum()) if lost is None else lost)
     return [
-        Rate("none", every, False),
-        Rate("inverted signals", every, True),
-        Rate("known pattern", left, False),
-        Rate("known pattern, inverses sent all the same", left, True),
-        Rate("background", every, False),
-        Rate("background, inverses sent all the same", every, True),
-        Rate("OpenCV's, on the sums of pairs", every, True),
+        TrackingRate("none", every, False),
+        TrackingRate("inverted signals", every, True),
+        TrackingRate("known pattern", left, False),
+        TrackingRate("known pattern, inverses sent all the same", left, True),
+        TrackingRate("background", every, False),
+        TrackingRate("background, inverses sent all the same", every, True),
+        TrackingRate("OpenCV's, on the sums of pairs", every, True),
     ]
 
 
-def findings(table: Scores, dark: Mapping[str, Mapping[str, Sequence[str]]], *, whole: bool = True) -> list[Finding]:
+def findings(
+    table: ScoreTable, dark: Mapping[str, Mapping[str, Sequence[str]]], *, whole: bool = True
+) -> list[Finding]:
     """All claims.
 
     Parameters
@@ -71,8 +73,8 @@ def findings(table: Scores, dark: Mapping[str, Mapping[str, Sequence[str]]], *, 
     table
         Scores by film and tracker.
     dark
-        Films with little light by what the paper calls them, each with the films of its kind in daylight: that the
-        background's motion fails in the dark tells something only where it works by day.
+        Dark films by the paper's name for them, each with the films of its kind by day: a failure of the background's
+        motion in the dark counts only where it works by day.
     whole
         Whether the films show the whole drive: in a part of it the array may stay where it was found.
     """
@@ -89,7 +91,7 @@ def findings(table: Scores, dark: Mapping[str, Mapping[str, Sequence[str]]], *, 
     ]
 
 
-def _without(table: Scores, whole: bool) -> Finding:
+def _without(table: ScoreTable, whole: bool) -> Finding:
     parts = {film: row["none"] for film, row in table.items()}
     stays = [film for film, s in parts.items() if not s.lost]
     return Finding(
@@ -102,7 +104,7 @@ def _without(table: Scores, whole: bool) -> Finding:
     )
 
 
-def _with(table: Scores) -> Finding:
+def _with(table: ScoreTable) -> Finding:
     parts = {film: row[OURS] for film, row in table.items()}
     bad = [film for film, s in parts.items() if s.lost or s.q999_px > MIDDLE_PX]
     texts = {f: f"99.9 % of {s.pairs} pairs within {s.q999_px:.3f} px, {s.lost} lost" for f, s in parts.items()}
@@ -114,7 +116,7 @@ def _with(table: Scores) -> Finding:
     )
 
 
-def _background(table: Scores, what: str, films: Mapping[str, Sequence[str]]) -> Finding:
+def _background(table: ScoreTable, what: str, films: Mapping[str, Sequence[str]]) -> Finding:
     """IV.B.2: the motion vector of the background fails where there is no background light."""
     days = dict.fromkeys(day for by_day in films.values() for day in by_day)
     kept = {film: _left(table, film) for film in (*days, *films)}
@@ -138,12 +140,12 @@ def _background(table: Scores, what: str, films: Mapping[str, Sequence[str]]) ->
     )
 
 
-def _left(table: Scores, film: str) -> float:
-    """Share of the vibration that the background's motion leaves."""
+def _left(table: ScoreTable, film: str) -> float:
+    """Fraction of the vibration that the background's motion leaves."""
     return table[film][BACKGROUND].shake_px / max(table[film]["none"].shake_px, 1e-9)
 
 
-def _dark(table: Scores, films: list[str]) -> Finding:
+def _dark(table: ScoreTable, films: list[str]) -> Finding:
     parts = {film: table[film][OURS] for film in films}
     bad = [film for film, s in parts.items() if s.near < s.pairs]
     return Finding(
@@ -154,11 +156,11 @@ def _dark(table: Scores, films: list[str]) -> Finding:
     )
 
 
-def _left_over(s: Score) -> str:
+def _left_over(s: TrackingScore) -> str:
     return f"99.9 % within {s.q999_px:.3f} px, {s.lost} lost"
 
 
-def rate_finding(table: list[Rate]) -> Finding:
+def rate_finding(table: list[TrackingRate]) -> Finding:
     """IV.B.1: the known pattern costs data rate, inverted signals improve on it."""
     by = {rate.method: rate for rate in table}
     ours, known = by["inverted signals"], by["known pattern"]
@@ -179,12 +181,12 @@ def rate_finding(table: list[Rate]) -> Finding:
     )
 
 
-def _shown(table: Scores, name: str, what: str) -> Finding:
+def _shown(table: ScoreTable, name: str, what: str) -> Finding:
     texts = {film: _text(row[name]) for film, row in table.items()}
     return Finding(what, _list(texts), "shown")
 
 
-def _text(s: Score) -> str:
+def _text(s: TrackingScore) -> str:
     return f"rms {s.rms_px:.3f} px, 99.9 % {s.q999_px:.3f} px, {s.lost} of {s.pairs} pairs lost"
 
 
