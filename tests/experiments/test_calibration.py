@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from heliograph.experiments.calibration import experiment
+from heliograph.experiments.calibration import experiment, known_channel
 from heliograph.experiments.calibration.recorder import EDGES, FIRST, LAST, CalibrationFilm, ReliabilityCounts, record
 from heliograph.experiments.calibration.verdicts import calibrated
 from heliograph.experiments.result import Context
@@ -74,3 +74,16 @@ def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
     for table in result.tables:
         assert table.rows
         assert all(len(row) == len(table.head) for row in table.rows)
+
+
+def test_the_known_channel_reads_as_well_as_the_estimated_one() -> None:
+    near = known_channel.tasks(80.0, "low", [1.0], 1)
+    assert [(task.known, task.brightness) for task in near] == [(False, 1.0), (True, 1.0)]
+    for task in near:
+        count = known_channel.measure(task)
+        assert (count.trials, count.errors) == (1, 0)
+
+
+def test_a_light_too_faint_is_wrong_with_either_channel() -> None:
+    for task in known_channel.tasks(150.0, "low", [1.0], 1):
+        assert known_channel.measure(task).errors == 1

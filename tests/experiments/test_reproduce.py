@@ -24,7 +24,7 @@ def test_unknown_figure_names_the_nearest() -> None:
 
 
 def test_every_experiment_can_be_run() -> None:
-    for module, _ in book.EXPERIMENTS.values():
+    for module, _ in (*book.EXPERIMENTS.values(), *book.FURTHER.values()):
         assert callable(__import__(f"heliograph.experiments.{module}", fromlist=["run"]).run)
 
 

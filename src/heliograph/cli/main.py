@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from heliograph.base.errors import HeliographError
-from heliograph.cli import console, options
+from heliograph.cli import console, measure, options
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -18,6 +18,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Data sent by an LED array, received by a high-speed camera on a moving car.",
 )
+
+app.add_typer(measure.app, name="measure")
 
 High = Annotated[Path | None, options.message_option("high")]
 Middle = Annotated[Path | None, options.message_option("middle")]
@@ -140,9 +142,7 @@ def sweep(
     max_seconds: Annotated[
         float | None, typer.Option(help="Computing time of a point, workers together.", show_default=False)
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Worker processes; one a core by default.", show_default=False)
-    ] = None,
+    workers: options.Workers = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to work on instead.", show_default=False)
     ] = None,
@@ -161,7 +161,8 @@ def sweep(
 @app.command()
 def reproduce(
     figures: Annotated[
-        list[str] | None, typer.Argument(metavar="[FIGURE ...]", help="fig3, fig13, ...; all by default.")
+        list[str] | None,
+        typer.Argument(metavar="[NAME ...]", help="fig3, fig13, ..., the paper's, all by default; also scenes, ..."),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few trials: minutes instead of tens of minutes.")] = False,
     output: Annotated[Path, typer.Option("--output", metavar="DIR", help="Folder for report, pictures, data.")] = Path(
@@ -173,9 +174,7 @@ def reproduce(
                      help="Recordings: driving/*.mp4 and motion/car-imu.csv; a drawn scene and a road without."),
     ] = None,
     seed: options.Seed = 0,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Worker processes; one a core by default.", show_default=False)
-    ] = None,
+    workers: options.Workers = None,
 ) -> None:  # fmt: skip
     """Run the paper's experiments, and write its claims beside what was measured."""
     from heliograph.cli.reproduce import run_reproduce

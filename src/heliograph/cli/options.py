@@ -30,6 +30,11 @@ Background = Annotated[
     typer.Option("--background", metavar="VIDEO", help="Film to put behind the arrays.", show_default=False),
 ]
 
+Workers = Annotated[
+    int | None,
+    typer.Option("--workers", min=1, help="Worker processes; one a core by default.", show_default=False),
+]
+
 
 def message_option(layer: str) -> Any:
     """An option that names a file to send in a layer."""

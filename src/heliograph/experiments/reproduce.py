@@ -29,6 +29,16 @@ EXPERIMENTS = {
 }
 """Experiments that are run by default, by name: the module below this package that runs each, and its subject."""
 
+FURTHER = {
+    "scenes": ("error_rates.scenes", "error rates in hard scenes"),
+    "repeated-packets": ("error_rates.repeated_packets", "packets received again"),
+    "acquisition": ("detection.acquisition", "acquisition of an array that is switched on"),
+    "known-channel": ("calibration.known_channel", "the soft receiver beside the known channel"),
+    "header-separation": ("detection.header_separation", "distances between headers"),
+    "timing-loss": ("patterns.timing_loss", "loss of a camera out of step"),
+}
+"""Experiments beside the paper's, which are run by name only."""
+
 ALIASES = {"fig9": "fig8", "fig12": "fig11", "table1": "tables", "table2": "tables", "calibration": "soft"}
 
 CLIPS = "driving"
@@ -46,9 +56,9 @@ def chosen(names: Sequence[str]) -> list[str]:
     """
     keys = [ALIASES.get(name, name) for name in map(str.lower, names)]
     for key in keys:
-        if key not in EXPERIMENTS:
-            close = get_close_matches(key, [*EXPERIMENTS, *ALIASES], 1)
-            hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(EXPERIMENTS)}"
+        if key not in EXPERIMENTS and key not in FURTHER:
+            close = get_close_matches(key, [*EXPERIMENTS, *FURTHER, *ALIASES], 1)
+            hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join([*EXPERIMENTS, *FURTHER])}"
             raise SettingsError(f"unknown experiment '{key}'; {hint}")
     return list(dict.fromkeys(keys)) or list(EXPERIMENTS)
 
@@ -78,7 +88,7 @@ def reproduce(
     Parameters
     ----------
     keys
-        Names of `EXPERIMENTS`.
+        Names of `EXPERIMENTS` and `FURTHER`.
     context
         Effort, seed, recordings and workers.
     folder
@@ -88,7 +98,7 @@ def reproduce(
     """
     results: list[ExperimentResult] = []
     for key in keys:
-        module, title = EXPERIMENTS[key]
+        module, title = {**EXPERIMENTS, **FURTHER}[key]
         begin(key, title)
         result = import_module(f"heliograph.experiments.{module}").run(context)
         _write_parts(folder, result)

@@ -1,0 +1,34 @@
+"""Loss of a camera out of step, by computation."""
+
+import json
+
+import pytest
+
+from heliograph.experiments.patterns.timing_loss import CASES, run, table, timing_loss
+from heliograph.experiments.result import Context
+
+
+def test_a_camera_in_step_loses_nothing() -> None:
+    one = timing_loss(1.0, 1.0, 0.0)
+    assert (one.slope, one.noise, one.bits, one.header) == pytest.approx((1.0, 1.0, 1.0, 1.0))
+    assert one.loss_db == pytest.approx(0.0, abs=1e-9)
+    assert (one.around, one.rest) == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def test_frames_that_straddle_two_patterns_lose_slope_and_header() -> None:
+    losses = [timing_loss(1.0, 1.0, phase).loss_db for phase in (0.1, 0.2, 0.3, 0.4)]
+    assert losses == sorted(losses)
+    assert timing_loss(1.0, 1.0, 0.5).header == pytest.approx(0.0)
+
+
+def test_more_frames_than_patterns_lose_little_at_any_phase() -> None:
+    assert max(timing_loss(1.5, 2 / 3, phase).loss_db for phase in (0.0, 1 / 6, 1 / 3, 0.5)) < 0
+
+
+def test_the_result_has_a_row_a_case_and_phase() -> None:
+    result = run(Context())
+    cases = result.data["cases"]
+    assert {(one["rate"], one["exposure"]) for one in cases} == set(CASES)
+    assert len(result.tables[0].rows) == len(cases)
+    assert json.loads(json.dumps(result.data)) == result.data
+    assert table([]).markdown().count("\n") == 1
