@@ -17,12 +17,13 @@ from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.signal.settings import LAYERS
-from heliograph.sweeps import dataset, executors, sweep
+from heliograph.sweeps import dataset, executors, runner, sweep
 from heliograph.sweeps import points as points_module
 from heliograph.sweeps.executors import Result, Work
 from heliograph.sweeps.plan import plan
-from heliograph.sweeps.points import Point, PointTally, StopRule, run_job
+from heliograph.sweeps.points import Point, run_job
 from heliograph.sweeps.store import NAME, Store
+from heliograph.sweeps.tally import PointTally, StopRule
 from heliograph.sweeps.vary import grid, parse_vary, varied
 
 SMALL = {"signal": {"data_pairs": 8}, "channel": {"camera": {"width": 480, "height": 288}}}
@@ -131,7 +132,7 @@ def test_a_point_ends_by_errors_codewords_seconds_or_emptiness() -> None:
     tally = PointTally(point, StopRule(min_errors=5, max_codewords=100, max_seconds=9))
     tally.add(0, fake_counts(10, 4), 1.0)
     assert tally.ending is None
-    assert tally.share == pytest.approx(0.8)
+    assert tally.fraction == pytest.approx(0.8)
     tally.add(1, fake_counts(10, 1), 1.0)
     assert tally.ending == "errors"
     for counts, seconds, ending in (((100, 0), 1, "codewords"), ((9, 0), 9, "seconds"), ((9, 0), 1, None)):
@@ -222,7 +223,7 @@ def test_a_store_is_resumed_and_extended(tmp_path: Path, monkeypatch: pytest.Mon
         raise AssertionError("computed again")
 
     with monkeypatch.context() as patch:
-        patch.setattr(sweep, "run_job", never)
+        patch.setattr(runner, "run_job", never)
         assert count(tmp_path) == first
     assert rows(tmp_path) == before
     longer = count(tmp_path, StopRule(min_errors=50, max_codewords=30))
@@ -246,6 +247,21 @@ def test_seed_settings_and_version_are_new_keys(tmp_path: Path, monkeypatch: pyt
     assert version == points_module.build()
     assert seed == 0
     assert json.loads(settings)["signal"]["data_pairs"] == 8
+
+
+def test_results_are_kept_under_the_code_of_the_whole_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    room = tmp_path / "receive"
+    room.mkdir()
+    (tmp_path / "__init__.py").write_text("")
+    (room / "kernels.py").write_text("REACH = 1\n")
+    monkeypatch.setattr("heliograph.__file__", str(tmp_path / "__init__.py"))
+    builds = []
+    for code in ("REACH = 1\n", "REACH = 1\n", "REACH = 2\n"):
+        (room / "kernels.py").write_text(code)
+        points_module._code_digest.cache_clear()
+        builds.append(points_module.build())
+    points_module._code_digest.cache_clear()
+    assert builds[0] == builds[1] != builds[2]
 
 
 def test_two_sweeps_may_share_a_store(tmp_path: Path) -> None:
@@ -301,11 +317,11 @@ class Fragile:
 def test_lost_workers_are_replaced_and_at_last_given_up() -> None:
     tallies = [PointTally(point, StopRule(max_codewords=10)) for point in points()]
     with Store() as store:
-        sweep.run(tallies, store, Fragile(2))
+        runner.run(tallies, store, Fragile(2))
     assert all(tally.done for tally in tallies)
     again = [PointTally(point, StopRule(max_codewords=10)) for point in points()]
     with Store() as store, pytest.raises(HeliographError, match="died"):
-        sweep.run(again, store, Fragile(100))
+        runner.run(again, store, Fragile(100))
 
 
 def test_an_error_of_a_block_names_its_point() -> None:
@@ -318,13 +334,13 @@ def test_a_failure_of_a_worker_is_one_line(monkeypatch: pytest.MonkeyPatch) -> N
     def fail(work: Any) -> Any:
         raise MemoryError("no\nroom")
 
-    monkeypatch.setattr(sweep, "run_job", fail)
+    monkeypatch.setattr(runner, "run_job", fail)
     with pytest.raises(HeliographError, match="MemoryError: no room"):
         sweep.count([PointTally(points()[0], StopRule())], workers=1)
 
 
 def test_a_worker_of_another_version_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sweep, "run_job", lambda work: {**run_job(work), "version": "0.0.0"})
+    monkeypatch.setattr(runner, "run_job", lambda work: {**run_job(work), "version": "0.0.0"})
     with pytest.raises(HeliographError, match="install the same"):
         sweep.count([PointTally(points()[0], StopRule())], workers=1)
 

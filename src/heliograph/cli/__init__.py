@@ -1,1 +1,1 @@
-"""The command: a thin face over `heliograph.link` and `heliograph.experiments`."""
+"""The command: a thin face over `link`, `measure`, `sweeps` and `experiments`."""

@@ -45,12 +45,12 @@ def settings_from(preset: str, file: Path | None, assignments: list[str] | None)
     """Settings of preset, TOML file and assignments, in this order."""
     from heliograph.link.settings import load_settings
 
-    return load_settings(preset, _toml(file) if file else None, assignments or ())
+    return load_settings(preset, read_toml(file) if file else None, assignments or ())
 
 
 def signal_changes(file: Path | None, assignments: list[str]) -> list[dict[str, Any]]:
     """What TOML file and assignments say of the signal, in this order; to be asked for once they are checked."""
-    changes = [_toml(file) if file else {}, *map(parse_assignment, assignments)]
+    changes = [read_toml(file) if file else {}, *map(parse_assignment, assignments)]
     return [change["signal"] for change in changes if change.get("signal")]
 
 
@@ -78,7 +78,8 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
-def _toml(file: Path) -> dict[str, Any]:
+def read_toml(file: Path) -> dict[str, Any]:
+    """Settings of a TOML file; a SettingsError where it cannot be read or is wrong."""
     try:
         return parse_toml(file.read_text(encoding="utf-8"))
     except OSError as error:

@@ -14,14 +14,14 @@ from heliograph.cli import console, options
 
 if TYPE_CHECKING:
     from heliograph.measure.statistics import Count
-    from heliograph.sweeps.points import PointTally
-    from heliograph.sweeps.sweep import Progress
+    from heliograph.sweeps.runner import Progress
+    from heliograph.sweeps.tally import PointTally
 
 SCALE = 1000
 """Parts of a point in the progress bar."""
 
 SPEED_PERIOD_S = 3600.0
-"""Time over which the speed is taken that the time left is told by."""
+"""Time in s over which the speed is averaged that the time left is estimated from."""
 
 
 def run_sweep(
@@ -41,7 +41,7 @@ def run_sweep(
 
     os.environ.update(THREAD_LIMITS)  # NumPy is not imported yet
     from heliograph.sweeps.plan import plan
-    from heliograph.sweeps.points import PointTally, StopRule
+    from heliograph.sweeps.tally import PointTally, StopRule
 
     points = plan(_varied(vary), preset, _over(file, assignments), seed, *recordings)
     tallies = [PointTally(point, StopRule(**limits)) for point in points]
@@ -85,7 +85,7 @@ def _varied(texts: list[str] | None) -> dict[str, list[Any]]:
 
 def _over(file: Path | None, assignments: list[str] | None) -> Any:
     """File and assignments as one nested mapping."""
-    tree: Any = options._toml(file) if file else {}
+    tree: Any = options.read_toml(file) if file else {}
     for change in map(parse_assignment, assignments or ()):
         tree = merge(tree, change)
     return tree
@@ -96,20 +96,20 @@ def _progress(points: int) -> "Iterator[Progress]":
     """A bar with the time left on a terminal, a line now and then in a log."""
     if not sys.stderr.isatty():
         lines = console.Lines("sweeping, points", points)
-        yield lambda tallies: lines(sum(tally.share for tally in tallies))
+        yield lambda tallies: lines(sum(tally.fraction for tally in tallies))
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    # a block may take longer than Rich's half a minute, without which it knows no speed
+    # a block may take longer than Rich's half a minute, without which it has no speed
     screen = Console(stderr=True)
     with Progress(*columns, console=screen, transient=True, speed_estimate_period=SPEED_PERIOD_S) as bar:
         task = bar.add_task("sweeping", total=SCALE * points)
 
         def show(tallies: "Sequence[PointTally]") -> None:
             done = f"{sum(t.done for t in tallies)} of {points} points"
-            bar.update(task, description=done, completed=round(SCALE * sum(t.share for t in tallies)))
+            bar.update(task, description=done, completed=round(SCALE * sum(t.fraction for t in tallies)))
 
         yield show
 

@@ -42,7 +42,15 @@ class Report:
         self._parts.append(f"<h2>{escape(text)}</h2>")
 
     def text(self, text: str, note: bool = False) -> None:
-        """Add a paragraph."""
+        """Add a paragraph.
+
+        Parameters
+        ----------
+        text
+            Plain text.
+        note
+            Whether it is set small and gray.
+        """
         self._parts.append(f"<p{' class=note' if note else ''}>{escape(text)}</p>")
 
     def code(self, text: str) -> None:
@@ -50,19 +58,45 @@ class Report:
         self._parts.append(f"<pre>{escape(text)}</pre>")
 
     def figure(self, figure: "Figure", caption: str) -> None:
-        """Add a plot."""
+        """Add a plot.
+
+        Parameters
+        ----------
+        figure
+            The plot.
+        caption
+            Plain text below it.
+        """
         out = io.BytesIO()
         figure.savefig(out, format="png", dpi=130, bbox_inches="tight")
         self.picture(out.getvalue(), caption)
 
     def picture(self, png: bytes, caption: str) -> None:
-        """Add a PNG picture."""
+        """Add a picture.
+
+        Parameters
+        ----------
+        png
+            Content of a PNG file.
+        caption
+            Plain text below it.
+        """
         data = base64.b64encode(png).decode()
         image = f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
         self._parts.append(f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>")
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], prose: bool = False) -> None:
-        """Add a table, of numbers or of prose, whose lines may be broken."""
+        """Add a table.
+
+        Parameters
+        ----------
+        head
+            Heads of the columns.
+        rows
+            Cells, row by row.
+        prose
+            Whether the cells are text, whose lines may be broken.
+        """
         top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
         body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
         kind = " class=prose" if prose else ""

@@ -90,7 +90,7 @@ class ExperimentResult:
 
 
 def quiet(title: str, done: float, /) -> None:
-    """Report no progress."""
+    """Report no progress, whatever the title and the fraction done."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -146,4 +146,4 @@ class Context:
             A worker process was lost.
         """
         start, end = span
-        return each(self.workers, job, works, lambda share: self.progress(title, start + (end - start) * share))
+        return each(self.workers, job, works, lambda done: self.progress(title, start + (end - start) * done))

@@ -69,5 +69,5 @@ def _table(path: Path) -> Any:
             warnings.simplefilter("ignore")  # of a file without rows: its length is checked
             return np.genfromtxt(text.splitlines(), delimiter=",", names=True, dtype=np.float64)
     except ValueError as error:
-        reason = str(error).splitlines()[:2][-1].strip()  # the second line tells which row is short
+        reason = str(error).splitlines()[:2][-1].strip()  # the second line names the row that is short
         raise MediaError(f"cannot read the motion file {path}: {reason}") from None

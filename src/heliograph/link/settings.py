@@ -28,7 +28,7 @@ class LinkSettings:
     channel
         Scene, vehicle, camera.
     receive
-        The receiver. It is told nothing of `channel`.
+        The receiver. It gets nothing of `channel`.
     """
 
     signal: SignalSettings = SignalSettings()

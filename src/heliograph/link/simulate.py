@@ -45,7 +45,14 @@ def default_messages(settings: LinkSettings) -> list[Messages]:
 
 
 def transmitters(settings: LinkSettings, messages: Sequence[Messages]) -> list[Transmitter]:
-    """A transmitter for each array, `messages` in the order of the arrays.
+    """A transmitter for each array.
+
+    Parameters
+    ----------
+    settings
+        The link; its `signal` and `transmit` parts are used.
+    messages
+        What each array sends, in the order of the arrays.
 
     Raises
     ------

@@ -41,7 +41,7 @@ ARRAY_FIELDS = [
 """An array in a frame: `ArrayTruth`, with the first and the last pattern shown in it, or -1 and -1."""
 
 NOISE_LEVEL = 0.5
-"""Mean level, as a share of full scale, of which the truth states the rms noise."""
+"""Mean level, by full scale, for which the truth states the rms noise."""
 
 
 def row_type(arrays: int) -> np.dtype[Any]:
@@ -64,7 +64,7 @@ class TruthWriter:
     settings, messages, seed
         What was simulated.
     film_id
-        Id the film has as well, to know which truth is whose.
+        Id that the film has as well, so that film and truth are known to belong together.
     """
 
     def __init__(self, path: Path, settings: LinkSettings, messages: Sequence[Messages], seed: int, film_id: str = ""):
@@ -115,7 +115,7 @@ class TruthWriter:
             "seed": self._seed,
             "messages": names,
             "film_id": self._film_id,
-            "noise": {"level": NOISE_LEVEL, "sigma": sigma},  # both as shares of full scale
+            "noise": {"level": NOISE_LEVEL, "sigma": sigma},  # both by full scale
         }
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
             archive.writestr("about.json", json.dumps(about))

@@ -74,7 +74,15 @@ def block_settings(settings: LinkSettings, max_packets: int | None = None) -> Li
 
 
 def lasting(settings: LinkSettings, duration_s: float) -> LinkSettings:
-    """The settings with a film of so many seconds."""
+    """The settings with another length of film.
+
+    Parameters
+    ----------
+    settings
+        The link.
+    duration_s
+        Length in s, above 0.
+    """
     return replace(settings, channel=replace(settings.channel, duration_s=duration_s))
 
 

@@ -181,11 +181,11 @@ class ErrorCounter:
         return camera.start_s + (time_s - camera.start_s) * (1 + camera.clock_ppm * 1e-6)
 
     def _packet_at(self, array: int, time_s: float) -> tuple[int, float]:
-        """Number of the packet shown at a time, and how much of it is over."""
+        """Number of the packet shown at a time, and the fraction of it that is over."""
         place = self._settings.channel.arrays[array]
         # a frame that starts with a pattern must not fall before it by rounding
-        number, share = divmod((time_s + 1e-7 - place.start_s) / self._packet_s(array), 1.0)
-        return int(number), share
+        number, over = divmod((time_s + 1e-7 - place.start_s) / self._packet_s(array), 1.0)
+        return int(number), over
 
 
 def _plain(counts: LayerCounts) -> Mapping[str, Any]:

@@ -18,7 +18,13 @@ class Count:
     errors: int = 0
 
     def add(self, trials: int, errors: int) -> None:
-        """Count more."""
+        """Count more.
+
+        Parameters
+        ----------
+        trials, errors
+            To be added to those counted so far, 0 or more.
+        """
         self.trials += int(trials)
         self.errors += int(errors)
 
@@ -55,13 +61,13 @@ class Clustered(Count):
     Attributes
     ----------
     clusters
-        Packets, or whatever else fails together; of about equal numbers of trials.
+        Packets, or other units that fail together; of about equal numbers of trials.
     squares
         Sum of the squares of the clusters' errors.
     scattered
-        How to bound the rate where no error was met, for then nothing tells whether errors come together. True: as if
-        they came singly, by 3 / trials, as the raw errors of single LEDs do. False: as if a cluster failed as a whole,
-        by 3 / clusters, as a turbo decoder's codewords do.
+        The bound of the rate where no error was met, as the data then do not show whether errors come together. True:
+        as if they came singly, 3 / trials, as the raw errors of single LEDs do. False: as if a cluster failed as a
+        whole, 3 / clusters, as a turbo decoder's codewords do.
     """
 
     clusters: int = 0
@@ -69,7 +75,13 @@ class Clustered(Count):
     scattered: bool = False
 
     def add(self, trials: int, errors: int) -> None:
-        """Count a cluster; one without trials is none."""
+        """Count a cluster; one without trials is none.
+
+        Parameters
+        ----------
+        trials, errors
+            Of the cluster, 0 or more.
+        """
         self.trials += int(trials)
         self.errors += int(errors)
         self.clusters += trials > 0
@@ -91,8 +103,8 @@ class Clustered(Count):
     def design_effect(self) -> float:
         """Variance of the clusters' errors over that of independent trials (Kish 1965).
 
-        1, independent, to the trials of a cluster, all alike; the latter where it cannot be told, of one cluster or
-        without errors.
+        From 1, independent, to the trials of a cluster, all alike; the latter where it cannot be estimated, for one
+        cluster or without errors.
         """
         clusters, rate = max(self.clusters, 1), self.rate
         size = self.trials / clusters
@@ -133,7 +145,17 @@ def clopper_pearson(errors: float, trials: float, confidence: float = 0.95) -> t
     errors, trials
         Counts, 0 <= errors <= trials; effective ones need not be whole.
     confidence
-        Coverage of the two-sided interval; with no errors the whole risk lies above, so the bound is about 3 / n.
+        Coverage of the two-sided interval, 0 to 1; with no errors the whole risk lies above, so the bound is about
+        3 / n.
+
+    Returns
+    -------
+    Lower and upper end.
+
+    Raises
+    ------
+    ValueError
+        There are more errors than trials, or fewer than 0.
     """
     if not 0 <= errors <= trials:
         raise ValueError(f"errors must be 0 to {trials} (the trials), not {errors}")

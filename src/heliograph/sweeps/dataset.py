@@ -10,7 +10,7 @@ from heliograph import __version__
 from heliograph.base.config import to_mapping
 from heliograph.base.errors import HeliographError
 from heliograph.signal.settings import LAYERS
-from heliograph.sweeps.points import PointTally
+from heliograph.sweeps.tally import PointTally
 
 if TYPE_CHECKING:
     import xarray
@@ -71,7 +71,15 @@ def unit(key: str) -> str:
 
 
 def to_dataset(vary: Mapping[str, Sequence[Any]], tallies: Sequence[PointTally]) -> "xarray.Dataset":
-    """Dataset of the points of a grid, in its order: a dimension for each varied key, and "layer"."""
+    """Dataset of the points of a grid: a dimension for each varied key, and "layer".
+
+    Parameters
+    ----------
+    vary
+        Values by key.
+    tallies
+        One a point, in the order of the grid, the last key fastest.
+    """
     import xarray
 
     reports = [tally.report() for tally in tallies]
@@ -142,7 +150,7 @@ def _provenance(vary: Mapping[str, Sequence[Any]], tallies: Sequence[PointTally]
 
 
 def _common(a: Any, b: Any) -> Any:
-    """What two trees share."""
+    """The part that two trees have in common."""
     return {
         key: _common(value, b[key]) if isinstance(value, Mapping) and isinstance(b[key], Mapping) else value
         for key, value in a.items()

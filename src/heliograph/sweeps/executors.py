@@ -38,7 +38,15 @@ class Workers(Protocol):
         """Jobs worked on at a time."""
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
-        """Hand a job in."""
+        """Hand a job in.
+
+        Parameters
+        ----------
+        job
+            A function of a module, so that a worker can find it.
+        work
+            Its argument.
+        """
 
     def restart(self) -> None:
         """Begin anew after workers were lost; what was handed in is lost."""
@@ -87,7 +95,7 @@ def each(
     works
         Its arguments; those that take longest first.
     done
-        Called with the share done, 0 to 1, after each.
+        Called with the fraction done, 0 to 1, after each.
 
     Raises
     ------
@@ -124,7 +132,15 @@ class Here:
     slots = 1
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
-        """Do a job."""
+        """Do a job.
+
+        Parameters
+        ----------
+        job
+            A function of a module.
+        work
+            Its argument.
+        """
         future: Future[Result] = Future()
         try:
             future.set_result(job(work))
@@ -153,7 +169,15 @@ class Pool:
         self._executor = self._start()
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
-        """Hand a job in; the first one starts the processes."""
+        """Hand a job in; the first one starts the processes.
+
+        Parameters
+        ----------
+        job
+            A function of a module.
+        work
+            Its argument.
+        """
         try:
             with _worker_environment():
                 return self._executor.submit(job, work)
@@ -208,14 +232,28 @@ class Cluster:
 
     @property
     def slots(self) -> int:
-        """Threads of all workers there are now; one job waits if there are none."""
+        """Threads of all workers there are now; one job waits if there are none.
+
+        Raises
+        ------
+        HeliographError
+            The connection was lost.
+        """
         try:
             return max(1, sum(self._client.nthreads().values()))  # type: ignore[no-untyped-call]  # dask has no types
         except OSError as error:
             raise HeliographError(f"the connection to the Dask scheduler was lost ({error})") from None
 
     def submit(self, job: Callable[[Work], Result], work: Work) -> "Future[Result]":
-        """Hand a job in."""
+        """Hand a job in.
+
+        Parameters
+        ----------
+        job
+            A function of a module.
+        work
+            Its argument.
+        """
         return self._executor.submit(_limited, job, work)
 
     def restart(self) -> None:

@@ -87,7 +87,7 @@ class Store:
         self._db.close()
 
     def note(self, point: Point) -> None:
-        """Write down what a point is."""
+        """Keep the settings of a point."""
         about = (
             point.key,
             build(),
@@ -100,13 +100,43 @@ class Store:
             self._db.execute("INSERT OR IGNORE INTO points VALUES (?, ?, ?, ?, ?, ?)", about)
 
     def add(self, point: Point, block: int, counts: BlockCounts, seconds: float) -> None:
-        """Keep a block; where another sweep was faster, its row stays."""
+        """Keep a block; where another sweep was faster, its row stays.
+
+        Parameters
+        ----------
+        point
+            Point of the block.
+        block
+            Number of the block.
+        counts
+            Its counts.
+        seconds
+            Its computing time in s.
+
+        Raises
+        ------
+        MediaError
+            The file cannot be written.
+        """
         row = (point.key, block, json.dumps(counts.to_plain()), seconds)
         with self._clear(), self._transaction():
             self._db.execute(_ADD, row)
 
     def blocks(self, point: Point, first: int = 0) -> Mapping[int, tuple[BlockCounts, float]]:
-        """Counts and computing time of a point's blocks from number `first` on."""
+        """Counts and computing time in s of a point's blocks, by number.
+
+        Parameters
+        ----------
+        point
+            The point.
+        first
+            The least number that is wanted.
+
+        Raises
+        ------
+        MediaError
+            The file cannot be read.
+        """
         question = "SELECT block, counts, seconds FROM blocks WHERE key = ? AND block >= ? ORDER BY block"
         with self._clear():
             rows = self._db.execute(question, (point.key, first)).fetchall()
@@ -124,7 +154,7 @@ class Store:
 
     @contextlib.contextmanager
     def _clear(self) -> Iterator[None]:
-        """Turn what SQLite and the system say into one line."""
+        """Turn errors of SQLite and of the system into one line."""
         try:
             yield
         except (sqlite3.Error, OSError, ValueError, TypeError, KeyError) as error:

@@ -1,4 +1,4 @@
-"""What a sweep varies: ``key=1,2,3`` and ``key=25:120:5`` to values, and their grid to settings."""
+"""The keys and values that a sweep varies: ``key=1,2,3`` and ``key=25:120:5`` to values, their grid to settings."""
 
 import itertools
 import math
@@ -51,7 +51,7 @@ def grid(vary: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
 
 
 def listed(vary: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
-    """Values of each key as a list, those of NumPy as Python's, which settings and JSON know.
+    """Values of each key as a list, those of NumPy as Python's, which settings and JSON accept.
 
     Raises
     ------
@@ -65,7 +65,16 @@ def listed(vary: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
 
 
 def varied(preset: str, over: Mapping[str, Any], choice: Mapping[str, Any]) -> LinkSettings:
-    """Settings of a preset with `over` laid on it and then a point's `choice` of dotted keys.
+    """Settings of a point.
+
+    Parameters
+    ----------
+    preset
+        Preset to start from, if `choice` names none.
+    over
+        Nested settings laid over it.
+    choice
+        Values by dotted key, laid over that.
 
     Raises
     ------
@@ -80,7 +89,20 @@ def varied(preset: str, over: Mapping[str, Any], choice: Mapping[str, Any]) -> L
 
 
 def nested(key: str, value: Any) -> Any:
-    """A value under a dotted key as nested mappings."""
+    """A value under a dotted key as nested mappings.
+
+    Parameters
+    ----------
+    key
+        Such as "channel.distance_m".
+    value
+        Its value.
+
+    Raises
+    ------
+    SettingsError
+        It is no key.
+    """
     parse_assignment(f"{key}=0")  # names what is wrong with a key
     for part in reversed(key.split(".")):
         value = {part.strip(): value}

@@ -1,1 +1,1 @@
-"""Predicted error probabilities and distances beside the truth, and the receiver beside one that knows the channel."""
+"""Predicted error probabilities and distances beside the truth, and the receiver beside one with the true channel."""

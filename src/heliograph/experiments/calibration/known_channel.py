@@ -60,7 +60,17 @@ class KnownReading(SoftReading):
         self._link, self._truths = link, truths
 
     def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
-        """Keep a pair with its true poses; parameters as of `SoftReading.take`."""
+        """Keep a pair with its true poses.
+
+        Parameters
+        ----------
+        place
+            Number of the pair in its packet.
+        pattern, inverted
+            Its frames.
+        tracked, tracker
+            The pair as it was followed, and the tracker that followed it.
+        """
         super().take(place, pattern, inverted, tracked, tracker)
         first, second = (true_pose(self._truths[frame.index], self._link) for frame in (pattern, inverted))
         self._glances[place] = take_glance(pattern, inverted, (first, second), self._side)

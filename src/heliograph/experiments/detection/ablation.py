@@ -178,7 +178,15 @@ def score_of_array(found: Sequence[Candidate], truth: Pose, identity: int | None
 
 
 def same(pose: Pose, truth: Pose) -> bool:
-    """Whether a pose is about that of the array, by `NEAR` and `LIKE`."""
+    """Whether a pose is about that of the array, by `NEAR` and `LIKE`.
+
+    Parameters
+    ----------
+    pose
+        Pose of a candidate.
+    truth
+        Pose of the array.
+    """
     beside = np.hypot(pose.x - truth.x, pose.y - truth.y)
     return bool(beside < NEAR * 16 * truth.pitch and 1 / LIKE < pose.pitch / truth.pitch < LIKE)
 

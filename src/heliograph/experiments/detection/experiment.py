@@ -1,4 +1,4 @@
-"""Fig. 6: false detections of the all-on header and of the M-sequence, and identities told apart."""
+"""Fig. 6: false detections of the all-on header and of the M-sequence, and identities."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -27,24 +27,24 @@ from heliograph.signal.header import IDENTITIES
 TEXT = (
     "Short films of the reference link with and without an array, before footage of a moving camera, a drawn street, "
     "and a street full of lamps that move, flicker with the mains, are pulsed at 100 Hz to 1000 Hz, turn as beacons "
-    "or are matrix signs with rows lit in turn; all with the shake of the car. In each, four ways of detecting look "
-    "for the header with no threshold on the score: the lit array's shape or the M-sequences of 30 identities, in the "
-    "difference of two frames or in f0 - 3 f1 + 3 f2 - f3 of four. All use the receiver's search and fit, on the same "
-    "scenes, shake and noise; candidates of three ranges of size are kept apart, since parts of a lit square are lit "
-    "squares. The score is the correlation of pixels and fitted header. A false alarm is a film without an array in "
-    "which a candidate exceeds the threshold. An array "
-    "counts as found where a candidate at its place, of its size, and (M-sequence) of its identity exceeds the "
-    "threshold. Arrays are looked for at their place only, false alarms in whole frames: a found array says that its "
-    "own candidate passes, not that nothing else in the frame scores higher. "
-    "Between frames of a clip the channel fades, so things that move by themselves change evenly there, "
-    "which four frames cancel and two do not; the shake moves the whole scene frame by frame. Two thresholds: the "
-    "receiver's own of 0.9, and the one that 95 % of these arrays exceed, which is as high as only clean, sharp, "
-    "unhidden arrays allow. Footage and the still street are judged apart from the street full of lamps, which is "
-    "drawn to deceive. Of the lamps three times as many films are taken as of each other scene; the curves, and the "
-    "table of arrays found at equal false alarms, are of this mixture, which no road has. The receiver beside these "
-    "has all its checks, also that the header's frames alternate in step. Identities: each filmed alone, and with an "
-    f"array of another identity {BESIDE_M[0]:g} m to {BESIDE_M[1]:g} m beside it in the same view, their packets not "
-    "in step; each array is found, or missed, at its own place. Intervals are Clopper-Pearson, 95 %."
+    "or are matrix signs with rows lit in turn; all with the shake of the car. In each film four variants of the "
+    "detector search for the header, with no threshold on the score: for the lit array's shape or for the M-sequences "
+    "of 30 identities, in the difference of two frames or in f0 - 3 f1 + 3 f2 - f3 of four. All use the receiver's "
+    "search and fit, on the same scenes, shake and noise. Candidates of three ranges of size are kept apart, since "
+    "parts of a lit square are lit squares. The score is the correlation of pixels and fitted header. A false alarm is "
+    "a film without an array in which a candidate exceeds the threshold. An array counts as found where a candidate at "
+    "its place, of its size, and (M-sequence) of its identity exceeds the threshold. Arrays are searched at their "
+    "place only, false alarms in whole frames: that an array is found means that its own candidate passes, not that "
+    "no other place in the frame scores higher. Between frames of a clip the channel fades, so things that move by "
+    "themselves change evenly there, which four frames cancel and two do not; the shake moves the whole scene frame by "
+    "frame. Two thresholds: the receiver's own of 0.9, and the one that 95 % of these arrays exceed, which can be so "
+    "high only because the arrays are clean, sharp and unhidden. Footage and the street at rest are judged apart from "
+    "the street full of lamps, which is drawn to deceive. Three times as many films are taken of the lamps as of each "
+    "other scene; the curves, and the table of arrays found at equal false alarms, are of this mixture, which no road "
+    "has. The receiver beside these has all its checks, also that the header's frames alternate in step. Identities: "
+    f"each filmed alone, and with an array of another identity {BESIDE_M[0]:g} m to {BESIDE_M[1]:g} m beside it in the "
+    "same view, their packets not in step; each array is found, or missed, at its own place. Intervals are "
+    "Clopper-Pearson, 95 %."
 )
 
 
@@ -72,7 +72,7 @@ def run(context: Context, effort: Effort | None = None) -> ExperimentResult:
     beside = confusion(places, scenes, films, imu, context, (0.9, 1.0), shown, beside=True)
     return ExperimentResult(
         key="fig6",
-        title="Fig. 6: false detections, and identities told apart",
+        title="Fig. 6: false detections and identities",
         text=TEXT,
         findings=[
             *compared(measured),

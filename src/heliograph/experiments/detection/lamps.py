@@ -89,7 +89,7 @@ def lamp_backdrop(rng: np.random.Generator) -> Moment:
         for lamp in lamps:
             _draw(image, lamp, k / RATE_HZ)
         images.append(np.asarray(cv2.GaussianBlur(image, (0, 0), 0.5), np.uint8))
-    # the channel looks at the middle of an exposure: half a frame on, so that it meets whole images
+    # the channel takes the footage at the middle of an exposure: half a frame on, so that it gets whole images
     return Moment(Footage(lambda: iter(images), RATE_HZ), 0.5 / RATE_HZ)
 
 

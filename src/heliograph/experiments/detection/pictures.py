@@ -87,8 +87,8 @@ def _roc(measured: DetectionTrials) -> Figure:
 def _matrices(confusions: Mapping[float, Confusion]) -> Figure:
     figure = Figure(figsize=(12, 3.4))
     for axes, (distance, one) in zip(figure.subplots(1, len(confusions)), confusions.items(), strict=True):
-        share = one.counts / np.maximum(one.counts.sum(1, keepdims=True), 1)
-        axes.imshow(share, cmap="Blues", vmin=0, vmax=1, interpolation="nearest")
+        rate = one.counts / np.maximum(one.counts.sum(1, keepdims=True), 1)
+        axes.imshow(rate, cmap="Blues", vmin=0, vmax=1, interpolation="nearest")
         axes.axvline(29.5, color=plots.GRAY, lw=0.8)
         axes.set_title(f"{distance:g} m: {one.right.errors} of {one.right.trials} right", fontsize=9)
         axes.set(xlabel="found", xticks=[0, 10, 20, 30], yticks=[0, 10, 20])

@@ -280,7 +280,13 @@ def found_at(scores: DetectionScores, distance: float, fraction: float) -> Count
 
 
 def is_lower(a: Count, b: Count) -> bool | None:
-    """Whether rate a is below rate b; None where their 95 % intervals overlap."""
+    """Whether a rate is below another; None where their 95 % intervals overlap.
+
+    Parameters
+    ----------
+    a, b
+        Counts of the one and of the other.
+    """
     if a.interval()[1] < b.interval()[0]:
         return True
     return False if a.interval()[0] > b.interval()[1] else None

@@ -35,7 +35,7 @@ def kinds(measured: DetectionTrials) -> dict[str, list[str]]:
     """Scenes by kind: those filmed or drawn at rest, and the drawn lamps, which are made to deceive."""
     names = list(measured.scores[VARIANTS[0].name].false)
     groups = {
-        "footage and a still street": [name for name in names if name != LAMPS],
+        "footage and a street at rest": [name for name in names if name != LAMPS],
         "drawn lamps": [name for name in names if name == LAMPS],
     }
     return {kind: scenes for kind, scenes in groups.items() if scenes}
@@ -58,7 +58,7 @@ def _nothing(scores: DetectionScores, alarms: Count, scenes: list[str]) -> str:
     best = f"the best candidate in any scored {highest:.2f}" if highest else "none had a candidate"
     return (
         f"In none of these {alarms.trials} films was anything: {best}. What the shake leaves of them is edges; "
-        "the round and rectangular lights that the paper speaks of are among the lamps."
+        "the round and rectangular lights that the paper names are among the lamps."
     )
 
 
@@ -100,7 +100,7 @@ def identities_found(confusions: Mapping[float, Confusion], *, beside: bool = Fa
     right = Count(sum(c.right.trials for c in near), sum(c.right.errors for c in near))
     far = confusions[FAR_M]
     return Finding(
-        f"Section IV-A: arrays with different M-sequences are told apart: {'two in one view' if beside else 'alone'}.",
+        f"Section IV-A: arrays with different M-sequences are distinguished, {'two in view' if beside else 'alone'}.",
         f"At 25 m to 80 m: right {right.errors} of {right.trials} ({_range(right)}), taken for another "
         f"{wrong.errors} of {wrong.trials} ({_range(wrong)}); at {FAR_M:g} m right {far.right.errors} of "
         f"{far.right.trials}, taken for another {far.wrong.errors} of {far.wrong.trials}.",

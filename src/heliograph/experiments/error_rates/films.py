@@ -152,11 +152,29 @@ class CountsByDistance:
     places: dict[float, Layers] = field(default_factory=dict)
 
     def add(self, place: float, record: PacketRecord) -> None:
-        """Count a packet at a distance in m."""
+        """Count a packet.
+
+        Parameters
+        ----------
+        place
+            Distance in m.
+        record
+            The packet.
+        """
         self.places[place] = pooled([self.places.get(place, {}), record.layers])
 
     def miss(self, place: float, layer: str, codewords: int) -> None:
-        """Count codewords of a layer that were not received, at a distance in m."""
+        """Count codewords that were not received.
+
+        Parameters
+        ----------
+        place
+            Distance in m.
+        layer
+            Their layer.
+        codewords
+            How many.
+        """
         self.places[place] = pooled([self.places.get(place, {}), {layer: LayerCounts.of_missed(codewords)}])
 
 

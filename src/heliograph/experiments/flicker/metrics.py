@@ -84,14 +84,14 @@ def measure(flux: ArrayLike, slot_s: float) -> Flicker:
     """
     f = np.asarray(flux, float)
     lines = spectrum(f, slot_s)
-    share = lines.modulation / low_risk_limit(lines.hz)
-    worst, slow = int(np.argmax(share)), lines.hz < 90
+    ratio = lines.modulation / low_risk_limit(lines.hz)
+    worst, slow = int(np.argmax(ratio)), lines.hz < 90
     return Flicker(
         percent=percent_flicker(f),
         slow_percent=100 * float(lines.modulation[slow].max(initial=0.0)),
-        limit_share=float(share[worst]),
+        limit_share=float(ratio[worst]),
         limit_hz=float(lines.hz[worst]),
-        slow_limit_share=float(share[slow].max(initial=0.0)),
+        slow_limit_share=float(ratio[slow].max(initial=0.0)),
         svm=svm(lines),
         period_s=flickering_period(f, slot_s),
     )

@@ -20,11 +20,11 @@ DIM = 0.05
 """Brightness at which no LED saturates the sensor even at 10 m."""
 
 UNIFORM = 0.2
-"""The sum counts as all LEDs on where its spread is at most this share of the single patterns' spread."""
+"""The sum counts as all LEDs on where its spread is at most this fraction of the single patterns' spread."""
 
 TEXT = (
     "Pairs of random data filmed at rest. Spread: standard deviation of the luminance at the LEDs' places over the "
-    "array, as a share of its mean, panel and ambient light taken off; for the pattern, and for the sum of pattern and "
+    "array, by its mean, panel and ambient light taken off; for the pattern, and for the sum of pattern and "
     "inverse. The edge LEDs, which have fewer neighbours to share light with, count in it: the spread of an array with "
     "all LEDs on stands beside, and the same with dim LEDs, which never saturate the sensor."
 )
@@ -71,7 +71,15 @@ def run(context: Context) -> ExperimentResult:
 
 
 def measure(pairs: int, seed: int) -> Spreads:
-    """Mean spreads of so many pairs at each distance, the first of them filmed with `seed`."""
+    """Mean spreads at each distance.
+
+    Parameters
+    ----------
+    pairs
+        Pairs filmed at each distance, bright and dim.
+    seed
+        Of the first pair; the others follow.
+    """
     bright, dim = (
         {z: np.array([_spreads(z, seed + k, light) for k in range(pairs)]).mean(0) for z in DISTANCES}
         for light in (1.0, DIM)

@@ -19,14 +19,14 @@ DISTANCE_M = 60.0
 
 LEVELS = np.arange(5, dtype=np.uint8)
 STRAIGHT = 0.02
-"""Largest deviation from a straight line, as a share of the highest level, that counts as none."""
+"""Largest deviation from a straight line, by the highest level, that counts as none."""
 
 EXPOSURES_S = (1e-3, 0.5e-3)
 
 TEXT = (
     f"Arrays of one level each, {DISTANCE_M:g} m away, filmed with an exposure of the whole pattern period T_b = 1 ms "
     "and of half of it. The light of the array in the frame, the dark array's taken off, stands for the integral of "
-    "equation (6); it is stated as a share of level 4."
+    "equation (6); it is stated by that of level 4."
 )
 
 
@@ -62,7 +62,7 @@ def judge(light: Luminances) -> list[Finding]:
     lost = _lost_steps(half.mean(0))
     return [
         Finding(
-            "Fig. 4: an LED lit for a share of T_b has that share of the luminance.",
+            "Fig. 4: an LED lit for a fraction of T_b has that fraction of the luminance.",
             f"Levels 0 to 4 give {_numbers(whole.mean(0))} of the light ({len(whole)} films of each); largest "
             f"deviation from a straight line {off:.2%}, from film to film {whole.std(0).max():.2%}.",
             "holds" if off < STRAIGHT else "differs",
@@ -79,7 +79,7 @@ def judge(light: Luminances) -> list[Finding]:
 
 def _table(light: Luminances) -> Table:
     rows = [[f"{1e3 * tau:g} ms", *(f"{v:.3f}" for v in rows.mean(0))] for tau, rows in light.items()]
-    return Table("Light by level, share of level 4", ["exposure", *map(str, LEVELS)], rows)
+    return Table("Light by level, by that of level 4", ["exposure", *map(str, LEVELS)], rows)
 
 
 def filmed(exposure_s: float, seed: int) -> NDArray[np.float64]:

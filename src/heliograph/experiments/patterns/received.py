@@ -56,7 +56,7 @@ def judge(contrasts: Contrasts) -> Finding:
     near, far = (np.array(contrasts[z]) for z in (NEAR_M, FAR_M))
     holds = bool((near > RESOLVED).all() and (far < RESOLVED).all())
     return Finding(
-        "Fig. 3: single LEDs are told apart at 10 m and run together at 70 m.",
+        "Fig. 3: single LEDs are resolved at 10 m and run together at 70 m.",
         f"Contrast between LEDs and gaps {near.mean():.0%} at {NEAR_M:g} m ({(near > RESOLVED).sum()} of {near.size} "
         f"frames above {RESOLVED:.0%}), {far.mean():.1%} at {FAR_M:g} m ({(far > RESOLVED).sum()} of {far.size}).",
         "holds" if holds else "differs",

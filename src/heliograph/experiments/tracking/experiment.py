@@ -36,7 +36,7 @@ TEXT = (
     "after its best straight line is taken out, so as if each header gave position and steady motion anew; a "
     "tracker that leaves half of it or more is said to fail. Small aperture: the background's light is cut by 5 or "
     "8 stops, the array's is kept, as it is in all films. Footage brings the shake and the drive of its own camera "
-    "into the background, which the array does not share: that counts against the background's motion vector, the "
+    "into the background, which the array does not have: that counts against the background's motion vector, the "
     "drawn scene is its fair test. A dark film is therefore judged only where the background's motion vector works "
     "in one of its kind by day: drawn films beside the drawn scene, clips with night in their names beside the "
     "other clips. All trackers see every pair of whole frames; the known pattern, which has films of its own, sees "

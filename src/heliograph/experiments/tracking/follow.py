@@ -35,7 +35,13 @@ class Follower(Protocol):
         ...
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """The pose in the middle of the next pair, `pattern` and `inverted`."""
+        """The pose in the middle of the next pair, `pattern` and `inverted`.
+
+        Parameters
+        ----------
+        pattern, inverted
+            The pair's frames.
+        """
         ...
 
 
@@ -45,11 +51,25 @@ class NoTracking:
     sized = False
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
-        """Keep the pose."""
+        """Keep the pose.
+
+        Parameters
+        ----------
+        found
+            The detection.
+        pattern, inverted
+            A pair of its header.
+        """
         self._pose = found.fit.pose
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:  # noqa: ARG002 - as all trackers
-        """The pose kept."""
+        """The pose kept.
+
+        Parameters
+        ----------
+        pattern, inverted
+            The pair's frames.
+        """
         return self._pose
 
 
@@ -68,14 +88,28 @@ class InvertedSignals:
         self._settings = settings
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
-        """Start the receiver's tracker."""
+        """Start the receiver's tracker.
+
+        Parameters
+        ----------
+        found
+            The detection.
+        pattern, inverted
+            A pair of its header.
+        """
         side = self._settings.signal.side
         self._weights = header_levels(found.identity, side) / 2.0 - 1.0
         self._tracker = Tracker(found, side, self._settings.receive.track)
         self._start_s = found.start_time_s
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Follow a pair; a header's pair sharpens the pose for the next."""
+        """Follow a pair; a header's pair sharpens the pose for the next.
+
+        Parameters
+        ----------
+        pattern, inverted
+            The pair's frames.
+        """
         signal = self._settings.signal
         header = in_header(self._settings, pattern.time_s - self._start_s)
         late = 0.0 if header else (light_centroids(signal.slot_order)[0] - 0.5) * signal.pattern_period_s
@@ -86,6 +120,14 @@ class InvertedSignals:
 
 
 def in_header(settings: LinkSettings, since_s: float) -> bool:
-    """Whether the pattern shown `since_s` seconds after the start of the first header belongs to a header."""
+    """Whether the pattern shown at a time belongs to a header.
+
+    Parameters
+    ----------
+    settings
+        The link.
+    since_s
+        Time in s since the start of the first header.
+    """
     signal = settings.signal
     return round(since_s / signal.pattern_period_s) % signal.packet_patterns < 2 * signal.header_pairs

@@ -88,7 +88,15 @@ class KnownPattern:
         self._side = settings.signal.side
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
-        """Begin at the detection."""
+        """Begin at the detection.
+
+        Parameters
+        ----------
+        found
+            The detection.
+        pattern, inverted
+            A pair of its header.
+        """
         wider = widened(found.fit.covariance)[:SHOWN, :SHOWN]
         self._state = PoseState.start(found.time_s, found.fit.vector[:SHOWN], wider)
         self._start_s, self._gain = found.start_time_s, found.fit.gain
@@ -98,7 +106,13 @@ class KnownPattern:
         self._expected = [(header, none), (1 - header, none), (np.where(known, 1.0, 0.5), np.where(known, 0.0, 1.0))]
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Fit both frames by themselves: there is no inverse."""
+        """Fit both frames by themselves: there is no inverse.
+
+        Parameters
+        ----------
+        pattern, inverted
+            The pair's frames.
+        """
         first, second = self._frame_pose(pattern), self._frame_pose(inverted)
         return Pose.of(0.5 * (first + second))
 

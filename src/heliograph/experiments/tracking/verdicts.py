@@ -129,8 +129,8 @@ def _background(table: ScoreTable, what: str, films: Mapping[str, Sequence[str]]
         why.append(f"It still takes out more than half of the vibration in: {', '.join(works)}; {rest}")
     texts = {
         film: f"{table[film][BACKGROUND].shake_px:.3f} of {table[film]['none'].shake_px:.3f} px vibration left "
-        f"({share:.0%}), {table[film][BACKGROUND].pairs} pairs"
-        for film, share in kept.items()
+        f"({left:.0%}), {table[film][BACKGROUND].pairs} pairs"
+        for film, left in kept.items()
     }
     return Finding(
         f"IV.B.2: the motion vector of the background cannot track {what}, as there is no background light.",

@@ -1,0 +1,166 @@
+"""Counts of a point, and the rule that ends it."""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from heliograph import __version__
+from heliograph.base.errors import SettingsError
+from heliograph.measure.bench import stands_still
+from heliograph.measure.counts import BlockCounts, LayerCounts
+from heliograph.sweeps.points import Point
+
+EMPTY_BLOCKS = 3
+"""Blocks without any codeword after which a point is given up: its films hold no whole packet."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StopRule:
+    """When a point has been counted for long enough.
+
+    Attributes
+    ----------
+    min_errors
+        A layer has enough with so many wrong codewords,
+    max_codewords
+        or with so many codewords; blocks are counted whole. A point has enough when all its layers have.
+    max_seconds
+        Computing time of a point, of all workers together, after which no block is begun; None: no limit.
+    """
+
+    min_errors: int = 50
+    max_codewords: int = 1000
+    max_seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        for name in ("min_errors", "max_codewords"):
+            if getattr(self, name) < 1:
+                raise SettingsError(f"{name} is at least 1, not {getattr(self, name)}")
+        if self.max_seconds is not None and not 0 < self.max_seconds < math.inf:
+            raise SettingsError(f"max_seconds is above 0, not {self.max_seconds}")
+
+
+class PointTally:
+    """Blocks of a point, counted in their order whatever the order in which they come.
+
+    Parameters
+    ----------
+    point
+        The point.
+    rule
+        Ends it.
+
+    Attributes
+    ----------
+    total
+        Sum of the blocks counted.
+    blocks
+        Number of blocks counted.
+    seconds
+        Their computing time in s.
+    """
+
+    def __init__(self, point: Point, rule: StopRule):
+        self.point, self.rule = point, rule
+        self.total = BlockCounts()
+        self.blocks = 0
+        self.seconds = 0.0
+        self._waiting: dict[int, tuple[BlockCounts, float]] = {}
+
+    def add(self, block: int, counts: BlockCounts, seconds: float) -> None:
+        """Take a block; it is counted once all before it are, unless the point has enough by then.
+
+        Parameters
+        ----------
+        block
+            Its number, from 0.
+        counts
+            Its counts.
+        seconds
+            Its computing time in s.
+        """
+        if block >= self.blocks:
+            self._waiting[block] = counts, seconds
+        while not self.done and self.blocks in self._waiting:
+            counts, seconds = self._waiting.pop(self.blocks)
+            self.total += counts
+            self.seconds += seconds
+            self.blocks += 1
+
+    def has(self, block: int) -> bool:
+        """Whether the block of a number was taken."""
+        return block < self.blocks or block in self._waiting
+
+    @property
+    def done(self) -> bool:
+        """Whether the point has enough."""
+        return self.ending is not None
+
+    @property
+    def ending(self) -> str | None:
+        """Why the point has enough: "errors", "codewords", "seconds" or "empty"; None if it has not."""
+        layers, rule = self.total.layers.values(), self.rule
+        if all(layer.codeword_errors >= rule.min_errors for layer in layers):
+            return "errors"
+        if all(self._layer_fraction(layer) >= 1 for layer in layers) or self.blocks >= rule.max_codewords:
+            return "codewords"
+        if self.blocks >= EMPTY_BLOCKS and not self.total.codewords:
+            return "empty"
+        return "seconds" if rule.max_seconds is not None and self.seconds >= rule.max_seconds else None
+
+    @property
+    def fraction(self) -> float:
+        """Fraction of the point that is done, 0 to 1."""
+        if self.done:
+            return 1.0
+        counted = min(map(self._layer_fraction, self.total.layers.values()))
+        return max(counted, self.seconds / self.rule.max_seconds if self.rule.max_seconds else 0.0)
+
+    @property
+    def net_bits_per_second(self) -> float | None:
+        """Payload of the codewords read by time of film; None without films."""
+        total = self.total
+        return sum(total.payload_bits.values()) / total.film_s if total.film_s else None
+
+    def report(self) -> dict[str, Any]:
+        """The point as plain values, for JSON."""
+        total = self.total
+        out: dict[str, Any] = {
+            "settings": dict(self.point.choice),
+            "layers": {name: layer_report(layer) for name, layer in total.layers.items()},
+            "net_bits_per_second": self.net_bits_per_second,
+            "false_codewords": total.false_codewords,
+            "false_packets": total.false_packets,
+            "duplicates": total.duplicates,
+            "film_seconds": round(total.film_s, 9),
+            "blocks": self.blocks,
+            "stopped_by": self.ending,
+            "seed": self.point.seed,
+            "version": __version__,
+        }
+        if not stands_still(self.point.settings):
+            bins = sorted(total.bins.items())
+            out["distances"] = [
+                {"from_m": start, "layers": {n: layer_report(c) for n, c in layers.items()}} for start, layers in bins
+            ]
+        return out
+
+    def _layer_fraction(self, layer: LayerCounts) -> float:
+        rule = self.rule
+        return min(1.0, max(layer.codeword_errors / rule.min_errors, layer.codewords / rule.max_codewords))
+
+
+def layer_report(counts: LayerCounts) -> dict[str, Any]:
+    """Counts of a layer with their rates and 95 % intervals; None where nothing was counted.
+
+    Intervals are Clopper-Pearson's, of the bit error rate at the effective number of bits, since bits of a packet fail
+    together (see `Clustered`). "ber_is_bound" and "fer_is_bound" mark where no error was met: the rate 0 then means no
+    more than that it is below the interval's upper end.
+    """
+    out: dict[str, Any] = asdict(counts)
+    for name, count in (("ber", counts.decoded), ("fer", counts.words)):
+        out[name] = count.rate if count.trials else None
+        out[f"{name}_ci"] = list(count.interval())
+        out[f"{name}_is_bound"] = count.trials > 0 and not count.errors
+    return out
