@@ -17,7 +17,7 @@ from heliograph.link.simulate import Messages, Recordings, simulate
 from heliograph.link.truth import TruthWriter, truth_path
 from heliograph.media import create_film
 from heliograph.receive import Packet
-from heliograph.receive.packets import FrameReceiver
+from heliograph.receive import Receiver
 from heliograph.signal.settings import SignalSettings
 
 Progress = Callable[[int], None]
@@ -106,7 +106,7 @@ def frames_of(settings: LinkSettings) -> int:
     return frame_count(settings.channel)
 
 
-def read_packets(film: FrameSource, signal: SignalSettings, receiver: FrameReceiver) -> Iterator[Packet]:
+def read_packets(film: FrameSource, signal: SignalSettings, receiver: Receiver) -> Iterator[Packet]:
     """Packets of a film, each as soon as it is read.
 
     What the receiver hands out without a header and without a right codeword is left out, see `is_packet`.
@@ -153,7 +153,7 @@ def packet_row(packet: Packet) -> Mapping[str, Any]:
     return {
         "id": packet.identity,
         "status": packet.status,
-        "format": packet.named.number,
+        "format": packet.format.number,
         "time_s": round(packet.start_time_s, 6),
         "first_frame": packet.first_frame,
         "last_frame": packet.last_frame,

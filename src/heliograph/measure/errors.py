@@ -11,7 +11,7 @@ from heliograph.link.simulate import Messages, transmitters
 from heliograph.measure.counts import LayerCounts, Layers, no_errors, pooled
 from heliograph.measure.statistics import Count
 from heliograph.receive import Packet
-from heliograph.receive.decode import ERASED
+from heliograph.receive.decode.codeword import ERASED
 from heliograph.signal.block import pack
 from heliograph.transmit import Transmitter
 

@@ -1,32 +1,111 @@
-"""One array's reception: pairs in step with its header, gathered to packets."""
+"""One array's reception: its frames paired, followed, and gathered to packets."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.detect import CLEAR, Detection, project
+from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.events import DecodeEvent, Observer, TrackEvent
+from heliograph.receive.image.pose import Pose
 from heliograph.receive.packets import Codeword, Packet, Status
-from heliograph.receive.pose import Pose
-from heliograph.receive.reading import Reading, Setup
-from heliograph.receive.track import TrackedPair, Tracker
-from heliograph.signal.header import signalling_levels
-from heliograph.signal.pwm import light_centroids
+from heliograph.receive.settings import CalibrationSettings
+from heliograph.receive.timing.frame_pair import FramePair, MeasuredHeader, Pairing
+from heliograph.receive.timing.light_clock import AROUND
+from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
+from heliograph.signal.formats import Format
+from heliograph.signal.settings import SignalSettings
 
 HEADER_SEEN = 0.5
-"""Least alternation of a header, as a share of the array's luminance."""
+"""Least header score of a packet whose header was seen: half of the array's light must alternate."""
 
-RELEARN = 3
-"""Most times a header pair is looked at."""
+ENOUGH_SEEN = 0.5
+"""Least fraction of a packet's data that must have been seen for it to be given out unfinished.
+
+Or to count as in sight.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadHeader:
+    """A header pair as it was read.
+
+    Attributes
+    ----------
+    track
+        The array, its pose refined by the header.
+    score
+        Amplitude of the header as a fraction of the array's light.
+    """
+
+    track: Track
+    score: float
+
+
+class PacketReader(Protocol):
+    """Reads one packet of an array."""
+
+    @property
+    def format(self) -> Format:
+        """The packet's format, as far as its header has shown it."""
+
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
+        """Read a header pair.
+
+        Parameters
+        ----------
+        number
+            Its number in the header, from 0.
+        pair
+            Its frames.
+        tracked
+            The array in them.
+        """
+
+    def end_header(self, header: MeasuredHeader) -> None:
+        """Take a whole header that a camera out of step saw: its frames combined, and one by one."""
+
+    def follow(self, pair: FramePair, track: Track) -> TrackedPair:
+        """Find the array in a pair of data.
+
+        Parameters
+        ----------
+        pair
+            Its frames.
+        track
+            The array before.
+        """
+
+    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
+        """Take a pair of data in which the array was seen.
+
+        Parameters
+        ----------
+        place
+            Its number in the packet's data, from 0.
+        pair
+            Its frames.
+        tracked
+            The array in them, as `follow` found it.
+        """
+
+    def decode(self) -> dict[str, tuple[Codeword, ...]]:
+        """Decode all that was taken: codewords by layer."""
+
+    def shown(self, packet: Packet) -> DecodeEvent:
+        """What an observer of the packet gets."""
+
+    def next(self) -> "PacketReader":
+        """Give the reader of the next packet, once this one is decoded."""
 
 
 @dataclass(slots=True)
 class _Gathered:
     """What has been read of the current packet."""
 
-    reading: Reading
     seen: NDArray[np.bool_]
     frames: list[int] = field(default_factory=list)
     scores: list[float] = field(default_factory=list)
@@ -41,182 +120,190 @@ class ArrayReceiver:
     ----------
     detection
         Where and when its header was found.
-    setup
-        What it shares with the receiver.
-    reading
-        Reads the data of the first packet, and tells what reads those that follow.
+    pairing
+        Pairs its frames.
+    tracker
+        Follows it.
+    reader
+        Reads its first packet.
+    signal
+        The light's signal.
+    calibration
+        Gives its distance.
+    coast_s
+        Seconds out of sight after which it is given up.
+    observe
+        Gets its events.
     """
 
-    def __init__(self, detection: Detection, setup: Setup, reading: Reading):
-        self.identity = detection.identity
+    def __init__(
+        self,
+        detection: Detection,
+        pairing: Pairing,
+        tracker: Tracker,
+        reader: PacketReader,
+        *,
+        signal: SignalSettings,
+        calibration: CalibrationSettings,
+        coast_s: float,
+        observe: Observer,
+    ):
         self.found = detection
-        self._proven = False
-        self._form, self._settings, self._observe = setup.form, setup.settings, setup.observe
-        signal = setup.form.settings
-        self.tracker = Tracker(detection, signal.side, self._settings.track)
-        self._start_s = detection.start_time_s
-        mean, _ = light_centroids(signal.slot_order)
-        self._sum_late_s = (mean - 0.5) * signal.pattern_period_s
-        self._held: Frame | None = None
-        self._pair = 0
-        self._packet = self._empty(reading)
-        self._failed = False
-        self._now_s = detection.time_s
+        self._pairing, self._tracker, self._reader = pairing, tracker, reader
+        self._signal, self._calibration, self._coast_s, self._observe = signal, calibration, coast_s, observe
+        self._track = tracker.start(detection)
+        self._gathered = self._empty()
+        self._number = 0
+        self._poses: dict[int, Pose] = {}
+        self._proven = self._failed = False
+
+    @property
+    def identity(self) -> int:
+        """Number of the array."""
+        return self.found.identity
+
+    @property
+    def pose(self) -> Pose:
+        """Its pose now."""
+        return self._track.state.pose
+
+    @property
+    def time_s(self) -> float:
+        """Time of that pose in seconds."""
+        return self._track.state.time_s
 
     @property
     def sure(self) -> bool:
         """Whether it is an array: a codeword was right, or its header left no doubt."""
-        even = self.found.regularity >= self._settings.detect.hidden_regularity
-        return self._proven or (self.found.score >= CLEAR and even)
-
-    def expects(self, detection: Detection) -> bool:
-        """Whether a header is its own, where one was due."""
-        packets = (detection.start_time_s - self._start_s) / self._form.settings.packet_s
-        off_s = abs(packets - round(packets)) * self._form.settings.packet_s
-        return detection.identity == self.identity and off_s < 0.5 * self._form.settings.pattern_period_s
+        return self._proven or self.found.clear
 
     @property
     def done(self) -> bool:
         """Whether the array is out of sight, or what was followed is no array."""
-        return self._failed or self._now_s - self.tracker.last_seen_s > self._settings.track.coast_s
+        out_of_sight = self._pairing.now_s - self._track.last_seen_s > self._coast_s
+        return self._failed or self._pairing.lost or out_of_sight
+
+    def expects(self, detection: Detection) -> bool:
+        """Whether a header is its own, where one was due."""
+        packets = (detection.start_time_s - self._pairing.origin_s) / self._signal.packet_s
+        off_s = abs(packets - round(packets)) * self._signal.packet_s
+        return detection.identity == self.identity and off_s < 0.5 * self._signal.pattern_period_s
 
     def push(self, frame: Frame) -> Iterator[Packet]:
-        """Take a frame; yield the packet it completes."""
-        self._now_s = max(self._now_s, frame.time_s)
-        number = self._pattern_number(frame.time_s)
-        if number < 0:
-            return
-        if number % 2 == 0:
-            # the pair of a frame still held lacks its inverse
-            yield from self._advance(number // 2)
-            self._held = frame
-            return
-        yield from self._advance(number // 2)
-        if self._held is not None and self._pattern_number(self._held.time_s) == number - 1:
-            self._read(self._held, frame)
-        self._held = None
-        if self._pair_in_packet(number // 2) == self._pairs - 1 and self._packet.frames:
-            yield self._finish()
+        """Take the next frame; yield the packet it completes."""
+        if not self._failed:
+            for number in self._pairing.push(frame):
+                yield from self._take(number)
 
     def flush(self) -> Iterator[Packet]:
         """Yield the packet in progress if at least half of its data was seen."""
-        if self._packet.seen.mean() >= 0.5:
+        if not self._failed:
+            for number in self._pairing.flush():
+                yield from self._take(number)
+        if self._gathered.seen.mean() >= ENOUGH_SEEN:
             yield self._finish()
 
     @property
     def _pairs(self) -> int:
-        return self._form.settings.packet_patterns // 2
+        return self._signal.packet_patterns // 2
 
-    def _pattern_number(self, time_s: float) -> int:
-        return round((time_s - self._start_s) / self._form.settings.pattern_period_s)
-
-    def _pair_in_packet(self, pair: int) -> int:
-        return pair % self._pairs
-
-    def _advance(self, pair: int) -> Iterator[Packet]:
-        """Account for pairs that no frames came for; a packet may end among them."""
-        end = self._pair - self._pair_in_packet(self._pair) + self._pairs
-        if pair >= end and self._packet.frames:
-            self._pair = end - 1
+    def _take(self, number: int) -> Iterator[Packet]:
+        """Read a pair; yield the packet it completes."""
+        self._number, in_packet = number, number % self._pairs
+        place = in_packet - self._signal.header_pairs
+        first_gain = self._pairing.first_gain
+        if number == 0 and first_gain is not None:
+            self._track = replace(self._track, gain=first_gain, data_gain=first_gain)
+        if place == 0:
+            self._end_header()
+        single = place >= 0 and self._reader.format.mode == "single"
+        pair = self._pairing.pair(number, self._track.state.pose_at, single)
+        if pair is not None:
+            if place < 0:
+                self._read_header(in_packet, pair)
+            else:
+                self._read_data(place, pair)
+            self._poses[number] = self.pose
+        # the light's clock asks for those around a header
+        oldest = number + 1 - self._signal.header_pairs - AROUND
+        self._poses = {k: pose for k, pose in self._poses.items() if k >= oldest}
+        if in_packet == self._pairs - 1 and self._gathered.frames:
             yield self._finish()
-        self._pair = pair
 
-    def _read(self, pattern: Frame, inverted: Frame) -> None:
-        """Track a pair, then read its data or its header."""
-        packet, place = self._packet, self._pair_in_packet(self._pair) - self._form.settings.header_pairs
-        if place < 0:
-            tracked = self.tracker.follow(pattern, inverted)
-        else:
-            # all LEDs show in a pair's sum; of data without inverses only its reading knows what shows
-            tracked = packet.reading.follow(pattern, inverted, self.tracker, self._late_s(pattern))
-        packet.frames += [pattern.index, inverted.index]
-        packet.scores.append(tracked.fit.score)
-        packet.poses.append(tracked.state.pose)
-        self._observe("track", {"identity": self.identity, "frame": pattern.index, "tracked": tracked})
-        if place < 0:
-            self._read_header(place + self._form.settings.header_pairs, pattern, inverted, tracked)
-        elif tracked.seen:
-            packet.reading.take(place, pattern, inverted, tracked, self.tracker)
-            packet.seen[place] = True
+    def _end_header(self) -> None:
+        """Correct the clock by the header just over; out of step it is read as a whole."""
+        pose_at, led_gains = self._track.state.pose_at, self._track.led_gains
+        header = self._pairing.header(self._number, self._poses, pose_at, led_gains)
+        if header is None:
+            return
+        # a sum hardly tells the array's light from that of its panel
+        self._track = replace(self._track, gain=header.gain)
+        self._reader.end_header(header)
 
-    def _late_s(self, pattern: Frame) -> float:  # noqa: ARG002 - combined frames carry their own
-        """By how much the light of a data pair's sum comes after the middle of the exposures."""
-        return self._sum_late_s
+    def _read_header(self, number: int, pair: FramePair) -> None:
+        tracked = self._tracker.follow(self._track, pair)
+        self._note(pair, tracked)
+        read = self._reader.read_header(number, pair, tracked)
+        self._track = read.track
+        self._gathered.header.append(read.score)
 
-    def _read_header(self, pair: int, pattern: Frame, inverted: Frame, tracked: TrackedPair) -> None:
-        """Read what header pair `pair` names, and sharpen the pose by it."""
-        packet = self._packet
+    def _read_data(self, place: int, pair: FramePair) -> None:
+        # all LEDs show in a pair's sum; only the reader knows what shows in data without inverses
+        tracked = self._reader.follow(pair, self._track)
+        self._note(pair, tracked)
+        self._track = tracked.track
         if tracked.seen:
-            packet.reading.take_header(pair, pattern, inverted, self.tracker)
-        # the later pairs are dimmed where a format is named
-        weights = self._header_weights(packet.reading.named.number if pair else 0, pattern)
-        packet.header.append(self._alternation(pattern, inverted, tracked, weights * self.tracker.shares))
-        if tracked.seen:
-            self._learn(pattern, inverted, weights)
+            self._reader.take(place, pair, tracked)
+            self._gathered.seen[place] = True
 
-    def _header_weights(self, number: int, pattern: Frame) -> NDArray[np.float64]:  # noqa: ARG002 - combined frames'
-        """Levels (n, n) of a header less its inverse that names a format: +-1, or +-1/2 where it is dimmed."""
-        return signalling_levels(self.identity, number, self._form.settings.side) / 2.0 - 1.0
-
-    def _learn(self, pattern: Frame, inverted: Frame, weights: NDArray[np.float64]) -> None:
-        """Let tracker and reading learn from a header pair; again while they find what changes the pose."""
-        for _ in range(RELEARN):
-            self.tracker.refine(pattern, inverted, weights)
-            if not self._packet.reading.learn(pattern, inverted, weights, self.tracker):
-                break
-            self.tracker.again(pattern, inverted)
-
-    def _alternation(
-        self, pattern: Frame, inverted: Frame, tracked: TrackedPair, weights: NDArray[np.float64]
-    ) -> float:
-        """How much of the header the pair shows, as a share of the array's luminance."""
-        pose = tracked.state.pose
-        change = project(pattern, pose, weights) - project(inverted, pose, weights)
-        return change / max(self.tracker.gain, 1e-6)
+    def _note(self, pair: FramePair, tracked: TrackedPair) -> None:
+        """Gather what every pair of a packet gives."""
+        gathered = self._gathered
+        gathered.frames += [pair.pattern.index, pair.inverted.index]
+        gathered.scores.append(tracked.fit.score)
+        gathered.poses.append(tracked.state.pose)
+        self._observe(TrackEvent(self.identity, pair.pattern.index, tracked))
 
     def _finish(self) -> Packet:
-        """Decode what was gathered and begin the next packet."""
-        packet, self._packet = self._packet, self._empty(self._packet.reading.following())
-        layers = packet.reading.decode()
-        header = float(np.mean(packet.header)) if packet.header else 0.0
-        status = _status(layers, header, float(packet.seen.mean()))
+        """Decode what was gathered, and begin the next packet."""
+        gathered, self._gathered = self._gathered, self._empty()
+        reader, layers = self._reader, self._reader.decode()
+        self._reader = reader.next()
+        packet = self._packet(gathered, layers, reader.format)
         # neither header nor a right codeword: no array, or out of step; it is found anew by its next header
-        self._proven |= status in ("ok", "partial")
-        self._failed = status in ("no_header", "no_array")
-        result = self._packet_value(packet, status, layers, header)
-        self._observe("decode", {"identity": self.identity, "packet": result, **packet.reading.shown()})
-        return result
+        self._proven |= packet.status in ("ok", "partial")
+        self._failed = packet.status in ("no_header", "no_array")
+        self._observe(reader.shown(packet))
+        return packet
 
-    def _packet_value(
-        self, packet: _Gathered, status: Status, layers: dict[str, tuple[Codeword, ...]], header: float
-    ) -> Packet:
-        calibration, form = self._settings.calibration, self._form.settings
-        pose = packet.poses[len(packet.poses) // 2]
-        start = self._start_s + (self._pair - self._pair_in_packet(self._pair)) * 2 * form.pattern_period_s
+    def _packet(self, gathered: _Gathered, layers: dict[str, tuple[Codeword, ...]], form: Format) -> Packet:
+        header, seen = float(np.mean(gathered.header or [0.0])), float(gathered.seen.mean())
+        pose, calibration = gathered.poses[len(gathered.poses) // 2], self._calibration
+        patterns = 2 * (self._number - self._number % self._pairs)
         return Packet(
             identity=self.identity,
-            status=status,
-            start_time_s=start,
-            first_frame=packet.frames[0],
-            last_frame=packet.frames[-1],
+            status=_status(layers, header, seen),
+            start_time_s=self._pairing.origin_s + patterns * self._signal.pattern_period_s,
+            first_frame=gathered.frames[0],
+            last_frame=gathered.frames[-1],
             pose=pose,
             # pinhole: pitch_px = f p / (Z pixel)
             distance_m=calibration.focal_m * calibration.pitch_m / (pose.frontal_pitch * calibration.pixel_m),
             header_score=header,
-            track_score=float(np.mean(packet.scores)),
-            pairs_seen=float(packet.seen.mean()),
+            track_score=float(np.mean(gathered.scores)),
+            pairs_seen=seen,
             layers=layers,
-            named=packet.reading.named,
+            format=form,
         )
 
-    def _empty(self, reading: Reading) -> _Gathered:
-        return _Gathered(reading, np.zeros(self._form.settings.data_pairs, dtype=bool))
+    def _empty(self) -> _Gathered:
+        return _Gathered(np.zeros(self._signal.data_pairs, dtype=bool))
 
 
 def _status(layers: dict[str, tuple[Codeword, ...]], header: float, seen: float) -> Status:
     good = [word.status == "ok" for words in layers.values() for word in words]
     if any(good):
         return "ok" if all(good) else "partial"
-    if seen < 0.5:
+    if seen < ENOUGH_SEEN:
         return "no_array"
     return "crc_fail" if header >= HEADER_SEEN else "no_header"

@@ -1,4 +1,4 @@
-"""What the receiver hands out: packets as values, with their outcome and margins."""
+"""What receivers hand out: packets as values, with their outcome and margins."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.pose import Pose
+from heliograph.receive.image.pose import Pose
 from heliograph.signal.block import Block
 from heliograph.signal.formats import AGREED, Format
 
@@ -23,17 +23,17 @@ class Codeword:
     Attributes
     ----------
     status
-        "ok" (CRC right), "crc_fail", or "mismatch" (CRC right but of another array or layer: not to be used).
+        "ok" (CRC right), "crc_fail", or "mismatch" (CRC right, but of another array or layer: not to be used).
     block
-        Its content where the status is "ok".
+        Its content where the status is "ok", else None.
     bits
         (K,) uint8 information bits as decided, right or not.
     raw
-        (E,) uint8 coded bits as decided before the turbo decoder, whitening undone; 255 where nothing was received.
+        (E,) uint8 coded bits as decided before the decoder, whitening undone; 255 where nothing was received.
     iterations
-        Iterations of the turbo decoder.
+        Iterations of the decoder.
     margin
-        Mean magnitude of the LLRs after decoding.
+        Mean magnitude of the information bits' LLRs after decoding.
     """
 
     status: Literal["ok", "crc_fail", "mismatch"]
@@ -51,28 +51,30 @@ class Packet:
     Attributes
     ----------
     identity
-        Number of the array.
+        Number of the array, 0 to 29.
     status
-        "ok" (all codewords), "partial" (some), "crc_fail" (none), "no_header" (none, and its header was not seen),
+        "ok" (all codewords), "partial" (some), "crc_fail" (none), "no_header" (none, and its header was not seen) or
         "no_array" (none, and the array was out of sight for most of it).
     start_time_s
-        When its header began.
-    first_frame, last_frame
-        Camera frames it was read from.
+        When its header began, in seconds of the camera's clock.
+    first_frame
+        Number of the first camera frame it was read from.
+    last_frame
+        Number of the last one.
     pose
         The array's pose in its middle.
     distance_m
-        Distance from the pitch in the image.
+        Distance in metres by the pitch in the image.
     header_score
-        Alternation of the header as a share of the array's luminance; about 1.
+        Amplitude of the header as a fraction of the array's light; about 1.
     track_score
-        Mean correlation of the pairs' sums with the array.
+        Mean correlation of the pairs' sums with the array, -1 to 1.
     pairs_seen
-        Share of its data pairs in which the array was seen.
+        Fraction of its data pairs in which the array was seen.
     layers
-        Codewords by layer.
-    named
-        The format it was read in, as its header names it.
+        Codewords by layer, "high", "middle" and "low".
+    format
+        The format it was read in, as its header signals it.
     """
 
     identity: int
@@ -86,16 +88,16 @@ class Packet:
     track_score: float
     pairs_seen: float
     layers: Mapping[str, tuple[Codeword, ...]]
-    named: Format = AGREED
+    format: Format = AGREED
 
 
-class FrameReceiver(Protocol):
+class Receiver(Protocol):
     """What every receiver is: frames in, packets out.
 
     Attributes
     ----------
     detections
-        Times it has taken something for an array.
+        How often it has taken something for an array.
     """
 
     detections: int
@@ -105,14 +107,3 @@ class FrameReceiver(Protocol):
 
     def finish(self) -> Iterator[Packet]:
         """End of the film: yield the packets in progress of which enough was seen."""
-
-
-class Observer(Protocol):
-    """Gets what each stage produces: plots, a browser view or timings hang on it."""
-
-    def __call__(self, stage: str, data: Mapping[str, object], /) -> None:
-        """Take the named stage's data: "detect", "track", "extract", "equalise" (soft), "decode", "lost"."""
-
-
-def ignore(stage: str, data: Mapping[str, object], /) -> None:
-    """Observe nothing."""

@@ -1,16 +1,25 @@
-"""Settings of the receiver: what it is told of the light and the camera, and its tunables."""
+"""Settings of the receiver: what it knows of the light and the camera, and what a user may tune."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from dataclasses import field, fields, is_dataclass
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG
 
-Share = Annotated[float, Field(ge=0, le=1)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0)]
 
 Equaliser = Literal["none", "inverse"]
+"""How the plain receiver reads the LEDs of a pair; see `PlainSettings`."""
+
+Feedback = Literal["none", "decoded", "soft", "propagation"]
+"""What the soft receiver's equaliser gets back from the decoder; see `SoftSettings`."""
+
+SMALLEST_SIDE_PX = {"plain": 8.0, "soft": 4.0}
+"""Smallest array looked for by default: 117 m away in the reference link, and 233 m."""
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
@@ -20,16 +29,16 @@ class CalibrationSettings:
     Attributes
     ----------
     focal_m
-        Focal length of the lens.
+        Focal length of the lens in metres.
     pixel_m
-        Pitch of the camera's pixels.
+        Pitch of the camera's pixels in metres.
     pitch_m
-        Pitch of the LEDs.
+        Pitch of the LEDs in metres.
     blur_px
-        First guess of the blur's standard deviation; it is estimated from then on.
+        First guess of the blur's standard deviation in px, 0.2 to 5; it is estimated from then on.
     exposure_s
-        Exposure of the camera where it is known; None leaves it to the receiver "soft" to find, which takes it for the
-        frame period unless headers or brightness tell otherwise.
+        Exposure of the camera in seconds, for the receiver "soft". If it is left out the receiver estimates it, and
+        takes the frame period where headers and brightness do not decide.
     """
 
     focal_m: Positive = 0.035
@@ -45,92 +54,73 @@ class DetectSettings:
 
     Attributes
     ----------
-    detector
-        "m_sequence", by the header, or "all_on", by the shape of the lit array (the comparison of the paper).
-    min_side_px, max_side_px
-        Smallest and largest array looked for; a narrow range is faster and gives fewer false candidates.
+    min_side_px
+        Smallest array looked for in px, at least 3. If it is left out, 8 for "plain" and 4 for "soft". Smaller reads
+        farther, takes longer and finds more clutter.
+    max_side_px
+        Largest array looked for in px, 6 to 400. Larger takes longer.
     min_contrast
-        Least luminance of a lit cell, as a share of full scale. Lower finds dimmer arrays and more clutter.
-    coarse_score
-        Correlation with a header that makes a candidate, before its pose is fitted.
+        Least luminance of a lit cell of the header, as a fraction of full scale. Lower finds dimmer arrays and more
+        clutter.
     score
-        Correlation with the fitted header that makes a detection. Lower lets clutter through.
-    regularity
-        Least ratio of the weakest to the mean alternation of the header's frames; clutter does not alternate.
-    impaired
-        Whether arrays are found that are tilted or partly hidden; more clutter is taken for one of them. The receiver
-        "soft" always looks for them.
-    hidden_score, hidden_regularity
-        As above for an array a part of which is hidden: it correlates less, but alternates as evenly as any.
+        Least correlation with the header's image of a detection. Lower lets clutter through.
     candidates
-        Most candidates fitted a search.
+        Most candidates examined a search, 1 to 64. More finds arrays among more clutter and takes longer.
     """
 
-    detector: Literal["m_sequence", "all_on"] = "m_sequence"
-    min_side_px: Annotated[float, Field(ge=3)] = 8.0
+    min_side_px: Annotated[float, Field(ge=3)] | None = None
     max_side_px: Annotated[float, Field(ge=6, le=400)] = 64.0
-    min_contrast: Share = 0.03
-    coarse_score: Share = 0.5
-    score: Share = 0.9
-    regularity: Share = 0.5
-    impaired: bool = False
-    hidden_score: Share = 0.8
-    hidden_regularity: Share = 0.85
+    min_contrast: Fraction = 0.03
+    score: Fraction = 0.9
     candidates: Annotated[int, Field(ge=1, le=64)] = 6
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "DetectSettings":
-        if self.min_side_px >= self.max_side_px:
-            raise ValueError(f"min_side_px must be below max_side_px, not {self.min_side_px} and {self.max_side_px}")
-        return self
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class TrackSettings:
-    """How the array is followed.
+    """How an array is followed.
 
     Attributes
     ----------
-    acceleration_px_s2
-        Standard deviation of the image's acceleration by shake; larger follows rougher roads, smaller smooths more.
-    acceleration_s
-        Time over which that acceleration keeps its sign.
-    expansion_s2
-        The same for the second derivative of the logarithm of the pitch.
-    activity
-        Least rms difference of pattern and inverse with which it is seen, as a share of the array's luminance less
-        what blur takes of the contrast of 2 x 2 LEDs.
-    score
-        Least correlation with which a header sharpens pitch and blur.
-    coast_s
-        Time without the array in sight after which it is lost.
-    iterations
-        Most Gauss-Newton steps a pair.
+    acceleration_px
+        Standard deviation of the image's acceleration by shake, in px per pattern squared. Larger follows rougher
+        roads, smaller smooths more.
+    coast_patterns
+        Patterns without the array in sight after which it is given up and looked for anew.
     """
 
-    acceleration_px_s2: Positive = 1e5
-    acceleration_s: Positive = 4e-3
-    expansion_s2: Positive = 0.5
-    activity: Share = 0.06
-    score: Share = 0.6
-    coast_s: Positive = 0.05
-    iterations: Annotated[int, Field(ge=1, le=20)] = 3
+    acceleration_px: Positive = 0.1
+    coast_patterns: Positive = 50.0
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class DecodeSettings:
-    """The turbo decoder.
+    """The decoder of the channel code.
 
     Attributes
     ----------
     algorithm
-        "max-log" with scaled extrinsic values, or "log-map".
+        Of the turbo code: "max-log" with scaled extrinsic values, or "log-map", which loses fewer blocks and takes
+        longer. If it is left out, "max-log" for "plain" and "log-map" for "soft".
     iterations
-        Most iterations; decoding stops as soon as the CRC is right.
+        Most iterations, 1 to 64; a codeword is finished as soon as its CRC is right.
     """
 
-    algorithm: Literal["max-log", "log-map"] = "max-log"
+    algorithm: Literal["max-log", "log-map"] | None = None
     iterations: Annotated[int, Field(ge=1, le=64)] = 8
+
+
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
+class PlainSettings:
+    """What the receiver "plain" has beside.
+
+    Attributes
+    ----------
+    equaliser
+        "none" reads the luminance at each LED's position, as the paper does; "inverse" estimates all LEDs by least
+        squares with the blur known, as Kasashima et al. 2013 did.
+    """
+
+    equaliser: Equaliser = "none"
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
@@ -139,34 +129,15 @@ class SoftSettings:
 
     Attributes
     ----------
-    min_side_px
-        Smallest array looked for, in place of ``detect.min_side_px``: it reads farther.
-    regularity
-        Least ratio of the weakest to the mean alternation, in place of ``detect.regularity``: a camera out of step
-        sees a header alternate unevenly. What the header's clock cannot explain is sorted out after.
-    rounds
-        Most rounds between equaliser and turbo decoder.
-    algorithm
-        Of the turbo decoder, in place of ``decode.algorithm``: what is fed back softly should be no guess.
     feedback
-        What the equaliser gets back from the turbo decoder: "none", the "decoded" codewords, whose light is
-        subtracted, or "soft" values of the others too.
-    propagate
-        Whether cells that are not decoded count as -1 or +1 to the others, by expectation propagation, not as Gaussian.
-    sharpen
-        Whether poses are sharpened by what is decoded.
-    looks
-        Whether codewords of a carousel that come again are added to what was seen of them.
+        What the equaliser gets back from the decoder: "none"; the "decoded" codewords, whose light is subtracted;
+        "soft" values of the others too; or these with expectation "propagation", which reads farthest.
+    combining
+        Whether codewords of a carousel that are sent again are added to what was seen of them.
     """
 
-    min_side_px: Annotated[float, Field(ge=3)] = 4.0
-    regularity: Share = 0.15
-    rounds: Annotated[int, Field(ge=1, le=100)] = 24
-    algorithm: Literal["max-log", "log-map"] = "log-map"
-    feedback: Literal["none", "decoded", "soft"] = "soft"
-    propagate: bool = True
-    sharpen: bool = True
-    looks: bool = True
+    feedback: Feedback = "propagation"
+    combining: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
@@ -176,23 +147,66 @@ class ReceiveSettings:
     Attributes
     ----------
     receiver
-        Its name: "plain" is the paper's own, "soft" reads as far as the channel allows.
-    equaliser
-        How "plain" reads the LEDs: "none", the luminance at each one's position, as in the paper, or "inverse", all by
-        least squares with the blur known, as Kasashima et al. 2013 did.
+        Its name: "plain" is the paper's own, "soft" reads as far as the channel allows; others may be registered.
+    calibration
+        What is known of lens and array.
+    detect
+        When something is taken for an array.
+    track
+        How an array is followed.
+    decode
+        The decoder of the channel code.
+    plain
+        What "plain" has beside.
+    soft
+        What "soft" has beside.
+    own
+        Settings of a registered receiver, by name.
     """
 
-    receiver: Literal["plain", "soft"] = "plain"
-    equaliser: Equaliser = "none"
+    receiver: str = "plain"
     calibration: CalibrationSettings = CalibrationSettings()
     detect: DetectSettings = DetectSettings()
     track: TrackSettings = TrackSettings()
     decode: DecodeSettings = DecodeSettings()
+    plain: PlainSettings = PlainSettings()
     soft: SoftSettings = SoftSettings()
+    own: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def smallest_side_px(self) -> float:
+        """Smallest array looked for, in px."""
+        if self.detect.min_side_px is not None:
+            return self.detect.min_side_px
+        return SMALLEST_SIDE_PX.get(self.receiver, min(SMALLEST_SIDE_PX.values()))
 
     @model_validator(mode="after")
-    def _ordered(self) -> "ReceiveSettings":
-        smallest, largest = self.soft.min_side_px, self.detect.max_side_px
+    def _consistent(self) -> "ReceiveSettings":
+        smallest, largest = self.smallest_side_px, self.detect.max_side_px
         if smallest >= largest:
-            raise ValueError(f"soft.min_side_px must be below detect.max_side_px, not {smallest} and {largest}")
+            raise ValueError(f"detect.min_side_px must be below detect.max_side_px, not {smallest:g} and {largest:g}")
+        for key in _without_effect(self):
+            raise ValueError(
+                f"receive.{key} has no effect with receive.receiver = '{self.receiver}'; leave it out, or choose the "
+                f"receiver it belongs to"
+            )
         return self
+
+
+def _without_effect(settings: ReceiveSettings) -> list[str]:
+    """Dotted keys that were set although the receiver does not ask for them."""
+    name, found = settings.receiver, []
+    for room, default in (("plain", PlainSettings()), ("soft", SoftSettings())):
+        if room != name:
+            found += _changed(getattr(settings, room), default, f"{room}.")
+    if name == "plain" and settings.calibration.exposure_s is not None:
+        found.append("calibration.exposure_s")
+    if name in SMALLEST_SIDE_PX:
+        found += [f"own.{key}" for key in settings.own]
+    return found
+
+
+def _changed(settings: Any, default: Any, prefix: str) -> list[str]:
+    assert is_dataclass(settings)
+    names = [one.name for one in fields(settings)]
+    return [f"{prefix}{name}" for name in names if getattr(settings, name) != getattr(default, name)]

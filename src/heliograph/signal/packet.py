@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.base.errors import SettingsError
 from heliograph.signal import haar, ook, pwm
 from heliograph.signal.block import MIN_BITS, Block, pack, payload_bytes, whitening
+from heliograph.signal.code import Code
 from heliograph.signal.formats import AGREED, Format
 from heliograph.signal.header import all_on_levels, header_levels, signalling_levels
 from heliograph.signal.polarity import balance
@@ -53,7 +54,7 @@ class LayerFormat:
 
     name: str
     codewords: int
-    code: TurboCode
+    code: Code
     pairs: int
     symbols: int
 

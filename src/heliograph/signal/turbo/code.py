@@ -75,6 +75,14 @@ class TurboCode:
             return np.arange(self.length)
         return selection(self.k + TERMINATION // STREAMS, self.coded_bits)
 
+    @property
+    def distinguishing(self) -> NDArray[np.bool_]:
+        """Coded bits of the second encoder, shape (E,), which sees the information bits interleaved.
+
+        Blocks are much alike, as are texts and filling, and with them the bits of the first encoder.
+        """
+        return np.asarray(self.positions % STREAMS == STREAMS - 1)
+
     def encode(self, bits: ArrayLike) -> NDArray[np.uint8]:
         """Encode blocks.
 
@@ -107,7 +115,7 @@ class TurboCode:
         algorithm: Algorithm = "max-log",
         iterations: int = 8,
         scale: float | None = None,
-        stop: Stop = "agreement",
+        stop: Stop | None = None,
         check: Check | None = None,
         a_priori: ArrayLike | None = None,
         coded_output: bool = False,
@@ -124,8 +132,8 @@ class TurboCode:
             Most full iterations, at least 1.
         scale : float, optional
             Factor on extrinsic LLRs, above 0 and at most 1; None for the algorithm's own.
-        stop : {"none", "agreement", "crc"}
-            When a block stops early.
+        stop : {"none", "agreement", "crc"}, optional
+            When a block stops early; by default "crc" with `check`, else "agreement".
         check : callable, optional
             For ``stop="crc"``: takes decisions, uint8 (n, k), returns bool (n,), True where they are right.
         a_priori : array_like of float, shape (..., k), optional
@@ -145,6 +153,7 @@ class TurboCode:
         SettingsError
             An option is unknown or out of range, or `check` and `stop` do not go together.
         """
+        stop = stop or ("agreement" if check is None else "crc")
         options = DecoderOptions(algorithm=algorithm, iterations=iterations, scale=scale, stop=stop)
         if (check is None) == (stop == "crc"):
             raise SettingsError(f'check goes with stop="crc" and only with it; stop is "{stop}" and check is {check}')

@@ -1,0 +1,132 @@
+"""A candidate of the coarse search fitted: its pose, and cells of its header that are hidden."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.acquire.coarse import RING
+from heliograph.receive.image.fit import Fit, Prior, fit_array
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.window import window_around
+from heliograph.signal.header import CELLS
+
+Floats = NDArray[np.float64]
+
+FIT_STEPS = 6
+"""Most Gauss-Newton steps of a candidate, which starts up to half a grid step away."""
+
+MARGIN_PX = 1.0
+"""Pixels around a candidate and its ring that are fitted too."""
+
+REACH = 0.08
+"""Standard deviation of a candidate's place, as a fraction of its side; the grid's step is 0.1."""
+
+SPREADS = (0.1, 0.05, 0.2)
+"""Standard deviations of a candidate's ln pitch (sizes are 0.11 apart), roll (3 degrees) and ln blur."""
+
+UPRIGHT, TILTED = 0.01, 0.1
+"""Standard deviations of stretch and shear of candidates taken to face the camera, and of others.
+
+10 degrees of yaw are a stretch of -0.008, 40 degrees of -0.13.
+"""
+
+COMB = 0.5
+"""Pitches of blur that hide single LEDs while a candidate is centred: else it locks in a whole pitch beside them."""
+
+LIT_CELL = 0.4
+"""Least alternation of a cell that is not hidden, as a fraction of the median cell's; a hidden one has 0."""
+
+
+def cell_weights(cells: NDArray[np.float64], side: int) -> Floats:
+    """Luminances of LEDs by the cells of a header.
+
+    Parameters
+    ----------
+    cells
+        (16,) row by row.
+    side
+        LEDs in a row.
+
+    Returns
+    -------
+    (n, n).
+    """
+    return np.asarray(np.kron(cells.reshape(CELLS, CELLS), np.ones((side // CELLS, side // CELLS))), np.float64)
+
+
+def fit_near(
+    change: NDArray[np.float32],
+    origin: tuple[int, int],
+    start: Pose,
+    weights: Floats,
+    tilt: float,
+    smooth: float = 0.0,
+) -> Fit | None:
+    """Fit a header to what alternates, near a pose.
+
+    Parameters
+    ----------
+    change
+        (rows, columns) what alternates.
+    origin
+        (x, y) on the sensor of its first pixel.
+    start
+        Pose expected.
+    weights
+        (n, n) of the header, +-1, 0 where it is hidden.
+    tilt
+        Standard deviation of stretch and shear, `UPRIGHT` or `TILTED`.
+    smooth
+        Pitches by which the pixels are blurred before, so that single LEDs do not show.
+
+    Returns
+    -------
+    The fit; None where the image does not hold all of the candidate and its surroundings.
+    """
+    side = len(weights)
+    x0, y0, width, height = window_around(start, side, RING * side * start.pitch + MARGIN_PX)
+    i, j = y0 - origin[1], x0 - origin[0]
+    if i < 0 or j < 0 or i + height > change.shape[0] or j + width > change.shape[1]:
+        return None
+    image = change[i : i + height, j : j + width].astype(np.float64)
+    sigma = smooth * start.pitch
+    if sigma:
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float64)
+        start = replace(start, blur=float(np.hypot(start.blur, sigma)))
+    reach = REACH * side * start.pitch
+    spread = np.diag(np.array([reach, reach, *SPREADS, tilt, tilt]) ** 2)
+    return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, FIT_STEPS)
+
+
+def lit_cells(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, weights: Floats) -> Floats:
+    """Find the cells of a header that alternate as the others do.
+
+    Parameters
+    ----------
+    change
+        (rows, columns) what alternates.
+    origin
+        (x, y) on the sensor of its first pixel.
+    pose
+        The array's.
+    weights
+        (n, n) of the header, +-1.
+
+    Returns
+    -------
+    (4, 4), 1 for cells that alternate and 0 for hidden ones.
+    """
+    from heliograph.receive.image import kernels
+
+    x0, y0, width, height = window_around(pose, len(weights), MARGIN_PX)
+    i, j = max(0, y0 - origin[1]), max(0, x0 - origin[0])
+    image = change[i : y0 - origin[1] + height, j : x0 - origin[0] + width].astype(np.float64)
+    shapes, out = [], np.empty((6, *image.shape))
+    for cell in np.eye(CELLS * CELLS):
+        lit = weights * cell_weights(cell, len(weights))
+        kernels.render(pose.full_vector(), lit, float(origin[0] + j), float(origin[1] + i), out)
+        shapes.append(out[0].ravel().copy())
+    light = np.linalg.lstsq(np.stack(shapes, 1), image.ravel(), rcond=None)[0]
+    return np.asarray((light > LIT_CELL * np.median(light)).astype(float).reshape(CELLS, CELLS))

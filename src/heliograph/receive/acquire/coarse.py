@@ -1,0 +1,197 @@
+"""Coarse search: what alternates in a few frames, correlated with all headers over scale and position."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.window import window_around
+from heliograph.signal.header import CELLS, all_header_cells
+
+BLOCK = 8
+"""Pixels of a side of the blocks in which the search first asks whether anything alternates: the smallest array."""
+
+RING = 0.12
+"""Width of the ring around a candidate that must not alternate, as a fraction of its side: half a header's cell."""
+
+GRID = 0.1
+"""Step of the places looked at as a fraction of the side: half a step costs a fifth of a cell's overlap."""
+
+SIDE_STEP = 1.12
+"""Ratio of successive sizes looked for: half a step costs 3 % of correlation."""
+
+BUSY = 2.0
+"""Least mean alternation of a busy block, over the median block's.
+
+Noise alone never reaches it: the mean of 64 magnitudes has a standard deviation of 9 % of itself.
+"""
+
+PART_LIT = 0.25
+"""Least mean alternation of a busy block as a fraction of the least contrast: the array may fill a quarter of it."""
+
+COARSE_CONTRAST = 0.5
+"""Least rms alternation of a candidate as a fraction of the least contrast: an array half of it off the grid."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchParameters:
+    """What the detector takes for an array.
+
+    Attributes
+    ----------
+    min_side_px
+        Smallest array looked for, in px.
+    max_side_px
+        Largest array looked for, in px.
+    min_contrast
+        Least luminance of a lit cell, as a fraction of full scale, 0 to 1.
+    coarse_score
+        Least correlation with a header of a candidate worth a fit, 0 to 1; it costs time only, as `score` decides.
+    score
+        Least correlation with the fitted header of a detection, 0 to 1.
+    regularity
+        Least ratio of the weakest to the mean alternation of the header's frames, 0 to 1; clutter alternates unevenly.
+    candidates
+        Most candidates fitted a search.
+    impaired
+        Whether tilted and partly hidden arrays are looked for too; more clutter is taken for one of them.
+    all_on
+        Whether headers are squares that blink as a whole, without an identity.
+    blur_px
+        First guess of the blur's standard deviation in px.
+    """
+
+    min_side_px: float
+    max_side_px: float
+    min_contrast: float
+    coarse_score: float = 0.5
+    score: float
+    regularity: float
+    candidates: int
+    impaired: bool = False
+    all_on: bool = False
+    blur_px: float
+
+    def templates(self) -> NDArray[np.float64]:
+        """Cells of the headers looked for, (identities, 16) of +-1; of a whole square 16 times 1."""
+        if self.all_on:
+            return np.ones((1, CELLS * CELLS))
+        return all_header_cells().reshape(-1, CELLS * CELLS).astype(np.float64)
+
+    def sides(self) -> NDArray[np.float64]:
+        """Sizes looked for in px, (sizes,), rising by `SIDE_STEP` at most."""
+        count = int(np.ceil(np.log(self.max_side_px / self.min_side_px) / np.log(SIDE_STEP))) + 1
+        return np.geomspace(self.min_side_px, self.max_side_px, count)
+
+
+def alternation_of(frames: Sequence[Frame]) -> NDArray[np.float32]:
+    """What alternates in two or four frames.
+
+    Of four frames it is f0 - 3 f1 + 3 f2 - f3, over 4: a header stays, and what stands still, drifts or accelerates
+    evenly cancels.
+
+    Parameters
+    ----------
+    frames
+        Two or four frames of one size and place.
+
+    Returns
+    -------
+    (rows, columns) float32 in gray levels; of two frames their difference.
+    """
+    from heliograph.receive.acquire import kernels  # Numba is slow to import
+
+    pixels = [frame.pixels for frame in frames]
+    if len(pixels) < 4:
+        return pixels[0].astype(np.float32) - pixels[1]
+    out = np.empty(pixels[0].shape, dtype=np.float32)
+    kernels.alternation(pixels[0], pixels[1], pixels[2], pixels[3], out)
+    return out
+
+
+def busy_blocks(
+    change: NDArray[np.float32], frame: Frame, taken: Sequence[Pose], side: int, min_contrast: float
+) -> NDArray[np.bool_]:
+    """Blocks in which an array may have its centre: something alternates there, and no array is followed there.
+
+    Parameters
+    ----------
+    change
+        (rows, columns) what alternates.
+    frame
+        The first of its frames, for place and full scale.
+    taken
+        Poses of the arrays followed.
+    side
+        LEDs in a row.
+    min_contrast
+        See `SearchParameters`.
+
+    Returns
+    -------
+    (blocks down, blocks across).
+    """
+    from heliograph.receive.acquire import kernels
+
+    mean = np.empty((-(-change.shape[0] // BLOCK), -(-change.shape[1] // BLOCK)), dtype=np.float32)
+    padded = cv2.copyMakeBorder(
+        change, 0, mean.shape[0] * BLOCK - change.shape[0], 0, mean.shape[1] * BLOCK - change.shape[1], 0
+    )
+    kernels.block_means(padded, BLOCK, mean)
+    for pose in taken:
+        _blank(mean, pose, side, frame.origin)
+    least = max(PART_LIT * min_contrast * frame.full_scale, BUSY * float(np.median(mean)))
+    return np.asarray(cv2.dilate((mean > least).astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
+
+
+def coarse_candidates(
+    change: NDArray[np.float32],
+    busy: NDArray[np.bool_],
+    frame: Frame,
+    parameters: SearchParameters,
+    cells: NDArray[np.float64],
+    sides: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Best candidates of a search.
+
+    Parameters
+    ----------
+    change
+        (rows, columns) what alternates.
+    busy
+        Blocks in which an array may have its centre.
+    frame
+        The first of the frames, for place and full scale.
+    parameters
+        What is looked for.
+    cells
+        (identities, 16) of its `SearchParameters.templates`.
+    sides
+        (sizes,) of its `SearchParameters.sides`.
+
+    Returns
+    -------
+    (candidates, 5) of score (negative where the inverse comes first), x and y of the centre in px of the image, side in
+    px, identity; the best first.
+    """
+    from heliograph.receive.acquire import kernels
+
+    total, square = cv2.integral2(change, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
+    best = np.zeros((parameters.candidates, 5))
+    contrast = COARSE_CONTRAST * parameters.min_contrast * frame.full_scale
+    corner = np.array(frame.origin, np.float64)
+    count = kernels.search(
+        total, square, busy, float(BLOCK), cells, sides, contrast, parameters.coarse_score, RING, GRID, corner, best
+    )
+    return best[:count]
+
+
+def _blank(mean: NDArray[np.float32], pose: Pose, side: int, origin: tuple[int, int]) -> None:
+    """Clear the blocks of an array that is followed."""
+    x0, y0, width, height = window_around(pose, side, BLOCK)
+    i, j = max(0, (y0 - origin[1]) // BLOCK), max(0, (x0 - origin[0]) // BLOCK)
+    mean[i : max(0, (y0 - origin[1] + height) // BLOCK + 1), j : max(0, (x0 - origin[0] + width) // BLOCK + 1)] = 0

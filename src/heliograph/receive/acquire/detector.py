@@ -1,0 +1,322 @@
+"""Detection: arrays found by the header that only they show.
+
+The header and its inverse alternate, so four frames in a row combined as f0 - 3 f1 + 3 f2 - f3 keep the header and
+cancel what stands still, drifts or accelerates evenly. The result is correlated with the M-sequences of all identities
+over scale and position. The best candidates are fitted to a fraction of a pixel, and must alternate in step from frame
+to frame.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.acquire.candidate import COMB, TILTED, UPRIGHT, cell_weights, fit_near, lit_cells
+from heliograph.receive.acquire.coarse import (
+    SIDE_STEP,
+    SearchParameters,
+    alternation_of,
+    busy_blocks,
+    coarse_candidates,
+)
+from heliograph.receive.image.fit import Fit, header_amplitude
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.window import common
+from heliograph.signal.settings import SignalSettings
+
+CLEAR = 0.95
+"""Score from which on a candidate is not tried as a tilted one too."""
+
+GAINED = 0.03
+"""How much better a tilted candidate must be: an upright array with a hidden side looks a little tilted."""
+
+MOST_TILT = 0.2
+"""Largest tilt taken for an array's: that of 48 degrees, beyond which LEDs of 22.6 degrees half angle hardly shine."""
+
+HIDDEN = 0.32
+"""Largest hidden fraction of an array that is found all the same: 5 of 16 cells."""
+
+HIDDEN_TRIED = 0.7
+"""Least score of a candidate that is fitted again without its hidden cells."""
+
+HIDDEN_SCORE, HIDDEN_REGULARITY = 0.8, 0.85
+"""Least score and regularity of an array of which a part is hidden: it correlates less, but alternates evenly."""
+
+FIRST_AMPLITUDE, FIRST_SCORE = 0.7, 0.9
+"""Least gain and score of a header's first pair, as fractions of the whole header's, for the pose to be its.
+
+Out of step a header may begin amid a frame, and two frames have more noise than four.
+"""
+
+SLACK = 2
+"""Frames by which the start of the header may differ from the window searched, either way: every second is searched."""
+
+
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """An array found by its header.
+
+    Attributes
+    ----------
+    identity
+        Its number, 0 to 29.
+    start_time_s
+        Start of the header's first pattern in seconds.
+    fit
+        Pose and gain at `time_s`.
+    time_s
+        Middle of the frames fitted, in seconds.
+    score
+        Correlation with the header's image, 0 to 1.
+    regularity
+        Weakest over mean alternation of the header's frames, at most 1.
+    led_gains
+        (n, n), 1, or 0 in cells of the header that are hidden.
+    """
+
+    identity: int
+    start_time_s: float
+    fit: Fit
+    time_s: float
+    score: float
+    regularity: float
+    led_gains: NDArray[np.float64]
+
+    @property
+    def clear(self) -> bool:
+        """Whether its header leaves no doubt that it is an array."""
+        return self.score >= CLEAR and self.regularity >= HIDDEN_REGULARITY
+
+
+class HeaderSearch(Protocol):
+    """Looks for headers in a stream of frames."""
+
+    def start(self, period_s: float) -> None:
+        """Begin to search frames of a known period in seconds."""
+
+    @property
+    def candidates_fitted(self) -> int:
+        """Candidates fitted so far."""
+
+    @property
+    def recent(self) -> Sequence[Frame]:
+        """The last frames, oldest first: enough to hold the header of an array just found."""
+
+    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
+        """Take the next frame.
+
+        Parameters
+        ----------
+        frame
+            The frame.
+        taken
+            Poses of arrays already followed; no array is looked for where they are.
+
+        Returns
+        -------
+        Arrays whose header lies in the last frames.
+        """
+
+
+class Detector:
+    """Looks for headers in a stream of one frame a pattern.
+
+    Parameters
+    ----------
+    parameters
+        What it takes for an array.
+    signal
+        The light's signal: side of the array and header pairs.
+    """
+
+    def __init__(self, parameters: SearchParameters, signal: SignalSettings):
+        self._parameters, self._side = parameters, signal.side
+        # a lit square may be anything's; a tilted one all the more
+        tilted = parameters.impaired and not parameters.all_on
+        self._tilts = (UPRIGHT, TILTED) if tilted else (UPRIGHT,)
+        self._header = 2 * signal.header_pairs
+        self._cells, self._sides = parameters.templates(), parameters.sides()
+        self._span = min(self._header, 4)
+        self._window = self._header + 2 * SLACK
+        self._frames: deque[Frame] = deque(maxlen=self._window)
+        self._fitted = 0
+
+    def start(self, period_s: float) -> None:
+        """Begin; the frames are taken to come one a pattern."""
+
+    @property
+    def candidates_fitted(self) -> int:
+        """Candidates fitted so far."""
+        return self._fitted
+
+    @property
+    def recent(self) -> Sequence[Frame]:
+        """The last frames, oldest first: enough to hold the header of an array just found."""
+        return self._frames
+
+    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
+        """Take the next frame; see `HeaderSearch`.
+
+        Parameters
+        ----------
+        frame
+            The frame.
+        taken
+            Poses of arrays already followed.
+        """
+        if self._frames and not _follows(self._frames[-1], frame):
+            self._frames.clear()
+        if not self._frames:
+            # a header may begin with the first frame: let that frame stand for those before it
+            self._frames.extend(_before(frame, SLACK))
+        self._frames.append(frame)
+        every = 2 if self._header >= 4 else 1
+        if len(self._frames) < self._window or frame.index % every:
+            return []
+        return self._search(list(self._frames), taken)
+
+    def _search(self, frames: list[Frame], taken: Sequence[Pose]) -> list[Detection]:
+        frames = common(frames)
+        if min(frames[0].pixels.shape) < self._sides[0]:
+            return []
+        change = alternation_of(frames[SLACK : SLACK + self._span])
+        busy = busy_blocks(change, frames[0], taken, self._side, self._parameters.min_contrast)
+        if not busy.any():
+            return []
+        rows = coarse_candidates(change, busy, frames[0], self._parameters, self._cells, self._sides)
+        found = [self._refine(frames, change, row, taken) for row in rows]
+        return _distinct([d for d in found if d is not None], self._side)
+
+    def _refine(
+        self, frames: list[Frame], change: NDArray[np.float32], row: NDArray[np.float64], taken: Sequence[Pose]
+    ) -> Detection | None:
+        """Fit a candidate's pose, then ask when its header began and whether it alternates in step."""
+        self._fitted += 1
+        number, sign, origin = int(row[4]), float(np.sign(row[0])), frames[0].origin
+        weights, blur = cell_weights(self._cells[number], self._side), self._parameters.blur_px
+        start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], row[3] / self._side, 0.0, blur)
+        if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
+            return None
+        best: Detection | None = None
+        for tilt in self._tilts:
+            rough = fit_near(change, origin, start, sign * weights, tilt, COMB)
+            if rough is None or rough.score < self._parameters.coarse_score:
+                break
+            found = self._timed(frames, replace(rough.pose, blur=blur), weights, number, tilt)
+            if found is not None and (best is None or found.score > best.score + GAINED):
+                best = found
+            if best is not None and best.score >= CLEAR:
+                break
+        return best
+
+    def _timed(
+        self, frames: list[Frame], pose: Pose, weights: NDArray[np.float64], number: int, tilt: float
+    ) -> Detection | None:
+        """Where the header begins, the start at which its frames alternate most; and the pose in just those frames."""
+        seen = np.array([header_amplitude(f, pose, weights) for f in frames])
+        sign = 1 - 2 * (np.arange(self._header) % 2)
+        sums = np.array([sign @ seen[k : k + self._header] for k in range(len(frames) - self._header + 1)])
+        start = int(np.argmax(sums))
+        if start == len(sums) - 1:
+            # it may begin later still, and a pair of data like it stand for its first: the next search has more of it
+            return None
+        change = -np.diff(seen[start : start + self._header]) * sign[:-1]
+        regularity = float(change.min() / max(change.mean(), 1e-9))
+        header = frames[start : start + self._span]
+        fit, led_gains = self._fit_header(header, pose, weights, tilt, regularity)
+        if fit is None or not self._convincing(fit, regularity, header[0].full_scale):
+            return None
+        fit, header = self._shape(header, fit, led_gains * weights, tilt)
+        middle = 0.5 * (header[0].time_s + header[-1].time_s)
+        return Detection(number, header[0].time_s, fit, middle, fit.score, regularity, led_gains)
+
+    def _fit_header(
+        self, header: list[Frame], pose: Pose, weights: NDArray[np.float64], tilt: float, regularity: float
+    ) -> tuple[Fit | None, NDArray[np.float64]]:
+        """Fit of a header's frames, without its hidden cells where that is better; and the gains of its LEDs."""
+        change, origin = alternation_of(header[: self._span]), header[0].origin
+        fit, led_gains = fit_near(change, origin, pose, weights, tilt), np.ones(weights.shape)
+        even = self._parameters.impaired and regularity >= HIDDEN_REGULARITY
+        if fit is None or not HIDDEN_TRIED <= fit.score < CLEAR or not even:
+            return fit, led_gains
+        lit = lit_cells(change, origin, fit.pose, weights)
+        part = cell_weights(lit, self._side)
+        rest = fit_near(change, origin, fit.pose, part * weights, tilt)
+        if rest is not None and lit.mean() >= 1 - HIDDEN and rest.score > fit.score:
+            return rest, np.asarray(part, np.float64)
+        return fit, led_gains
+
+    def _shape(
+        self, header: list[Frame], fit: Fit, weights: NDArray[np.float64], tilt: float
+    ) -> tuple[Fit, list[Frame]]:
+        """Fit of a header's first pair, and its frames, where the later pairs may be dimmed unevenly by a format."""
+        if not self._parameters.impaired or self._span <= 2:
+            return fit, header
+        first = fit_near(alternation_of(header[:2]), header[0].origin, fit.pose, weights, tilt)
+        if first is None or first.score <= FIRST_SCORE * fit.score or first.gain <= FIRST_AMPLITUDE * fit.gain:
+            return fit, header
+        return replace(first, score=fit.score), header[:2]
+
+    def _convincing(self, fit: Fit, regularity: float, full_scale: int) -> bool:
+        if not plausible(fit, self._parameters, self._side, full_scale):
+            return False
+        whole = fit.score >= self._parameters.score and regularity >= self._parameters.regularity
+        hidden = self._parameters.impaired and fit.score >= HIDDEN_SCORE and regularity >= HIDDEN_REGULARITY
+        return bool(whole or hidden)
+
+
+def plausible(fit: Fit, parameters: SearchParameters, side: int, full_scale: int) -> bool:
+    """Whether brightness, size and tilt of a fit are those of an array looked for.
+
+    Parameters
+    ----------
+    fit
+        Of a candidate.
+    parameters
+        What is looked for.
+    side
+        LEDs in a row.
+    full_scale
+        Largest gray level.
+    """
+    size, half_step = side * fit.pose.pitch, SIDE_STEP**0.5
+    bright = fit.gain >= parameters.min_contrast * full_scale
+    sized = parameters.min_side_px / half_step <= size <= parameters.max_side_px * half_step
+    turned = np.hypot(fit.pose.stretch, fit.pose.shear) <= MOST_TILT
+    return bool(bright and sized and turned)
+
+
+def apart(a: Pose, b: Pose, side: int) -> bool:
+    """Whether two arrays do not overlap; parts of a header look like smaller ones.
+
+    Parameters
+    ----------
+    a, b
+        Their poses.
+    side
+        LEDs in a row.
+    """
+    # half the sum of their sides, a tenth of it left for errors of the poses
+    return bool(np.hypot(a.x - b.x, a.y - b.y) > 0.45 * side * (a.pitch + b.pitch))
+
+
+def _follows(last: Frame, frame: Frame) -> bool:
+    return last.pixels.dtype == frame.pixels.dtype and last.bits == frame.bits and frame.index == last.index + 1
+
+
+def _before(frame: Frame, count: int) -> list[Frame]:
+    """`count` copies of a frame with earlier, negative times and numbers."""
+    return [replace(frame, index=frame.index - k, time_s=frame.time_s - 1e9 * k) for k in range(count, 0, -1)]
+
+
+def _distinct(detections: list[Detection], side: int) -> list[Detection]:
+    """One detection a place, the best."""
+    kept: list[Detection] = []
+    for one in sorted(detections, key=lambda d: -d.score):
+        if all(apart(one.fit.pose, other.fit.pose, side) for other in kept):
+            kept.append(one)
+    return kept

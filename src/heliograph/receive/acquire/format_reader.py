@@ -1,0 +1,203 @@
+"""Format signalling: the format that a packet's header names, read coherently from the cells of its pairs.
+
+Let A_1 and A_2 be the light that each cell of the header, all its LEDs on, gives each pixel in the two frames of a
+header pair, and v the cells' alternation. The difference of the frames is
+
+    d = g (A_1 (1 + v) / 2 - A_2 (1 - v) / 2) + n = g (B v + o) + n,   B = (A_1 + A_2) / 2,   o = (A_1 - A_2) 1 / 2.
+
+v is +-1. Where a bit of the format's word is 1 it is +-1/2 in the later pairs, or in combined frames
+`Combination.dimmed`. The format is the one whose v, with the gain g that fits it best, explains most of d:
+
+    max over formats and g of 2 g <d, B v + o> - g^2 |B v + o|^2.
+
+A camera out of step shows dimmed cells in some of its frames only. There each frame counts by itself: r_k = g A v_k + b
++ n with v_k from the clock and a background b that is the same in all frames and leaves with their mean.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.image import kernels
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.window import RIM_PX, Window, cut_out, window_around
+from heliograph.receive.timing.frame_pair import FramePair, HeaderFrames
+from heliograph.signal.formats import AGREED, DIMMED, Format, format_of, words
+from heliograph.signal.header import CELLS, header_cells
+
+Floats = NDArray[np.float64]
+
+COUNT = CELLS * CELLS
+
+LEAST_DISTANCE = 4
+"""Cells in which two words of the Reed-Muller code RM(2, 4) differ at least."""
+
+UNDECIDED = 0.25
+"""Least power by which another format must explain more than the agreed one, over that in which two words differ.
+
+Halfway between two words it is 1/4 of their squared distance: nearer ones are not told apart.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class _PairEvidence:
+    """What a header pair says of the format.
+
+    Attributes
+    ----------
+    dimmed
+        Contrast and light of its dimmed cells.
+    gram, matched, offset
+        B^T B, B^T d and B^T o.
+    cross, drift
+        d^T o and o^T o.
+    """
+
+    dimmed: tuple[float, float]
+    gram: Floats
+    matched: Floats
+    offset: Floats
+    cross: float
+    drift: float
+
+    @property
+    def distance(self) -> float:
+        """Largest power that one dimmed cell changes, in units of g^2."""
+        contrast, light = self.dimmed
+        return ((1 - contrast) ** 2 + light**2) * float(self.gram.diagonal().max())
+
+    def moments(self, cells: Floats) -> Floats:
+        """<d, B v + o> and |B v + o|^2 of each format, (2, formats); `cells` (16,) of the header, +-1."""
+        contrast, light = self.dimmed
+        v = np.where(words(), contrast * cells + light, cells)
+        match, norm = v @ self.matched + self.cross, np.einsum("fi,ij,fj->f", v, self.gram, v)
+        return np.stack([match, norm + 2 * v @ self.offset + self.drift])
+
+
+@dataclass(frozen=True, slots=True)
+class _FramesEvidence:
+    """What frames out of step say of the format.
+
+    Attributes
+    ----------
+    frames
+        The frames of the header.
+    gram, matched
+        A^T A, and A^T r of each frame, (frames, 16).
+    """
+
+    frames: HeaderFrames
+    gram: Floats
+    matched: Floats
+
+    @property
+    def distance(self) -> float:
+        """See `_PairEvidence`."""
+        shown = np.diff(self.frames.light, axis=0), 0.5 * np.diff(self.frames.alternation, axis=0)
+        return float(sum(part.var() * part.size for part in shown) * self.gram.diagonal().max())
+
+    def moments(self, cells: Floats) -> Floats:
+        """See `_PairEvidence`."""
+        # v_k = light + alternation / 2 of +-1
+        full, dimmed = (
+            light[:, None] + 0.5 * alternation[:, None] * cells
+            for light, alternation in zip(self.frames.light, self.frames.alternation, strict=True)
+        )
+        v = np.where(words()[:, None], dimmed, full)
+        v -= v.mean(1, keepdims=True)
+        match = np.einsum("fki,ki->f", v, self.matched)
+        return np.stack([match, ((v @ self.gram) * v).sum((1, 2))])
+
+
+class FormatReader:
+    """Reads the format of one packet from its header.
+
+    Parameters
+    ----------
+    identity
+        The array's, 0 to 29.
+    side
+        LEDs in a row.
+    """
+
+    def __init__(self, identity: int, side: int):
+        self._side = side
+        self._cells = header_cells(identity).reshape(COUNT).astype(np.float64)
+        self._masks = np.kron(np.eye(COUNT).reshape(COUNT, CELLS, CELLS), np.ones((side // CELLS, side // CELLS)))
+        self._first: tuple[FramePair, tuple[Pose, Pose]] | None = None
+        self._evidence: dict[int, _PairEvidence | _FramesEvidence] = {}
+
+    def take(self, number: int, pair: FramePair, poses: tuple[Pose, Pose], led_gains: Floats) -> None:
+        """Take a header pair.
+
+        Parameters
+        ----------
+        number
+            Its number in the header; pair 0 has no dimmed cells and gives the gain.
+        pair
+            Its frames.
+        poses
+            The array's pose in each.
+        led_gains
+            (n, n) gains of its LEDs: hidden cells are not dimmed ones.
+        """
+        if number == 0:
+            self._first = pair, poses
+            return
+        self._evidence[number] = self._of_pair(DIMMED, pair, poses, led_gains)
+        if self._first is not None:
+            # the gains of LEDs are known better now
+            self._evidence[0] = self._of_pair(1.0, *self._first, led_gains)
+
+    def take_frames(self, frames: HeaderFrames, led_gains: Floats) -> None:
+        """Take a whole header out of step in place of its pairs.
+
+        Parameters
+        ----------
+        frames
+            Its frames.
+        led_gains
+            (n, n) gains of the LEDs.
+        """
+        rows, cols = frames.images.shape[1:]
+        a = self._images(frames.pose, led_gains, (*frames.corner, cols, rows))
+        matched = frames.images.reshape(len(frames.images), -1) @ a.T
+        self._evidence = {0: _FramesEvidence(frames, a @ a.T, matched)}
+
+    def format(self, gain: float) -> Format:
+        """Decide on the format; the agreed one where no later header pair was seen.
+
+        Parameters
+        ----------
+        gain
+            Gray levels of the array with all LEDs on, for a header whose first pair was not seen.
+        """
+        if not self._evidence:
+            return AGREED
+        match, norm = np.sum([one.moments(self._cells) for one in self._evidence.values()], axis=0)
+        # the best gain of each format: g = <d, B v + o> / |B v + o|^2
+        g = np.maximum(match, 0) / np.maximum(norm, 1e-9) if 0 in self._evidence else gain
+        explained = 2 * g * match - g**2 * norm
+        # two words differ in LEAST_DISTANCE cells at least: where these are hidden it is the agreed format
+        least = LEAST_DISTANCE * sum(one.distance for one in self._evidence.values())
+        explained[AGREED.number] += UNDECIDED * float(np.max(g)) ** 2 * least
+        return format_of(int(np.argmax(explained)))
+
+    def _of_pair(self, contrast: float, pair: FramePair, poses: tuple[Pose, Pose], led_gains: Floats) -> _PairEvidence:
+        """What a pair says whose dimmed cells have a contrast in step."""
+        window = window_around(Pose.midway(*poses), self._side, RIM_PX)
+        up, down = (cut_out(frame, window).ravel() for frame in (pair.pattern, pair.inverted))
+        first, second = (self._images(pose, led_gains, window) for pose in poses)
+        b, o, d = 0.5 * (first + second), 0.5 * (first - second).sum(0), up - down
+        dimmed = pair.combination.dimmed if pair.combination else (contrast, 0.0)
+        return _PairEvidence(dimmed, b @ b.T, b @ d, b @ o, float(d @ o), float(o @ o))
+
+    def _images(self, pose: Pose, led_gains: Floats, window: Window) -> Floats:
+        """Image of each cell with all its LEDs on, (16, pixels)."""
+        x0, y0, cols, rows = window
+        out, images = np.empty((6, rows, cols)), np.empty((COUNT, rows * cols))
+        for mask, image in zip(self._masks, images, strict=True):
+            kernels.render(pose.full_vector(), mask * led_gains, float(x0), float(y0), out)
+            image[:] = out[0].ravel()
+        return images

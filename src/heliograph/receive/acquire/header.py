@@ -1,0 +1,51 @@
+"""The header in a pair of frames: its luminances, and how much of it the pair shows."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.image.fit import header_amplitude
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.timing.combination import Combination
+from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.signal.header import dimmed_leds, header_levels, signalling_levels
+
+Floats = NDArray[np.float64]
+
+
+def header_weights(identity: int, form: int, side: int, combination: Combination | None = None) -> Floats:
+    """Luminances of a header less its inverse, (n, n): +-1, or +-1/2 where cells are dimmed.
+
+    Parameters
+    ----------
+    identity
+        The array's.
+    form
+        Number of the format that the pair signals; 0 dims nothing.
+    side
+        LEDs in a row.
+    combination
+        How the pair was combined; combined frames show dimmed cells otherwise than a pattern and its inverse do.
+    """
+    if combination is None:
+        return signalling_levels(identity, form, side) / 2.0 - 1.0
+    signs = header_levels(identity, side) / 2.0 - 1.0
+    contrast, light = combination.dimmed
+    return np.where(dimmed_leds(form, side), contrast * signs + light, signs)
+
+
+def header_score(pair: FramePair, pose: Pose, weights: Floats, gain: float) -> float:
+    """Amplitude of a header as a fraction of the array's light; about 1.
+
+    Parameters
+    ----------
+    pair
+        The header and its inverse.
+    pose
+        The array's.
+    weights
+        (n, n) of `header_weights`, times the LEDs' gains.
+    gain
+        Gray levels of the sum of a pair with all LEDs on.
+    """
+    change = header_amplitude(pair.pattern, pose, weights) - header_amplitude(pair.inverted, pose, weights)
+    return change / max(gain, 1e-6)

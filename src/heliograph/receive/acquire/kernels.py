@@ -1,0 +1,179 @@
+"""Hot loops of the detector; `reference.py` holds the same in plain NumPy, and a test holds the two together."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def alternation(f0, f1, f2, f3, out):
+    """Third difference of four frames, (f0 - 3 f1 + 3 f2 - f3) / 4.
+
+    Parameters
+    ----------
+    f0, f1, f2, f3
+        (rows, columns) uint8 or uint16, in the order of time.
+    out
+        (rows, columns) float32, overwritten.
+    """
+    rows, cols = out.shape
+    for i in range(rows):
+        a, b, c, d, o = f0[i], f1[i], f2[i], f3[i], out[i]
+        for j in range(cols):
+            o[j] = np.float32(0.25) * np.float32(
+                np.int32(a[j]) - np.int32(d[j]) + 3 * (np.int32(c[j]) - np.int32(b[j]))
+            )
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def block_means(image, size, out):
+    """Mean magnitude over blocks.
+
+    Parameters
+    ----------
+    image
+        (size * blocks down, size * blocks across) float32.
+    size
+        Pixels of a block's side.
+    out
+        (blocks down, blocks across) float32, overwritten.
+    """
+    columns = np.empty(out.shape[1] * size, np.float32)
+    for bi in range(out.shape[0]):
+        columns[:] = 0.0
+        for i in range(bi * size, bi * size + size):
+            row = image[i]
+            for j in range(columns.shape[0]):
+                columns[j] += abs(row[j])
+        for bj in range(out.shape[1]):
+            total = np.float32(0.0)
+            for j in range(bj * size, bj * size + size):
+                total += columns[j]
+            out[bi, bj] = total / np.float32(size * size)
+
+
+@njit(cache=True, nogil=True)
+def _corner(integral, y, x):
+    """Integral image between its grid points."""
+    i, j = int(y), int(x)
+    fy, fx = y - i, x - j
+    top = integral[i, j] + fx * (integral[i, j + 1] - integral[i, j])
+    low = integral[i + 1, j] + fx * (integral[i + 1, j + 1] - integral[i + 1, j])
+    return top + fy * (low - top)
+
+
+@njit(cache=True, nogil=True)
+def _box(integral, y, x, height, width):
+    return (
+        _corner(integral, y + height, x + width)
+        - _corner(integral, y, x + width)
+        - _corner(integral, y + height, x)
+        + _corner(integral, y, x)
+    )
+
+
+@njit(cache=True, nogil=True)
+def _to_grid(start, step):
+    """How far the next multiple of a step is from a start."""
+    return math.ceil(start / step - 1e-9) * step - start
+
+
+@njit(cache=True, nogil=True)
+def search(total, square, busy, block, cells, sides, contrast, threshold, ring_width, grid, corner, best):
+    """Correlate what alternates with all headers over scale and position.
+
+    Parameters
+    ----------
+    total, square
+        (rows + 1, columns + 1) float64 integral images of the alternation and of its square.
+    busy
+        (blocks down, blocks across) bool, blocks in which an array may have its centre.
+    block
+        Pixels of a block's side.
+    cells
+        (identities, 16) of +-1.
+    sides
+        (sizes,) in px.
+    contrast
+        Least rms alternation in gray levels.
+    threshold
+        Least correlation, 0 to 1.
+    ring_width
+        Width of the ring around a candidate that must not alternate, as a fraction of its side.
+    grid
+        Step of the places as a fraction of the side; at least a pixel.
+    corner
+        (2,) x, y on the sensor of the first pixel: the grid is fixed to the sensor, whatever the window.
+    best
+        (count, 5), overwritten: score with the sign of the correlation, x, y, side, identity; the best first, of
+        overlapping ones only the best.
+
+    Returns
+    -------
+    Number of candidates written.
+    """
+    rows, cols = total.shape[0] - 1, total.shape[1] - 1
+    sums = np.empty(16)
+    found = 0
+    for k in range(sides.shape[0]):
+        side = sides[k]
+        step = max(1.0, grid * side)
+        ring = ring_width * side
+        cell = side / 4.0
+        y = ring + _to_grid(corner[1], step)
+        while y + side + ring < rows - 1:
+            x = ring + _to_grid(corner[0], step)
+            while x + side + ring < cols - 1:
+                if not busy[int((y + 0.5 * side) / block), int((x + 0.5 * side) / block)]:
+                    x += step
+                    continue
+                energy = _box(square, y - ring, x - ring, side + 2 * ring, side + 2 * ring)
+                if energy < contrast * contrast * side * side:
+                    x += step
+                    continue
+                power = 0.0
+                for i in range(4):
+                    for j in range(4):
+                        value = _box(total, y + i * cell, x + j * cell, cell, cell)
+                        sums[4 * i + j] = value
+                        power += value * value
+                # |<D, T>| <= |sums| 4 and |T| |D| = side sqrt(energy)
+                bound = threshold * side * math.sqrt(energy)
+                if 16.0 * power >= bound * bound:
+                    for t in range(cells.shape[0]):
+                        dot = 0.0
+                        for i in range(16):
+                            dot += cells[t, i] * sums[i]
+                        if abs(dot) >= bound:
+                            score = dot / (side * math.sqrt(energy))
+                            found = _keep(best, found, score, x + 0.5 * side, y + 0.5 * side, side, t)
+                x += step
+            y += step
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _keep(best, found, score, x, y, side, identity):
+    """Insert a candidate unless a better one lies on the same place; drop worse ones there."""
+    i = 0
+    while i < found:
+        reach = 0.5 * max(side, best[i, 3])
+        if abs(best[i, 1] - x) < reach and abs(best[i, 2] - y) < reach:
+            if abs(best[i, 0]) >= abs(score):
+                return found
+            for m in range(i, found - 1):
+                best[m] = best[m + 1]
+            found -= 1
+        else:
+            i += 1
+    place = found
+    while place > 0 and abs(best[place - 1, 0]) < abs(score):
+        place -= 1
+    if place >= best.shape[0]:
+        return found
+    last = min(found, best.shape[0] - 1)
+    for m in range(last, place, -1):
+        best[m] = best[m - 1]
+    best[place, 0], best[place, 1], best[place, 2], best[place, 3], best[place, 4] = score, x, y, side, identity
+    return min(found + 1, best.shape[0])

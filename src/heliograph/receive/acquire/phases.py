@@ -1,0 +1,138 @@
+"""Search for headers in the frames of a camera of any rate and phase."""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol
+
+from heliograph.base.errors import HeliographError
+from heliograph.base.frames import Frame
+from heliograph.receive.acquire.coarse import SearchParameters
+from heliograph.receive.acquire.detector import Detection, Detector
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
+from heliograph.signal.settings import SignalSettings
+
+KEPT = 4
+"""Patterns around a header whose frames are kept too.
+
+The light's clock asks for two on either side, and two to spare.
+"""
+
+
+class PhasedSearch:
+    """Thins frames out to streams of one frame a pattern at several phases, each with a detector of its own.
+
+    Parameters
+    ----------
+    parameters
+        What the detectors take for an array.
+    signal
+        The light's signal.
+    """
+
+    def __init__(self, parameters: SearchParameters, signal: SignalSettings):
+        self._parameters, self._signal = parameters, signal
+        self._streams: list[_Stream] = []
+        self._kept: deque[Frame] = deque()
+
+    @property
+    def recent(self) -> Sequence[Frame]:
+        """The last frames, oldest first: enough to hold the header of an array just found."""
+        return self._kept
+
+    @property
+    def candidates_fitted(self) -> int:
+        """Candidates fitted so far in all streams."""
+        return sum(stream.detector.candidates_fitted for stream in self._streams)
+
+    def start(self, period_s: float) -> None:
+        """Begin to search frames of a known period in seconds.
+
+        Raises
+        ------
+        HeliographError
+            The camera is slower than the light.
+        """
+        light_s = self._signal.pattern_period_s
+        if period_s > light_s * (1 + STEP_TOLERANCE):
+            raise HeliographError(
+                f"the soft receiver needs at least one frame a pattern: the film has {1 / period_s:.1f} frames/s, the "
+                f"light {1 / light_s:.1f} patterns/s; film faster or set signal.pattern_period_s"
+            )
+        if period_s > light_s * (1 - STEP_TOLERANCE):
+            self._streams = [_EveryFrame(self._detector(), period_s)]
+        else:
+            phases = _phases(light_s / period_s)
+            self._streams = [_Nearest(self._detector(), light_s, k / phases) for k in range(phases)]
+        patterns = 2 * self._signal.header_pairs + 2 * KEPT
+        self._kept = deque(maxlen=math.ceil(patterns * light_s / period_s))
+
+    def _detector(self) -> Detector:
+        return Detector(self._parameters, self._signal)
+
+    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
+        """Take the next frame; see `HeaderSearch`.
+
+        Parameters
+        ----------
+        frame
+            The frame; `start` comes before the first.
+        taken
+            Poses of arrays already followed.
+        """
+        self._kept.append(frame)
+        known, found = list(taken), list[Detection]()
+        for stream in self._streams:
+            for detection in stream.push(frame, known):
+                known.append(detection.fit.pose)
+                found.append(detection)
+        return found
+
+
+class _Stream(Protocol):
+    """Thins frames out for a detector."""
+
+    detector: Detector
+
+    def push(self, frame: Frame, taken: Sequence[Pose]) -> list[Detection]:
+        """Take a frame; return the arrays whose header lies in the last frames of the stream."""
+
+
+class _EveryFrame:
+    """All frames of a camera of the light's rate."""
+
+    def __init__(self, detector: Detector, period_s: float):
+        self.detector, self._period_s = detector, period_s
+        self._number, self._time_s = 0, 0.0
+
+    def push(self, frame: Frame, taken: Sequence[Pose]) -> list[Detection]:
+        """Search with every frame; one that was dropped leaves a gap."""
+        self._number += max(1, round((frame.time_s - self._time_s) / self._period_s))
+        self._time_s = frame.time_s
+        return self.detector.push(replace(frame, index=self._number), taken)
+
+
+class _Nearest:
+    """One frame a pattern: those that begin nearest to even times."""
+
+    def __init__(self, detector: Detector, step_s: float, phase: float):
+        self.detector, self._step_s, self._phase = detector, step_s, phase
+        self._best: Frame | None = None
+        self._off = 0.0
+
+    def push(self, frame: Frame, taken: Sequence[Pose]) -> list[Detection]:
+        """Take a frame; search once it is known which one is nearest."""
+        place = frame.time_s / self._step_s - self._phase
+        number = round(place)
+        off, kept = abs(place - number), self._best
+        another = kept is None or kept.index != number
+        if another or off < self._off:
+            self._best, self._off = replace(frame, index=number), off
+        return self.detector.push(kept, taken) if another and kept is not None else []
+
+
+def _phases(rate: float) -> int:
+    """Streams for a camera of `rate` frames a pattern: the fewer frames to choose from, the more phases are tried."""
+    return 4 if rate < 2 else max(2, math.floor(rate))

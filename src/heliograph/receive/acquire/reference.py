@@ -1,0 +1,136 @@
+"""The detector's kernels written for reading: plain NumPy, no tricks.
+
+Nothing runs on these but the tests that hold `kernels.py` to them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+Candidate = tuple[float, float, float, float, int]
+"""Score, x, y, side, identity."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """What `search` looks for and where.
+
+    Attributes
+    ----------
+    sides
+        (sizes,) in px.
+    contrast
+        Least rms alternation in gray levels.
+    threshold
+        Least correlation, 0 to 1.
+    ring
+        Width of the ring around a candidate, as a fraction of its side.
+    step
+        Step of the places as a fraction of the side.
+    count
+        Most candidates kept.
+    """
+
+    sides: Floats
+    contrast: float
+    threshold: float
+    ring: float
+    step: float
+    count: int
+
+
+def alternation(f0: Floats, f1: Floats, f2: Floats, f3: Floats) -> Floats:
+    """Third difference of four frames, (rows, columns).
+
+    Parameters
+    ----------
+    f0, f1, f2, f3
+        The frames in the order of time, (rows, columns) each.
+    """
+    # (f0 - 3 f1 + 3 f2 - f3) / 4
+    return (f0 - 3 * f1 + 3 * f2 - f3) / 4
+
+
+def block_means(image: Floats, size: int) -> Floats:
+    """Mean magnitude of blocks, (blocks down, blocks across).
+
+    Parameters
+    ----------
+    image
+        (rows, columns), whole blocks.
+    size
+        Pixels of a block's side.
+    """
+    rows, cols = image.shape
+    return np.asarray(np.abs(image).reshape(rows // size, size, cols // size, size).mean(axis=(1, 3)))
+
+
+def search(image: Floats, busy: NDArray[np.bool_], block: int, cells: Floats, grid: Grid) -> list[Candidate]:
+    """Best candidates over scale and position, best first.
+
+    Parameters
+    ----------
+    image
+        (rows, columns) what alternates.
+    busy
+        (blocks down, blocks across) where a candidate may have its centre.
+    block
+        Pixels of a block's side.
+    cells
+        (identities, 16) of +-1.
+    grid
+        What is looked for and where.
+    """
+    kept: list[Candidate] = []
+    for side in map(float, grid.sides):
+        for x, y in _places(image.shape, busy, block, side, grid):
+            for number, score in _scores(image, cells, x, y, side, grid):
+                if abs(score) >= grid.threshold:
+                    kept = _merge(kept, (score, x + side / 2, y + side / 2, side, number), grid.count)
+    return kept
+
+
+def _places(
+    shape: tuple[int, ...], busy: NDArray[np.bool_], block: int, side: float, grid: Grid
+) -> Iterator[tuple[float, float]]:
+    """Upper left corners looked at: a step apart, the ring around inside, the centre in a busy block."""
+    step, ring = max(1.0, grid.step * side), grid.ring * side
+    for y in np.arange(ring, shape[0] - 1 - side - ring, step):
+        for x in np.arange(ring, shape[1] - 1 - side - ring, step):
+            if busy[int((y + side / 2) / block), int((x + side / 2) / block)]:
+                yield float(x), float(y)
+
+
+def _scores(image: Floats, cells: Floats, x: float, y: float, side: float, grid: Grid) -> list[tuple[int, float]]:
+    """Correlation with each header of what lies in a square, its ring counted as light that should not be there."""
+    cell, ring = side / 4, grid.ring * side
+    energy = _box(image**2, x - ring, y - ring, side + 2 * ring)
+    if energy < grid.contrast**2 * side**2:
+        return []
+    sums = np.array([_box(image, x + j * cell, y + i * cell, cell) for i in range(4) for j in range(4)])
+    # <D, T> / (|D| |T|) with |T| = side
+    return [(k, float(row @ sums / (side * np.sqrt(energy)))) for k, row in enumerate(cells)]
+
+
+def _box(image: Floats, x: float, y: float, size: float) -> float:
+    """Sum over a square whose borders cut pixels, which then count by their share; pixel (0, 0) begins at 0."""
+    return float(_overlap(y, size, image.shape[0]) @ image @ _overlap(x, size, image.shape[1]))
+
+
+def _overlap(start: float, size: float, count: int) -> Floats:
+    """Share of each of `count` pixels within [start, start + size]."""
+    first = np.arange(count)
+    return np.clip(np.minimum(start + size, first + 1) - np.maximum(start, first), 0, 1)
+
+
+def _merge(kept: list[Candidate], new: Candidate, count: int) -> list[Candidate]:
+    """Take a candidate in unless a better one overlaps it; it replaces worse ones that do."""
+    near = [old for old in kept if max(abs(old[1] - new[1]), abs(old[2] - new[2])) < 0.5 * max(new[3], old[3])]
+    if any(abs(old[0]) >= abs(new[0]) for old in near):
+        return kept
+    rest = [old for old in kept if old not in near]
+    return sorted([*rest, new], key=lambda c: -abs(c[0]))[:count]

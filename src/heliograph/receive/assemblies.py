@@ -1,0 +1,164 @@
+"""The receivers "plain" and "soft": two assemblies of the same parts."""
+
+from collections import defaultdict
+from collections.abc import Callable
+
+from heliograph.base.errors import SettingsError
+from heliograph.receive.acquire.coarse import SearchParameters
+from heliograph.receive.acquire.detector import Detection, Detector
+from heliograph.receive.acquire.phases import PhasedSearch
+from heliograph.receive.array import ArrayReceiver, PacketReader
+from heliograph.receive.decode.codeword import DecoderOptions
+from heliograph.receive.decode.soft_combining import SoftBuffer
+from heliograph.receive.events import Observer
+from heliograph.receive.packet_reader import SoftParts, SoftReader
+from heliograph.receive.plain.reader import PlainReader
+from heliograph.receive.receiver import Parts, StreamReceiver
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.timing.camera_clock import CameraClock, SteppedClock
+from heliograph.receive.timing.clocked_pairing import ClockedPairing
+from heliograph.receive.timing.frame_pair import Pairing
+from heliograph.receive.timing.stepped_pairing import SteppedPairing
+from heliograph.receive.track.kalman import MotionModel
+from heliograph.receive.track.tracker import Tracker
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import SignalSettings
+
+PLAIN_REGULARITY = 0.5
+"""Least regularity of a detection in step: the header's frames alternate evenly, clutter does not."""
+
+SOFT_REGULARITY = 0.15
+"""The same for a camera out of step, to which a header alternates unevenly.
+
+It is low because a second test follows: what the light's clock cannot explain as a header is dropped.
+"""
+
+MakeReader = Callable[[Detection, Tracker], PacketReader]
+
+
+def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
+    """Assemble the paper's own receiver: one frame a pattern, in step with the light.
+
+    Parameters
+    ----------
+    signal
+        The light's signal.
+    settings
+        The receiver's.
+    observe
+        Gets its events.
+    """
+    form = PacketFormat(signal)
+    options = DecoderOptions(settings.decode.algorithm or "max-log", settings.decode.iterations)
+
+    def reader(detection: Detection, tracker: Tracker) -> PacketReader:
+        return PlainReader(detection.identity, form, tracker, settings.plain.equaliser, options, observe)
+
+    def pairing(detection: Detection) -> Pairing:
+        return SteppedPairing(detection.start_time_s, detection.time_s, signal)
+
+    search = Detector(search_parameters(settings, signal, PLAIN_REGULARITY), signal)
+    follow = _following(signal, settings, observe, pairing, reader)
+    return StreamReceiver(Parts(SteppedClock(signal.pattern_period_s), search, follow, signal.side), observe)
+
+
+def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
+    """Assemble the receiver at the limit of the channel: any camera from one frame a pattern on.
+
+    Parameters
+    ----------
+    signal
+        The light's signal.
+    settings
+        The receiver's.
+    observe
+        Gets its events.
+
+    Raises
+    ------
+    SettingsError
+        The light does not use the hierarchical code, or its headers have no M-sequence.
+    """
+    _check_signal(signal)
+    form = PacketFormat(signal)
+    options = DecoderOptions(settings.decode.algorithm or "log-map", settings.decode.iterations)
+    # by identity, not by array: one lost and found again goes on with its carousel
+    buffers: dict[int, SoftBuffer] = defaultdict(SoftBuffer)
+
+    def reader(detection: Detection, tracker: Tracker) -> PacketReader:
+        buffer = buffers[detection.identity] if settings.soft.combining else None
+        parts = SoftParts(form, tracker, buffer, options, settings.soft.feedback, observe)
+        return SoftReader(detection.identity, parts)
+
+    def pairing(found: Detection) -> Pairing:
+        exposure_s = settings.calibration.exposure_s
+        return ClockedPairing(
+            found.start_time_s, found.time_s, found.fit.pose, found.identity, found.led_gains, signal, exposure_s
+        )
+
+    search = PhasedSearch(search_parameters(settings, signal, SOFT_REGULARITY, impaired=True), signal)
+    follow = _following(signal, settings, observe, pairing, reader)
+    return StreamReceiver(Parts(CameraClock(), search, follow, signal.side), observe)
+
+
+def search_parameters(
+    settings: ReceiveSettings, signal: SignalSettings, regularity: float, impaired: bool = False
+) -> SearchParameters:
+    """What a receiver's detector looks for.
+
+    Parameters
+    ----------
+    settings
+        The receiver's.
+    signal
+        The light's signal, whose header it is.
+    regularity
+        Least regularity of a detection, 0 to 1.
+    impaired
+        Whether tilted and partly hidden arrays are looked for too.
+    """
+    detect = settings.detect
+    return SearchParameters(
+        min_side_px=settings.smallest_side_px,
+        max_side_px=detect.max_side_px,
+        min_contrast=detect.min_contrast,
+        score=detect.score,
+        regularity=regularity,
+        candidates=detect.candidates,
+        impaired=impaired,
+        all_on=signal.header == "all_on",
+        blur_px=settings.calibration.blur_px,
+    )
+
+
+def _following(
+    signal: SignalSettings,
+    settings: ReceiveSettings,
+    observe: Observer,
+    pairing: Callable[[Detection], Pairing],
+    reader: MakeReader,
+) -> Callable[[Detection], ArrayReceiver]:
+    """Makes the reception of an array that was found."""
+    tracker = Tracker(signal.side, MotionModel(signal.pattern_period_s, settings.track.acceleration_px))
+
+    def follow(detection: Detection) -> ArrayReceiver:
+        return ArrayReceiver(
+            detection,
+            pairing(detection),
+            tracker,
+            reader(detection, tracker),
+            signal=signal,
+            calibration=settings.calibration,
+            coast_s=settings.track.coast_patterns * signal.pattern_period_s,
+            observe=observe,
+        )
+
+    return follow
+
+
+def _check_signal(signal: SignalSettings) -> None:
+    for key, found, wanted in (("modulation", signal.modulation, "haar"), ("header", signal.header, "m_sequence")):
+        if found != wanted:
+            raise SettingsError(
+                f'the soft receiver reads signal.{key} = "{wanted}", not "{found}"; set receive.receiver = "plain"'
+            )

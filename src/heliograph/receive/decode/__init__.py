@@ -1,0 +1,1 @@
+"""From soft values to codewords: one decoding a layer, or iterations between equaliser and decoder."""

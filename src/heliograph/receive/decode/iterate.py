@@ -1,0 +1,393 @@
+"""Iterative receiver: MMSE equaliser with parallel interference cancellation through the decoder.
+
+The light of decoded codewords is subtracted; soft values of the others are fed back as the equaliser's priors, until
+nothing changes any more.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.decode.codeword import DecoderOptions
+from heliograph.receive.decode.layer import HOPELESS, Layer, decode_layer
+from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer
+from heliograph.receive.equalise.expectation_propagation import ExpectationPropagation
+from heliograph.receive.equalise.llr import LARGEST_LLR, information
+from heliograph.receive.equalise.lmmse import Estimate, equalise
+from heliograph.receive.equalise.polarity import SymbolMapper
+from heliograph.receive.observe.noise import LEAST_NOISE
+from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.receive.packets import Codeword
+from heliograph.receive.settings import Feedback
+from heliograph.receive.timing import partial_exposure
+from heliograph.receive.timing.combination import Combination
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.pwm import SLOTS
+
+Floats = NDArray[np.float64]
+
+ITERATIONS = 24
+"""Most iterations between equaliser and decoder; at 150 m packets take four to seven."""
+
+PROGRESS = 0.002
+"""Least gain of information, in bit a coded bit, of an iteration that decodes nothing, for another one to follow."""
+
+REFINEMENTS = 6
+"""Most times that a packet's poses are refined."""
+
+
+@dataclass(frozen=True, slots=True)
+class EqualiseEvent:
+    """An iteration of the soft receiver: its symbols are equalised, its codewords not yet decoded.
+
+    Attributes
+    ----------
+    identity
+        The array's.
+    iteration
+        Number of the iteration, from 0.
+    llr
+        By layer (codewords, E) LLRs of the coded bits, ln P(b=0)/P(b=1), whitening undone.
+    """
+
+    identity: int
+    iteration: int
+    llr: Mapping[str, Floats]
+
+
+def ignore(event: object, /) -> None:
+    """Observe nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class GainAndNoise:
+    """Gain and noise of a packet.
+
+    Attributes
+    ----------
+    gain
+        Gray levels of the array with all LEDs on.
+    noise
+        Variance of a pixel of a difference.
+    """
+
+    gain: float
+    noise: float
+
+    def updated(self, moments: Floats, combined: bool) -> "GainAndNoise":
+        """Maximise the expected likelihood (a step of expectation and maximisation).
+
+        Parameters
+        ----------
+        moments
+            (4,) sums of `_moments` over all pairs.
+        combined
+            Whether frames were combined: their sums are not even, so the noise is estimated here too.
+        """
+        match, norm, power, pixels = moments
+        # g = <d, B m + o> / E|B c + o|^2
+        gain = match / norm if norm > 0 else self.gain
+        if not combined:
+            return GainAndNoise(gain, self.noise)
+        # s^2 = E|d - g (B c + o)|^2 / pixels
+        return GainAndNoise(gain, max((power - 2 * gain * match + gain**2 * norm) / pixels, LEAST_NOISE))
+
+
+class Observed(Protocol):
+    """The pairs of a packet as they were observed; see `pose_refinement.ObservedPacket`."""
+
+    @property
+    def statistics(self) -> Sequence[PairStatistics | None]:
+        """Statistics of each pair, in the single mode of each pattern; None where the array was not seen."""
+
+    def refine(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
+        """Refine the poses by the mean and variance of the symbols; whether any statistics changed."""
+
+
+def decode_iteratively(
+    observed: Observed,
+    channel: GainAndNoise,
+    form: PacketFormat,
+    identity: int,
+    options: DecoderOptions,
+    buffer: SoftBuffer | None,
+    feedback: Feedback = "propagation",
+    observe: Callable[[EqualiseEvent], None] = ignore,
+) -> dict[str, tuple[Codeword, ...]]:
+    """Decode all layers of a packet.
+
+    Parameters
+    ----------
+    observed
+        The packet's pairs; their poses are refined.
+    channel
+        First estimate of gain and noise.
+    form
+        The packet's format.
+    identity
+        The array's; a block of another array is a mismatch.
+    options
+        The decoder's.
+    buffer
+        What was seen of this array's codewords before; what cannot be decoded is kept there. None combines nothing.
+    feedback
+        What the equaliser gets back from the decoder; see `SoftSettings`. Propagation is for pairs in step.
+    observe
+        Gets an `EqualiseEvent` each iteration.
+
+    Returns
+    -------
+    Codewords by layer.
+    """
+    packet = _Packet.begin(observed.statistics, channel, form, identity, options, feedback)
+    packet.decode(observed, buffer, observe)
+    if packet.earlier is not None and packet.open.any():
+        # the earlier packet may be another one, whose light stands in the way; poses stay refined
+        alone = _Packet.begin(observed.statistics, packet.channel, form, identity, options, feedback)
+        alone.decode(observed, None, observe)
+        if alone.open.sum() < packet.open.sum():
+            if buffer is not None:
+                buffer.keep_packet(packet.earlier)
+            packet = alone
+    if buffer is not None:
+        packet.remember(buffer)
+    return {name: tuple(layer.words) for name, layer in packet.layers.items()}
+
+
+@dataclass(slots=True)
+class _Packet:
+    """A packet while it is decoded.
+
+    Attributes
+    ----------
+    form, identity, options, feedback
+        See `decode_iteratively`.
+    statistics
+        Of its pairs, earlier times it was seen included.
+    channel
+        Gain and noise.
+    layers
+        What is known of its codewords.
+    mapper
+        Passes between the layers' bits and the symbols.
+    header
+        (n, n) LEDs lit in its header, as if none were dimmed.
+    information
+        (codewords,) bit a coded bit in the LLRs of the last iteration.
+    propagation
+        Sites of the symbols; None where these are taken as Gaussian.
+    earlier
+        The same packet as seen before.
+    """
+
+    form: PacketFormat
+    identity: int
+    options: DecoderOptions
+    feedback: Feedback
+    statistics: Sequence[PairStatistics | None]
+    channel: GainAndNoise
+    layers: dict[str, Layer]
+    mapper: SymbolMapper
+    header: NDArray[np.bool_]
+    information: Floats
+    propagation: ExpectationPropagation | None = None
+    earlier: BufferedPacket | None = None
+
+    @classmethod
+    def begin(
+        cls,
+        statistics: Sequence[PairStatistics | None],
+        channel: GainAndNoise,
+        form: PacketFormat,
+        identity: int,
+        options: DecoderOptions,
+        feedback: Feedback,
+    ) -> "_Packet":
+        """A packet of which nothing is decoded."""
+        layers = {name: Layer.unknown(layer) for name, layer in form.layers.items()}
+        header = form.header_pattern(identity) > SLOTS // 2
+        codewords = sum(layer.codewords for layer in form.layers.values())
+        mapper, none = SymbolMapper(form), np.zeros(codewords)
+        packet = cls(form, identity, options, feedback, statistics, channel, layers, mapper, header, none)
+        if feedback == "propagation" and not packet.combined:
+            # an observed symbol of a combined pair holds products, and so has more than two values
+            packet.propagation = ExpectationPropagation.begin((len(statistics), form.settings.side**2))
+        return packet
+
+    def decode(self, observed: Observed, buffer: SoftBuffer | None, observe: Callable[[EqualiseEvent], None]) -> None:
+        """Iterate between equaliser and decoder."""
+        # poses of combined pairs are not refined
+        refinements = REFINEMENTS if self.feedback != "none" and not self.combined else 0
+        due = moved = False
+        for number in range(ITERATIONS):
+            before, open_ = self.information, self.open
+            self.equalise()
+            if number == 0 and buffer is not None:
+                self.combine(buffer)
+            observe(EqualiseEvent(self.identity, number, {name: layer.llr for name, layer in self.layers.items()}))
+            for name, layer in self.layers.items():
+                decode_layer(layer, name, self.identity, self.options, self.feedback in ("soft", "propagation"))
+            still = self.open
+            self.information = np.concatenate([information(one.llr + one.combined) for one in self.layers.values()])
+            if not still.any() or self.feedback == "none":
+                break
+            decoded = still.sum() < open_.sum()
+            due |= decoded
+            # at least once, and until they stay: a codeword may seem hopeless because of its poses
+            if refinements and due and (refinements == REFINEMENTS or moved or not self.hopeless[still].all()):
+                moved = observed.refine(*self.expected(), self.channel.gain, self.channel.noise)
+                self.replace(observed.statistics)
+                if moved:
+                    self.forget_guesses()
+                due, refinements = moved, refinements - 1
+            elif moved:
+                # this iteration began without guesses: another one follows
+                moved = False
+            elif not decoded and ((self.information - before)[still].max() < PROGRESS or self.hopeless[still].all()):
+                break
+        self.doubt()
+
+    @property
+    def open(self) -> NDArray[np.bool_]:
+        """(codewords,) which are not decoded."""
+        words = [word for layer in self.layers.values() for word in layer.words]
+        return np.array([word.status == "crc_fail" for word in words] or [True] * len(self.information))
+
+    @property
+    def hopeless(self) -> NDArray[np.bool_]:
+        """(codewords,) which have too little information to be decoded."""
+        codes = [layer.form.code for layer in self.layers.values() for _ in layer.llr]
+        return self.information < HOPELESS * np.array([code.k / code.length for code in codes])
+
+    @property
+    def combined(self) -> bool:
+        """Whether any pair was combined of frames out of step."""
+        return any(one is not None and one.combination is not None for one in self.statistics)
+
+    def expected(self) -> tuple[Floats, Floats]:
+        """Mean and variance of all symbols, (patterns, symbols)."""
+        values = self.layers.values()
+        return self.mapper.expected([layer.mean() for layer in values], [layer.variances() for layer in values])
+
+    def replace(self, statistics: Sequence[PairStatistics | None]) -> None:
+        """Take other statistics of the packet, and add those of earlier times."""
+        earlier, channel = self.earlier, self.channel
+        self.statistics = statistics if earlier is None else earlier.joined(statistics, channel.gain, channel.noise)
+
+    def forget_guesses(self) -> None:
+        """Drop what is fed back of codewords that are not decoded."""
+        for layer in self.layers.values():
+            layer.forget_guesses()
+        if self.propagation:
+            self.propagation.forget()
+
+    def combine(self, buffer: SoftBuffer) -> None:
+        """Add what was seen earlier: of the packet as a whole, or else of each of its codewords."""
+        for layer in self.layers.values():
+            layer.remember_own()
+        if not self.combined:
+            own = [llr for layer in self.layers.values() for llr in layer.own]
+            self.earlier = buffer.take_packet(self.form.format, own)
+        if self.earlier is not None:
+            self.replace(self.statistics)
+            if self.propagation:
+                self.propagation.forget()
+            self.equalise()
+            return
+        for name, layer in self.layers.items():
+            layer.combined = np.stack([buffer.codeword((name, layer.form.code), own) for own in layer.own])
+
+    def doubt(self) -> None:
+        """Take nothing for decoded that only earlier packets support: they may be others."""
+        if self.earlier is not None:
+            for layer in self.layers.values():
+                layer.doubt()
+
+    def remember(self, buffer: SoftBuffer) -> None:
+        """Keep what this packet shows of the codewords that it alone did not give.
+
+        It is equalised once more with the decoded codewords known and no guess of the others: a guess fed back would
+        count once more each time its codeword is seen. To a codeword that is decoded nothing is added.
+        """
+        if not self.open.any() or all(one is None for one in self.statistics):
+            if self.earlier is not None:
+                buffer.keep_packet(self.earlier)
+            return
+        self.forget_guesses()
+        self.equalise()
+        if not self.combined:
+            llrs = tuple(llr for layer in self.layers.values() for llr in layer.known_llrs())
+            statistics, channel = tuple(self.statistics), self.channel
+            buffer.keep_packet(BufferedPacket(self.form.format, llrs, statistics, channel.gain, channel.noise))
+        if self.earlier is not None:
+            # LLRs of one packet seen several times would count again with each
+            return
+        for name, layer in self.layers.items():
+            for i in range(len(layer.words)):
+                if layer.unsure(i):
+                    buffer.keep_codeword((name, layer.form.code), layer.llr[i], layer.combined[i])
+
+    def equalise(self) -> None:
+        """Equalise every pair with what is known now, then estimate the gain anew."""
+        channel, (mean, variance) = self.channel, self.expected()
+        llr, moments = np.zeros_like(mean), np.zeros(4)
+        priors = self.propagation.priors(mean, variance) if self.propagation else (mean, variance)
+        for number, pair in enumerate(self.statistics):
+            if pair is None:
+                continue
+            if pair.combination is None:
+                estimate = equalise(pair, channel.gain, channel.noise, priors[0][number], priors[1][number])
+                llr[number] = self.propagation.take(number, estimate) if self.propagation else estimate.llr
+            else:
+                around = [mean[k] if 0 <= k < len(mean) else None for k in (number - 1, number + 1)]
+                llr[number], estimate = _equalise_combined(
+                    pair, pair.combination, channel, mean[number], around, self.header
+                )
+            moments += _moments(pair, estimate)
+        self.channel = channel.updated(moments, self.combined)
+        parts = self.mapper.bits(llr, [layer.mean() for layer in self.layers.values()])
+        for layer, part in zip(self.layers.values(), parts, strict=True):
+            layer.llr = layer.form.deinterleave(np.clip(part, -LARGEST_LLR, LARGEST_LLR))
+
+
+def _equalise_combined(
+    pair: PairStatistics,
+    combination: Combination,
+    channel: GainAndNoise,
+    mean: Floats,
+    around: Sequence[Floats | None],
+    header: NDArray[np.bool_],
+) -> tuple[Floats, Estimate]:
+    """LLRs of the symbols of a pair combined of frames out of step.
+
+    The equaliser estimates the observed symbols: functions of the four symbols of a square, and light of the pairs
+    `around`, which are the header where they are None. From them the symbols follow square by square.
+    """
+    observed, spread = partial_exposure.moments(combination.response, mean)
+    leak, leak_spread = np.zeros_like(mean), np.zeros_like(mean)
+    for response, slots, other in zip(combination.leaks, combination.slots[[0, 2]], around, strict=True):
+        if response is None:
+            continue
+        if other is None:
+            leak += partial_exposure.response_of_levels(slots, header)
+            continue
+        part, more = partial_exposure.moments(response, other)
+        leak, leak_spread = leak + part, leak_spread + more
+    estimate = equalise(pair, channel.gain, channel.noise, observed + leak, spread + leak_spread)
+    precision, weighted = estimate.extrinsic
+    precision = np.maximum(precision, 1e-6)
+    llrs = partial_exposure.symbol_llrs(
+        combination.response, weighted / precision - leak, 1 / precision + leak_spread, mean
+    )
+    return llrs, estimate
+
+
+def _moments(pair: PairStatistics, estimate: Estimate) -> Floats:
+    """<d, B m + o>, E|B c + o|^2, |d|^2 and the number of pixels."""
+    m = estimate.mean
+    match = float(m @ pair.matched) + pair.cross
+    norm = float(m @ (pair.gram @ m.astype(np.float32))) + estimate.trace + 2 * float(m @ pair.offset) + pair.drift
+    return np.array([match, norm, pair.power, pair.pixels])

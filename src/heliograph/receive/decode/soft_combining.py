@@ -1,0 +1,226 @@
+"""Soft combining: what could not be decoded is kept, and added to when it is sent again.
+
+A whole packet that is sent again, as the only one of a carousel is, is kept as the statistics of its pairs; their sum
+is one better observation, equalised as a whole. A codeword that is sent again in other company is kept as its LLRs.
+LLRs of one and the same packet would not add: the light of its other layers disturbs them alike each time.
+"""
+
+from collections import defaultdict, deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.equalise.llr import LARGEST_LLR
+from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.signal.code import Code
+from heliograph.signal.formats import Format
+
+Floats = NDArray[np.float64]
+
+Kind = tuple[str, Code]
+"""Layer and code: only codewords of one kind can be the same."""
+
+KEPT = 32
+"""Codewords kept of each kind: 0.8 MB of 3072 LLRs; a carousel of more goes round before one comes again."""
+
+KEPT_PACKETS = 4
+"""Packets whose statistics are kept: 13 MB each of 48 pairs of 16 x 16 LEDs, twice that without inverses."""
+
+SAME = 5.5
+"""Standard deviations of agreement from which two codewords are taken for the same.
+
+By chance 2e-8 of different codewords agree as far, in coded bits that differ by chance.
+"""
+
+CONTRADICTION = 2.0
+"""Standard deviations by which the agreement of a codeword must fall below half of what is expected, to contradict."""
+
+CONSISTENT = 0.6
+"""Least agreement of LLRs with their codeword, as a fraction of the agreement expected, less 3 standard deviations."""
+
+SUPPORT = 4.0
+"""Least agreement of LLRs with their codeword in standard deviations of another codeword's: 3e-5 by chance."""
+
+
+@dataclass(frozen=True, slots=True)
+class BufferedPacket:
+    """A packet that was not decoded as a whole, or not by itself.
+
+    Attributes
+    ----------
+    format
+        Its format.
+    llrs
+        (E,) of each codeword, layer by layer; those of decoded ones are the largest there are.
+    statistics
+        Of each pair, over all times it was seen; None for a pair never seen.
+    gain
+        Gray levels of the array with all LEDs on, in whose unit the statistics are.
+    noise
+        Variance of a pixel of a difference, likewise.
+    """
+
+    format: Format
+    llrs: tuple[Floats, ...]
+    statistics: tuple[PairStatistics | None, ...]
+    gain: float = 1.0
+    noise: float = 1.0
+
+    def joined(
+        self, statistics: Sequence[PairStatistics | None], gain: float, noise: float
+    ) -> list[PairStatistics | None]:
+        """Add the statistics of the packet seen again.
+
+        Parameters
+        ----------
+        statistics
+            Of each pair.
+        gain, noise
+            Their units.
+
+        Returns
+        -------
+        Sums of each pair, in the units given.
+        """
+        # B g_0 = (B g_0 / g) g, and weights are in units of the noise
+        weight, dimmer = noise / self.noise, self.gain / gain
+        kept = (None if one is None else one.scaled(weight, dimmer) for one in self.statistics)
+        return [a.plus(b) if a and b else a or b for a, b in zip(statistics, kept, strict=True)]
+
+    def likeness(self, llrs: Sequence[Floats]) -> float:
+        """Agreement in standard deviations with the codewords (E,) of another packet; 0 where they contradict."""
+        found, expected = np.array([agreement(a, b) for a, b in zip(llrs, self.llrs, strict=True)]).T
+        # packets of a carousel may share a codeword that is decoded: then the others must agree
+        open_ = np.array([bool((np.abs(llr) < LARGEST_LLR).any()) for llr in self.llrs])
+        least = 0.5 * float(np.linalg.norm(expected[open_]))
+        if (found < 0.5 * expected - CONTRADICTION).any() or _along(found[open_], expected[open_]) < least:
+            return 0.0
+        return _along(found, expected)
+
+
+class SoftBuffer:
+    """Codewords and packets of one array that were seen but not decoded."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Kind, deque[Floats]] = defaultdict(lambda: deque(maxlen=KEPT))
+        self._packets: deque[BufferedPacket] = deque(maxlen=KEPT_PACKETS)
+
+    def copy(self) -> "SoftBuffer":
+        """A buffer of the same content that changes independently."""
+        other = SoftBuffer()
+        other.become(self)
+        return other
+
+    def become(self, other: "SoftBuffer") -> None:
+        """Take over the content of another buffer, in place of one's own."""
+        self._packets = other._packets.copy()
+        self._kept.clear()
+        self._kept.update({kind: kept.copy() for kind, kept in other._kept.items()})
+
+    def take_packet(self, form: Format, llrs: Sequence[Floats]) -> BufferedPacket | None:
+        """Take out the packet that is seen again.
+
+        Parameters
+        ----------
+        form
+            Format of the packet seen now.
+        llrs
+            (E,) of each of its codewords.
+
+        Returns
+        -------
+        The earlier packet, which is no longer in the buffer; None where none is the same.
+        """
+        alike = [(packet.likeness(llrs), packet) for packet in self._packets if packet.format == form]
+        best, found = max(alike, key=lambda one: one[0], default=(0.0, None))
+        if found is None or best < SAME:
+            return None
+        others = [packet for packet in self._packets if packet is not found]
+        self._packets.clear()
+        self._packets.extend(others)
+        return found
+
+    def keep_packet(self, packet: BufferedPacket) -> None:
+        """Keep a packet, in place of the oldest."""
+        self._packets.append(packet)
+
+    def codeword(self, kind: Kind, llr: Floats) -> Floats:
+        """Sum of the LLRs (E,) of earlier times the codeword with `llr` (E,) was seen; zeros where there are none.
+
+        Parameters
+        ----------
+        kind
+            Its layer and code.
+        llr
+            Its LLRs, 0 but for distinguishing bits.
+        """
+        kept = self._kept[kind]
+        agreements = [agreement(llr, other)[0] for other in kept]
+        best = int(np.argmax(agreements)) if agreements else -1
+        if best < 0 or agreements[best] < SAME:
+            return np.zeros_like(llr)
+        return kept[best]
+
+    def keep_codeword(self, kind: Kind, llr: Floats, earlier: Floats) -> None:
+        """Keep a codeword that this packet alone did not give.
+
+        Parameters
+        ----------
+        kind
+            Its layer and code.
+        llr
+            (E,) this packet's LLRs.
+        earlier
+            (E,) those of earlier times, as `codeword` gave them; the sum takes their place.
+        """
+        kept = self._kept[kind]
+        rest = [other for other in kept if not np.array_equal(other, earlier)]
+        kept.clear()
+        kept.extend([*rest, llr + earlier])
+
+
+def agreement(a: Floats, b: Floats) -> tuple[float, float]:
+    """Agreement of two sets of LLRs (E,).
+
+    Parameters
+    ----------
+    a, b
+        The LLRs.
+
+    Returns
+    -------
+    found
+        In standard deviations of LLRs of different codewords.
+    expected
+        The same if they are of one codeword.
+    """
+    # sum of E[bit | a] E[bit | b]; its mean is 0 for bits that have nothing to do with each other
+    product = np.tanh(a / 2) * np.tanh(b / 2)
+    spread = float(np.sqrt((product**2).sum()))
+    return float(product.sum()) / max(spread, 1e-12), spread
+
+
+def consistent(llr: Floats, signs: Floats) -> bool:
+    """Whether LLRs agree with a codeword as far as their own codeword would.
+
+    A codeword decoded with the help of earlier packets might be theirs alone, and this packet's differ in some bits.
+
+    Parameters
+    ----------
+    llr
+        (E,).
+    signs
+        (E,) the codeword's bits, 1 for 0 and -1 for 1.
+    """
+    soft = np.tanh(llr / 2)
+    # E[soft * sign] = soft^2 where the LLRs are calibrated, and 0 of another codeword, with the variance sum soft^2
+    expected = float((soft**2).sum())
+    spread = float(np.sqrt((soft**2 * (1 - soft**2)).sum()))
+    return float(soft @ signs) > max(CONSISTENT * expected - 3 * spread, SUPPORT * expected**0.5)
+
+
+def _along(found: Floats, expected: Floats) -> float:
+    """Agreement of codewords together, weighted by what is expected of each."""
+    return float(found @ expected / np.sqrt(max(float(expected @ expected), 1e-24)))

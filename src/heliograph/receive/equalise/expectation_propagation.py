@@ -1,0 +1,99 @@
+"""Expectation propagation: symbols are -1 or +1, though the equaliser takes them as Gaussian.
+
+The light of a symbol that is not decoded is noise to all others. Linear MMSE takes it as Gaussian with the variance 1.
+But a symbol is -1 or +1; where a pair shows something of it, it is less uncertain than that. In place of the prior of
+symbol i stands a Gaussian, its *site*, of precision L_i and mean G_i / L_i. The equaliser's estimate without the site
+is the *cavity*. The site is chosen so that site and cavity together have the mean and the variance that the cavity has
+with -1 and +1, each as probable as the turbo decoder says (Minka 2001; for equalisers Santos et al. 2017).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.equalise.lmmse import KNOWN, Estimate
+
+Floats = NDArray[np.float64]
+
+STEP = 0.7
+"""Damping: fraction of its way that a site goes in an iteration; with 1, sites of neighbours may oscillate."""
+
+LEAST = 1e-6
+"""Least precision of a site; where the update would be below, the site stays as it was."""
+
+
+@dataclass(slots=True)
+class ExpectationPropagation:
+    """Sites and cavities of a packet's symbols.
+
+    Attributes
+    ----------
+    precision
+        L of the sites, (patterns, symbols).
+    weighted
+        G of the sites, (patterns, symbols).
+    cavity
+        L of the cavities, (patterns, symbols); 0 for pairs that have not been equalised.
+    cavity_weighted
+        G of the cavities, likewise.
+    """
+
+    precision: Floats
+    weighted: Floats
+    cavity: Floats
+    cavity_weighted: Floats
+
+    @classmethod
+    def begin(cls, shape: tuple[int, int]) -> "ExpectationPropagation":
+        """Sites of a shape (patterns, symbols) with the mean 0 and the variance 1."""
+        return cls(np.ones(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape))
+
+    def forget(self) -> None:
+        """Drop the cavities: the statistics have changed, or guesses that led here are no longer used."""
+        self.cavity[:], self.cavity_weighted[:] = 0.0, 0.0
+
+    def priors(self, mean: Floats, variance: Floats) -> tuple[Floats, Floats]:
+        """Update the sites; give the equaliser's priors.
+
+        Parameters
+        ----------
+        mean
+            (patterns, symbols) the turbo decoder's.
+        variance
+            (patterns, symbols) the turbo decoder's; decoded symbols have 0.
+
+        Returns
+        -------
+        Mean and variance of the sites, (patterns, symbols); of decoded symbols their own.
+        """
+        # P(+1) / P(-1) = exp(L), L = 2 artanh(mean) + 2 G_cavity
+        llr = 2 * np.arctanh(np.clip(mean, KNOWN - 1, 1 - KNOWN)) + 2 * self.cavity_weighted
+        both = np.tanh(0.5 * llr)
+        spread = np.maximum(1 - both**2, 2 * KNOWN)
+        # L_i = 1 / variance - L_cavity, G_i = mean / variance - G_cavity
+        precision, weighted = 1 / spread - self.cavity, both / spread - self.cavity_weighted
+        step = np.where(self.cavity == 0, 1.0, np.where(precision > LEAST, STEP, 0.0))
+        self.precision += step * (precision - self.precision)
+        self.weighted += step * (weighted - self.weighted)
+        known = variance < KNOWN
+        return np.where(known, mean, self.weighted / self.precision), np.where(known, variance, 1 / self.precision)
+
+    def take(self, number: int, estimate: Estimate) -> Floats:
+        """Keep the cavities of a pair that was equalised with its sites.
+
+        Parameters
+        ----------
+        number
+            The pair's place in the packet.
+        estimate
+            Its estimate.
+
+        Returns
+        -------
+        Extrinsic LLRs of its symbols, (symbols,).
+        """
+        first = not self.cavity[number].any()
+        self.cavity[number], self.cavity_weighted[number] = estimate.extrinsic
+        # LLR = ln N(1) / N(-1) = 2 G; at first the strongest neighbours are drawn from +-1 instead, which is more exact
+        return estimate.llr if first else 2 * self.cavity_weighted[number]

@@ -1,0 +1,142 @@
+"""Gains of the LEDs, learnt from headers: LEDs that are dead, stuck or hidden have none.
+
+In the difference of a header and its inverse the background cancels. An LED that does not follow the pattern is missing
+there, whether dark, lit or hidden. With h the header as +-1 and w the gains of the LEDs, 0 to 1,
+
+    d = g A (h w) + n,
+
+the equaliser's problem with h w in place of the data: w follows by linear MMSE around w = 1. A bright background may
+have pulled the pose away, and LEDs of a rim would then seem to miss, so the difference that an error of the pose makes
+is marginalised.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.equalise.lmmse import equalise
+from heliograph.receive.image.footprint import by_squares, to_grid
+from heliograph.receive.observe import kernels
+from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.observe.noise import Noise, measure_noise
+from heliograph.receive.observe.statistics import PairStatistics, whiten
+
+Floats = NDArray[np.float64]
+
+SPREAD = 0.3
+"""Prior standard deviation of an LED's gain about 1: a failed LED is 3.3 of them away."""
+
+FAILED, SOUND = 0.25, 0.65
+"""Estimates up to which an LED has the gain 0, and from which on it has 1.
+
+Between them the gain rises evenly. Noise and small errors of the pose then leave the gains of a sound array at 1.
+"""
+
+CHANGED = 0.5
+"""Change of an LED's gain for which the header's pose is fitted again."""
+
+LIT = 4.0
+"""Noise variance inside the array over that beside it, where failed LEDs hide the first.
+
+Photons make it 2.4 in the reference link; more only makes the estimate keep closer to 1.
+"""
+
+POSE_SPREADS = np.array([0.2, 0.2, 0.004, 0.02])
+"""Standard deviations of a pose's errors in x, y (px), ln pitch and roll before a bright background.
+
+Over real footage sums were pulled by up to 0.19 px at 64 to 70 m and 0.4 px at 95 m (docs/measured.md, Tracking).
+"""
+
+MODEL = 0.02
+"""Error of the image that the affine pose and the Gaussian blur leave, as a fraction of the light."""
+
+FADE = 0.5
+"""Weight of earlier headers for each packet since: hidden LEDs come to light."""
+
+STEPS, SCALES = 2, (0.5, 2.0)
+"""Most corrections of the gain by the median LED, and bounds of one."""
+
+
+@dataclass(frozen=True, slots=True)
+class LedGains:
+    """Gains of an array's LEDs, and what headers have shown of them.
+
+    Attributes
+    ----------
+    values
+        (n, n), 0 to 1.
+    seen
+        Statistics of the headers so far, the gains times the header in place of the data; None before the first.
+    """
+
+    values: Floats
+    seen: PairStatistics | None = None
+
+    @classmethod
+    def sound(cls, side: int) -> "LedGains":
+        """All of `side` by `side` LEDs give their light."""
+        return cls(np.ones((side, side)))
+
+    def faded(self) -> "LedGains":
+        """Trust earlier headers less, as a packet has gone by."""
+        return self if self.seen is None else LedGains(self.values, self.seen.scaled(FADE))
+
+    def learn(self, cutout: Cutout, header: Floats, gain: float) -> "LearntGains":
+        """Learn from a header pair.
+
+        Parameters
+        ----------
+        cutout
+            The pair.
+        header
+            (n, n) of +-1.
+        gain
+            Gray levels of the array with all LEDs on, as if all had the same gain.
+        """
+        side = len(self.values)
+        dark = measure_noise([cutout], gain, side, self.values).dark
+        # with failed LEDs a sum does not show its noise
+        whitened, noise = whiten(cutout, Noise(LIT * dark, dark), side), LIT * dark + (MODEL * gain) ** 2
+        slopes = whitened.root * cutout.slopes(header)
+        shown = whitened.without(slopes, np.diag(noise / (gain * POSE_SPREADS) ** 2))
+        seen = shown if self.seen is None else self.seen.plus(shown)
+        for _ in range(STEPS):
+            found = _estimate(seen, header, gain, noise)
+            # the median LED is a sound one
+            scale = float(np.clip(np.median(found), *SCALES))
+            gain *= scale
+            if abs(scale - 1) < SPREAD / 10:
+                break
+        values = np.clip((found / scale - FAILED) / (SOUND - FAILED), 0, 1)
+        changed = bool(np.abs(values - self.values).max() > CHANGED)
+        return LearntGains(LedGains(values, None if changed else seen), gain, changed)
+
+
+@dataclass(frozen=True, slots=True)
+class LearntGains:
+    """What a header pair adds.
+
+    Attributes
+    ----------
+    led_gains
+        The gains by now.
+    gain
+        Gray levels of the array with all LEDs on, by the LEDs that give their light.
+    changed
+        Whether an LED's gain changed so much that the pose was found with a wrong image: the pair is then to be
+        followed and learnt from once more.
+    """
+
+    led_gains: LedGains
+    gain: float
+    changed: bool
+
+
+def _estimate(seen: PairStatistics, header: Floats, gain: float, noise: float) -> Floats:
+    """Gain of each LED, (n, n), by linear MMSE."""
+    signs = by_squares(header)
+    mean = kernels.symbols_of(signs)
+    # of h w of the variance s^2 the symbols have the variance 4 s^2, T T^T being 1/4
+    symbols = equalise(seen, gain, noise, mean, np.full(mean.size, 4 * SPREAD**2)).mean
+    return to_grid(kernels.leds_of(symbols) / signs)

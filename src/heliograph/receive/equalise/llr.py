@@ -1,0 +1,17 @@
+"""Log-likelihood ratios: their bound, and how much information they hold."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import entr, expit
+
+Floats = NDArray[np.float64]
+
+LARGEST_LLR = 50.0
+"""Largest magnitude of an LLR between equaliser and decoder: no model of the channel is right to e^-50."""
+
+
+def information(llr: Floats) -> Floats:
+    """Mean information in LLRs (..., E) about their bits if they are calibrated, in bit a bit, (...,)."""
+    # I = 1 - h2(P(wrong)), P(wrong) = 1 / (1 + exp |L|)
+    wrong = expit(-np.abs(llr))
+    return np.asarray(1 - (entr(wrong) + entr(1 - wrong)).mean(-1) / np.log(2))

@@ -1,0 +1,172 @@
+"""Linear MMSE estimate of all symbols of a pair, with a Gaussian prior from the decoder."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import blas, lapack
+
+from heliograph.receive.equalise import kernels
+from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout
+
+Floats = NDArray[np.float64]
+
+KNOWN = 1e-3
+"""Variance of a symbol below which it counts as known: its light is subtracted with 30 dB of rest."""
+
+PADDING = 4
+"""Rows added to a matrix of a multiple of 64 rows.
+
+Rows a power of two apart fall on each other in the processor's cache.
+"""
+
+FLOOR = 1e-9
+"""Added to a matrix whose diagonal is 1 or more.
+
+Symbols of near arrays hardly overlap. Without it the factors decay to denormal numbers, for which the processor takes
+several times as long.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Symbols of a pair after equalising.
+
+    Attributes
+    ----------
+    prior
+        (symbols,) prior mean.
+    variance
+        (symbols,) prior variance.
+    mean
+        (symbols,) posterior mean.
+    unknown
+        (unknown,) numbers of the symbols that were estimated.
+    spread
+        (unknown,) their posterior variances.
+    root
+        R of their posterior covariance S = R R^T, upper triangular, (unknown, unknown) float32.
+    trace
+        Trace of B^T W B S.
+    """
+
+    prior: Floats
+    variance: Floats
+    mean: Floats
+    unknown: NDArray[np.intp]
+    spread: Floats
+    root: NDArray[np.float32]
+    trace: float
+
+    @property
+    def covariance(self) -> NDArray[np.float32]:
+        """S of the symbols that were estimated, (unknown, unknown) float32."""
+        # the triangle of R R^T, in place of R
+        whole, _ = lapack.slauum(np.array(self.root).T, lower=1, overwrite_c=1)
+        kernels.mirror(whole.T, covariance := np.empty_like(self.root, order="C"))
+        return covariance
+
+    @property
+    def llr(self) -> Floats:
+        """(symbols,) extrinsic LLR = ln P(c=+1)/P(c=-1), the prior left out; 0 for known symbols."""
+        u, llr = self.unknown, np.zeros_like(self.mean)
+        if not u.size:
+            return llr
+        part = np.empty(u.size)
+        kernels.extrinsic(self.covariance, self.mean[u], self.prior[u], self.variance[u], part)
+        llr[u] = part
+        return llr
+
+    @property
+    def extrinsic(self) -> tuple[Floats, Floats]:
+        """Extrinsic Gaussian of each symbol: precision, and precision times mean, (symbols,); 0 for known symbols."""
+        precision, weighted = np.zeros_like(self.mean), np.zeros_like(self.mean)
+        u, spread = self.unknown, self.spread
+        precision[u] = np.maximum(1 / spread - 1 / self.variance[u], 0.0)
+        weighted[u] = self.mean[u] / spread - self.prior[u] / self.variance[u]
+        return precision, weighted
+
+
+def equalise(pair: PairStatistics, gain: float, noise: float, mean: Floats, variance: Floats) -> Estimate:
+    """Estimate the symbols of a pair: (6) of Tuechler, Singer and Koetter 2002, in the symbols' domain.
+
+    Parameters
+    ----------
+    pair
+        Its statistics.
+    gain
+        g, gray levels of the array with all LEDs on.
+    noise
+        s^2, variance of a pixel of the difference of the two frames, above 0.
+    mean
+        (symbols,) prior means, -1 to 1.
+    variance
+        (symbols,) prior variances; one below `KNOWN` takes the symbol for known.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The posterior precision is not positive definite: gain or noise are absurd.
+    """
+    unknown = np.flatnonzero(variance >= KNOWN)
+    m, v = mean.copy(), variance[unknown]
+    if not unknown.size:
+        return Estimate(mean, variance, m, unknown, v, np.zeros((0, 0), np.float32), 0.0)
+    ratio = gain / noise
+    projected = pair.gram @ mean.astype(np.float32)
+    rhs = ratio * (pair.matched - gain * (pair.offset + projected))[unknown]
+    # S = (g^2 / s^2 B^T B + V^-1)^-1 = (L L^T)^-1 = R R^T, m = c + S B^T (d - g (B c + o)) g / s^2
+    # R = L^-T; LAPACK's own inverse of a triangle takes twice as long
+    factor = _factor(pair, unknown, ratio * gain, 1.0 / v)
+    half = blas.strsm(1.0, factor, np.eye(len(factor), dtype=np.float32).T, lower=1, overwrite_b=1)
+    root = half.T[: unknown.size, : unknown.size]
+    m[unknown] += root @ (rhs.astype(np.float32) @ root)
+    spread = np.einsum("ij,ij->i", root, root).astype(np.float64)
+    # B^T B S g^2 / s^2 = I - V^-1 S
+    trace = float((1.0 - spread / v).sum()) / max(ratio * gain, 1e-12)
+    return Estimate(mean, variance, m, unknown, spread, root, trace)
+
+
+def products(
+    whitened: WhitenedCutout, pair: PairStatistics, images: Floats, unknown: NDArray[np.intp], scale: float
+) -> Floats:
+    """Inner products of images in the noise of a pair, to which the light of unknown symbols belongs.
+
+    Parameters
+    ----------
+    whitened
+        The pair's cut-out.
+    pair
+        Its statistics.
+    images
+        (k, rows, columns), times W^(1/2).
+    unknown
+        (unknown,) numbers of the unknown symbols.
+    scale
+        g^2 / s^2.
+
+    Returns
+    -------
+    (k, k) A^T (1 + g^2 / s^2 B_u B_u^T)^-1 A of the images A.
+    """
+    # Woodbury: A^T (1 + g^2 / s^2 B B^T)^-1 A = A^T A - A^T B (B^T B + s^2 / g^2)^-1 B^T A, a matrix of symbols
+    flat = images.reshape(len(images), -1)
+    whole = flat @ flat.T
+    if not unknown.size:
+        return np.asarray(whole)
+    factor = _factor(pair, unknown, scale, np.ones(unknown.size))
+    seen = np.zeros((len(factor), len(images)), np.float32, order="F")
+    seen[: unknown.size] = whitened.all_correlated(images)[unknown]
+    half = blas.strsm(1.0, factor, seen, lower=1, overwrite_b=1)
+    return np.asarray(whole - scale * half.T.astype(np.float64) @ half)
+
+
+def _factor(pair: PairStatistics, unknown: NDArray[np.intp], scale: float, inverse: Floats) -> NDArray[np.float32]:
+    """L, lower triangular, of scale B^T B + V^-1 = L L^T of the unknown symbols, V^-1 the diagonal `inverse`."""
+    size = unknown.size + (PADDING if unknown.size % 64 == 0 else 0)
+    matrix = kernels.precision(pair.gram, unknown, scale, inverse, FLOOR, size)
+    # transposed it is as LAPACK wants it, and nothing is copied
+    factor, failed = lapack.spotrf(matrix.T, lower=1, clean=0, overwrite_a=1)
+    if failed:
+        raise np.linalg.LinAlgError("the equaliser's matrix is not positive definite")
+    return np.asarray(factor)

@@ -1,0 +1,130 @@
+"""What an observer of a receiver gets: one event a stage, as a value."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.decode.iterate import EqualiseEvent, ignore
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.packets import Packet
+from heliograph.receive.timing.frame_pair import AnyFrame
+from heliograph.receive.track.tracker import TrackedPair
+
+__all__ = [
+    "DecodeEvent",
+    "DetectEvent",
+    "EqualiseEvent",
+    "Event",
+    "ExtractEvent",
+    "LostEvent",
+    "Observer",
+    "TrackEvent",
+    "ignore",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class DetectEvent:
+    """An array is found and will be followed.
+
+    Attributes
+    ----------
+    detection
+        Where and when its header was.
+    frames
+        The last frames, oldest first, which hold the header.
+    """
+
+    detection: Detection
+    frames: tuple[Frame, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class TrackEvent:
+    """An array is followed through a pair.
+
+    Attributes
+    ----------
+    identity
+        The array's.
+    frame
+        Number of the pair's first camera frame.
+    tracked
+        Pose, fit, and whether the array was in sight.
+    """
+
+    identity: int
+    frame: int
+    tracked: TrackedPair
+
+
+@dataclass(frozen=True, slots=True)
+class ExtractEvent:
+    """A pair of data is taken.
+
+    Attributes
+    ----------
+    identity
+        The array's.
+    frames
+        Pattern and inverse; in the single mode two patterns.
+    poses
+        The array's pose in each.
+    luminances
+        (n, n) normalised luminances x' = level - 2; None of the soft receiver, which reads pairs at the packet's end.
+    """
+
+    identity: int
+    frames: tuple[AnyFrame, AnyFrame]
+    poses: tuple[Pose, ...]
+    luminances: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DecodeEvent:
+    """A packet is decoded.
+
+    Attributes
+    ----------
+    identity
+        The array's.
+    packet
+        The packet.
+    luminances
+        (pairs, n, n) from which the plain receiver decoded it; None of the soft receiver.
+    cutouts
+        Cut-outs of its pairs, from which the soft receiver decoded it, None for pairs not seen; empty of the plain one.
+    """
+
+    identity: int
+    packet: Packet
+    luminances: NDArray[np.float64] | None = None
+    cutouts: tuple[Cutout | None, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class LostEvent:
+    """An array is followed no longer.
+
+    Attributes
+    ----------
+    identity
+        The array's.
+    time_s
+        Time in seconds of its last pose.
+    """
+
+    identity: int
+    time_s: float
+
+
+Event = DetectEvent | TrackEvent | ExtractEvent | EqualiseEvent | DecodeEvent | LostEvent
+"""Every event."""
+
+Observer = Callable[[Event], None]
+"""Gets every event: plots, a browser view or timings hang on it. It changes nothing of what is received."""

@@ -1,0 +1,257 @@
+"""Fit of the array's image to pixels: position, pitch, rotation and blur to a hundredth of a pixel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.robust import correlation, robust_std
+from heliograph.receive.image.window import Pixels, cut_out, plane, window_around
+
+Floats = NDArray[np.float64]
+
+BIWEIGHT = 4.685
+"""Standard deviations from which on a residual has no weight: Tukey's biweight of 95 % efficiency."""
+
+PANEL_MARGINS = (0.75, 2.0)
+"""Rims in pitches of two squares around the LEDs; their combination stands for a panel of unknown width and gray."""
+
+LOADING = 1e-9
+"""Relative loading of the normal equations' diagonal: keeps a parameter that no pixel shows solvable."""
+
+LEAST_VARIANCE = 0.08
+"""Least variance of a pixel in squared gray levels: that of rounding to whole levels, 1/12."""
+
+HELD_GAIN = 1e3
+"""Weight of an expected gain in the first coefficients, over that of the pixels: it all but holds the gain."""
+
+CLOSE_PX, CLOSE_BLUR, CLOSE_GAIN = 0.02, 0.02, 0.1
+"""Steps of the array's rim in px, of ln blur, and of the gain as a fraction of it, below which a fit ends.
+
+The next steps are a tenth of these, so what is left is below the error that noise gives a sum at 80 m (0.004 px rms).
+While the gain is wrong all steps are too short or too long, so a fit goes on until it is right.
+"""
+
+LONGEST_PX = 0.8
+"""Longest step of the centre in px, half a pitch where that is more: the width of an edge of the array."""
+
+LONGEST = (0.1, 0.05, 0.2, 0.05, 0.05)
+"""Longest steps of ln pitch, roll, ln blur, stretch and shear: they move the rim of 16 LEDs by half a pitch or so."""
+
+AMPLITUDE_MARGIN_PX = 1.0
+"""Pixels beyond the array in which a header's amplitude is measured.
+
+More of them add background, fewer lose its rim.
+"""
+
+GAIN_SPREAD = 0.15
+"""Standard deviation of an expected gain, as a fraction of it; an array's light changes by less from pair to pair."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """The array's image found in pixels.
+
+    Attributes
+    ----------
+    vector
+        (x, y, ln pitch, roll, ln blur) of the pose, (5,), or with the tilt, (7,), as the prior.
+    covariance
+        Posterior covariance of what was fitted, (5, 5) or (7, 7).
+    gain
+        Gray levels of the unresolved array with all weights 1.
+    score
+        Correlation of pixels and fitted image, -1 to 1; after a small last step, of the image before that step.
+    """
+
+    vector: Floats
+    covariance: Floats
+    gain: float
+    score: float
+
+    @property
+    def pose(self) -> Pose:
+        """The pose."""
+        return Pose.from_vector(self.vector)
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is expected before a fit.
+
+    Attributes
+    ----------
+    vector
+        Pose vector, (5,) or, with the tilt, (7,); the fit starts there.
+    covariance
+        Its covariance, (5, 5) or (7, 7); with (5, 5) the tilt is held.
+    gain
+        Expected gain, or 0 where it is unknown.
+    """
+
+    vector: Floats
+    covariance: Floats
+    gain: float = 0.0
+
+
+def fit_array(
+    image: Floats,
+    corner: tuple[int, int],
+    prior: Prior,
+    weights: Floats,
+    iterations: int,
+    panel: bool = False,
+    start: Floats | None = None,
+    resolved: bool = True,
+) -> Fit:
+    """Most probable pose of LEDs of known luminances, by Gauss-Newton with robust weights.
+
+    Parameters
+    ----------
+    image
+        (rows, columns) gray levels: gain * array(pose) + a plane of background + noise.
+    corner
+        (x, y) on the sensor of ``image[0, 0]``.
+    prior
+        What is expected.
+    weights
+        (n, n) luminance of each LED: 1 for all on, +-1 for a header less its inverse.
+    iterations
+        Most Gauss-Newton steps, 1 or more.
+    panel
+        Whether a panel darker or brighter than the background may surround the LEDs: it does in a sum of frames, and
+        cancels in a difference.
+    start
+        Pose vector to start from, as long as the prior's; None starts at the prior.
+    resolved
+        Whether LEDs may show singly. If not, the array is an even square with all LEDs on, which is faster.
+
+    Returns
+    -------
+    Pose, its covariance, gain and score.
+    """
+    free = len(prior.covariance)
+    scene = _Scene(image, corner, weights, panel, resolved, free)
+    vector, precision = (prior.vector if start is None else start).copy(), np.linalg.inv(prior.covariance)
+    scene.place(vector)
+    linear = scene.coefficients(prior.gain)
+    for _ in range(iterations):
+        matrix, rhs = scene.equations(linear)
+        # (J^T W J + P^-1) step = J^T W r + P^-1 (theta_0 - theta), and the same for the gain
+        matrix[:free, :free] += precision
+        rhs[:free] += precision @ (prior.vector - vector)[:free]
+        if prior.gain:
+            weight = (GAIN_SPREAD * prior.gain) ** -2
+            matrix[free, free] += weight
+            rhs[free] += weight * (prior.gain - linear[0])
+        step = np.asarray(np.linalg.solve(matrix + LOADING * np.diag(np.diag(matrix) + 1e-3), rhs), np.float64)
+        limit = _step_limits(vector)[:free]
+        vector[:free] += np.clip(step[:free], -limit, limit)
+        linear = linear + step[free:]
+        near = _rim_px(step[:free], vector, len(weights)) < CLOSE_PX and abs(step[4]) < CLOSE_BLUR
+        # pitch and blur of a header, by which distances are told, go on in small steps
+        if panel and near and abs(step[free]) < CLOSE_GAIN * abs(linear[0]):
+            break
+        scene.place(vector)
+    covariance = np.linalg.inv(matrix + LOADING * np.diag(np.diag(matrix) + 1e-3))[:free, :free]
+    return Fit(
+        vector,
+        np.asarray(covariance, np.float64),
+        float(linear[0]),
+        correlation(image, image - scene.residual(linear)),
+    )
+
+
+class _Scene:
+    """The images whose combination is the pixels, at a pose."""
+
+    def __init__(self, image: Floats, corner: tuple[int, int], weights: Floats, panel: bool, resolved: bool, free: int):
+        from heliograph.receive.image import kernels  # Numba is slow to import
+
+        self._kernels, self._image, self._corner, self._weights = kernels, image, corner, weights
+        self._resolved = resolved
+        self._margins = PANEL_MARGINS if panel else ()
+        shaped = 1 + len(self._margins)
+        self._shapes = np.empty((shaped, 1 + free, *image.shape))
+        self._plane = plane(*image.shape)
+        self._residual = np.empty(image.shape)
+
+    def place(self, vector: Floats) -> None:
+        """Work the images out at a pose."""
+        x0, y0 = float(self._corner[0]), float(self._corner[1])
+        half = 0.5 * self._weights.shape[0]
+        if self._resolved:
+            self._kernels.render(vector, self._weights, x0, y0, self._shapes[0])
+        else:
+            self._kernels.render_box(vector, half, x0, y0, self._shapes[0])
+        for shape, margin in zip(self._shapes[1:], self._margins, strict=True):
+            self._kernels.render_box(vector, half + margin, x0, y0, shape)
+
+    def coefficients(self, gain: float) -> Floats:
+        """Least squares coefficients of the images, near an expected gain if there is one."""
+        columns = np.concatenate([self._shapes[:, 0], self._plane])
+        a = columns.reshape(len(columns), -1)
+        matrix, rhs = a @ a.T, a @ self._image.ravel()
+        if gain:
+            weight = HELD_GAIN * matrix[0, 0]
+            matrix[0, 0] += weight
+            rhs[0] += weight * gain
+        return np.asarray(np.linalg.solve(matrix + 1e-6 * np.diag(np.diag(matrix) + 1e-3), rhs))
+
+    def equations(self, linear: Floats) -> tuple[Floats, Floats]:
+        """Normal equations of steps in pose and coefficients, divided by the noise variance of the residuals."""
+        size = self._shapes.shape[1] - 1 + len(linear)
+        matrix, rhs = np.empty((size, size)), np.empty(size)
+        rough = BIWEIGHT * _noise_of(self.residual(linear))
+        mass, loss = self._kernels.normal_equations(self._image, self._shapes, self._plane, linear, rough, matrix, rhs)
+        noise = max(loss / max(mass - size, 1.0), LEAST_VARIANCE)
+        return matrix / noise, rhs / noise
+
+    def residual(self, linear: Floats) -> Floats:
+        """Pixels less the images, (rows, columns); overwritten by the next call."""
+        self._kernels.residuals(self._image, self._shapes, self._plane, linear, self._residual)
+        return self._residual
+
+
+def _noise_of(residual: Floats) -> float:
+    """Standard deviation of residuals, at least half a gray level."""
+    return max(robust_std(residual), 0.5)
+
+
+def _step_limits(vector: Floats) -> Floats:
+    """Longest steps (7,) within which the image is about linear in the pose."""
+    reach = max(LONGEST_PX, 0.5 * float(np.exp(vector[2])))
+    return np.array([reach, reach, *LONGEST])
+
+
+def _rim_px(step: Floats, vector: Floats, side: int) -> float:
+    """How far a step moves the rim of an array."""
+    half = 0.5 * side * float(np.exp(vector[2]))
+    return float(np.abs(step[:2]).max() + half * np.abs(step[[2, 3, *range(5, len(step))]]).max())
+
+
+def header_amplitude(frame: Pixels, pose: Pose, weights: Floats) -> float:
+    """Amplitude with which a frame shows a pattern.
+
+    Parameters
+    ----------
+    frame
+        The frame.
+    pose
+        The array's.
+    weights
+        (n, n) of the pattern, +-1 with mean 0; 0 for LEDs that are left out.
+
+    Returns
+    -------
+    Least squares amplitude in gray levels; positive where the frame shows the pattern, negative for its inverse.
+    """
+    from heliograph.receive.image import kernels
+
+    window = window_around(pose, weights.shape[0], AMPLITUDE_MARGIN_PX)
+    cut = cut_out(frame, window)
+    model = np.empty((6, *cut.shape))
+    kernels.render(pose.full_vector(), weights, float(window[0]), float(window[1]), model)
+    shape = model[0] - model[0].mean()
+    return float((cut * shape).sum() / max((shape * shape).sum(), 1e-9))

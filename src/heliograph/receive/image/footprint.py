@@ -1,0 +1,131 @@
+"""The light that each LED gives the pixels of a window.
+
+An LED's image is a Gaussian integrated over pixels: the product of a function of x and one of y, whatever the roll. A
+blur matrix A, (pixels, LEDs), is therefore kept as two narrow arrays, an LED's light by column and by row.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.image import kernels
+from heliograph.receive.image.pose import Pose
+
+Floats = NDArray[np.float64]
+
+
+class Footprints(NamedTuple):
+    """A blur matrix A as products: LED k gives pixel (i, j) of the window ``down[k, i'] * across[k, j']``.
+
+    Attributes
+    ----------
+    across
+        (n n, width) light by column, from ``first[k, 0]`` on.
+    down
+        (n n, width) light by row, from ``first[k, 1]`` on.
+    first
+        (n n, 2) int64, first column and row.
+    """
+
+    across: Floats
+    down: Floats
+    first: NDArray[np.int64]
+
+    def scaled(self, led_gains: Floats | None) -> "Footprints":
+        """Footprints of LEDs of gains (n, n), 0 to 1; None for 1 each."""
+        if led_gains is None:
+            return self
+        return Footprints(self.across * by_squares(led_gains)[:, None], self.down, self.first)
+
+    def dense(self, shape: tuple[int, int]) -> tuple[Floats, Floats]:
+        """Light by column (n n, columns) and by row (n n, rows) over a whole window of a shape (rows, columns)."""
+        parts = []
+        for narrow, first, count in (
+            (self.across, self.first[:, 0], shape[1]),
+            (self.down, self.first[:, 1], shape[0]),
+        ):
+            place = first[:, None] + np.arange(narrow.shape[1])
+            inside = (place >= 0) & (place < count)
+            whole = np.zeros((len(narrow), count))
+            leds, columns = np.nonzero(inside)
+            whole[leds, place[inside]] = narrow[leds, columns]
+            parts.append(whole)
+        return parts[0], parts[1]
+
+    def all_on(self, shape: tuple[int, int]) -> Floats:
+        """A 1, the image with all LEDs on, of a window of a shape (rows, columns)."""
+        image = np.zeros(shape)
+        kernels.add_image(np.ones(len(self.across)), *self, image)
+        return image
+
+
+def by_squares(grid: Floats) -> Floats:
+    """Values of LEDs (n, n) in the order of `footprints`, square by square of 2 x 2, (n n,)."""
+    half = len(grid) // 2
+    return np.ascontiguousarray(grid.reshape(half, 2, half, 2).transpose(0, 2, 1, 3)).ravel()
+
+
+def to_grid(values: Floats) -> Floats:
+    """Values of LEDs in the order of `footprints`, (n n,), at their places, (n, n)."""
+    half = round(len(values) ** 0.5) // 2
+    return np.ascontiguousarray(values.reshape(half, half, 2, 2).transpose(0, 2, 1, 3)).reshape(2 * half, 2 * half)
+
+
+def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
+    """Image of LEDs; an unresolved array of levels 1 has the image 1.
+
+    Parameters
+    ----------
+    levels
+        (n, n) of the LEDs.
+    pose
+        The array's.
+    corner
+        (x, y) on the sensor of the first pixel.
+    shape
+        Rows and columns.
+
+    Returns
+    -------
+    (rows, columns).
+    """
+    image = np.zeros(shape)
+    kernels.add_image(by_squares(levels), *footprints(pose, corner, shape, len(levels)), image)
+    return image
+
+
+@lru_cache(maxsize=512)  # a packet's poses are asked for again and again
+def footprints(
+    pose: Pose, corner: tuple[int, int], shape: tuple[int, int], side: int, motion: tuple[float, float] = (0.0, 0.0)
+) -> Footprints:
+    """Footprints of an array's LEDs.
+
+    Parameters
+    ----------
+    pose
+        The array's.
+    corner
+        (x, y) on the sensor of the window's first pixel.
+    shape
+        Its rows and columns.
+    side
+        LEDs in a row.
+    motion
+        Standard deviation in px of a motion along x and y, added to the blur's.
+
+    Returns
+    -------
+    Footprints, not writeable.
+    """
+    # sigma^2 = blur^2 + motion^2
+    sigma = np.hypot(pose.blur, motion)
+    width = kernels.footprint_width(float(sigma.max()))
+    across, down = np.empty((side * side, width)), np.empty((side * side, width))
+    first = np.empty((side * side, 2), np.int64)
+    where = np.array([pose.x - corner[0], pose.y - corner[1], *pose.axes.ravel(), pose.pitch, *sigma])
+    kernels.footprints(where, *shape, across, down, first)
+    for part in (across, down, first):
+        part.setflags(write=False)
+    return Footprints(across, down, first)

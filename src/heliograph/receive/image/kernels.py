@@ -1,0 +1,389 @@
+"""Hot loops of images: the light of LEDs on pixels, and the normal equations of fits.
+
+`reference.py` holds the same in plain NumPy; a test holds the two together.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from scipy.special import ndtr
+
+RENDER_REACH = 4.0
+"""Standard deviations beyond which `render` leaves an LED's light out: 6e-5 of it lies there."""
+
+FOOTPRINT_REACH = 3.7
+"""The same of `footprints`, whose arrays the equaliser multiplies: 2e-4 of the light lies beyond."""
+
+_FARTHEST, _NODES = 8, 64
+_Z = np.arange(-_FARTHEST * _NODES, _FARTHEST * _NODES + 1) / _NODES
+_CDF, _PDF = ndtr(_Z), np.exp(-0.5 * _Z**2) / math.sqrt(2.0 * math.pi)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def normal(z):
+    """Normal distribution by a table, in a fifth of the time of erf and exp.
+
+    Parameters
+    ----------
+    z
+        Standard deviations from the mean; beyond 8 the value at 8 stands.
+
+    Returns
+    -------
+    Phi(z) within 3e-10, and its derivative within 2e-7.
+    """
+    z = min(max(z, -_FARTHEST), _FARTHEST)
+    k = int((z + _FARTHEST) * _NODES + 0.5)
+    h, at, pdf = z - _Z[k], _Z[k], _PDF[k]
+    # Taylor series about the nearest node: phi' = -z phi, phi'' = (z^2 - 1) phi
+    curve = at * at - 1.0
+    return _CDF[k] + pdf * h * (1.0 - h * (at / 2.0 - h * curve / 6.0)), pdf * (1.0 - h * (at - h * curve / 2.0))
+
+
+@njit(cache=True, nogil=True)
+def _axis(centre, sigma, first, count, g, dg, ds):
+    """Part of a Gaussian on `count` pixels from `first` on, and its derivatives by centre and by ln sigma."""
+    # g_j = Phi((j + 1/2 - c) / sigma) - Phi((j - 1/2 - c) / sigma)
+    z = (first - 0.5 - centre) / sigma
+    cdf, pdf = normal(z)
+    zpdf = z * pdf
+    for j in range(count):
+        z += 1.0 / sigma
+        cdf_next, pdf_next = normal(z)
+        g[j] = cdf_next - cdf
+        dg[j] = (pdf - pdf_next) / sigma
+        ds[j] = zpdf - z * pdf_next
+        cdf, pdf, zpdf = cdf_next, pdf_next, z * pdf_next
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _tilt(pose):
+    """Stretch and shear of a pose vector (5,) or (7,)."""
+    if pose.shape[0] == 7:
+        return pose[5], pose[6]
+    return 0.0, 0.0
+
+
+@njit(cache=True, nogil=True)
+def render(pose, weights, x0, y0, out):
+    """Image of LEDs and its derivatives by the pose; an unresolved array of weights 1 has the image 1.
+
+    Parameters
+    ----------
+    pose
+        (5,) or (7,) float64: x, y in px, ln pitch, roll in rad, ln blur, stretch, shear.
+    weights
+        (n, n) float64, the LEDs' luminances.
+    x0, y0
+        Place on the sensor of the window's first pixel.
+    out
+        (6 or 8, rows, columns) float64, overwritten: the image, then its derivatives by the pose vector; with 6 those
+        by the tilt are left out.
+    """
+    side = weights.shape[0]
+    rows, cols = out.shape[1], out.shape[2]
+    out[:] = 0.0
+    pitch, sigma = math.exp(pose[2]), math.exp(pose[4])
+    c, s = math.cos(pose[3]), math.sin(pose[3])
+    half = (side - 1) / 2.0
+    span = int(2 * RENDER_REACH * sigma) + 3
+    gx, dgx, sgx = np.empty(span), np.empty(span), np.empty(span)
+    gy, dgy, sgy = np.empty(span), np.empty(span), np.empty(span)
+    area = pitch * pitch
+    stretch, shear = _tilt(pose)
+    tilts = out.shape[0] == 8
+    for u in range(side):
+        for v in range(side):
+            w = weights[u, v] * area
+            if w == 0.0:
+                continue
+            p, q = (v - half) * pitch, (u - half) * pitch
+            a, b = (1.0 + stretch) * p + shear * q, shear * p + (1.0 - stretch) * q
+            rx, ry = c * a - s * b, s * a + c * b
+            # by stretch (p, -q) and by shear (q, p), both turned
+            tx, ty, hx, hy = c * p + s * q, s * p - c * q, c * q - s * p, s * q + c * p
+            px, py = pose[0] + rx - x0, pose[1] + ry - y0
+            left, right = (
+                max(0, math.ceil(px - RENDER_REACH * sigma - 0.5)),
+                min(cols - 1, math.floor(px + RENDER_REACH * sigma + 0.5)),
+            )
+            top, bottom = (
+                max(0, math.ceil(py - RENDER_REACH * sigma - 0.5)),
+                min(rows - 1, math.floor(py + RENDER_REACH * sigma + 0.5)),
+            )
+            nx, ny = right - left + 1, bottom - top + 1
+            if nx <= 0 or ny <= 0:
+                continue
+            _axis(px, sigma, left, nx, gx, dgx, sgx)
+            _axis(py, sigma, top, ny, gy, dgy, sgy)
+            for i in range(ny):
+                wg, wd, wsig = w * gy[i], w * dgy[i], w * sgy[i]
+                for j in range(nx):
+                    value, by_x, by_y = wg * gx[j], wg * dgx[j], wd * gx[j]
+                    out[0, top + i, left + j] += value
+                    out[1, top + i, left + j] += by_x
+                    out[2, top + i, left + j] += by_y
+                    # the LED's flux grows with pitch^2, hence 2 value
+                    out[3, top + i, left + j] += by_x * rx + by_y * ry + 2.0 * value
+                    out[4, top + i, left + j] += by_y * rx - by_x * ry
+                    out[5, top + i, left + j] += wsig * gx[j] + wg * sgx[j]
+                    if tilts:
+                        out[6, top + i, left + j] += by_x * tx + by_y * ty
+                        out[7, top + i, left + j] += by_x * hx + by_y * hy
+
+
+@njit(cache=True, nogil=True)
+def _edge(t, sigma):
+    """Phi(t / sigma) and its derivative by t."""
+    z = t / sigma
+    if z > RENDER_REACH:
+        return 1.0, 0.0
+    if z < -RENDER_REACH:
+        return 0.0, 0.0
+    cdf, pdf = normal(z)
+    return cdf, pdf / sigma
+
+
+@njit(cache=True, nogil=True)
+def render_box(pose, half_leds, x0, y0, out):
+    """Image of a blurred square of brightness 1 about the array's centre, and its derivatives by the pose.
+
+    A pixel's box counts as its variance, 1/12; the derivatives by blur and tilt are 0.
+
+    Parameters
+    ----------
+    pose
+        (5,) or (7,) as in `render`.
+    half_leds
+        Half of the square's width in pitches.
+    x0, y0
+        Place on the sensor of the window's first pixel.
+    out
+        (6 or 8, rows, columns) as in `render`, overwritten.
+    """
+    rows, cols = out.shape[1], out.shape[2]
+    half = half_leds * math.exp(pose[2])
+    sigma = math.sqrt(math.exp(2.0 * pose[4]) + 1.0 / 12.0)
+    c, s = math.cos(pose[3]), math.sin(pose[3])
+    stretch, shear = _tilt(pose)
+    # (x, y) = [[xx, xy], [xy, yy]] R^T (dx, dy), the inverse of the tilt: the array's own directions, in which a
+    # blur is as wide as the row of the inverse is long
+    det = 1.0 - stretch * stretch - shear * shear
+    xx, xy, yy = (1.0 - stretch) / det, -shear / det, (1.0 + stretch) / det
+    wide, high = sigma * math.hypot(xx, xy), sigma * math.hypot(xy, yy)
+    reach = RENDER_REACH * max(wide, high)
+    out[:] = 0.0
+    for i in range(rows):
+        for j in range(cols):
+            dx, dy = x0 + j - pose[0], y0 + i - pose[1]
+            along, across = c * dx + s * dy, c * dy - s * dx
+            x, y = xx * along + xy * across, xy * along + yy * across
+            inside = half - max(abs(x), abs(y))
+            if inside < -reach:  # no light, no slope
+                continue
+            if inside > reach:  # full light, no slope: most of a near array
+                out[0, i, j] = 1.0
+                continue
+            right, right_slope = _edge(half - x, wide)
+            left, left_slope = _edge(half + x, wide)
+            low, low_slope = _edge(half - y, high)
+            top, top_slope = _edge(half + y, high)
+            bx, by = right + left - 1.0, low + top - 1.0
+            by_x, by_y = (left_slope - right_slope) * by, (top_slope - low_slope) * bx
+            by_along, by_across = xx * by_x + xy * by_y, xy * by_x + yy * by_y
+            out[0, i, j] = bx * by
+            out[1, i, j] = -c * by_along + s * by_across
+            out[2, i, j] = -s * by_along - c * by_across
+            out[3, i, j] = half * ((left_slope + right_slope) * by + (top_slope + low_slope) * bx)
+            out[4, i, j] = across * by_along - along * by_across
+
+
+@njit(cache=True, nogil=True)
+def normal_equations(image, shapes, plane, linear, rough, matrix, vector):
+    """Gauss-Newton normal equations of image = linear . (shapes(pose), plane), weighted by Tukey's biweight.
+
+    Parameters
+    ----------
+    image
+        (rows, columns) float64 pixels.
+    shapes
+        (m, 1 + p, rows, columns): m images, each with its derivatives by p parameters of the pose.
+    plane
+        (3, rows, columns): constant and slopes of the background.
+    linear
+        (m + 3,) coefficients of the images and of the plane.
+    rough
+        Residual from which on a pixel has the weight 0.
+    matrix
+        (p + m + 3, p + m + 3), overwritten: sum of w J J^T.
+    vector
+        (p + m + 3,), overwritten: sum of w J r.
+
+    Returns
+    -------
+    Sum of the weights w, and of w r^2.
+    """
+    rows, cols = image.shape
+    m = shapes.shape[0]
+    p = shapes.shape[1] - 1
+    size = p + m + 3
+    matrix[:] = 0.0
+    vector[:] = 0.0
+    row = np.empty(size)
+    mass, loss = 0.0, 0.0
+    for i in range(rows):
+        for j in range(cols):
+            r = _residual(image, shapes, plane, linear, i, j)
+            q = r / rough
+            if abs(q) >= 1.0:
+                continue
+            w = (1.0 - q * q) ** 2
+            for k in range(p):
+                slope = 0.0
+                for n in range(m):
+                    slope += linear[n] * shapes[n, k + 1, i, j]
+                row[k] = slope
+            for n in range(m):
+                row[p + n] = shapes[n, 0, i, j]
+            for n in range(3):
+                row[p + m + n] = plane[n, i, j]
+            mass += w
+            loss += w * r * r
+            for k in range(size):
+                wk = w * row[k]
+                vector[k] += wk * r
+                for n in range(k + 1):
+                    matrix[k, n] += wk * row[n]
+    for k in range(size):
+        for n in range(k):
+            matrix[n, k] = matrix[k, n]
+    return mass, loss
+
+
+@njit(cache=True, nogil=True)
+def residuals(image, shapes, plane, linear, out):
+    """Residuals of a fit, image - linear . (shapes(pose), plane).
+
+    Parameters
+    ----------
+    image, shapes, plane, linear
+        As in `normal_equations`.
+    out
+        (rows, columns), overwritten.
+    """
+    for i in range(image.shape[0]):
+        for j in range(image.shape[1]):
+            out[i, j] = _residual(image, shapes, plane, linear, i, j)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _residual(image, shapes, plane, linear, i, j):
+    m = shapes.shape[0]
+    r = image[i, j]
+    for n in range(m):
+        r -= linear[n] * shapes[n, 0, i, j]
+    for n in range(3):
+        r -= linear[m + n] * plane[n, i, j]
+    return r
+
+
+def footprint_width(sigma: float) -> int:
+    """Width in pixels of the footprint of an LED whose blur is `sigma` px."""
+    return 2 * math.ceil(FOOTPRINT_REACH * sigma + 0.5) + 1
+
+
+@njit(cache=True, nogil=True)
+def footprints(pose, rows, cols, across, down, first):
+    """Light of each LED by column and by row of a window; an unresolved array with all LEDs on has the image 1.
+
+    LEDs come square by square of 2 x 2, in each (0, 0), (0, 1), (1, 0), (1, 1).
+
+    Parameters
+    ----------
+    pose
+        (9,) px: x, y in the window; the steps from one LED to the next, dx along a row and along a column, dy along a
+        row and along a column; pitch; blur along x and along y.
+    rows, cols
+        Size of the window.
+    across, down
+        (n n, width), overwritten: light by column and by row; their product is the light on a pixel.
+    first
+        (n n, 2) int64, overwritten: first column and row of each footprint; it may lie beyond the window.
+    """
+    count, width = across.shape
+    side = round(math.sqrt(count))
+    half = side // 2
+    pitch = pose[6]
+    reach = (width - 1) // 2
+    for k in range(count):
+        square, corner = k // 4, k % 4
+        a = 2 * (square % half) + corner % 2 - (side - 1) / 2.0
+        b = 2 * (square // half) + corner // 2 - (side - 1) / 2.0
+        x, y = pose[0] + pose[2] * a + pose[3] * b, pose[1] + pose[4] * a + pose[5] * b
+        first[k, 0], first[k, 1] = math.floor(x + 0.5) - reach, math.floor(y + 0.5) - reach
+        _row_of_light(x, pose[7], first[k, 0], cols, pitch, across[k])
+        _row_of_light(y, pose[8], first[k, 1], rows, pitch, down[k])
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _row_of_light(centre, sigma, first, count, scale, out):
+    """Part of a Gaussian on each pixel from `first` on, times a scale; 0 beyond the window's `count` pixels."""
+    # g_j = Phi((j + 1/2 - c) / sigma) - Phi((j - 1/2 - c) / sigma)
+    cdf, _ = normal((first - 0.5 - centre) / sigma)
+    for j in range(out.shape[0]):
+        after, _ = normal((first + j + 0.5 - centre) / sigma)
+        out[j] = scale * (after - cdf) if 0 <= first + j < count else 0.0
+        cdf = after
+
+
+@njit(cache=True, nogil=True)
+def add_image(leds, across, down, first, out):
+    """Add the image of LEDs to another.
+
+    Parameters
+    ----------
+    leds
+        (n n,) luminances in the order of `footprints`.
+    across, down, first
+        As of `footprints`.
+    out
+        (rows, columns), added to.
+    """
+    width = across.shape[1]
+    rows, cols = out.shape
+    for n in range(leds.shape[0]):
+        x, y = first[n, 0], first[n, 1]
+        for i in range(max(0, -y), min(width, rows - y)):
+            w = leds[n] * down[n, i]
+            for j in range(max(0, -x), min(width, cols - x)):
+                out[y + i, x + j] += w * across[n, j]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _overlap(a, b, shift, width):
+    """Sum of a[i + shift] b[i]."""
+    total = 0.0
+    for i in range(max(0, -shift), min(width, width - shift)):
+        total += a[i + shift] * b[i]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def squared_difference(across_1, down_1, first_1, across_2, down_2, first_2):
+    """Squared distance of two blur matrices, |A_1 - A_2|^2 over all LEDs and pixels.
+
+    Parameters
+    ----------
+    across_1, down_1, first_1
+        Footprints of A_1, as of `footprints`.
+    across_2, down_2, first_2
+        Footprints of A_2, as wide as those of A_1.
+    """
+    width, total = across_1.shape[1], 0.0
+    for k in range(across_1.shape[0]):
+        dx, dy = first_2[k, 0] - first_1[k, 0], first_2[k, 1] - first_1[k, 1]
+        total += _overlap(across_1[k], across_1[k], 0, width) * _overlap(down_1[k], down_1[k], 0, width)
+        total += _overlap(across_2[k], across_2[k], 0, width) * _overlap(down_2[k], down_2[k], 0, width)
+        total -= 2 * _overlap(across_1[k], across_2[k], dx, width) * _overlap(down_1[k], down_2[k], dy, width)
+    return total

@@ -1,0 +1,30 @@
+"""Measures of images: a spread that outliers do not move, and correlation."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def robust_std(values: Floats) -> float:
+    """Standard deviation about 0 of values of any shape, by their median magnitude; 0.7413 is 1 / (2 Phi^-1(3/4))."""
+    # NumPy's own median takes many times as long
+    middle = [(values.size - 1) // 2, values.size // 2]
+    low, high = np.partition(np.abs(values).ravel(), middle)[middle]
+    return 0.7413 * float(low + high)
+
+
+def correlation(a: Floats, b: Floats) -> float:
+    """Correlation of two images.
+
+    Parameters
+    ----------
+    a, b
+        Images of one shape.
+
+    Returns
+    -------
+    -1 to 1; 0 where one of them is even.
+    """
+    x, y = (a - a.mean()).ravel(), (b - b.mean()).ravel()
+    return float(x @ y / np.sqrt(max((x @ x) * (y @ y), 1e-12)))

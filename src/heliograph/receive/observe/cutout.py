@@ -1,0 +1,122 @@
+"""Cut-outs: pairs of frames about the array, kept until their packet is whole."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.image import kernels as image_kernels
+from heliograph.receive.image.footprint import image_of
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.window import RIM_PX, covered, cut_out, window_around
+from heliograph.receive.observe import kernels
+from heliograph.receive.timing.combination import Combination
+from heliograph.receive.timing.frame_pair import FramePair
+
+Floats = NDArray[np.float64]
+
+RING_PX = 2.0
+"""Pixels beyond the rim whose difference shows what changes in the background."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cutout:
+    """A pair of frames about the array, or a single frame.
+
+    Attributes
+    ----------
+    total
+        Sum of pattern and inverse in gray levels, (rows, columns); of a single frame twice what it shows above the
+        background.
+    difference
+        Pattern less inverse, (rows, columns); of a single frame the same as `total`.
+    corner
+        (x, y) on the sensor of the first pixel.
+    poses
+        Where the data's light was in each frame, at the middle of the exposure or about it; one or two.
+    mean_light_pose
+        Of a single frame, where the light of the levels' mean was, which is earlier; None of a pair.
+    combination
+        How the pair was combined; None for two frames in step.
+    covered
+        1 for columns (columns,) and rows (rows,) that all frames have, 0 for those that repeat a frame's border; None
+        if the frames have all.
+    """
+
+    total: Floats
+    difference: Floats
+    corner: tuple[int, int]
+    poses: tuple[Pose, ...]
+    mean_light_pose: Pose | None = None
+    combination: Combination | None = None
+    covered: tuple[Floats, Floats] | None = None
+
+    @property
+    def middle(self) -> Pose:
+        """The pose between the two; of one its own."""
+        return self.poses[0] if len(self.poses) == 1 else Pose.midway(self.poses[0], self.poses[-1])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, cols = self.difference.shape
+        return rows, cols
+
+    def slopes(self, levels: Floats) -> Floats:
+        """Derivatives of the image of LEDs of levels (n, n) by x, y, ln pitch and roll, (4, rows, columns)."""
+        image = np.empty((6, *self.shape))
+        image_kernels.render(self.middle.full_vector(), levels, float(self.corner[0]), float(self.corner[1]), image)
+        return image[1:5]
+
+    def motion_compensated(self, gain: float, led_gains: Floats) -> "Cutout":
+        """Take off the background's light that does not cancel because it moves with the array between the frames.
+
+        Parameters
+        ----------
+        gain
+            Gray levels of the sum of a pair with all LEDs on.
+        led_gains
+            (n, n) gains of the LEDs.
+
+        Returns
+        -------
+        The cut-out with another difference; a single frame or a combined pair as it is.
+        """
+        if len(self.poses) != 2 or self.combination is not None:
+            return self
+        first, second = self.poses
+        lit = image_of(led_gains, first, self.corner, self.shape) + image_of(led_gains, second, self.corner, self.shape)
+        # b(x - p_1) - b(x - p_2) = (p_2 - p_1) grad b, b = (r + r' - g (A_1 + A_2) 1 / 2) / 2
+        steady = np.empty_like(self.difference)
+        kernels.motion_compensated(
+            self.difference, self.total, lit, 0.5 * gain, second.x - first.x, second.y - first.y, steady
+        )
+        return replace(self, difference=steady)
+
+    def moved(self, error: Floats) -> "Cutout":
+        """Correct its poses by an error (4,) in x, y, ln pitch and roll."""
+        step = np.append(error, np.zeros(3))
+        return replace(self, poses=tuple(Pose.from_vector(pose.full_vector() + step) for pose in self.poses))
+
+
+def take_cutout(pair: FramePair, poses: tuple[Pose, Pose], side: int) -> Cutout:
+    """Cut a pair of frames out.
+
+    Parameters
+    ----------
+    pair
+        The frames.
+    poses
+        Where the data's light was in each.
+    side
+        LEDs in a row.
+
+    Returns
+    -------
+    Cut-out of the array, its rim and a ring around it.
+    """
+    frames, window = (pair.pattern, pair.inverted), window_around(Pose.midway(*poses), side, RIM_PX + RING_PX)
+    up, down = (cut_out(frame, window) for frame in frames)
+    corner = window[0], window[1]
+    inside = covered(frames, corner, (window[3], window[2]))
+    return Cutout(up + down, up - down, corner, poses, combination=pair.combination, covered=inside)

@@ -1,0 +1,246 @@
+"""Hot loops of what pairs show of their symbols; `reference.py` says the same with whole matrices.
+
+Symbols come in the order in which `PacketFormat.split` gives them: the quarters D11, D12, D21 and D22 of the data
+matrix, row by row. The four symbols of equal place in their quarters are the Haar transform of one square of 2 x 2
+LEDs, so the transform of a matrix of LEDs goes square by square. LEDs come in the order of `image.kernels.footprints`.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def weight_roots(light, first, lit, dark, ring, out):
+    """Roots of the weights of a window's columns or rows, W = lit / s^2 with s^2 = dark + (lit - dark) f.
+
+    f is the light of all LEDs together, 0 to 1.
+
+    Parameters
+    ----------
+    light
+        (n n, width) light of each LED by column or by row.
+    first
+        (n n,) first column or row of each.
+    lit, dark
+        Noise variances inside and beside the array, above 0.
+    ring
+        Outer pixels of the window, which weigh 0.
+    out
+        (pixels,), overwritten.
+    """
+    out[:] = 0.0
+    for k in range(light.shape[0]):
+        for i in range(max(0, -first[k]), min(light.shape[1], out.shape[0] - first[k])):
+            out[first[k] + i] += light[k, i]
+    side = math.sqrt(light.shape[0])
+    for j in range(out.shape[0]):
+        f = min(out[j] / side, 1.0)
+        inside = ring <= j < out.shape[0] - ring
+        out[j] = math.sqrt(lit / (dark + (lit - dark) * f)) if inside else 0.0
+
+
+@njit(cache=True, nogil=True)
+def weighted(light, first, root, out):
+    """LEDs' light times the root of each pixel's weight.
+
+    Parameters
+    ----------
+    light, first
+        As in `weight_roots`.
+    root
+        (pixels,) of `weight_roots`.
+    out
+        (n n, width), overwritten; 0 beyond the window.
+    """
+    for k in range(light.shape[0]):
+        for i in range(light.shape[1]):
+            j = first[k] + i
+            out[k, i] = light[k, i] * root[j] if 0 <= j < root.shape[0] else 0.0
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _haar(a, b, c, d):
+    """A square of LEDs (0, 0), (0, 1), (1, 0), (1, 1) to its four symbols: 1/4 H t H^T."""
+    q = np.float32(0.25)  # which leaves the sums in their own precision
+    return q * (a + b + c + d), q * (a - b + c - d), q * (a + b - c - d), q * (a - b - c + d)
+
+
+@njit(cache=True, nogil=True)
+def correlate(image, across, down, first, out):
+    """B^T image: correlation of an image with that of each symbol.
+
+    Parameters
+    ----------
+    image
+        (rows, columns).
+    across, down, first
+        Footprints of the LEDs.
+    out
+        (symbols,), overwritten.
+    """
+    squares, width = across.shape[0] // 4, across.shape[1]
+    rows, cols = image.shape
+    led = np.empty(4)
+    for q in range(squares):
+        for k in range(4):
+            n = 4 * q + k
+            x, y, total = first[n, 0], first[n, 1], 0.0
+            for i in range(max(0, -y), min(width, rows - y)):
+                line = 0.0
+                for j in range(max(0, -x), min(width, cols - x)):
+                    line += image[y + i, x + j] * across[n, j]
+                total += line * down[n, i]
+            led[k] = total
+        out[q], out[squares + q], out[2 * squares + q], out[3 * squares + q] = _haar(led[0], led[1], led[2], led[3])
+
+
+@njit(cache=True, nogil=True)
+def correlate_all(images, across, down, first, out):
+    """`correlate` of many images at once.
+
+    Parameters
+    ----------
+    images
+        (rows, columns, k).
+    across, down, first
+        Footprints of the LEDs.
+    out
+        (symbols, k), overwritten.
+    """
+    squares, width = across.shape[0] // 4, across.shape[1]
+    rows, cols, count = images.shape
+    led, line = np.empty((4, count)), np.empty(count)
+    for q in range(squares):
+        for k in range(4):
+            n = 4 * q + k
+            x, y = first[n, 0], first[n, 1]
+            led[k] = 0.0
+            for i in range(max(0, -y), min(width, rows - y)):
+                line[:] = 0.0
+                for j in range(max(0, -x), min(width, cols - x)):
+                    for m in range(count):
+                        line[m] += images[y + i, x + j, m] * across[n, j]
+                for m in range(count):
+                    led[k, m] += line[m] * down[n, i]
+        for m in range(count):
+            a, b, c, d = _haar(led[0, m], led[1, m], led[2, m], led[3, m])
+            out[q, m], out[squares + q, m], out[2 * squares + q, m], out[3 * squares + q, m] = a, b, c, d
+
+
+@njit(cache=True, nogil=True)
+def leds_of(symbols):
+    """Levels of LEDs about their mean, (n n,), t = 1/4 H^T D H, of symbols (n n,)."""
+    squares = symbols.shape[0] // 4
+    out = np.empty(4 * squares)
+    for q in range(squares):
+        a, b, c, d = symbols[q], symbols[squares + q], symbols[2 * squares + q], symbols[3 * squares + q]
+        out[4 * q], out[4 * q + 1], out[4 * q + 2], out[4 * q + 3] = _haar(a, b, c, d)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def symbols_of(leds):
+    """Symbols (n n,) of LEDs' levels (n n,), the inverse of `leds_of`: D = H t H^T."""
+    squares = leds.shape[0] // 4
+    out = np.empty(4 * squares)
+    for q in range(squares):
+        a, b, c, d = _haar(leds[4 * q], leds[4 * q + 1], leds[4 * q + 2], leds[4 * q + 3])
+        out[q], out[squares + q], out[2 * squares + q], out[3 * squares + q] = 4.0 * a, 4.0 * b, 4.0 * c, 4.0 * d
+    return out
+
+
+@njit(cache=True, nogil=True)
+def spread(light, first, out):
+    """Write LEDs' light by column or by row at its place, LEDs of equal place in their squares together.
+
+    Parameters
+    ----------
+    light, first
+        As in `weight_roots`.
+    out
+        (n n, pixels) float32, overwritten; row q + k n n / 4 is LED k of square q.
+    """
+    squares = light.shape[0] // 4
+    out[:] = 0.0
+    for k in range(light.shape[0]):
+        row = out[k % 4 * squares + k // 4]
+        for i in range(max(0, -first[k]), min(light.shape[1], out.shape[1] - first[k])):
+            row[first[k] + i] = light[k, i]
+
+
+@njit(cache=True, nogil=True)
+def gram(across, down, out):
+    """B^T B of the symbols: <led_i, led_j> = <across_i, across_j> <down_i, down_j>, Haar transformed on both sides.
+
+    Parameters
+    ----------
+    across, down
+        (n n, n n) float32 products of the LEDs' light by column and by row, in the order of `spread`.
+    out
+        (symbols, symbols) float32, overwritten.
+    """
+    squares = across.shape[0] // 4
+    for i in range(across.shape[0]):
+        x, y, row = across[i], down[i], out[i]
+        for p in range(squares):
+            a, b, c, d = p, p + squares, p + 2 * squares, p + 3 * squares
+            row[a], row[b], row[c], row[d] = _haar(x[a] * y[a], x[b] * y[b], x[c] * y[c], x[d] * y[d])
+    for q in range(squares):
+        a, b, c, d = out[q], out[q + squares], out[q + 2 * squares], out[q + 3 * squares]
+        for j in range(across.shape[0]):
+            a[j], b[j], c[j], d[j] = _haar(a[j], b[j], c[j], d[j])
+
+
+@njit(cache=True, nogil=True)
+def add_light(across, down, first, out):
+    """Add B, the light of each symbol on each pixel.
+
+    Parameters
+    ----------
+    across, down, first
+        Footprints of the LEDs.
+    out
+        (rows, columns, symbols) float32, added to.
+    """
+    rows, cols, count = out.shape
+    squares, width = count // 4, across.shape[1]
+    for n in range(count):
+        x, y, q, k = first[n, 0], first[n, 1], n // 4, n % 4
+        a, b, c, d = _haar(1.0 * (k == 0), 1.0 * (k == 1), 1.0 * (k == 2), 1.0 * (k == 3))
+        for i in range(max(0, -y), min(width, rows - y)):
+            for j in range(max(0, -x), min(width, cols - x)):
+                value = down[n, i] * across[n, j]
+                pixel = out[y + i, x + j]
+                pixel[q] += a * value
+                pixel[squares + q] += b * value
+                pixel[2 * squares + q] += c * value
+                pixel[3 * squares + q] += d * value
+
+
+@njit(cache=True, nogil=True)
+def motion_compensated(difference, total, lit, gain, x, y, out):
+    """Difference of a pair less (x, y) . grad b, b = (total - gain lit) / 2 the background.
+
+    Parameters
+    ----------
+    difference, total
+        (rows, columns) of the pair.
+    lit
+        (rows, columns) images of all LEDs in both frames together.
+    gain
+        Gray levels of a frame with all LEDs on.
+    x, y
+        Motion between the frames in px.
+    out
+        (rows, columns), overwritten.
+    """
+    rows, cols = out.shape
+    for i in range(rows):
+        up, low = max(i - 1, 0), min(i + 1, rows - 1)
+        for j in range(cols):
+            left, right = max(j - 1, 0), min(j + 1, cols - 1)
+            across = (total[i, right] - gain * lit[i, right]) - (total[i, left] - gain * lit[i, left])
+            down = (total[low, j] - gain * lit[low, j]) - (total[up, j] - gain * lit[up, j])
+            out[i, j] = difference[i, j] - 0.5 * (x * across / (right - left) + y * down / (low - up))

@@ -1,0 +1,153 @@
+"""Noise of a packet's cut-outs: inside the array by the unevenness of sums, beside it by differences."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.image import kernels
+from heliograph.receive.image.footprint import footprints, image_of
+from heliograph.receive.image.robust import robust_std
+from heliograph.receive.observe.cutout import Cutout
+
+Floats = NDArray[np.float64]
+
+INSIDE = 0.8
+"""Fraction of the array's light from which on a pixel lies inside the array."""
+
+BESIDE = 1e-3
+"""Fraction of it below which a pixel lies beside the array: its light is then a fraction of a gray level."""
+
+LEAST_NOISE = 1 / 6
+"""Variance in squared gray levels that rounding alone gives a difference of two frames, 2 / 12."""
+
+ENOUGH = 4000
+"""Pixels inside the array that give its noise to about 3 %, as many differences of sums have that spread."""
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Variance of a pixel of a difference of two frames, in squared gray levels.
+
+    Attributes
+    ----------
+    lit
+        Inside the array: mostly photons.
+    dark
+        Beside it: the sensor's own noise, and whatever changes in the background.
+    """
+
+    lit: float
+    dark: float
+
+
+def measure_noise(cutouts: Sequence[Cutout], gain: float, side: int, led_gains: Floats | None = None) -> Noise:
+    """Noise of a packet's cut-outs.
+
+    Inside the array the sum of a pair is even but for noise, which is that of the difference, and for what motion
+    between the two frames leaves of the data. LEDs that failed stay where they are from one sum to the next, so
+    successive sums are compared. Beside the array the difference is noise and changes of the background.
+
+    Parameters
+    ----------
+    cutouts
+        Pairs of the packet, any number.
+    gain
+        Gray levels of the array with all LEDs on; 0 leaves the data that motion leaves in.
+    side
+        LEDs in a row.
+    led_gains
+        (n, n) gains of the LEDs; None for 1 each.
+    """
+    if not cutouts:
+        return Noise(LEAST_NOISE, LEAST_NOISE)
+    chosen = _enough(cutouts, side)
+    found = {k: _unevenness(cutouts[k], gain, side, led_gains) for k in sorted({k for two in chosen for k in two})}
+    uneven = [*found.values()]
+    if len(uneven) > 1:
+        # successive sums have independent noise, so their difference has twice its variance
+        parts = [_variance(_subtracted(found[i], found[j]) / np.sqrt(2)) for i, j in chosen]
+    else:
+        parts = [_variance(uneven[0].residual)]
+    total, count = np.array(parts).sum(0)
+    lit = float(total) / max(float(count), 1.0) - float(np.mean([one.moved for one in uneven]))
+    beside = np.concatenate([_beside(cutout, side) for cutout in cutouts])
+    dark = float((beside**2).mean()) if beside.size else 0.0
+    return Noise(max(lit, LEAST_NOISE), max(dark, LEAST_NOISE))
+
+
+def noise_beside(cutouts: Sequence[Cutout], side: int) -> float:
+    """Variance of a pixel of single frames beside the array, errors of the background's model included.
+
+    Parameters
+    ----------
+    cutouts
+        Single frames.
+    side
+        LEDs in a row.
+    """
+    ones = np.ones((side, side))
+    squares, count = 0.0, 0
+    for cutout in cutouts:
+        beside = cutout.difference[image_of(ones, cutout.middle, cutout.corner, cutout.shape) < BESIDE]
+        squares, count = squares + float((beside**2).sum()), count + beside.size
+    return max(squares / max(count, 1), LEAST_NOISE)
+
+
+def _enough(cutouts: Sequence[Cutout], side: int) -> list[tuple[int, int]]:
+    """Numbers of successive cut-outs from all over a packet, as many as are enough; of one it and itself."""
+    inside = max((side * cutouts[0].middle.pitch - 2) ** 2, 1.0)
+    pairs = [*pairwise(range(len(cutouts)))] or [(0, 0)]
+    return pairs[:: max(1, int(len(pairs) * inside / ENOUGH))]
+
+
+@dataclass(frozen=True, slots=True)
+class _Unevenness:
+    """Residual of a sum inside the array, (rows, columns), NaN elsewhere; `moved` is its variance by motion."""
+
+    residual: Floats
+    corner: tuple[int, int]
+    moved: float
+
+
+def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None) -> _Unevenness:
+    """Residual of a sum about the array with all LEDs on and a plane, scaled by its degrees of freedom."""
+    frames = [footprints(pose, cutout.corner, cutout.shape, side) for pose in cutout.poses]
+    whole = frames[0].all_on(cutout.shape)
+    first, second = (frame.scaled(led_gains).all_on(cutout.shape) for frame in frames)
+    lit = 0.5 * (first + second)
+    inside = whole > INSIDE * whole.max()
+    y, x = np.nonzero(inside)
+    columns = np.stack([lit[inside], np.ones(len(x)), x - x.mean(), y - y.mean()], axis=1)
+    fitted = columns @ np.linalg.lstsq(columns, cutout.total[inside], rcond=1e-6)[0]
+    residual = np.full(cutout.total.shape, np.nan)
+    residual[inside] = (cutout.total[inside] - fitted) * np.sqrt(len(x) / max(len(x) - columns.shape[1], 1))
+    # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
+    moved = gain**2 / 16 * kernels.squared_difference(*frames[0], *frames[1]) / (side * cutout.middle.pitch) ** 2
+    if cutout.combination is None:
+        return _Unevenness(residual, cutout.corner, float(moved))
+    # in units of a sum of two frames; of combined ones only a header's sum is even, in which nothing moves
+    return _Unevenness(residual / np.sqrt(cutout.combination.sum_noise), cutout.corner, 0.0)
+
+
+def _beside(cutout: Cutout, side: int) -> Floats:
+    """The difference beside the array, in units of a difference of two frames."""
+    lit = footprints(cutout.poses[0], cutout.corner, cutout.shape, side).all_on(cutout.shape)
+    beside = cutout.difference[lit < BESIDE]
+    return beside if cutout.combination is None else beside / np.sqrt(cutout.combination.noise)
+
+
+def _subtracted(one: _Unevenness, other: _Unevenness) -> Floats:
+    """Difference of two residuals on the pixels that both have."""
+    left, top = (max(a, b) for a, b in zip(one.corner, other.corner, strict=True))
+    a, b = (u.residual[top - u.corner[1] :, left - u.corner[0] :] for u in (one, other))
+    rows, cols = (min(m, n) for m, n in zip(a.shape, b.shape, strict=True))
+    return np.asarray(a[:rows, :cols] - b[:rows, :cols])
+
+
+def _variance(residual: Floats) -> tuple[float, int]:
+    """Variance times the number of pixels, by the median magnitude as failed LEDs are no noise; and that number."""
+    known = residual[np.isfinite(residual)]
+    return (robust_std(known) ** 2 * known.size, known.size) if known.size else (0.0, 0)

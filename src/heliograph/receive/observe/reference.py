@@ -1,0 +1,67 @@
+"""The algebra of pairs written for reading: whole matrices, textbook formulas, no tricks.
+
+Nothing runs on it but the tests that hold `kernels.py` and `statistics.py` to it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.signal import haar
+
+Floats = NDArray[np.float64]
+
+
+def transform(side: int) -> Floats:
+    """T, (n n LEDs row by row, n n symbols), of `side` LEDs in a row: 2 x - 1 = T c."""
+    half = side // 2
+    # symbols: the quarters D11, D12, D21, D22 of the data matrix, each row by row
+    quarters = np.eye(side * side).reshape(-1, 2, 2, half, half)
+    d = quarters.transpose(0, 1, 3, 2, 4).reshape(-1, side, side)
+    # (8) x' = 4 x - 2 = 1/2 H^T D H
+    return np.asarray(0.5 * haar.inverse_transform(d).reshape(side * side, -1).T)
+
+
+def pair_model(a_1: Floats, a_2: Floats, t: Floats) -> tuple[Floats, Floats]:
+    """B and o of a pair: d = g (B c + o) + n.
+
+    Parameters
+    ----------
+    a_1, a_2
+        (pixels, LEDs) blur matrices of its two frames.
+    t
+        T.
+
+    Returns
+    -------
+    (pixels, symbols) and (pixels,).
+    """
+    # g (A_1 x - A_2 (1 - x)) with x = (1 + T c) / 2
+    return 0.5 * (a_1 + a_2) @ t, 0.5 * (a_1 - a_2).sum(1)
+
+
+def weights(a: Floats, pitch: float, lit: float, dark: float, ring: int, shape: tuple[int, int]) -> Floats:
+    """W, (pixels,): lit over the variance of each pixel's noise, as a product of its row and its column.
+
+    Parameters
+    ----------
+    a
+        (pixels, LEDs) A of the pair's middle.
+    pitch
+        Its pixels between LEDs.
+    lit, dark
+        Noise variances inside and beside the array.
+    ring
+        Outer pixels of the window, which weigh 0.
+    shape
+        Rows and columns.
+    """
+    side = round(np.sqrt(a.shape[1]))
+    image = a.sum(1).reshape(shape)
+    parts = []
+    for axis, count in ((1, shape[0]), (0, shape[1])):
+        # what all LEDs together give a row or a column, 1 inside the array
+        f = np.clip(image.sum(axis) / (side * pitch), 0, 1)
+        part = lit / (dark + (lit - dark) * f)
+        inside = (np.arange(count) >= ring) & (np.arange(count) < count - ring)
+        parts.append(np.where(inside, part, 0.0))
+    return np.outer(parts[0], parts[1]).ravel()

@@ -1,0 +1,284 @@
+"""Sufficient statistics: what a pattern and its inverse show of the symbols, as a matrix and two vectors.
+
+Let A_1 and A_2 be the blur matrices of the two frames, x the LEDs' levels 0 to 1, and the background the same in both.
+The difference of the frames is
+
+    d = g (A_1 x - A_2 (1 - x)) + n = g (B c + o) + n,   B = (A_1 + A_2) / 2 T,   o = (A_1 - A_2) 1 / 2,
+
+where 2 x - 1 = T c, T is the Haar transform of equation (8) as 1/4 H^T D H, and c the symbols, +-1. A single frame of
+known background b is the same with 2 (r - b) = g (B c + o) + n, B = A T and o = A 1.
+
+With the pixels' weights W, the symbols depend on d by B^T W d alone, beside B^T W B and B^T W o, which follow from the
+poses.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import blas
+
+from heliograph.receive.image import kernels as image_kernels
+from heliograph.receive.image.footprint import Footprints, footprints, image_of
+from heliograph.receive.observe import kernels
+from heliograph.receive.observe.cutout import RING_PX, Cutout
+from heliograph.receive.observe.noise import Noise
+from heliograph.receive.timing.combination import Combination
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PairStatistics:
+    """Sufficient statistics of a pair for its symbols; gain and noise stay open.
+
+    Attributes
+    ----------
+    gram
+        G = B^T W B, (symbols, symbols) float32.
+    matched
+        B^T W d, the matched filter's output, (symbols,) in gray levels.
+    offset
+        B^T W o, (symbols,).
+    cross
+        d^T W o.
+    drift
+        o^T W o.
+    power
+        d^T W d.
+    pixels
+        Number of pixels of weight above 0.
+    combination
+        How the pair was combined; None for two frames in step.
+    """
+
+    gram: NDArray[np.float32]
+    matched: Floats
+    offset: Floats
+    cross: float
+    drift: float
+    power: float = 0.0
+    pixels: int = 0
+    combination: Combination | None = None
+
+    def scaled(self, weight: float, gain: float = 1.0) -> "PairStatistics":
+        """Statistics of the same pair in other units.
+
+        Parameters
+        ----------
+        weight
+            Factor on the pixels' weights, as if the noise variance were that much smaller.
+        gain
+            Factor on B and o, as if the light were that much dimmer in units of the gain.
+        """
+        return PairStatistics(
+            np.float32(weight * gain**2) * self.gram,
+            weight * gain * self.matched,
+            weight * gain**2 * self.offset,
+            weight * gain * self.cross,
+            weight * gain**2 * self.drift,
+            weight * self.power,
+            self.pixels,
+            self.combination,
+        )
+
+    def plus(self, other: "PairStatistics") -> "PairStatistics":
+        """Statistics of two observations of one pattern, in the same units."""
+        return PairStatistics(
+            self.gram + other.gram,
+            self.matched + other.matched,
+            self.offset + other.offset,
+            self.cross + other.cross,
+            self.drift + other.drift,
+            self.power + other.power,
+            self.pixels + other.pixels,
+            self.combination,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class WhitenedCutout:
+    """A cut-out whose pixels are divided by their noise, so that it is white with the variance inside the array.
+
+    Attributes
+    ----------
+    root
+        W^(1/2), (rows, columns).
+    difference
+        W^(1/2) d, (rows, columns).
+    offset
+        W^(1/2) o, (rows, columns).
+    frames
+        W^(1/2) A of each frame, one or two.
+    between
+        The same at the pose between the frames, its blur wider by the motion.
+    combination
+        How the pair was combined; None for two frames in step.
+    """
+
+    root: Floats
+    difference: Floats
+    offset: Floats
+    frames: tuple[Footprints, ...]
+    between: Footprints
+    combination: Combination | None = None
+
+    def statistics(self) -> PairStatistics:
+        """Sufficient statistics for the symbols."""
+        gram = gram_of(self.between, self._shape)
+        return self._statistics(gram, self.correlated(self.difference), self.correlated(self.offset))
+
+    def without(self, slopes: Floats, precision: Floats) -> PairStatistics:
+        """Statistics where the image may also hold some of other images, whose amplitudes are marginalised.
+
+        Parameters
+        ----------
+        slopes
+            (k, rows, columns) those images, times W^(1/2).
+        precision
+            (k, k) prior precision of their amplitudes, in units of g^2 / s^2.
+        """
+        # d = g (B c + o + H e) + n: G - C K C^T and B^T d - C K H^T d, C = B^T H, K = (H^T H + P^-1)^-1
+        b, h = self._light().astype(np.float64), slopes.reshape(len(slopes), -1)
+        seen = np.stack([self.difference.ravel(), self.offset.ravel()], axis=1)
+        c = b.T @ h.T
+        part = np.linalg.solve(h @ h.T + precision, np.column_stack([c.T, h @ seen]))
+        d, o = (b.T @ seen - c @ part[:, -2:]).T
+        # all by one B: else the difference of two large matrices would not be positive definite
+        return self._statistics((b.T @ b - c @ part[:, :-2]).astype(np.float32), d, o)
+
+    def correlated(self, image: Floats) -> Floats:
+        """B^T W^(1/2) of an image (rows, columns), (symbols,)."""
+        parts = np.empty((len(self.frames), len(self.frames[0].across)))
+        for frame, part in zip(self.frames, parts, strict=True):
+            kernels.correlate(image, *frame, part)
+        return parts[0] if len(parts) == 1 else np.asarray(0.5 * (parts[0] + parts[1]))
+
+    def all_correlated(self, images: Floats) -> Floats:
+        """`correlated` of images (k, rows, columns), (symbols, k); faster where k is more than four."""
+        stack = np.ascontiguousarray(np.moveaxis(images, 0, -1))
+        parts = np.empty((len(self.frames), len(self.frames[0].across), len(images)))
+        for frame, part in zip(self.frames, parts, strict=True):
+            kernels.correlate_all(stack, *frame, part)
+        return np.asarray(parts.mean(0))
+
+    def residual(self, gain: float, symbols: Floats) -> Floats:
+        """W^(1/2) (d - g (B c + o)), (rows, columns).
+
+        Parameters
+        ----------
+        gain
+            g, gray levels of the array with all LEDs on.
+        symbols
+            (symbols,) c, or their means.
+        """
+        light = np.zeros_like(self.difference)
+        for frame in self.frames:
+            image_kernels.add_image(kernels.leds_of(symbols) / len(self.frames), *frame, light)
+        return self.difference - gain * (light + self.offset)
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        rows, cols = self.difference.shape
+        return rows, cols
+
+    def _statistics(self, gram: NDArray[np.float32], matched: Floats, offset: Floats) -> PairStatistics:
+        """Statistics of a B^T W B, (symbols, symbols), B^T W d and B^T W o, (symbols,)."""
+        d, o = self.difference, self.offset
+        found = PairStatistics(
+            gram,
+            matched,
+            offset,
+            cross=float((d * o).sum()),
+            drift=float((o * o).sum()),
+            power=float((d * d).sum()),
+            pixels=int((self.root > 0).sum()),
+            combination=self.combination,
+        )
+        # combined frames have another noise than a difference of two
+        return found if self.combination is None else found.scaled(1 / self.combination.noise)
+
+    def _light(self) -> NDArray[np.float32]:
+        """W^(1/2) B, (pixels, symbols)."""
+        light = np.zeros((*self.difference.shape, len(self.between.across)), np.float32)
+        kernels.add_light(*self.between, light)
+        return light.reshape(self.difference.size, -1)
+
+
+def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = None) -> WhitenedCutout:
+    """Divide a cut-out's pixels, and the light that LEDs give them, by their noise relative to that inside the array.
+
+    A pixel's noise follows its light: s^2 = dark + (lit - dark) f(x) f(y), f the array's profile from 0 to 1. W is
+    taken as a product of a function of x and one of y, so that LEDs' light times its root stays such a product.
+
+    Parameters
+    ----------
+    cutout
+        The pair, or single frame.
+    noise
+        Variances inside and beside the array.
+    side
+        LEDs in a row.
+    led_gains
+        (n, n) gains of the LEDs; None for 1 each.
+    """
+    shape, corner = cutout.shape, cutout.corner
+    # B^T W B is taken at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2
+    first, last = cutout.poses[0], cutout.poses[-1]
+    motion = 0.5 * (last.x - first.x), 0.5 * (last.y - first.y)
+    middle = footprints(cutout.middle, corner, shape, side, motion)
+    weights = _weight_roots(middle, noise, shape)
+    if cutout.covered is not None:
+        weights = weights[0] * cutout.covered[0], weights[1] * cutout.covered[1]
+    root = weights[1][:, None] * weights[0]
+    between = _weighted(middle, weights).scaled(led_gains)
+    frames: tuple[Footprints, ...] = (between,)
+    if len(cutout.poses) > 1:
+        frames = tuple(
+            _weighted(footprints(pose, corner, shape, side), weights).scaled(led_gains) for pose in cutout.poses
+        )
+    if cutout.mean_light_pose is None:
+        # the mean light of combined frames is not half of the array's
+        levels = (0.5, 0.5) if cutout.combination is None else cutout.combination.levels
+        offset = levels[0] * frames[0].all_on(shape) - levels[1] * frames[-1].all_on(shape)
+    else:
+        gains = np.ones((side, side)) if led_gains is None else led_gains
+        offset = root * image_of(gains, cutout.mean_light_pose, corner, shape)
+    return WhitenedCutout(root, root * cutout.difference, offset, frames, between, cutout.combination)
+
+
+def gram_of(light: Footprints, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """B^T B, (symbols, symbols) float32.
+
+    Parameters
+    ----------
+    light
+        Footprints of the LEDs.
+    shape
+        Rows and columns of their window.
+    """
+    products = []
+    for axis, part in ((0, light.across), (1, light.down)):
+        whole = np.empty((len(part), shape[1 - axis]), np.float32)
+        kernels.spread(part, light.first[:, axis], whole)
+        # NumPy's own X X^T takes six times as long; transposed it is as BLAS wants it
+        products.append(blas.sgemm(1.0, whole.T, whole.T, trans_a=1).T)
+    across, down = products
+    kernels.gram(across, down, gram := np.empty_like(across))
+    return gram
+
+
+def _weight_roots(light: Footprints, noise: Noise, shape: tuple[int, int]) -> tuple[Floats, Floats]:
+    """Roots of the weights by column and by row: W = lit / s^2, 0 in the ring."""
+    columns, rows = np.empty(shape[1]), np.empty(shape[0])
+    kernels.weight_roots(light.across, light.first[:, 0], noise.lit, noise.dark, int(RING_PX), columns)
+    kernels.weight_roots(light.down, light.first[:, 1], noise.lit, noise.dark, int(RING_PX), rows)
+    return columns, rows
+
+
+def _weighted(light: Footprints, weights: tuple[Floats, Floats]) -> Footprints:
+    """Footprints times the root of each pixel's weight."""
+    across, down = np.empty_like(light.across), np.empty_like(light.down)
+    kernels.weighted(light.across, light.first[:, 0], weights[0], across)
+    kernels.weighted(light.down, light.first[:, 1], weights[1], down)
+    return Footprints(across, down, light.first)

@@ -1,0 +1,261 @@
+"""The soft receiver's reader: a packet's frames are kept until its end, equalised and decoded together."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.acquire.format_reader import FormatReader
+from heliograph.receive.acquire.header import header_score, header_weights
+from heliograph.receive.array import ReadHeader
+from heliograph.receive.decode.codeword import DecoderOptions
+from heliograph.receive.decode.iterate import GainAndNoise, decode_iteratively
+from heliograph.receive.decode.soft_combining import SoftBuffer
+from heliograph.receive.equalise.led_gains import LedGains
+from heliograph.receive.equalise.threads import one_thread
+from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.observe.cutout import Cutout, take_cutout
+from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
+from heliograph.receive.packets import Codeword, Packet
+from heliograph.receive.settings import Feedback
+from heliograph.receive.timing.frame_pair import FramePair, MeasuredHeader
+from heliograph.receive.track.background import SeenHeader
+from heliograph.receive.track.decision_directed import DecidedPair, DecisionDirectedTracker
+from heliograph.receive.track.pose_refinement import ObservedPacket
+from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
+from heliograph.signal.formats import Format
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.pwm import light_centroids
+
+Floats = NDArray[np.float64]
+
+RELEARN = 3
+"""Most times a header pair is fitted, once more whenever it shows that an LED has failed or come back."""
+
+
+@dataclass(frozen=True, slots=True)
+class SoftParts:
+    """What the readers of an array's packets share.
+
+    Attributes
+    ----------
+    form
+        The agreed format of packets.
+    tracker
+        Follows the array.
+    buffer
+        What was seen of its codewords before; None combines nothing.
+    options
+        The decoder's.
+    feedback
+        What the equaliser gets back from the decoder.
+    observe
+        Gets events.
+    """
+
+    form: PacketFormat
+    tracker: Tracker
+    buffer: SoftBuffer | None
+    options: DecoderOptions
+    feedback: Feedback
+    observe: Observer
+
+
+class SoftReader:
+    """Reads a packet at the limit of the channel; see `array.PacketReader`.
+
+    Parameters
+    ----------
+    identity
+        The array's.
+    parts
+        What all its readers share.
+    led_gains
+        Gains of its LEDs by earlier packets; None takes those of the detection.
+    """
+
+    def __init__(self, identity: int, parts: SoftParts, led_gains: LedGains | None = None):
+        self._identity, self._parts, self._led_gains = identity, parts, led_gains
+        self._side = parts.form.settings.side
+        self._cutouts: list[Cutout | None] = []
+        self._even: Cutout | None = None
+        self._gain = 0.0
+        self._format_reader = FormatReader(identity, self._side)
+        self._form: PacketFormat | None = None
+        self._headers: list[SeenHeader] = []
+        self._decisions: DecisionDirectedTracker | None = None
+        self._decided: DecidedPair | None = None
+        _, data = light_centroids(parts.form.settings.slot_order)
+        # the data's light was in the middle of the exposure, or about it
+        self._late_s = (data - 0.5) * parts.form.settings.pattern_period_s
+
+    @property
+    def format(self) -> Format:
+        """The packet's format, as far as its header has shown it."""
+        return self._form.format if self._form else self._format_reader.format(self._gain)
+
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
+        """Read the format, refine the pose and learn the LEDs' gains; see `PacketReader`."""
+        track = tracked.track
+        if tracked.seen:
+            # cells may be known to be hidden since the detection
+            self._led_gains = self._led_gains or LedGains(track.led_gains)
+            track = replace(track, led_gains=self._led_gains.values)
+            self._take_format(number, pair, track)
+        # the later pairs are dimmed where a format is signalled
+        signalled = self.format.number if number else 0
+        weights = header_weights(self._identity, signalled, self._side, pair.combination)
+        score = header_score(pair, tracked.state.pose, weights * track.led_gains, track.gain)
+        return ReadHeader(self._learn(pair, weights, tracked.before, track) if tracked.seen else track, score)
+
+    def end_header(self, header: MeasuredHeader) -> None:
+        """Take a whole header out of step: its even sum for the noise, its frames for the format.
+
+        See `PacketReader`.
+        """
+        if header.pair is None or header.frames is None:
+            return
+        pose = header.frames.pose
+        self._even = take_cutout(header.pair, (pose, pose), self._side)
+        if self._headers and self._led_gains is not None:
+            self._format_reader.take_frames(header.frames, self._led_gains.values)
+
+    def follow(self, pair: FramePair, track: Track) -> TrackedPair:
+        """Find the array by the sum, or where there are no inverses by decisions; see `PacketReader`."""
+        if not self._known().single:
+            return self._parts.tracker.follow(track, pair)
+        if self._decisions is None:
+            self._decisions = self._begin_decisions(pair.late_s, track.data_gain)
+        self._decided = self._decisions.follow(track, pair)
+        return self._decided.tracked
+
+    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
+        """Keep a pair; see `PacketReader`."""
+        self._gain = tracked.track.data_gain
+        cutouts: Sequence[Cutout] = (
+            [self._cutout(pair, tracked.track)] if self._decided is None else self._decided.cutouts
+        )
+        self._cutouts[len(cutouts) * place : len(cutouts) * (place + 1)] = cutouts
+        poses = tuple(pose for cutout in cutouts for pose in cutout.poses)
+        self._parts.observe(ExtractEvent(self._identity, (pair.pattern, pair.inverted), poses))
+
+    @one_thread()
+    def decode(self) -> dict[str, tuple[Codeword, ...]]:
+        """Codewords by layer, of all pairs kept."""
+        form, buffer = self._known(), self._parts.buffer
+        led_gains = self._gains()
+        first = None if buffer is None else buffer.copy()
+        words = self._attempt(form, led_gains.values, first)
+        if _open(words) and not (led_gains.values == 1).all():
+            # a header before a bright background may have made LEDs seem dead that are not
+            second = None if buffer is None else buffer.copy()
+            sound = self._attempt(form, np.ones_like(led_gains.values), second)
+            if _open(sound) < _open(words):
+                self._led_gains, first = LedGains.sound(self._side), second
+            words = {name: tuple(map(_better, words[name], sound[name])) for name in words}
+        if buffer is not None and first is not None:
+            buffer.become(first)
+        return words
+
+    def shown(self, packet: Packet) -> DecodeEvent:
+        """The packet with the cut-outs of its pairs."""
+        return DecodeEvent(self._identity, packet, cutouts=tuple(self._cutouts))
+
+    def next(self) -> "SoftReader":
+        """The reader of the next packet; it knows the LEDs."""
+        return SoftReader(self._identity, self._parts, None if self._led_gains is None else self._led_gains.faded())
+
+    def _take_format(self, number: int, pair: FramePair, track: Track) -> None:
+        """Take what a header pair shows of the format, and keep the pair."""
+        state = track.state  # as the pairs before have refined it
+        poses = state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)
+        self._format_reader.take(number, pair, poses, self._gains().values)
+        self._headers.append(SeenHeader(pair, poses))
+        self._gain = track.data_gain
+
+    def _learn(self, pair: FramePair, weights: Floats, before: Track, track: Track) -> Track:
+        """Refine the pose by a header pair, and learn the LEDs' gains; again while these change the pose."""
+        for _ in range(RELEARN):
+            track = self._parts.tracker.refine(track, pair, weights)
+            if pair.combination is not None or np.any(np.abs(weights) != 1):
+                # combined frames do not show it; dimmed cells are another pattern than those that are summed up
+                return track
+            learnt, gain, changed = self._learn_gains(pair, weights, track)
+            self._led_gains = learnt
+            track = replace(track, data_gain=gain, led_gains=learnt.values)
+            if not changed:
+                return track
+            track = self._parts.tracker.follow(replace(track, state=before.state), pair).track
+        return track
+
+    @one_thread()
+    def _learn_gains(self, pair: FramePair, header: Floats, track: Track) -> tuple[LedGains, float, bool]:
+        learnt = self._gains().learn(self._cutout(pair, track), header, track.data_gain)
+        return learnt.led_gains, learnt.gain, learnt.changed
+
+    @one_thread()
+    def _begin_decisions(self, late_s: float, gain: float) -> DecisionDirectedTracker:
+        return DecisionDirectedTracker(
+            self._parts.tracker, (late_s, self._late_s), self._headers, gain, self._gains().values
+        )
+
+    def _attempt(
+        self, form: PacketFormat, led_gains: Floats, buffer: SoftBuffer | None
+    ) -> dict[str, tuple[Codeword, ...]]:
+        """Decode all that was kept, LEDs having given gains (n, n)."""
+        parts, noise = self._parts, self._noise(led_gains)
+        observed = ObservedPacket(self._cutouts, noise, form, led_gains)
+        channel = GainAndNoise(self._gain, noise.lit)
+        return decode_iteratively(
+            observed, channel, form, self._identity, parts.options, buffer, parts.feedback, parts.observe
+        )
+
+    def _noise(self, led_gains: Floats) -> Noise:
+        """Noise of the cut-outs."""
+        seen = [cutout for cutout in self._cutouts if cutout is not None]
+        if self._decisions is not None:
+            return Noise(self._decisions.noise.lit, noise_beside(seen, self._side))
+        noise = measure_noise(seen, self._gain, self._side, led_gains)
+        if self._even is None or not any(cutout.combination for cutout in seen):
+            return noise
+        # of pairs out of step the sum is uneven, but not that of a header
+        even = measure_noise([self._even], self._gain, self._side, led_gains)
+        return Noise(min(even.lit, noise.lit), noise.dark)
+
+    def _cutout(self, pair: FramePair, track: Track) -> Cutout:
+        """Cut-out of a pair where the data's light was, the background's motion compensated."""
+        late_s, combination = (self._late_s, self._late_s), pair.combination
+        if combination is not None:
+            period_s = self._parts.form.settings.pattern_period_s
+            first, second = ((time - combination.sum_time) * period_s for time in combination.data_times)
+            late_s = first, second
+        poses = _poses_at(track, pair, late_s)
+        return take_cutout(pair, poses, self._side).motion_compensated(track.gain, self._gains().values)
+
+    def _gains(self) -> LedGains:
+        return self._led_gains or LedGains.sound(self._side)
+
+    def _known(self) -> PacketFormat:
+        """The packet's format, once its header is over."""
+        if self._form is None:
+            self._form = PacketFormat(self._parts.form.settings, self.format)
+            self._cutouts = [None] * self._form.layers["high"].pairs
+        return self._form
+
+
+def _poses_at(track: Track, pair: FramePair, late_s: tuple[float, float]) -> tuple[Pose, Pose]:
+    """Poses at times after the starts of a pair's two frames."""
+    state = track.state
+    return state.pose_at(pair.pattern.time_s + late_s[0]), state.pose_at(pair.inverted.time_s + late_s[1])
+
+
+def _open(words: dict[str, tuple[Codeword, ...]]) -> int:
+    """Codewords that are not decoded."""
+    return sum(word.status == "crc_fail" for by in words.values() for word in by)
+
+
+def _better(one: Codeword, other: Codeword) -> Codeword:
+    """The one that was decoded."""
+    return other if one.status == "crc_fail" else one

@@ -1,0 +1,68 @@
+"""Extraction: the luminance at each LED's image position, pattern minus inverse, or the blur undone."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.window import RIM_PX, Pixels, cut_out, window_around
+from heliograph.receive.settings import Equaliser
+
+
+def pair_luminances(
+    frames: tuple[Pixels, Pixels],
+    poses: tuple[Pose, Pose],
+    gain: float,
+    side: int,
+    equaliser: Equaliser = "none",
+) -> NDArray[np.float64]:
+    """Normalised luminances x' = level - 2 of a data pair.
+
+    Parameters
+    ----------
+    frames
+        Pattern and inverse.
+    poses
+        The array's pose in each.
+    gain
+        Gray levels of the sum of the pair with all LEDs on.
+    side
+        LEDs in a row.
+    equaliser
+        "none" reads the luminance at each LED's position, "inverse" undoes the blur.
+
+    Returns
+    -------
+    (side, side) float64, about -2 to 2; the background cancels in the difference.
+    """
+    if equaliser == "inverse":
+        from heliograph.receive.plain.inverse import unblurred  # SciPy is slow to import
+
+        return unblurred(frames, poses, gain, side)
+    up, down = (luminances(frame, pose, side) for frame, pose in zip(frames, poses, strict=True))
+    # r - r_inverted = gain (x - (1 - x)) = gain (2 x - 1) = gain x' / 2
+    return 2 * (up - down) / max(gain, 1e-6)
+
+
+def luminances(frame: Pixels, pose: Pose, side: int) -> NDArray[np.float64]:
+    """Gray level at each LED's image position, by cubic interpolation.
+
+    Parameters
+    ----------
+    frame
+        A frame.
+    pose
+        The array's pose in it.
+    side
+        LEDs in a row.
+
+    Returns
+    -------
+    (side, side) float64.
+    """
+    from heliograph.receive.plain import kernels  # Numba is slow to import
+
+    window = window_around(pose, side, RIM_PX)
+    points = pose.leds(side).reshape(-1, 2) - window[:2]
+    out = np.empty(len(points))
+    kernels.sample_cubic(cut_out(frame, window), points, out)
+    return out.reshape(side, side)

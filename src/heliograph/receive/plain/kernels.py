@@ -1,0 +1,38 @@
+"""Hot loop of the plain receiver; `reference.py` holds the same in plain NumPy, and a test holds the two together."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def sample_cubic(image, points, out):
+    """Image between its pixels by cubic convolution (Keys 1981, a = -1/2); the border repeats.
+
+    Parameters
+    ----------
+    image
+        (rows, columns) float64.
+    points
+        (n, 2) of (x, y) in px of the image.
+    out
+        (n,), overwritten.
+    """
+    rows, cols = image.shape
+    wx, wy = np.empty(4), np.empty(4)
+    for p in range(points.shape[0]):
+        x, y = points[p, 0], points[p, 1]
+        j, i = math.floor(x), math.floor(y)
+        for axis in range(2):
+            t, w = (x - j, wx) if axis == 0 else (y - i, wy)
+            w[0] = ((-0.5 * t + 1.0) * t - 0.5) * t
+            w[1] = (1.5 * t - 2.5) * t * t + 1.0
+            w[2] = ((-1.5 * t + 2.0) * t + 0.5) * t
+            w[3] = (0.5 * t - 0.5) * t * t
+        value = 0.0
+        for a in range(4):
+            r = min(max(i + a - 1, 0), rows - 1)
+            for b in range(4):
+                value += wy[a] * wx[b] * image[r, min(max(j + b - 1, 0), cols - 1)]
+        out[p] = value

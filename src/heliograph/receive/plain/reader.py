@@ -1,0 +1,89 @@
+"""The plain receiver's reader: luminances at the LEDs' image positions, FHWT, one decoding."""
+
+import numpy as np
+
+from heliograph.receive.acquire.header import header_score, header_weights
+from heliograph.receive.array import ReadHeader
+from heliograph.receive.decode.codeword import DecoderOptions, decode_packet
+from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
+from heliograph.receive.packets import Codeword, Packet
+from heliograph.receive.plain.extract import pair_luminances
+from heliograph.receive.settings import Equaliser
+from heliograph.receive.timing.frame_pair import FramePair, MeasuredHeader
+from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
+from heliograph.signal.formats import AGREED, Format
+from heliograph.signal.packet import PacketFormat
+
+
+class PlainReader:
+    """Reads a packet as the paper does; see `array.PacketReader`.
+
+    Parameters
+    ----------
+    identity
+        The array's.
+    form
+        The agreed format of packets; the plain receiver reads no other.
+    tracker
+        Follows the array.
+    equaliser
+        How the LEDs are read.
+    options
+        The decoder's.
+    observe
+        Gets an `ExtractEvent` each pair.
+    """
+
+    def __init__(
+        self,
+        identity: int,
+        form: PacketFormat,
+        tracker: Tracker,
+        equaliser: Equaliser,
+        options: DecoderOptions,
+        observe: Observer,
+    ):
+        self._identity, self._form, self._tracker = identity, form, tracker
+        self._equaliser, self._options, self._observe = equaliser, options, observe
+        pairs, side = form.settings.data_pairs, form.settings.side
+        self._luminances = np.zeros((pairs, side, side))
+        self._seen = np.zeros(pairs, dtype=bool)
+
+    @property
+    def format(self) -> Format:
+        """The agreed one."""
+        return AGREED
+
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:  # noqa: ARG002 - all are alike
+        """Refine the pose by a header pair; see `PacketReader`."""
+        track, side = tracked.track, self._form.settings.side
+        weights = header_weights(self._identity, AGREED.number, side)
+        score = header_score(pair, track.state.pose, weights * track.led_gains, track.gain)
+        return ReadHeader(self._tracker.refine(track, pair, weights) if tracked.seen else track, score)
+
+    def end_header(self, header: MeasuredHeader) -> None:
+        """Nothing is read of a header as a whole."""
+
+    def follow(self, pair: FramePair, track: Track) -> TrackedPair:
+        """Find the array by the sum; see `PacketReader`."""
+        return self._tracker.follow(track, pair)
+
+    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
+        """Read the luminances of a pair; see `PacketReader`."""
+        frames, state = (pair.pattern, pair.inverted), tracked.state
+        poses = state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)
+        x = pair_luminances(frames, poses, tracked.track.gain, self._form.settings.side, self._equaliser)
+        self._luminances[place], self._seen[place] = x, True
+        self._observe(ExtractEvent(self._identity, frames, poses, x))
+
+    def decode(self) -> dict[str, tuple[Codeword, ...]]:
+        """Codewords by layer."""
+        return decode_packet(self._luminances, self._seen, self._form, self._identity, self._options)
+
+    def shown(self, packet: Packet) -> DecodeEvent:
+        """The packet with its luminances."""
+        return DecodeEvent(self._identity, packet, luminances=self._luminances)
+
+    def next(self) -> "PlainReader":
+        """The reader of the next packet."""
+        return PlainReader(self._identity, self._form, self._tracker, self._equaliser, self._options, self._observe)

@@ -1,1 +1,0 @@
-"""The receiver "soft": equaliser, cancellation and turbo decoder over whole packets."""

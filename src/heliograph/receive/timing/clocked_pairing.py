@@ -1,0 +1,289 @@
+"""Pairs of a camera of any timing: its frames combined by the light's own clock."""
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.window import window_around
+from heliograph.receive.timing.combination import EXACT, Combination, SlotLight, combine_header, combine_pair
+from heliograph.receive.timing.frame_pair import (
+    CombinedFrame,
+    FramePair,
+    HeaderFrames,
+    MeasuredHeader,
+    PoseAt,
+    is_data,
+    sum_late_s,
+)
+from heliograph.receive.timing.light_clock import AROUND, EXPLAINED, LightClock, view_header
+from heliograph.signal.header import header_levels
+from heliograph.signal.settings import SignalSettings
+
+AHEAD = 1.0
+"""Patterns after the end of a pair whose frames are awaited: one that straddles the end may start that late."""
+
+BEFORE = 1.0
+"""Patterns before a pair's start whose frames are used, for the same reason."""
+
+EARLY = 0.02
+"""Patterns by which a pair may be read before all awaited frames have come: stamps are inexact by as much."""
+
+OVERHANG = 0.04
+"""T_b by which an exposure may exceed the header and still count as within it: that much of its light is wrong."""
+
+DOUBT = 1.5
+"""Standard deviations of the clock by which frames may depart from pattern and inverse and still count as in step."""
+
+TICKS = 3
+"""Decimal places of a frame's start in patterns: the clock is exact to 0.004 at best."""
+
+MARGIN, MARGIN_PX = 0.5, 8.0
+"""Margin of combined frames about the array, as a fraction of its side, and at least in px: room for the tracker."""
+
+
+class ClockedPairing:
+    """Pairs of a camera of any timing, by the light's own clock.
+
+    Parameters
+    ----------
+    start_s
+        When the header began, in seconds, as the detection has it.
+    time_s
+        Time of the detection's pose.
+    pose
+        That pose.
+    identity
+        The array's.
+    led_gains
+        (n, n) gains of its LEDs, 0 in cells that were hidden at the detection.
+    signal
+        The light's signal.
+    exposure_s
+        The camera's exposure where it is known, else None.
+    """
+
+    def __init__(
+        self,
+        start_s: float,
+        time_s: float,
+        pose: Pose,
+        identity: int,
+        led_gains: NDArray[np.float64],
+        signal: SignalSettings,
+        exposure_s: float | None,
+    ):
+        self.lost = False
+        self.first_gain: float | None = None
+        self._start_s, self._time_s, self._pose, self._identity = start_s, time_s, pose, identity
+        self._led_gains, self._signal, self._exposure_s = led_gains, signal, exposure_s
+        self._late_s = sum_late_s(signal)
+        self._light = SlotLight(signal.slot_order)
+        self._signs = header_levels(identity, signal.side) / 2.0 - 1.0
+        self._header = 2 * signal.header_pairs
+        self._frames: deque[Frame] = deque()
+        self._clock: LightClock | None = None
+        self._next = 0
+
+    @property
+    def now_s(self) -> float:
+        """See `Pairing`."""
+        if self._clock is None or not self._next:
+            return self._time_s
+        return self._clock.time_s(2 * self._next - 1)
+
+    @property
+    def origin_s(self) -> float:
+        """See `Pairing`."""
+        if self._clock is None or not self._next:
+            return self._start_s
+        place = 2 * (self._next - 1)
+        return self._clock.time_s(place) - place * self._signal.pattern_period_s
+
+    def push(self, frame: Frame) -> Iterator[int]:
+        """Take the next frame; yield the numbers of the pairs that can be read by now."""
+        self._frames.append(frame)
+        if self._clock is None:
+            awaited = self._header + AROUND + 1
+            if frame.time_s < self._start_s + awaited * self._signal.pattern_period_s:
+                return
+            self._clock = self._begin()
+        yield from self._due(self._clock, float(self._clock.pattern_at(frame.time_s)) - AHEAD)
+
+    def flush(self) -> Iterator[int]:
+        """Yield the numbers of the pairs that can still be read, as there will be no more frames."""
+        if self._clock is None and len(self._frames) > self._header:
+            self._clock = self._begin()
+        if self._clock is not None and self._frames:
+            end = float(self._clock.pattern_at(self._frames[-1].time_s)) + self._clock.exposure
+            yield from self._due(self._clock, end)
+
+    def header(
+        self, pair: int, poses: Mapping[int, Pose], pose_at: PoseAt, led_gains: NDArray[np.float64]
+    ) -> MeasuredHeader | None:
+        """Correct the clock by the header before a pair; see `Pairing`."""
+        clock, pattern = self._started, 2 * pair - self._header
+        near = self._frames_of(clock, pattern - AROUND, pattern + self._header + AROUND)
+        if not poses or len(near) <= self._header:
+            return None
+        known = np.array(sorted(poses))
+        pairs = 0.5 * (_starts(clock, near) - 0.5)
+        there = [poses[int(known[np.argmin(np.abs(known - k))])] for k in pairs]
+        seen = clock.measure(view_header(near, there, self._signs * led_gains), pattern, again=pattern == 0)
+        if not seen or _in_step(clock, self._combination(clock, near, pattern)):
+            return None
+        inside, combination = self._header_combination(clock, pattern, (0, self._header))
+        middle = pose_at(clock.time_s(pattern + self._header / 2))
+        window = self._window(inside, middle) if combination else None
+        if combination is None or window is None:
+            return MeasuredHeader(clock.gain)
+        pair_seen = self._combined(clock, pattern, combination, inside, window)
+        return MeasuredHeader(clock.gain, pair_seen, self._header_frames(clock, pattern, inside, window, middle))
+
+    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | None:
+        """Give the frames of a pair, combined where they are not in step; see `Pairing`."""
+        clock, place = self._started, 2 * number
+        in_packet, data = number % (self._signal.packet_patterns // 2), is_data(number, self._signal)
+        near = self._frames_of(clock, place - BEFORE, place + 2 + AHEAD)
+        combination = self._combination(clock, near, place)
+        stepped = _in_step(clock, combination)
+        if single and data:
+            # data without inverses are read frame by frame or not at all
+            stepped |= combination is not None and bool(np.isfinite(combination.departure))
+        first = place if data else place - 2 * in_packet
+        if not data and not stepped:
+            near, combination = self._header_combination(clock, first, (2 * in_packet, 2 * in_packet + 2))
+        if combination is None:
+            return None
+        frames = [near[k] for k in combination.frames]
+        if stepped:
+            return FramePair(frames[0], frames[1], self._late_s if data else 0.0)
+        window = self._window(frames, pose_at(clock.time_s(place + 1)))
+        return self._combined(clock, first, combination, frames, window) if window else None
+
+    @property
+    def _started(self) -> LightClock:
+        assert self._clock is not None  # no pair is due before
+        return self._clock
+
+    def _begin(self) -> LightClock:
+        """The clock by the header of the detection."""
+        frames, light_s, start_s = list(self._frames), self._signal.pattern_period_s, self._start_s
+        # the median passes over frames that were dropped
+        period = float(np.median(np.diff([f.time_s for f in frames])))
+        clock = LightClock(start_s, period, self._signal, self._identity, self._exposure_s)
+        end = start_s + (self._header + AROUND) * light_s
+        near = [f for f in frames if start_s - AROUND * light_s <= f.time_s <= end]
+        if len(near) <= self._header:
+            # the header would have begun before the film
+            self.lost = True
+            return clock
+        clock.measure(view_header(near, [self._pose] * len(near), self._signs * self._led_gains), 0)
+        self.lost = clock.explained < EXPLAINED
+        if not _in_step(clock, self._combination(clock, near, 0)):
+            # the detection took frames to be in step, and so the header for weaker than it is
+            self.first_gain = clock.gain
+        return clock
+
+    def _due(self, clock: LightClock, end: float) -> Iterator[int]:
+        """Numbers of the pairs that end before a pattern."""
+        while not self.lost and 2 * (self._next + 1) <= end + EARLY:
+            pair = self._next
+            self._next += 1
+            yield pair
+            self._forget(clock.time_s(2 * pair - self._header - 2 * AROUND))
+
+    def _combination(self, clock: LightClock, frames: list[Frame], pattern: int) -> Combination | None:
+        """How frames combine for the pair that begins with a pattern."""
+        starts = np.round(_starts(clock, frames) - pattern, TICKS)
+        return _pair_combination(tuple(starts.tolist()), clock.exposure, self._light)
+
+    def _header_combination(
+        self, clock: LightClock, first: int, part: tuple[int, int]
+    ) -> tuple[list[Frame], Combination | None]:
+        """Frames within a part of the header that starts with pattern `first`, and how they combine."""
+        low, high = max(part[0] - 1 + OVERHANG, -OVERHANG), min(part[1], self._header + OVERHANG)
+        near = self._frames_of(clock, first + low, first + high)
+        starts = _starts(clock, near) - first
+        within = starts + clock.exposure <= self._header + OVERHANG
+        within &= (starts + clock.exposure > part[0] + OVERHANG) & (starts < part[1] - OVERHANG)
+        near = [f for f, yes in zip(near, within, strict=True) if yes]
+        starts = starts[within]
+        shown, _ = clock.header(starts, 0.0)
+        return near, combine_header(starts, clock.exposure, shown, clock.header(starts, 1.0))
+
+    def _header_frames(
+        self, clock: LightClock, pattern: int, frames: list[Frame], window: tuple[int, int, int, int], pose: Pose
+    ) -> HeaderFrames:
+        """Frames of the header that began with a pattern, and what they show of whole and of dimmed cells."""
+        starts = _starts(clock, frames) - pattern
+        (whole, even), (dimmed, uneven) = clock.header(starts, 0.0), clock.header(starts, 1.0)
+        return HeaderFrames(
+            _cut(frames, window), (window[0], window[1]), pose, np.stack([whole, dimmed]), np.stack([even, uneven])
+        )
+
+    def _frames_of(self, clock: LightClock, first: float, last: float) -> list[Frame]:
+        """Frames that start between two patterns."""
+        low, high = clock.time_s(first), clock.time_s(last)
+        return [f for f in self._frames if low <= f.time_s <= high]
+
+    def _window(self, frames: list[Frame], pose: Pose) -> tuple[int, int, int, int] | None:
+        """Part of the sensor around the array that all frames have: left, top, and the right and lower end."""
+        side = self._signal.side
+        x, y, width, height = window_around(pose, side, max(MARGIN_PX, MARGIN * side * pose.pitch))
+        left, top = max(x, *(f.origin[0] for f in frames)), max(y, *(f.origin[1] for f in frames))
+        right = min(x + width, *(f.origin[0] + f.pixels.shape[1] for f in frames))
+        low = min(y + height, *(f.origin[1] + f.pixels.shape[0] for f in frames))
+        return (left, top, right, low) if right > left and low > top else None
+
+    def _combined(
+        self,
+        clock: LightClock,
+        place: int,
+        combination: Combination,
+        frames: list[Frame],
+        window: tuple[int, int, int, int],
+    ) -> FramePair:
+        """Combined pattern and inverse: their sum is all LEDs on, their difference D; times count from `place`."""
+        weights = np.stack([combination.total + combination.difference, combination.total - combination.difference]) / 2
+        first, second = np.tensordot(weights, _cut(frames, window), 1).astype(np.float32)
+        # a frame's time is the start of its exposure, half a pattern before the middle of its light
+        time_s, corner = clock.time_s(place + combination.sum_time - 0.5), (window[0], window[1])
+        return FramePair(
+            CombinedFrame(frames[0].index, time_s, first, corner),
+            CombinedFrame(frames[-1].index, time_s, second, corner),
+            combination=combination,
+        )
+
+    def _forget(self, time_s: float) -> None:
+        """Drop frames older than a time."""
+        while self._frames and self._frames[0].time_s < time_s:
+            self._frames.popleft()
+
+
+@lru_cache(maxsize=64)  # in step, and at rates that repeat, the pairs of a packet are combined alike
+def _pair_combination(starts: tuple[float, ...], exposure: float, light: SlotLight) -> Combination | None:
+    """`combine_pair` for starts rounded to `TICKS` places."""
+    return combine_pair(np.array(starts), exposure, light)
+
+
+def _in_step(clock: LightClock, combination: Combination | None) -> bool:
+    """Whether frames show a pair's pattern and inverse one by one, as far as the clock can tell."""
+    return combination is not None and combination.departure < EXACT + DOUBT * clock.deviation
+
+
+def _cut(frames: list[Frame], window: tuple[int, int, int, int]) -> NDArray[np.float32]:
+    """A window of frames, (frames, rows, columns)."""
+    left, top, right, low = window
+    return np.stack(
+        [f.pixels[top - f.origin[1] : low - f.origin[1], left - f.origin[0] : right - f.origin[0]] for f in frames]
+    ).astype(np.float32)
+
+
+def _starts(clock: LightClock, frames: list[Frame]) -> NDArray[np.float64]:
+    """Starts of exposures in patterns."""
+    return np.asarray(clock.pattern_at(np.array([f.time_s for f in frames])))

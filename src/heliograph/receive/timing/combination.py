@@ -1,0 +1,284 @@
+"""Frames of any timing combined to a pattern and its inverse, and what the two then contain.
+
+In units of T_b from the start of a pair, slot j of the pair shows slot j of its pattern, u_j, up to j = 3, then slot
+j - 4 of its inverse, 1 - u_(7 - j). A frame exposed from a to a + tau shows each slot by their overlap,
+
+    l_f = sum_q sum_r V_fqr u_qr + k_f,
+
+where r counts the slots and q the pairs: the one before, this one and the next. Of all differences
+D = sum_f alpha_f l_f in which everything constant cancels, sum_f alpha_f = 0, `combine_pair` takes the one whose slope
+over the pair's levels is largest against noise and light of the pairs before and after.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.timing import partial_exposure
+from heliograph.signal.formats import DIMMED
+from heliograph.signal.pwm import SLOTS
+
+Floats = NDArray[np.float64]
+
+FRAME_NOISE = 0.05
+"""Variance of a frame's noise in the choice of the difference, the light of an LED lit all through being 1.
+
+A bit at the limit of decoding has about the variance 1/16. A larger value trusts frames less that straddle patterns.
+"""
+
+SUM_NOISE = 1e-3
+"""The same in the choice of the sum. LEDs of a sum are not read one by one, so its unevenness counts for more."""
+
+LEAST_WEIGHT = 0.05
+"""Least weight of a frame as a fraction of the largest; frames of less are left out and cost no time."""
+
+LEAST_SLOPE = 0.1
+"""Least slope over the levels as a fraction of that in step; with less, a pair is lost (20 dB down)."""
+
+LEAST_OVERLAP = 0.02
+"""Least part of a frame's exposure within a pair for the frame to be used: that far two clocks agree."""
+
+LEAST_HEADER = 0.1
+"""Least root of the sum of squares of a header's amplitude over its frames, about their mean."""
+
+EXACT = 0.035
+"""Departure from a pattern less its inverse, as a fraction of T_b, that counts as none.
+
+It costs a quarter of a dB: 0.1 T_b cost 0.7 dB.
+"""
+
+LEAK = 1e-3
+"""Least weight of another pair's slot in D that is subtracted; the pair's own weigh 1/2 each."""
+
+PAIR = 2 * SLOTS
+_EDGES = np.arange(-PAIR, 2 * PAIR + 1) / SLOTS
+
+
+@dataclass(frozen=True)
+class Combination:
+    """How frames combine to a pair.
+
+    Attributes
+    ----------
+    frames
+        (k,) numbers of the frames, in the order given.
+    difference
+        (k,) weights of D: positive ones make the pattern, negative ones its inverse; each sum to about 1.
+    total
+        (k,) weights of the sum, in which the array is lit most evenly and as brightly as with all LEDs on.
+    slots
+        (3, 4) light of each u_r in D: of the pair before, of this one, of the next.
+    levels
+        Mean light in the combined pattern and in its inverse for random data; 1/2 each in step.
+    sum_time
+        Mean time of the sum's light, in T_b from the start of the pair.
+    data_times
+        Mean times of the data's light in pattern and inverse, likewise.
+    dimmed
+        Of a header, what D shows of a cell that is dimmed to signal a format: contrast and light, 1/2 and 0 in step.
+    """
+
+    frames: NDArray[np.intp]
+    difference: Floats
+    total: Floats
+    slots: Floats
+    levels: tuple[float, float]
+    sum_time: float
+    data_times: tuple[float, float]
+    dimmed: tuple[float, float] = (DIMMED, 0.0)
+
+    @property
+    def noise(self) -> float:
+        """Noise variance of D, 1 for a difference of two frames."""
+        return float(0.5 * (self.difference**2).sum())
+
+    @property
+    def sum_noise(self) -> float:
+        """Noise variance of the sum, 1 for a sum of two frames."""
+        return float(0.5 * (self.total**2).sum())
+
+    @property
+    def departure(self) -> float:
+        """How far two frames depart from pattern and inverse, as a fraction of T_b; infinite for other frames."""
+        ideal = np.zeros((3, SLOTS))
+        ideal[1] = 0.5
+        two = np.array_equal(self.total > 0.5, [True, True]) and len(self.difference) == 2
+        return float(np.abs(self.slots - ideal).sum(1).max()) / 2 if two else float("inf")
+
+    @cached_property
+    def response(self) -> Floats:
+        """(16, 4) observed symbols by the values of this pair's; see `partial_exposure.response`."""
+        return partial_exposure.response(self.slots[1])
+
+    @cached_property
+    def leaks(self) -> tuple[Floats | None, Floats | None]:
+        """(16, 4) light in D of the symbols of the pair before and of the next; None where there is none."""
+        before, after = (
+            partial_exposure.response(slots) if np.abs(slots).max() > LEAK else None for slots in self.slots[[0, 2]]
+        )
+        return before, after
+
+
+@dataclass(frozen=True)
+class SlotLight:
+    """Light in each PWM slot of a pattern, in the order of time.
+
+    Attributes
+    ----------
+    order
+        Order in which the slots of a pattern are lit as the level rises.
+    """
+
+    order: tuple[int, ...]
+
+    @cached_property
+    def rank(self) -> NDArray[np.intp]:
+        """(4,): slot s in time is the rank[s]-th to be lit."""
+        return np.argsort(np.asarray(self.order))
+
+    @cached_property
+    def shows(self) -> Floats:
+        """(24, 3, 4): factor of each u_r in each slot of three pairs, 1 in patterns and -1 in inverses."""
+        out = np.zeros((3 * PAIR, 3, SLOTS))
+        for j in range(3 * PAIR):
+            q, s = divmod(j, PAIR)
+            if s < SLOTS:
+                out[j, q, self.rank[s]] = 1.0
+            else:
+                out[j, q, SLOTS - 1 - self.rank[s - SLOTS]] = -1.0
+        return out
+
+    @cached_property
+    def mean(self) -> Floats:
+        """(24,) mean light of each slot for random data, 0 to 1."""
+        constant = (self.shows.sum((1, 2)) < 0).astype(np.float64)
+        return np.asarray(self.shows.sum(1) @ partial_exposure.MEAN_LIT + constant)
+
+    @cached_property
+    def dimmed(self) -> tuple[Floats, Floats]:
+        """Contrast and mean light of each slot of a header's dimmed cells, (4,) each; 1 and 1/2 of other cells."""
+        high, low = (np.where(self.rank < SLOTS * (0.5 + sign * DIMMED / 2), 1.0, 0.0) for sign in (1, -1))
+        return high - low, 0.5 * (high + low)
+
+
+def combine_pair(starts: Floats, exposure: float, light: SlotLight) -> Combination | None:
+    """Combine frames for a pair of data.
+
+    Parameters
+    ----------
+    starts
+        (frames,) starts of the exposures in T_b from the start of the pair.
+    exposure
+        Their length in T_b, above 0.
+    light
+        The slots.
+
+    Returns
+    -------
+    Combination, or None where the frames show nothing of the pair.
+    """
+    overlap, middle = _overlaps(starts, exposure)
+    shown = np.einsum("fj,jqr->fqr", overlap, light.shows)
+    slope = shown[:, 1] @ partial_exposure.SLOPES
+    near = np.flatnonzero(overlap[:, PAIR : 2 * PAIR].sum(1) > LEAST_OVERLAP)
+    difference = _difference(shown[near], slope[near])
+    # in step the slope is 1/2: 1/4 of the pattern and 1/4 of its inverse
+    if difference @ slope[near] < LEAST_SLOPE / 2:
+        return None
+    total = _total(shown[near], (overlap @ light.mean)[near])
+    used = np.abs(difference) + total > 0
+    near, difference, total = near[used], difference[used], total[used]
+    overlap, middle, shown = overlap[near], middle[near], shown[near]
+    parts = np.maximum(difference, 0), np.maximum(-difference, 0)
+    data = overlap[:, PAIR : 2 * PAIR] * np.abs(light.shows[PAIR : 2 * PAIR, 1] @ partial_exposure.SLOPES)
+    return Combination(
+        frames=near,
+        difference=difference,
+        total=total,
+        slots=np.einsum("f,fqr->qr", difference, shown),
+        levels=(float((parts[0] @ overlap) @ light.mean), float((parts[1] @ overlap) @ light.mean)),
+        sum_time=_centroid(total, overlap * light.mean, middle),
+        data_times=(
+            _centroid(parts[0], data, middle[:, PAIR : 2 * PAIR]),
+            _centroid(parts[1], data, middle[:, PAIR : 2 * PAIR]),
+        ),
+    )
+
+
+def combine_header(starts: Floats, exposure: float, shown: Floats, dimmed: tuple[Floats, Floats]) -> Combination | None:
+    """Combine frames of a header alone: their sum is free of it, their difference shows it as in step.
+
+    Parameters
+    ----------
+    starts, exposure
+        As in `combine_pair`.
+    shown
+        (frames,) how much of the header less its inverse each frame shows, -1 to 1.
+    dimmed
+        The same of cells that are dimmed to signal a format, and their mean light, (frames,) each.
+
+    Returns
+    -------
+    Combination, or None where the frames do not show the header.
+    """
+    about = shown - shown.mean() if len(shown) else shown
+    energy = float(about @ about)
+    if energy < LEAST_HEADER**2:
+        return None
+    # least squares: sum beta = 2 with sum beta s = 0; sum w = 0 with sum w s = 2
+    total, difference = 2 / len(shown) - 2 * shown.mean() / energy * about, 2 / energy * about
+    # a header's LEDs are lit evenly
+    middle = float(total @ (starts + exposure / 2)) / 2
+    cell = (0.5 * float(difference @ dimmed[0]), float(difference @ dimmed[1]))
+    empty = np.zeros((3, SLOTS))
+    return Combination(np.arange(len(shown)), difference, total, empty, (0.5, 0.5), middle, (middle, middle), cell)
+
+
+def _overlaps(starts: Floats, exposure: float) -> tuple[Floats, Floats]:
+    """Part of each exposure in each slot of three pairs, and the middles of those times, (frames, 24)."""
+    begin = np.maximum(starts[:, None], _EDGES[:-1])
+    end = np.minimum(starts[:, None] + exposure, _EDGES[1:])
+    return np.maximum(end - begin, 0.0) / exposure, (begin + end) / 2
+
+
+def _difference(shown: Floats, slope: Floats) -> Floats:
+    """Weights of D: alpha = M^-1 (h - mu 1), which maximises (alpha h)^2 / (alpha M alpha) with sum alpha = 0."""
+    weights, used = np.zeros_like(slope), np.arange(len(slope))
+    # what is not linear in the levels, and light of other pairs, counts as noise at first
+    rest = partial_exposure.COVARIANCE - np.outer(partial_exposure.SLOPES, partial_exposure.SLOPES)
+    matrix = FRAME_NOISE * np.eye(len(slope)) + shown[:, 1] @ rest @ shown[:, 1].T
+    for q in (0, 2):
+        matrix += shown[:, q] @ partial_exposure.COVARIANCE @ shown[:, q].T
+    while len(used) >= 2:
+        h, ones = slope[used], np.ones(len(used))
+        # mu = (1 M^-1 h) / (1 M^-1 1)
+        a, b = np.linalg.solve(matrix[np.ix_(used, used)], np.stack([h, ones], axis=1)).T
+        alpha = a - b * (a.sum() / b.sum())
+        strong = np.abs(alpha) >= LEAST_WEIGHT * np.abs(alpha).max()
+        if strong.all():
+            weights[used] = alpha / max(alpha[alpha > 0].sum(), 1e-12)
+            break
+        used = used[strong]
+    return weights
+
+
+def _total(shown: Floats, light: Floats) -> Floats:
+    """Weights of the sum: the least noise and unevenness, for the mean light of all LEDs on; none is negative."""
+    matrix = SUM_NOISE * np.eye(len(light))
+    for q in range(3):
+        matrix += shown[:, q] @ partial_exposure.COVARIANCE @ shown[:, q].T
+    weights, used = np.zeros_like(light), np.arange(len(light))
+    while True:
+        beta = np.linalg.solve(matrix[np.ix_(used, used)], light[used])
+        strong = beta >= LEAST_WEIGHT * beta.max()
+        if strong.all():
+            weights[used] = beta / (beta @ light[used])
+            return weights
+        used = used[strong]
+
+
+def _centroid(weights: Floats, light: Floats, middle: Floats) -> float:
+    """Mean time of the light (frames, slots) of weighted frames."""
+    return float((weights @ (light * middle)).sum() / max((weights @ light).sum(), 1e-9))

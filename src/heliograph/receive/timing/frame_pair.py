@@ -1,0 +1,206 @@
+"""Frames of one array paired: which of them show a pattern and its inverse.
+
+A camera in step takes a pattern and its inverse one by one. Any other camera needs the light's clock, and frames
+combined. Either way an array's receiver gets pairs by number, counted from the header by which the array was found.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.timing.combination import Combination
+from heliograph.signal.pwm import light_centroids
+from heliograph.signal.settings import SignalSettings
+
+PoseAt = Callable[[float], Pose]
+"""The array's pose at a time in seconds, as the tracker predicts it."""
+
+
+@dataclass(frozen=True, slots=True)
+class CombinedFrame:
+    """Frames combined to a pattern or to an inverse, about one array.
+
+    Attributes
+    ----------
+    index
+        Number of the first or the last camera frame in it.
+    time_s
+        Half a pattern before the mean time of its light, as if it were a camera frame.
+    pixels
+        (rows, columns) float32 gray levels.
+    origin
+        Place (x, y) of the first pixel on the sensor.
+    """
+
+    index: int
+    time_s: float
+    pixels: NDArray[np.float32]
+    origin: tuple[int, int]
+
+
+AnyFrame = Frame | CombinedFrame
+
+
+@dataclass(frozen=True, slots=True)
+class FramePair:
+    """What shows a pattern and its inverse; of data without inverses, two patterns.
+
+    Attributes
+    ----------
+    pattern
+        The first frame.
+    inverted
+        The second one.
+    late_s
+        Seconds by which the mean light of their sum comes after the middle of the exposures.
+    combination
+        How both were combined; None for two camera frames in step.
+    """
+
+    pattern: AnyFrame
+    inverted: AnyFrame
+    late_s: float = 0.0
+    combination: Combination | None = None
+
+    @property
+    def time_s(self) -> float:
+        """Time in seconds halfway between the starts of both."""
+        return 0.5 * (self.pattern.time_s + self.inverted.time_s)
+
+
+@dataclass(frozen=True, slots=True)
+class HeaderFrames:
+    """Frames of a header by a camera out of step.
+
+    Attributes
+    ----------
+    images
+        (frames, rows, columns) about the array.
+    corner
+        (x, y) on the sensor of the first pixel.
+    pose
+        The array's.
+    alternation
+        (2, frames) amplitude of the header less its inverse, -1 to 1: of whole cells, and of dimmed ones.
+    light
+        (2, frames) mean light of both, 0 to 1.
+    """
+
+    images: NDArray[np.float32]
+    corner: tuple[int, int]
+    pose: Pose
+    alternation: NDArray[np.float64]
+    light: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredHeader:
+    """A whole header seen by a camera out of step.
+
+    Attributes
+    ----------
+    gain
+        Gray levels of the array with all LEDs on.
+    pair
+        All its frames combined to one pair, whose sum is even; None where they do not show it.
+    frames
+        The frames themselves, for the format; None as `pair`.
+    """
+
+    gain: float
+    pair: FramePair | None = None
+    frames: HeaderFrames | None = None
+
+
+class Pairing(Protocol):
+    """Pairs an array's frames; pairs are counted from the header of the detection.
+
+    Attributes
+    ----------
+    lost
+        Whether what was found cannot be a header.
+    first_gain
+        Gray levels of the array with all LEDs on by the first header, where the detection saw it too weak; else None.
+    """
+
+    lost: bool
+    first_gain: float | None
+
+    @property
+    def now_s(self) -> float:
+        """Time in seconds up to which pairs have been read."""
+
+    @property
+    def origin_s(self) -> float:
+        """Start in seconds of pair 0 by the last pair read, patterns taken to be T_b long since."""
+
+    def push(self, frame: Frame) -> Iterator[int]:
+        """Take the next frame; yield the numbers of the pairs that can be read by now."""
+
+    def flush(self) -> Iterator[int]:
+        """Yield the numbers of the pairs that can still be read, as there will be no more frames."""
+
+    def header(
+        self, pair: int, poses: Mapping[int, Pose], pose_at: PoseAt, led_gains: NDArray[np.float64]
+    ) -> MeasuredHeader | None:
+        """Correct the clock by the header before a pair.
+
+        Parameters
+        ----------
+        pair
+            The first pair of data.
+        poses
+            The array's poses in the pairs around the header, by number.
+        pose_at
+            Its pose at any time.
+        led_gains
+            (n, n) gains of its LEDs.
+
+        Returns
+        -------
+        What a camera out of step saw of it; else None.
+        """
+
+    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | None:
+        """Frames of a pair.
+
+        Parameters
+        ----------
+        number
+            The pair's.
+        pose_at
+            The array's pose at any time.
+        single
+            Whether the packet's data come without inverses.
+
+        Returns
+        -------
+        The frames, or None where there are none.
+        """
+
+
+def is_data(number: int, signal: SignalSettings) -> bool:
+    """Whether a pair holds data.
+
+    Parameters
+    ----------
+    number
+        The pair's, counted from a header's first.
+    signal
+        The light's signal.
+    """
+    return number % (signal.packet_patterns // 2) >= signal.header_pairs
+
+
+def sum_late_s(signal: SignalSettings) -> float:
+    """Seconds by which the mean light of a data pair's sum comes after the middle of the exposures.
+
+    PWM lights the first slots of a pattern more than the last.
+    """
+    mean, _ = light_centroids(signal.slot_order)
+    return (mean - 0.5) * signal.pattern_period_s

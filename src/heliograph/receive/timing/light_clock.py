@@ -1,0 +1,355 @@
+"""The light's clock in the camera's time, measured by each header and carried on between headers.
+
+Two things tell the phase of a frame. First, how much of the header less its inverse it shows, -1 to 1: the mean over
+the exposure of a square wave that is 0 outside the header. Second, the array's brightness: PWM lights random data
+brightly at the start of a pattern and dimly at its end (15, 11, 5 and 1 sixteenths of the LEDs in the four slots), but
+a header evenly. Cells that are dimmed to signal a format change both; the fraction of such cells is estimated too.
+
+For all frames around a header both are compared with what a grid of starts and exposures would give. The likelihood
+over the grid is the measurement. The exposure is constant, so its log likelihoods add up from header to header; the
+start goes into a Kalman filter of time and rate.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.window import cut_out, window_around
+from heliograph.receive.timing.combination import SlotLight
+from heliograph.signal.formats import words
+from heliograph.signal.header import header_cells
+from heliograph.signal.pwm import SLOTS
+from heliograph.signal.settings import SignalSettings
+
+Floats = NDArray[np.float64]
+
+AROUND = 2
+"""Patterns before and after a header whose frames count too: its two ends tell most about the start."""
+
+DEVIATION = 0.03
+"""Standard deviation of random data projected on a header, and of their brightness, as a fraction of the light.
+
+A pair's levels have the standard deviation 1/2 in their difference; over 256 LEDs that is 1/2 / 16.
+"""
+
+EXPOSURES = 20
+"""Exposures of the grid, up to the whole frame period; steps of 5 % change a header's amplitude by at most 5 %."""
+
+LONGER, WHOLE = 20.0, 3.0
+"""Prior log odds of an exposure of the whole frame period over one of none, and of the whole itself on top.
+
+Exposures of any length about the middle of a pattern, or about its end, give the same header and the same brightness.
+The prior decides these for the longest. It is chosen small against the evidence of one header, which is hundreds.
+"""
+
+GIVEN_UP = 40.0
+"""Log odds against an exposure from which on the grid leaves it out: its weight is below 1e-17."""
+
+STARTS = 121
+"""Starts of the grid: 1/48 T_b apart for a first header, finer later."""
+
+REACH = 1.25
+"""Patterns by which the start may differ from the detection's: one for frames that straddle, and a quarter."""
+
+SPREADS, NEAREST, FARTHEST = 6.0, 0.1, 0.5
+"""Reach of the grid of later headers: standard deviations of the predicted start, and its bounds in patterns."""
+
+RATE = 2.5e-4
+"""Prior standard deviation of the light's rate against the camera's: both quartz clocks may be 200 ppm off."""
+
+RATE_WALK = 6.3e-8
+"""Random walk of that rate per square root of a pattern: 2e-6 in a second at 1000 patterns/s, as quartz drifts."""
+
+EXPLAINED = 0.7
+"""Least part of the power in a header's amplitudes that the header must explain; of clutter it explains less."""
+
+LEAST_DEVIATION = 0.004
+"""Least standard deviation of a measured start in T_b: what the model of the light leaves out."""
+
+CLIPPED = 0.02
+"""Fraction of an array's pixels at full scale from which on its brightness is not used."""
+
+SURROUNDINGS_PX = 3.0
+"""Pixels around the array against which its brightness is measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeaderView:
+    """What the frames around a header show.
+
+    Attributes
+    ----------
+    times_s
+        (frames,) starts of the exposures in seconds.
+    alternation
+        (frames,) amplitude of the header in gray levels, negative for its inverse.
+    brightness
+        (frames,) light of the array in gray levels, but for a constant.
+    clipped
+        Whether pixels were at full scale; the brightness is then not used.
+    """
+
+    times_s: Floats
+    alternation: Floats
+    brightness: Floats
+    clipped: bool = False
+
+
+class LightClock:
+    """The light's clock in the camera's time.
+
+    Parameters
+    ----------
+    start_s
+        When a header began, within `REACH` patterns.
+    period_s
+        The camera's frame period.
+    signal
+        The light's signal.
+    identity
+        The array's, 0 to 29; it decides which words of formats are possible.
+    exposure_s
+        The camera's exposure where it is known, else None.
+
+    Attributes
+    ----------
+    start_s
+        Start of the last header that was due: as measured or, where the header was not seen, as predicted.
+    rate
+        By which fraction the pattern period is longer than the nominal one.
+    gain
+        Gray levels of the array with all LEDs on in the last header.
+    explained
+        Part of the power of the frames around the last header that the header explains, 0 to 1.
+    """
+
+    def __init__(
+        self, start_s: float, period_s: float, signal: SignalSettings, identity: int, exposure_s: float | None = None
+    ):
+        self._signal = signal
+        # of each word: the fraction of cells it dims, and how many more of them are lit than dark
+        cells = words() / words().shape[1]
+        self._dimmed = np.unique(np.stack([cells.sum(1), cells @ header_cells(identity).ravel()], axis=1), axis=0)
+        self._light = SlotLight(signal.slot_order)
+        self.start_s = start_s
+        self.rate = 0.0
+        self.gain = 0.0
+        self.explained = 0.0
+        self._pattern = 0
+        self._covariance = np.diag([0.0, RATE**2])
+        self._measured = False
+        longest = min(period_s / signal.pattern_period_s, 1.0)
+        self._exposures = longest * np.linspace(1 / EXPOSURES, 1.0, EXPOSURES)
+        if exposure_s is not None:
+            self._exposures = np.array([min(exposure_s / signal.pattern_period_s, longest)])
+        self._evidence = LONGER * self._exposures / longest
+        self._evidence[-1] += WHOLE
+        self._prior = self._evidence
+
+    @property
+    def period_s(self) -> float:
+        """Pattern period in seconds of the camera's clock."""
+        return self._signal.pattern_period_s * (1 + self.rate)
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation in T_b of the patterns' starts, by the last header."""
+        return float(np.sqrt(self._covariance[0, 0])) / self.period_s
+
+    @property
+    def exposure(self) -> float:
+        """Exposure in T_b, the mean over its posterior."""
+        chance = np.exp(self._evidence - self._evidence.max())
+        return float(chance @ self._exposures / chance.sum())
+
+    def time_s(self, pattern: float) -> float:
+        """Start in seconds of a pattern, counted from the header of the detection."""
+        return self.start_s + (pattern - self._pattern) * self.period_s
+
+    def pattern_at(self, time_s: float | Floats) -> Floats:
+        """Patterns from the start of the detection's header to times in seconds, of any shape."""
+        return np.asarray(self._pattern + (np.asarray(time_s) - self.start_s) / self.period_s)
+
+    def header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
+        """What frames show of a header.
+
+        Parameters
+        ----------
+        starts
+            (frames,) starts of the exposures, in patterns from the header's start.
+        dimmed
+            Fraction of cells that are dimmed in all pairs but the first, 0 to 1.
+
+        Returns
+        -------
+        Amplitude of the header less its inverse, -1 to 1, and mean light, 0 to 1, (frames,) each.
+        """
+        edges, wave, bright = self._header(dimmed)
+        shown, light = (_mean_over(starts, self.exposure, edges, values) for values in (wave, bright))
+        return shown, 0.5 + light
+
+    def measure(self, view: HeaderView, pattern: int, again: bool = False) -> bool:
+        """Correct the clock by a header.
+
+        Parameters
+        ----------
+        view
+            What the frames around it show.
+        pattern
+            Its first pattern, counted from the header of the detection.
+        again
+            Whether it is the first header once more, with better poses: the first measurement then only sets the reach
+            of the grid.
+
+        Returns
+        -------
+        Whether a header was seen; if not, the clock goes on as predicted.
+        """
+        self._move(pattern)
+        spread, gain = self.deviation, self.gain
+        reach = min(max(SPREADS * spread, NEAREST), FARTHEST) if self._measured else REACH
+        offset = np.linspace(-reach, reach, STARTS)
+        likely = self._evidence > self._evidence.max() - GIVEN_UP
+        self._exposures, self._evidence = self._exposures[likely], self._evidence[likely]
+        self._prior = self._prior[likely]
+        cost = self._cost(view, offset)
+        if self._measured and self.explained < EXPLAINED:
+            self.gain = gain
+            return False
+        if again:
+            self._evidence, self._measured = self._prior, False
+        if self._measured:
+            cost = cost + 0.5 * (offset / max(spread, LEAST_DEVIATION)) ** 2
+        by_exposure = -cost.min(1) + np.log(np.exp(cost.min(1)[:, None] - cost).sum(1))
+        self._evidence = self._evidence + by_exposure - by_exposure.max()
+        chance = np.exp((self._evidence - self._evidence.max() - by_exposure)[:, None] - cost)
+        chance = chance.sum(0) / chance.sum()
+        mean = float(chance @ offset)
+        variance = float(chance @ (offset - mean) ** 2) + LEAST_DEVIATION**2
+        self._take(mean * self.period_s, variance * self.period_s**2)
+        return True
+
+    def _move(self, pattern: int) -> None:
+        """Predict the start of the header at a pattern."""
+        steps = pattern - self._pattern
+        nominal = steps * self._signal.pattern_period_s
+        self.start_s, self._pattern = self.time_s(pattern), pattern
+        move = np.array([[1.0, nominal], [0.0, 1.0]])
+        self._covariance = move @ self._covariance @ move.T + np.diag([0.0, RATE_WALK**2 * steps])
+
+    def _take(self, error_s: float, variance: float) -> None:
+        """Correct start and rate by an error of the predicted start, whose variance is the posterior's."""
+        if not self._measured:
+            self.start_s += error_s
+            self._covariance[0, 0] = variance
+            self._measured = True
+            return
+        prior = self._covariance[0, 0]
+        # the likelihood held the prior: x += P H^T S^-1 (posterior - prior), P += G (C - S) G^T
+        gain = self._covariance[:, 0] / max(prior, 1e-30)
+        self.start_s += error_s
+        self.rate += float(gain[1]) * error_s
+        self._covariance = self._covariance + np.outer(gain, gain) * (min(variance, prior) - prior)
+
+    def _cost(self, view: HeaderView, offset: Floats) -> Floats:
+        """Negative log likelihood (exposures, offsets) of starts `offset` patterns after the predicted start."""
+        place = (view.times_s - self.start_s) / self.period_s
+        starts = place - offset[:, None]
+        shown = np.concatenate([2 * view.alternation, view.brightness - view.brightness.mean()])
+        # a header of gain g: alternation g wave / 2, brightness g bright and a constant, both linear in what is dimmed
+        model = np.stack([self._model(starts, *dim) for dim in ((0, 0), (1, 0), (0, 1))])
+        if view.clipped:
+            shown, model = shown[: len(place)], model[..., : len(place)]
+        model[1:] -= model[0]
+        match, norm = model @ shown, np.einsum("aeof,beof->abeo", model, model)
+        energy, left, gain = float((shown**2).sum()), np.full(match.shape[1:], np.inf), np.zeros(match.shape[1:])
+        for part, lit in self._dimmed:
+            v = np.array([1.0, part, lit])
+            m, n = np.maximum(np.tensordot(v, match, 1), 0), np.maximum(np.einsum("a,b,abeo->eo", v, v, norm), 1e-9)
+            better = energy - m**2 / n < left
+            left[better], gain[better] = (energy - m**2 / n)[better], (m / n)[better]
+        best = np.unravel_index(np.argmin(left), left.shape)
+        # whatever the model does not explain counts as noise
+        freedom = max(len(shown) - 4, 1)
+        self.gain = float(gain[best])
+        self.explained = 1 - float(left[best]) / max(energy, 1e-9)
+        variance = max((DEVIATION * self.gain) ** 2, float(left[best]) / freedom, 1e-9)
+        return np.asarray(0.5 * left / variance)
+
+    def _model(self, starts: Floats, part: float, lit: float) -> Floats:
+        """Twice the alternation, and the brightness but for a constant, of a header of gain 1 dimmed as in `_header`.
+
+        `starts` is (offsets, frames), the result (exposures, offsets, 2 frames).
+        """
+        edges, wave, bright = self._header(part, lit)
+        exposures = self._exposures[:, None, None]
+        light = _mean_over(starts, exposures, edges, bright)
+        light -= light.mean(-1, keepdims=True)
+        return np.concatenate([_mean_over(starts, exposures, edges, wave), light], axis=-1)
+
+    def _header(self, part: float, lit: float = 0.0) -> tuple[Floats, Floats, Floats]:
+        """Edges of slots in patterns from a header's start, the header less its inverse, and the mean light less 1/2.
+
+        A fraction `part` of its cells is dimmed in all pairs but the first; the fraction of lit dimmed cells less that
+        of dark dimmed ones is `lit`. In slots that show no dimmed cell that much light is missing.
+        """
+        count = 2 * self._signal.header_pairs
+        first, patterns = -AROUND - 2, count + 2 * AROUND + 4
+        edges = first + np.arange(patterns * SLOTS + 1) / SLOTS
+        number = np.floor(edges[:-1] + 1e-9).astype(int)
+        inside, later = (number >= 0) & (number < count), (number >= 2) & (number < count)
+        contrast, light = (np.tile(values, patterns) for values in self._light.dimmed)
+        wave = np.where(inside, np.where(number % 2, -1.0, 1.0), 0.0)
+        # where more lit cells are dimmed than dark ones, the light their slots have or miss looks like the header
+        wave = np.where(later, (1 - part + part * contrast) * wave + 2 * lit * (light - 0.5), wave)
+        bright = np.where(inside, 0.0, np.tile(self._light.mean[:SLOTS] - 0.5, patterns))
+        missing = 0.5 * lit * (1 - contrast) * np.where(number % 2, -1.0, 1.0)
+        return edges, wave, np.where(later, part * (light - 0.5) - missing, bright)
+
+
+def view_header(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderView:
+    """Measure what the frames around a header show.
+
+    Parameters
+    ----------
+    frames
+        The frames, in the order of time.
+    poses
+        The array's pose in each.
+    lit
+        (n, n) the header, +-1, times the LEDs' gains.
+    """
+    shown = np.array([_shown(frame, pose, lit) for frame, pose in zip(frames, poses, strict=True)])
+    return HeaderView(np.array([f.time_s for f in frames]), shown[:, 0], shown[:, 1], shown[:, 2].max() > CLIPPED)
+
+
+def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
+    """Amplitudes of the header and of the array all on before an even background.
+
+    The fraction of its pixels that clip.
+    """
+    from heliograph.receive.image import kernels  # Numba is slow to import
+
+    window = window_around(pose, len(lit), SURROUNDINGS_PX)
+    x0, y0, width, height = window
+    cut = cut_out(frame, window)
+    model = np.empty((2, 6, height, width))
+    kernels.render(pose.full_vector(), lit, float(x0), float(y0), model[0])
+    kernels.render(pose.full_vector(), np.abs(lit), float(x0), float(y0), model[1])
+    columns = np.stack([model[0, 0].ravel(), model[1, 0].ravel(), np.ones(cut.size)], axis=1)
+    inside = model[1, 0] >= 0.5 * model[1, 0].max()
+    clipped = (cut[inside] >= frame.full_scale).mean()
+    # where only lit LEDs or only dark ones are left, the two images are one: the pseudo-inverse decides
+    return np.append(np.linalg.lstsq(columns, cut.ravel(), rcond=1e-6)[0][:2], clipped)
+
+
+def _mean_over(starts: Floats, exposure: Floats | float, edges: Floats, values: Floats) -> Floats:
+    """Mean over exposures of a function that is constant between edges and 0 outside.
+
+    Starts and exposures broadcast.
+    """
+    integral = np.concatenate([[0.0], np.cumsum(values * np.diff(edges))])
+    return np.asarray((np.interp(starts + exposure, edges, integral) - np.interp(starts, edges, integral)) / exposure)

@@ -1,0 +1,216 @@
+"""Data without inverses: the array followed by decisions on the data of every other frame.
+
+A frame shows r = g A x + b + n. At the predicted pose its symbols are equalised, and those beyond doubt are taken as
+known. Their light, the light of the levels' mean and the background have an image whose fit gives the pose. The light
+of the undecided symbols is noise of known colour, so a guess made at a wrong pose does not confirm that pose.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.equalise.lmmse import equalise, products
+from heliograph.receive.equalise.threads import one_thread
+from heliograph.receive.image import kernels as image_kernels
+from heliograph.receive.image.fit import Fit
+from heliograph.receive.image.footprint import to_grid
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.robust import correlation
+from heliograph.receive.image.window import covered
+from heliograph.receive.observe import kernels
+from heliograph.receive.observe.cutout import Cutout, take_cutout
+from heliograph.receive.observe.noise import Noise, measure_noise
+from heliograph.receive.observe.statistics import PairStatistics, whiten
+from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
+from heliograph.receive.track.background import (
+    COUNT,
+    SeenHeader,
+    background_images,
+    fit_background,
+    surroundings,
+)
+from heliograph.receive.track.kalman import RATES, SHOWN, STATES, Observation, PoseState
+from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
+
+Floats = NDArray[np.float64]
+
+DECIDED = Observation(np.eye(SHOWN, STATES), np.array([0.01, 0.01, 0.002, 0.001, 0.02]) ** 2)
+"""What a frame of decided data shows; the variances are those of the images' model."""
+
+SURE = 0.97
+"""Least mean of a decided symbol, in magnitude: it is wrong in 1.5 % of cases."""
+
+GAIN_SPREAD = 0.01
+"""Standard deviation of a frame's gain, as a fraction of it; the light of LEDs is steady, and the sensor linear."""
+
+BACKGROUND_SPREAD = 5.0
+"""Standard deviation in gray levels by which the background may differ from that of the frames before."""
+
+FRESH = 0.2
+"""Weight of a frame in the background: five frames of a changing scene count."""
+
+
+@dataclass(frozen=True, slots=True)
+class DecidedPair:
+    """Two frames of data without inverses.
+
+    Attributes
+    ----------
+    tracked
+        The array in them.
+    cutouts
+        The two frames less their background.
+    """
+
+    tracked: TrackedPair
+    cutouts: tuple[Cutout, Cutout]
+
+
+class DecisionDirectedTracker:
+    """Follows an array through the data of a packet without inverses.
+
+    Parameters
+    ----------
+    tracker
+        The array's tracker.
+    late_s
+        Seconds by which the light of the levels' mean, and that of the data, comes after the middle of an exposure.
+    headers
+        Header pairs of the packet, at least one; they show noise and background.
+    gain
+        Gray levels of the array with all LEDs on.
+    led_gains
+        (n, n) gains of the LEDs.
+
+    Attributes
+    ----------
+    noise
+        Of single frames' cut-outs, as the headers show it.
+    """
+
+    def __init__(
+        self, tracker: Tracker, late_s: tuple[float, float], headers: list[SeenHeader], gain: float, led_gains: Floats
+    ):
+        self._tracker, self._late_s, self._gain, self._led_gains = tracker, late_s, gain, led_gains
+        self._side = len(led_gains)
+        found = fit_background(headers, gain, led_gains)
+        self._half, self._background = found.half, found.coefficients
+        # motion changes headers alike in successive sums, unlike random data: with gain 0 nothing is taken off for it
+        cutouts = [take_cutout(header.pair, header.poses, self._side) for header in headers]
+        seen = measure_noise(cutouts, 0.0, self._side, led_gains)
+        # a single frame's cut-out is twice the frame: twice the variance of a difference of two
+        self.noise = Noise(2 * seen.lit, max(2 * seen.dark, 4 * found.variance))
+
+    @one_thread()
+    def follow(self, track: Track, pair: FramePair) -> DecidedPair:
+        """Find the array in two frames and move the filter on; coast where it is not seen.
+
+        Parameters
+        ----------
+        track
+            The array.
+        pair
+            The two frames.
+        """
+        background = self._background
+        # fitting the first frame too would take as long again, and as many bits are wrong with it as without
+        fit, state = self._step(track, pair.inverted)
+        after = replace(track, state=state)
+        seen = self._tracker.sees(after, pair, fit)
+        if seen:
+            after = replace(after, last_seen_s=state.time_s)
+        else:
+            # what passes before the array is not its background
+            self._background = background
+            after = replace(track, state=self._tracker.predict(track, pair.inverted.time_s))
+        # the earlier pose too is known better now
+        cutouts = self._cutout(pair.pattern, after.state), self._cutout(pair.inverted, after.state)
+        return DecidedPair(TrackedPair(track, after, fit, seen), cutouts)
+
+    def _step(self, track: Track, frame: AnyFrame) -> tuple[Fit, PoseState]:
+        """Find the array in a frame; the state given it."""
+        state = self._tracker.predict(track, frame.time_s)
+        fit = self._fit(frame, state)
+        return fit, state.condition(fit.vector[:SHOWN], fit.covariance, DECIDED)
+
+    def _cutout(self, frame: AnyFrame, state: PoseState) -> Cutout:
+        """A frame less its background, the array where `state` has it."""
+        # the background shines all through the exposure
+        middle = state.pose_at(frame.time_s)
+        mean_light, data = (state.pose_at(frame.time_s + late_s) for late_s in self._late_s)
+        corner, image = surroundings(frame, middle, self._side)
+        rows, cols = image.shape
+        background = background_images(middle, corner, (rows, cols), self._half)[:, 0]
+        above = image - np.tensordot(self._background, background, 1)
+        return _single_cutout(frame, above, corner, data, mean_light)
+
+    def _fit(self, frame: AnyFrame, state: PoseState) -> Fit:
+        """Most probable pose, gain and background.
+
+        One Gauss-Newton step from what was expected, with covariance P: (P^-1 + D^T C^-1 D)^-1 D^T C^-1 e, with e, D
+        and C as in `_equations`. A frame's prediction is near enough that a second changes nothing.
+        """
+        expected, covariance = state.expected(DECIDED)
+        start = np.concatenate([expected, [self._gain], self._background])
+        precision = np.zeros((start.size, start.size))
+        precision[:SHOWN, :SHOWN] = np.linalg.inv(covariance)
+        spreads = np.append(GAIN_SPREAD * self._gain, np.full(COUNT, BACKGROUND_SPREAD))
+        precision[range(SHOWN, start.size), range(SHOWN, start.size)] = spreads**-2
+        matrix, rhs, score = self._equations(frame, state, start)
+        found = start + np.linalg.solve(matrix + precision, rhs)
+        self._background = self._background + FRESH * (found[SHOWN + 1 :] - self._background)
+        after = np.asarray(np.linalg.inv(matrix + precision)[:SHOWN, :SHOWN], np.float64)
+        vector = np.append(found[:SHOWN], state.tilt.mean)
+        return Fit(vector, after, float(found[SHOWN]), score)
+
+    def _equations(self, frame: AnyFrame, state: PoseState, at: Floats) -> tuple[Floats, Floats, float]:
+        """D^T C^-1 D, D^T C^-1 e and the correlation of frame and image; `state` gives rates and tilt, which are held.
+
+        e is twice the frame less the image of everything known, D the image's derivatives and C = g^2 B B^T + s^2 the
+        noise, to which the light of the undecided symbols belongs.
+        """
+        middle, gain = Pose.from_vector(np.append(at[:SHOWN], state.tilt.mean)), float(at[SHOWN])
+        mean_light, data = (middle.moved(*(late_s * state.mean[RATES][:2])) for late_s in self._late_s)
+        corner, image = surroundings(frame, middle, self._side)
+        rows, cols = image.shape
+        background = background_images(middle, corner, (rows, cols), self._half)
+        above = image - np.tensordot(at[SHOWN + 1 :], background[:, 0], 1)
+        cutout = _single_cutout(frame, above, corner, data, mean_light)
+        whitened = whiten(cutout, self.noise, self._side, self._led_gains)
+        pair = whitened.statistics()
+        known, unknown = self._decided(pair, gain)
+        lit = self._images(known, mean_light, data, corner, (rows, cols))
+        slopes = gain * lit[1:] + np.tensordot(at[SHOWN + 1 :], background[:, 1:], 1)
+        left = whitened.difference - 2 * gain * whitened.root * lit[0]
+        columns = 2 * whitened.root * np.concatenate([slopes, lit[:1], background[:, 0]])
+        every = np.concatenate([columns, left[None]])
+        part = products(whitened, pair, every, unknown, gain**2 / self.noise.lit) / self.noise.lit
+        score = correlation(whitened.difference, whitened.root * 2 * gain * lit[0])
+        return part[:-1, :-1], part[:-1, -1], score
+
+    def _decided(self, pair: PairStatistics, gain: float) -> tuple[Floats, NDArray[np.intp]]:
+        """Means of the symbols, 0 where they are not decided, and the numbers of these."""
+        size = self._side**2
+        # LLR = 2 G: with the others as Gaussian fewer symbols are decided than with disturbers drawn from +-1
+        mean = np.tanh(equalise(pair, gain, self.noise.lit, np.zeros(size), np.ones(size)).extrinsic[1])
+        decided = np.abs(mean) > SURE
+        return np.where(decided, mean, 0.0), np.flatnonzero(~decided)
+
+    def _images(
+        self, known: Floats, mean_light: Pose, data: Pose, corner: tuple[int, int], shape: tuple[int, int]
+    ) -> Floats:
+        """Image of the known symbols and of the levels' mean, and its derivatives by the pose, (6, rows, columns)."""
+        x, y = float(corner[0]), float(corner[1])
+        levels = to_grid(0.5 * kernels.leds_of(known))
+        varied, mean = np.empty((6, *shape)), np.empty((6, *shape))
+        image_kernels.render(data.full_vector(), levels * self._led_gains, x, y, varied)
+        image_kernels.render(mean_light.full_vector(), 0.5 * self._led_gains, x, y, mean)
+        return np.asarray(varied + mean)
+
+
+def _single_cutout(frame: AnyFrame, above: Floats, corner: tuple[int, int], data: Pose, mean_light: Pose) -> Cutout:
+    """A cut-out of a single frame, by what it shows above the background."""
+    rows, cols = above.shape
+    inside = covered((frame,), corner, (rows, cols))
+    return Cutout(2 * above, 2 * above, corner, (data,), mean_light, covered=inside)

@@ -1,0 +1,248 @@
+"""Constant-velocity Kalman filter of the array's pose in the image.
+
+Times are in seconds, but all spreads are in patterns: a light ten times slower, or a film in slow motion, moves as far
+from pattern to pattern as the light slows down.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.image.pose import Pose
+
+Floats = NDArray[np.float64]
+
+SHOWN, RATES, STATES = 5, slice(5, 8), 10
+"""Parts of the state: the pose vector (x, y, ln pitch, roll, ln blur); the rates a second of its first three; and the
+systematic errors of ln pitch and ln blur in sums, where the panel's rim looks like another size of the array."""
+
+ACCELERATION_PATTERNS = 4.0
+"""Patterns over which an acceleration of the image keeps its sign: half a period of shake at 125 Hz."""
+
+EXPANSION = 5e-7
+"""Standard deviation of the second derivative of ln pitch, per pattern squared.
+
+Closing in at a speed v from a distance Z gives (v T_b / Z)^2: at 30 km/h 1e-8 at 80 m, and 5e-7 at 12 m.
+"""
+
+SUM_ERROR = np.array([0.05, 0.5])
+"""Prior standard deviations of the sums' errors of ln pitch and ln blur: a panel's rim is at most half a pitch wide."""
+
+SUM_SPREAD = np.array([0.0, 0.0, 0.002, 0.0, 0.02])
+"""Standard deviations of errors of sums that differ from one sum to the next, in the pose vector."""
+
+WALK_PATTERNS = 1000.0
+"""Patterns over which the random walks below have the standard deviations given."""
+
+SUM_WALK = np.array([0.01, 0.2])
+"""Random walks of the sums' errors: the background changes."""
+
+ROLL_WALK, BLUR_WALK, TILT_WALK = 0.03, 0.1, 0.01
+"""Random walks of roll (rad), ln blur, and of stretch and shear.
+
+A car rolls by a degree or two, and passes the array.
+"""
+
+START_RATES = np.array([0.9, 0.9, 1.5e-4])
+"""Prior standard deviations of the rates: px, px and ln pitch per pattern.
+
+0.9 px a pattern is hard shake, 0.3 rad/s with 35 mm and 12 um at 1000 patterns/s; 1.5e-4 is 30 km/h at 55 m.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionModel:
+    """How an array may move in the image.
+
+    Attributes
+    ----------
+    period_s
+        T_b in seconds.
+    acceleration_px
+        Standard deviation of the image's acceleration by shake, in px per pattern squared.
+    """
+
+    period_s: float
+    acceleration_px: float
+
+    def process_noise(self, dt: float) -> Floats:
+        """Q, (10, 10), of a time in seconds.
+
+        White accelerations of density q = 2 a^2 tau give q [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]].
+        """
+        a = np.array([self.acceleration_px, self.acceleration_px, EXPANSION]) / self.period_s**2
+        q = 2 * ACCELERATION_PATTERNS * self.period_s * a**2
+        walked = self.walked(dt)
+        noise = np.zeros((STATES, STATES))
+        noise[[0, 1, 2], [0, 1, 2]] = q * dt**3 / 3
+        noise[[0, 1, 2], [5, 6, 7]] = noise[[5, 6, 7], [0, 1, 2]] = q * dt**2 / 2
+        noise[[5, 6, 7], [5, 6, 7]] = q * dt
+        noise[3, 3], noise[4, 4] = ROLL_WALK**2 * walked, BLUR_WALK**2 * walked
+        noise[[8, 9], [8, 9]] = SUM_WALK**2 * walked
+        return noise
+
+    def walked(self, dt: float) -> float:
+        """A time in seconds in units of `WALK_PATTERNS`."""
+        return dt / (WALK_PATTERNS * self.period_s)
+
+    @property
+    def start_rates(self) -> Floats:
+        """Prior standard deviations of the rates a second, (3,)."""
+        return START_RATES / self.period_s
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """Which part of the state a fit observes.
+
+    Attributes
+    ----------
+    matrix
+        H, (5, 10): the state to the pose vector that the fit shows.
+    variances
+        (5,) of errors of the fit's model that differ from one fit to the next.
+    """
+
+    matrix: Floats
+    variances: Floats
+
+
+def sum_observation(late_s: float) -> Observation:
+    """What the sum of a pattern and its inverse shows, its light `late_s` seconds after the state's time on average."""
+    matrix = np.eye(SHOWN, STATES)
+    matrix[:3, RATES] = late_s * np.eye(3)
+    matrix[2, 8] = matrix[4, 9] = 1.0
+    return Observation(matrix, SUM_SPREAD**2)
+
+
+HEADER = Observation(np.eye(SHOWN, STATES), np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2)
+"""A header less its inverse: the background cancels, but the array moves between the two, hence x and y."""
+
+POSE = Observation(np.eye(SHOWN, STATES), np.zeros(SHOWN))
+"""The pose itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tilt:
+    """Stretch and shear, which change slowly and which only headers show; they stay apart from the rest of the state.
+
+    Attributes
+    ----------
+    mean
+        (2,).
+    covariance
+        (2, 2).
+    """
+
+    mean: Floats = field(default_factory=partial(np.zeros, 2))
+    covariance: Floats = field(default_factory=lambda: 1e-6 * np.eye(2))
+
+    def later(self, dt: float, model: MotionModel) -> "Tilt":
+        """The tilt at a later time.
+
+        Parameters
+        ----------
+        dt
+            Seconds.
+        model
+            How the array may move.
+        """
+        return Tilt(self.mean, self.covariance + TILT_WALK**2 * model.walked(dt) * np.eye(2))
+
+
+@dataclass(frozen=True, slots=True)
+class PoseState:
+    """State of the filter.
+
+    Attributes
+    ----------
+    time_s
+        Its time in seconds.
+    mean
+        (10,) pose vector, rates a second, errors of sums.
+    covariance
+        (10, 10).
+    tilt
+        Stretch and shear.
+    """
+
+    time_s: float
+    mean: Floats
+    covariance: Floats
+    tilt: Tilt = field(default_factory=Tilt)
+
+    @staticmethod
+    def start(time_s: float, vector: Floats, covariance: Floats, model: MotionModel) -> "PoseState":
+        """State of a pose just found; its rates and the sums' errors are unknown.
+
+        Parameters
+        ----------
+        time_s
+            Time of the pose.
+        vector
+            Pose vector, (5,) or (7,).
+        covariance
+            Its covariance, (5, 5) or (7, 7).
+        model
+            How the array may move.
+        """
+        mean, full = np.zeros(STATES), np.zeros((STATES, STATES))
+        mean[:SHOWN], full[:SHOWN, :SHOWN] = vector[:SHOWN], covariance[:SHOWN, :SHOWN]
+        full[SHOWN:, SHOWN:] = np.diag(np.concatenate([model.start_rates, SUM_ERROR]) ** 2)
+        tilt = Tilt(vector[SHOWN:], covariance[SHOWN:, SHOWN:]) if len(covariance) > SHOWN else Tilt()
+        return PoseState(time_s, mean, full, tilt)
+
+    def predict(self, time_s: float, model: MotionModel) -> "PoseState":
+        """State at a later time: x = F x, P = F P F^T + Q.
+
+        Parameters
+        ----------
+        time_s
+            That time.
+        model
+            How the array may move.
+        """
+        dt = time_s - self.time_s
+        f = np.eye(STATES)
+        f[:3, RATES] = dt * np.eye(3)
+        covariance = f @ self.covariance @ f.T + model.process_noise(dt)
+        return PoseState(time_s, f @ self.mean, covariance, self.tilt.later(dt, model))
+
+    def expected(self, observation: Observation) -> tuple[Floats, Floats]:
+        """Mean (5,) and covariance (5, 5) of an observation: H x, H P H^T + R."""
+        h = observation.matrix
+        return h @ self.mean, h @ self.covariance @ h.T + np.diag(observation.variances)
+
+    def condition(self, vector: Floats, covariance: Floats, observation: Observation) -> "PoseState":
+        """State given the result of a fit.
+
+        The fit took `expected` as its prior, so its result is the posterior of what is observed (an iterated Kalman
+        update); the state follows by regression on it.
+
+        Parameters
+        ----------
+        vector
+            (5,) the fit's pose vector.
+        covariance
+            (5, 5) its posterior covariance.
+        observation
+            What the fit showed.
+        """
+        # S = H P H^T + R, G = P H^T S^-1; x += G (z - H x); P += G (C - S) G^T
+        mean, shown = self.expected(observation)
+        gain = np.linalg.solve(shown, observation.matrix @ self.covariance).T
+        full = self.covariance + gain @ (covariance - shown) @ gain.T
+        return replace(self, mean=self.mean + gain @ (vector - mean), covariance=0.5 * (full + full.T))
+
+    @property
+    def pose(self) -> Pose:
+        """The pose alone."""
+        return Pose.from_vector(np.append(self.mean[:SHOWN], self.tilt.mean))
+
+    def pose_at(self, time_s: float) -> Pose:
+        """The pose a little earlier or later, at constant rates."""
+        vector = self.mean[:SHOWN].copy()
+        vector[:3] += (time_s - self.time_s) * self.mean[RATES]
+        return Pose.from_vector(np.append(vector, self.tilt.mean))

@@ -1,0 +1,194 @@
+"""Poses refined by decoded data: a bright background may pull the pose of a sum, but not that of a difference.
+
+With the light of the decoded symbols known, the difference of a pair shows where the array is. A small error e of the
+pose has the likelihood of
+
+    d - g (B m + o) = g H e + g B_u (c_u - m_u) + n,   H = d(B_k c_k) / d pose,
+
+k being the decoded symbols and u the others, whose light is noise of known colour. Errors of successive pairs are
+correlated: some stay as long as the background does, others come and go with the shake. Both are Gauss-Markov
+processes, of the sizes that explain the packet best.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag, lu_factor, lu_solve
+
+from heliograph.receive.equalise.led_gains import POSE_SPREADS
+from heliograph.receive.equalise.lmmse import KNOWN, products
+from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, whiten
+from heliograph.signal import haar
+from heliograph.signal.packet import PacketFormat
+
+Floats = NDArray[np.float64]
+
+SLOW_SIZES, FAST_SIZES = (0.0, 0.03, 0.1, 0.3, 1.0, 2.0), (0.01, 0.03, 0.1, 0.3, 1.0)
+"""Sizes tried, as multiples of `POSE_SPREADS`.
+
+Of errors that stay through a packet and of those that come with the shake.
+"""
+
+DOUBT = 2.0
+"""By how much less, as a log likelihood, a smaller size may explain a packet: most poses of sums are right."""
+
+SLOW_PAIRS, FAST_PAIRS = 200.0, 8.0
+"""Correlation lengths in pairs: 0.4 s, in which a background passes, and 16 ms, half a period of shake at 30 Hz."""
+
+STRIDE = 3
+"""Pairs of which one is asked: errors of its neighbours are nearly its own."""
+
+LEAST_PX = 0.01
+"""Least error in px at `HALF_SIDE_PX` from the middle for which a pair's statistics are worked out anew."""
+
+HALF_SIDE_PX = 4.0
+"""Half the side of a far array in px: at 116 m in the reference link."""
+
+
+class ObservedPacket:
+    """Cut-outs of a packet's pairs, their statistics, and the poses on which both depend.
+
+    Parameters
+    ----------
+    cutouts
+        One a pair, in the single mode one a pattern; None where the array was not seen.
+    noise
+        Variances inside and beside the array.
+    form
+        The packet's format.
+    led_gains
+        (n, n) gains of the LEDs.
+    """
+
+    def __init__(self, cutouts: Sequence[Cutout | None], noise: Noise, form: PacketFormat, led_gains: Floats):
+        self._cutouts, self._noise, self._form, self._led_gains = [*cutouts], noise, form, led_gains
+        self._whitened = [None if cutout is None else self._whiten(cutout) for cutout in cutouts]
+        self._statistics = [None if whitened is None else whitened.statistics() for whitened in self._whitened]
+        self._errors = np.zeros((len(cutouts), 4))
+
+    @property
+    def statistics(self) -> Sequence[PairStatistics | None]:
+        """Statistics of each pair; None where the array was not seen."""
+        return self._statistics
+
+    def refine(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
+        """Correct the poses by what is decoded.
+
+        Parameters
+        ----------
+        mean, variance
+            (pairs, symbols) of the symbols; those of a variance near 0 are decoded.
+        gain
+            Gray levels of the array with all LEDs on.
+        noise
+            Variance of a pixel of a difference.
+
+        Returns
+        -------
+        Whether the statistics of any pair changed.
+        """
+        if self._form.single:
+            # these poses come from decided data already
+            return False
+        steps = self._pose_errors(mean, variance, gain, noise) - self._errors
+        moved = False
+        for k, (cutout, error) in enumerate(zip(self._cutouts, steps, strict=True)):
+            if cutout is None or not worth_moving(error):
+                continue
+            moved = True
+            self._errors[k] += error
+            cutout = self._cutouts[k] = cutout.moved(error)
+            whitened = self._whitened[k] = self._whiten(cutout)
+            self._statistics[k] = whitened.statistics()
+        return moved
+
+    def _whiten(self, cutout: Cutout) -> WhitenedCutout:
+        return whiten(cutout, self._noise, self._form.settings.side, self._led_gains)
+
+    def _pose_errors(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Floats:
+        """Errors (pairs, 4) in x, y, ln pitch and roll of the poses that the sums gave."""
+        # only decoded symbols count: guesses come from the poses that are in doubt
+        decided = variance < KNOWN
+        known = np.where(decided, mean, 0.0)
+        levels = 0.5 * haar.inverse_transform(self._form.join(known))
+        evidence = dict[int, PoseEvidence]()
+        there = [k for k in range(len(known)) if self._cutouts[k] is not None and known[k].any()]
+        for k in there[::STRIDE]:
+            cutout, whitened, pair = self._cutouts[k], self._whitened[k], self._statistics[k]
+            assert cutout is not None  # it is there, and the others come with it
+            assert whitened is not None
+            assert pair is not None
+            slopes = whitened.root * cutout.slopes(levels[k] * self._led_gains)
+            left = whitened.residual(gain, known[k])
+            # J = g^2 H^T C^-1 H, s = g H^T C^-1 (d - g (B m + o)), C = s^2 + g^2 B_u B_u^T
+            images, scale = np.concatenate([slopes, left[None]]), gain**2 / noise
+            part = products(whitened, pair, images, np.flatnonzero(~decided[k]), scale)
+            evidence[k] = PoseEvidence(scale * part[:4, :4], gain / noise * part[:4, 4])
+        return smoothed_errors(evidence, self._errors)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseEvidence:
+    """Likelihood of a pose's error e, whose estimate is information^-1 score.
+
+    Attributes
+    ----------
+    information
+        Fisher information J, (4, 4), of x, y, ln pitch and roll.
+    score
+        s, (4,).
+    """
+
+    information: Floats
+    score: Floats
+
+
+def worth_moving(error: Floats) -> bool:
+    """Whether a pose's error (4,) in x, y, ln pitch and roll is worth new statistics."""
+    x, y, ln_pitch, roll = np.abs(error)
+    return bool(max(x, y) + HALF_SIDE_PX * max(ln_pitch, roll) > LEAST_PX)
+
+
+def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats:
+    """Most probable errors of a packet's poses, the sizes of the two processes being those that fit best.
+
+    Parameters
+    ----------
+    evidence
+        By number of the pair; of poses already corrected by `before`.
+    before
+        (pairs, 4) corrections so far; the prior holds for the whole of an error.
+
+    Returns
+    -------
+    (pairs, 4) whole errors in x, y, ln pitch and roll.
+    """
+    asked = np.array(sorted(evidence))
+    if not asked.size:
+        return before
+    information = block_diag(*(evidence[k].information for k in asked))
+    # about the first poses: J (e - e_0) = s
+    score = np.concatenate([evidence[k].score for k in asked]) + information @ before[asked].ravel()
+    apart = np.abs(np.arange(len(before))[:, None] - asked)
+    # two independent Gauss-Markov processes
+    slowly, quickly = np.exp(-apart / SLOW_PAIRS), np.exp(-apart / FAST_PAIRS)
+    tried = []
+    for slow, fast in sorted(product(SLOW_SIZES, FAST_SIZES), key=lambda sizes: np.hypot(*sizes)):
+        covariance = slow**2 * slowly + fast**2 * quickly
+        asked_covariance = np.kron(covariance[asked], np.diag(POSE_SPREADS**2))
+        # e = P (1 + J P)^-1 s, ln p = s^T e / 2 - ln det(1 + J P) / 2 and a constant
+        matrix = np.eye(score.size) + information @ asked_covariance
+        factors = lu_factor(matrix, overwrite_a=True, check_finite=False)
+        weights = lu_solve(factors, score, check_finite=False)
+        # P (1 + J P)^-1 is a covariance, so the determinant is positive
+        likelihood = 0.5 * (score @ asked_covariance @ weights - np.log(np.abs(factors[0].diagonal())).sum())
+        tried.append((likelihood, covariance, weights))
+    best = max(likelihood for likelihood, _, _ in tried)
+    covariance, weights = next((c, w) for likelihood, c, w in tried if likelihood > best - DOUBT)
+    # P of all pairs: the same in x, y, ln pitch and roll but for their sizes
+    return np.asarray(covariance @ (weights.reshape(-1, 4) * POSE_SPREADS**2))

@@ -1,0 +1,272 @@
+"""Tracking: the sum of a pattern and its inverse shows every LED, so each pair gives the pose anew."""
+
+from dataclasses import dataclass, replace
+from math import erf, exp, pi, sqrt
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.image.fit import Fit, Prior, fit_array
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.robust import robust_std
+from heliograph.receive.image.window import cut_out, window_around
+from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
+from heliograph.receive.track.kalman import HEADER, SHOWN, MotionModel, PoseState, Tilt, sum_observation
+
+Floats = NDArray[np.float64]
+
+MARGIN_PITCHES, MARGIN_PX = 1.5, 1.5
+"""Width of the surroundings that are fitted with the array: they hold its edge, the panel's and the background."""
+
+PIXEL = 12**-0.5
+"""Standard deviation in pixels of a pixel's own width."""
+
+NOISY = 1.5
+"""Factor on the noise variance that a change must exceed: the variance of some hundred pixels is known to a fifth."""
+
+ACTIVITY = 0.06
+"""Least rms change from pattern to inverse of an array in sight, as a fraction of its light and of `contrast`.
+
+Random data change the light by half of it; an eighth of that leaves room for dim LEDs and a gain that is too large.
+"""
+
+HEADER_SCORE = 0.6
+"""Least correlation with which a header refines the pose: a header half hidden still has more."""
+
+STEPS = 3
+"""Most Gauss-Newton steps a pair; from the filter's prediction a fit mostly ends after two."""
+
+RESOLVED_PX = 1.0
+"""Pitch in px from which on single LEDs show in a sum."""
+
+SLIP = 0.2
+"""Standard deviation of the prediction, in pitches, from which on LEDs may be taken for their neighbours."""
+
+COMB = 0.5
+"""Pitches of blur that hide single LEDs, as in the detector."""
+
+GAIN_RATE = 0.1
+"""Weight of a pair's gain in the tracker's: sums of about ten pairs count."""
+
+FOUND_SPREAD = np.array([1.0, 1.0, 1e-3, 1e-4, 1e-2])
+"""Variances added to a detection's pose vector for the motion since its middle."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """What is known of an array that is followed.
+
+    Attributes
+    ----------
+    state
+        Pose and rates.
+    gain
+        Gray levels of a pair's sum with all LEDs on.
+    data_gain
+        The same as headers show it, where the background cancels.
+    led_gains
+        (n, n) gains of its LEDs, 0 to 1.
+    last_seen_s
+        Time in seconds when it was last in sight.
+    """
+
+    state: PoseState
+    gain: float
+    data_gain: float
+    led_gains: Floats
+    last_seen_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedPair:
+    """A pattern and its inverse with the pose found in their sum.
+
+    Attributes
+    ----------
+    before
+        The track before the pair.
+    track
+        The track after it.
+    fit
+        The fit of the sum.
+    seen
+        Whether the array was in sight.
+    """
+
+    before: Track
+    track: Track
+    fit: Fit
+    seen: bool
+
+    @property
+    def state(self) -> PoseState:
+        """Pose and rates in the middle of the pair."""
+        return self.track.state
+
+
+class Tracker:
+    """Follows arrays from pair to pair; tracks are values, and the tracker itself holds no state.
+
+    Parameters
+    ----------
+    side
+        LEDs in a row.
+    model
+        How an array may move.
+    """
+
+    def __init__(self, side: int, model: MotionModel):
+        self._side, self._model = side, model
+
+    def start(self, detection: Detection) -> Track:
+        """Begin to follow an array that was found."""
+        fit = detection.fit
+        state = PoseState.start(detection.time_s, fit.vector, widened(fit.covariance), self._model)
+        return Track(state, fit.gain, fit.gain, detection.led_gains, detection.time_s)
+
+    def follow(self, track: Track, pair: FramePair) -> TrackedPair:
+        """Find the array in the sum of a pair and move the filter on; coast where it is not seen.
+
+        Parameters
+        ----------
+        track
+            The array.
+        pair
+            The two frames.
+        """
+        predicted = self.predict(track, pair.time_s)
+        corner, up, down = self._cut(pair, predicted.pose)
+        # (pattern) + (inverse) = every LED on, Fig. 9
+        observation = sum_observation(pair.late_s)
+        mean, covariance = predicted.expected(observation)
+        prior = Prior(np.append(mean, predicted.tilt.mean), covariance, track.gain)
+        total = up + down
+        start = self._unresolved(total, corner, prior, track.led_gains) if self._unsure(predicted) else None
+        # a start of its own saves a step
+        steps = STEPS - (start is not None)
+        fit = fit_array(total, corner, prior, track.led_gains, steps, panel=True, start=start)
+        seen = _inside(fit, pair.pattern) and self._active(up - down, fit.pose, corner, track.gain)
+        if seen:
+            state = predicted.condition(fit.vector[:SHOWN], fit.covariance, observation)
+            gain = track.gain + GAIN_RATE * (fit.gain - track.gain)
+            after = replace(track, state=state, last_seen_s=predicted.time_s, gain=gain)
+        else:
+            after = replace(track, state=predicted)
+        return TrackedPair(track, after, fit, seen)
+
+    def refine(self, track: Track, pair: FramePair, weights: Floats) -> Track:
+        """Refine pitch, roll, blur and tilt by a header, after its sum was followed.
+
+        Parameters
+        ----------
+        track
+            The array.
+        pair
+            The header and its inverse.
+        weights
+            (n, n) the header less its inverse, -1 to 1.
+        """
+        state, tilt = track.state, track.state.tilt
+        corner, up, down = self._cut(pair, state.pose)
+        mean, covariance = state.expected(HEADER)
+        both = np.zeros((SHOWN + 2, SHOWN + 2))
+        both[:SHOWN, :SHOWN], both[SHOWN:, SHOWN:] = covariance, tilt.covariance
+        prior = Prior(np.append(mean, tilt.mean), both)
+        fit = fit_array(up - down, corner, prior, weights * track.led_gains, STEPS)
+        if fit.score < HEADER_SCORE:
+            return track
+        state = state.condition(fit.vector[:SHOWN], fit.covariance[:SHOWN, :SHOWN], HEADER)
+        state = replace(state, tilt=Tilt(fit.vector[SHOWN:], fit.covariance[SHOWN:, SHOWN:]))
+        return replace(track, state=state, data_gain=fit.gain)
+
+    def sees(self, track: Track, pair: FramePair, fit: Fit) -> bool:
+        """Whether the array is in sight where a fit has it, by two frames that show different patterns.
+
+        Parameters
+        ----------
+        track
+            The array.
+        pair
+            The frames.
+        fit
+            Where it should be.
+        """
+        corner, up, down = self._cut(pair, track.state.pose)
+        return _inside(fit, pair.pattern) and self._active(up - down, fit.pose, corner, track.gain)
+
+    def predict(self, track: Track, time_s: float) -> PoseState:
+        """State at a time in seconds; before the track's own time the state is taken as it is.
+
+        Parameters
+        ----------
+        track
+            The array.
+        time_s
+            The time.
+        """
+        if time_s <= track.state.time_s:
+            return replace(track.state, time_s=time_s)
+        return track.state.predict(time_s, self._model)
+
+    def _unsure(self, predicted: PoseState) -> bool:
+        """Whether the prediction may be a pitch off, so that resolved LEDs would be taken for their neighbours."""
+        spread = float(np.sqrt(predicted.covariance[:2, :2].diagonal().max()))
+        pitch = predicted.pose.pitch
+        return pitch > RESOLVED_PX and spread > SLIP * pitch
+
+    def _unresolved(self, total: Floats, corner: tuple[int, int], prior: Prior, led_gains: Floats) -> Floats:
+        """Start of the fit, found on pixels so blurred that no LED can be taken for its neighbour."""
+        pose = Pose.from_vector(prior.vector)
+        sigma = COMB * pose.pitch
+        vector, covariance = prior.vector.copy(), prior.covariance.copy()
+        vector[4] = np.log(np.hypot(pose.blur, sigma))
+        covariance[[0, 1], [0, 1]] += pose.pitch**2
+        smooth = np.asarray(cv2.GaussianBlur(total, (0, 0), sigma), np.float64)
+        # an even square stands for the array as long as all of it shines
+        failed = bool((led_gains < 1).any())
+        wide = Prior(vector, covariance, prior.gain)
+        # it need come near only: one step
+        fit = fit_array(smooth, corner, wide, led_gains, 1, panel=True, resolved=failed)
+        found = fit.vector.copy()
+        found[4] = prior.vector[4]
+        return found
+
+    def _cut(self, pair: FramePair, pose: Pose) -> tuple[tuple[int, int], Floats, Floats]:
+        """The array's surroundings in both frames, and their corner."""
+        window = window_around(pose, self._side, MARGIN_PITCHES * pose.pitch + MARGIN_PX)
+        return (window[0], window[1]), cut_out(pair.pattern, window), cut_out(pair.inverted, window)
+
+    def _active(self, change: Floats, pose: Pose, corner: tuple[int, int], gain: float) -> bool:
+        """Whether pattern and inverse differ where the array should be: a hidden or dark array shows no change."""
+        half = 0.5 * self._side * pose.pitch
+        down, right = (
+            np.abs(np.arange(n) + c)
+            for n, c in zip(change.shape, (corner[1] - pose.y, corner[0] - pose.x), strict=True)
+        )
+        away = np.maximum(down[:, None], right)
+        inner, around = change[away <= max(half - 1, 1) + 0.5], change[away > half + 1]
+        noise = robust_std(around) if around.size else 0.0
+        least = ACTIVITY * contrast(pose) * gain
+        return bool(inner.size and np.mean(inner**2) >= least**2 + NOISY * noise**2)
+
+
+def contrast(pose: Pose) -> float:
+    """Fraction of the contrast of squares of 2 x 2 LEDs that blur and pixels leave, 0 to 1."""
+    # along x and y alike: int (box * Gaussian)^2 / w = erf u - (1 - exp(-u^2)) / (sqrt(pi) u), u = w / 2 s
+    u = pose.pitch / float(np.hypot(pose.blur, PIXEL))
+    return erf(u) - (1 - exp(-(u**2))) / (sqrt(pi) * u)
+
+
+def widened(covariance: Floats) -> Floats:
+    """A detection's covariance (5, 5) or (7, 7) with room for the motion since its middle."""
+    wider = covariance.copy()
+    wider[np.arange(5), np.arange(5)] += FOUND_SPREAD
+    return wider
+
+
+def _inside(fit: Fit, frame: AnyFrame) -> bool:
+    """Whether the array's centre is in the frame."""
+    x, y = fit.vector[0] - frame.origin[0], fit.vector[1] - frame.origin[1]
+    return bool(0 <= x < frame.pixels.shape[1] and 0 <= y < frame.pixels.shape[0])
