@@ -273,7 +273,7 @@ def test_inputs_that_cannot_be_decoded(llr: Floats, options: dict[str, Any], mes
         ({"scale": 1.5}, "above 0 and at most 1, not 1.5"),
         ({"scale": float("nan")}, "not nan"),
         ({"stop": "crc"}, 'stop is "crc" and check is None'),
-        ({"check": len}, 'stop is "agreement" and check is <built-in'),
+        ({"stop": "agreement", "check": len}, 'stop is "agreement" and check is <built-in'),
     ],
 )
 def test_options_out_of_range(options: dict[str, Any], message: str) -> None:

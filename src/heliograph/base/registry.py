@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping
 from difflib import get_close_matches
 from functools import lru_cache
+from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar
 
@@ -22,29 +23,16 @@ class Registry(Generic[T]):
     ----------
     kind
         What a part is called in messages, such as "receiver".
-    key
-        The setting that names one.
     group
         Entry-point group by which installed packages offer parts, such as "heliograph.receivers".
+    built_in
+        Parts of the package: where each is found, as "module:attribute". It is imported when first asked for.
     """
 
-    def __init__(self, kind: str, key: str, group: str):
-        self._kind, self._key, self._group = kind, key, group
-        self._built_in: dict[str, T] = {}
+    def __init__(self, kind: str, group: str, built_in: Mapping[str, str]):
+        self._kind, self._group, self._built_in = kind, group, dict(built_in)
         self._own: dict[str, T] = _WAITING.pop(group, {})
         _REGISTRIES[group] = self
-
-    def built_in(self, name: str, part: T) -> None:
-        """Add a part of the package itself.
-
-        Parameters
-        ----------
-        name
-            Its name.
-        part
-            The part.
-        """
-        self._built_in[name] = part
 
     def register(self, name: str, part: T) -> None:
         """Add a part of one's own, in place of an earlier one of that name.
@@ -75,30 +63,43 @@ class Registry(Generic[T]):
         SettingsError
             There is none, or the package that offers it cannot be loaded; the message names the nearest.
         """
-        if name in self._built_in:
-            return self._built_in[name]
+        self.check(name)
         if name in self._own:
             return self._own[name]
-        for entry in _offered(self._group):
-            if entry.name == name:
-                try:
-                    part: T = entry.load()
-                except Exception as error:  # whatever goes wrong within somebody else's package
-                    raise SettingsError(
-                        f"the {self._kind} '{name}' ({entry.value}) cannot be loaded: {error}"
-                    ) from error
-                return part
-        close = get_close_matches(name, self.names(), 1)
-        hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(self.names())}"
-        raise SettingsError(f"setting '{self._key}': unknown {self._kind} '{name}'; {hint}")
+        found: T
+        if name in self._built_in:
+            module, _, attribute = self._built_in[name].partition(":")
+            found = getattr(import_module(module), attribute)
+            return found
+        entry = next(entry for entry in _offered(self._group) if entry.name == name)
+        try:
+            found = entry.load()
+        except Exception as error:  # whatever goes wrong within somebody else's package
+            raise SettingsError(f"the {self._kind} '{name}' of {entry.value} cannot be loaded: {error}") from error
+        return found
 
-    def __contains__(self, name: object) -> bool:
-        return name in self.names()
+    def check(self, name: str) -> str:
+        """Return the name of a part.
+
+        Raises
+        ------
+        SettingsError
+            There is none of that name; the message names the nearest.
+        """
+        if name not in self.names():
+            close = get_close_matches(name, self.names(), 1)
+            hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(self.names())}"
+            raise SettingsError(f"unknown {self._kind} '{name}'; {hint}")
+        return name
 
     def names(self) -> list[str]:
         """Names of all parts, those of the package first."""
         offered = [entry.name for entry in _offered(self._group)]
         return [*self._built_in, *sorted({*self._own, *offered} - set(self._built_in))]
+
+    def is_built_in(self, name: str) -> bool:
+        """Whether a part is one of the package."""
+        return name in self._built_in
 
     @property
     def own(self) -> Mapping[str, T]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import SettingsError
 from heliograph.channel.footage import Footage
+from heliograph.channel.parts import BACKGROUNDS
 from heliograph.channel.scene import CameraPose
 from heliograph.channel.settings import CameraSettings, ChannelSettings
 
@@ -288,13 +289,66 @@ Painter = Callable[[NDArray[np.float32], tuple[int, int], float, CameraPose, tup
 """Writes the background into a window of the light: (light, corner, time in s, poses, index of one pose)."""
 
 
+@dataclass(frozen=True)
+class Scenery:
+    """What a background is made for.
+
+    Attributes
+    ----------
+    settings
+        The channel; settings of a part of one's own are in ``settings.own``.
+    footage
+        Recorded frames; None where there are none.
+    rng
+        Source of randomness, the same for the same seed.
+    """
+
+    settings: ChannelSettings
+    footage: Footage | None
+    rng: np.random.Generator
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns of the sensor and a margin for shake."""
+        camera = self.settings.camera
+        return camera.height + 2 * SHAKE_MARGIN_PX, camera.width + 2 * SHAKE_MARGIN_PX
+
+
+def flat_background(scenery: Scenery) -> Painter:
+    """Return the painter of an even background."""
+    level = scenery.settings.background.level
+    return lambda light, *_: light.fill(level)
+
+
+def drawn_background(scenery: Scenery) -> Painter:
+    """Return the painter of a drawn street, which moves with the camera."""
+    scene, settings = draw_scene(scenery.size, scenery.rng), scenery.settings
+    gain = settings.background.gain / _WHITE
+    return _painter(lambda _: (scene, scene, 0.0), gain, settings.camera, scenery.size, SCENE_DEPTH_M)
+
+
+def footage_background(scenery: Scenery) -> Painter:
+    """Return the painter of recorded frames, which move with the camera's shake.
+
+    Raises
+    ------
+    SettingsError
+        There are no recorded frames.
+    """
+    if scenery.footage is None:
+        raise SettingsError("background.kind = footage needs recorded frames")
+    clip, settings = Clip(scenery.footage, scenery.size), scenery.settings
+    gain = settings.background.gain / _WHITE
+    return _painter(clip.at, gain, settings.camera, scenery.size, np.inf)  # footage holds its own expansion
+
+
 def background(settings: ChannelSettings, footage: Footage | None, rng: np.random.Generator) -> Painter:
     """Return the painter of a film's background.
 
     Parameters
     ----------
     settings
-        The channel; ``settings.background`` chooses the kind.
+        The channel; ``settings.background.kind`` names the background.
     footage
         Recorded frames, for the kind "footage".
     rng
@@ -305,17 +359,8 @@ def background(settings: ChannelSettings, footage: Footage | None, rng: np.rando
     SettingsError
         The kind is "footage" and there is none.
     """
-    kind, level, gain = settings.background.kind, settings.background.level, settings.background.gain / _WHITE
-    if kind == "flat":
-        return lambda light, *_: light.fill(level)
-    camera = settings.camera
-    size = (camera.height + 2 * SHAKE_MARGIN_PX, camera.width + 2 * SHAKE_MARGIN_PX)
-    if kind == "synthetic":
-        scene = draw_scene(size, rng)
-        return _painter(lambda _: (scene, scene, 0.0), gain, camera, size, SCENE_DEPTH_M)
-    if footage is None:
-        raise SettingsError("background.kind = footage needs recorded frames")
-    return _painter(Clip(footage, size).at, gain, camera, size, np.inf)  # footage holds its own expansion
+    painter: Painter = BACKGROUNDS[settings.background.kind](Scenery(settings, footage, rng))
+    return painter
 
 
 def _painter(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.base.errors import SettingsError
+from heliograph.channel.parts import MOTIONS
 from heliograph.channel.road import RoadProfile, road_profile
 from heliograph.channel.scene import CameraPose
 from heliograph.channel.settings import ChannelSettings
@@ -364,13 +365,67 @@ def imu_shake(trace: ImuTrace, trace_start_s: float, start_s: float, end_s: floa
     return CubicSpline(times, np.stack([np.zeros_like(roll), pitch, yaw, roll], -1))
 
 
+@dataclass(frozen=True)
+class Drive:
+    """What a motion of the camera is made for.
+
+    Attributes
+    ----------
+    settings
+        The channel; settings of a part of one's own are in ``settings.own``.
+    travel
+        Distance along the road.
+    start_s
+        Start of the film in s, at most 0.
+    end_s
+        End of the film in s.
+    imu
+        Recorded trace; None where there is none.
+    rng
+        Source of randomness, the same for the same seed.
+    """
+
+    settings: ChannelSettings
+    travel: Travel
+    start_s: float
+    end_s: float
+    imu: ImuTrace | None
+    rng: np.random.Generator
+
+
+def no_motion(drive: Drive) -> None:  # noqa: ARG001 - all motions are made of a drive
+    """Return no shake."""
+    return
+
+
+def road_motion(drive: Drive) -> Shake | None:
+    """Return the shake of a half-car on a random road."""
+    travel = drive.travel
+    length = float(travel.distance(drive.end_s) - travel.distance(drive.start_s - RUN_IN_S)) + _MARGIN_M
+    road = road_profile(drive.settings.road_class, length, drive.rng)
+    return road_shake(travel, road, drive.start_s, drive.end_s)
+
+
+def imu_motion(drive: Drive) -> Shake | None:
+    """Return the shake of a recorded trace.
+
+    Raises
+    ------
+    SettingsError
+        There is no trace.
+    """
+    if drive.imu is None:
+        raise SettingsError("shake = imu needs a recorded trace: pass imu, or choose shake = road or none")
+    return imu_shake(drive.imu, drive.settings.imu_start_s, drive.start_s, drive.end_s)
+
+
 def motion(settings: ChannelSettings, imu: ImuTrace | None, rng: np.random.Generator) -> Motion:
     """Return the vehicle's motion over the film.
 
     Parameters
     ----------
     settings
-        The channel; ``settings.shake`` chooses the source of the shake.
+        The channel; ``settings.shake`` names the shake.
     imu
         Recorded trace, for ``shake`` = "imu".
     rng
@@ -381,13 +436,6 @@ def motion(settings: ChannelSettings, imu: ImuTrace | None, rng: np.random.Gener
     SettingsError
         ``shake`` is "imu" and there is no trace, or the film has no end (see `film_duration`).
     """
-    travel, end_s = Travel.of(settings), film_duration(settings)
-    start_s = min(0.0, settings.camera.start_s)
-    if settings.shake == "imu":
-        if imu is None:
-            raise SettingsError("shake = imu needs a recorded trace: pass imu, or choose shake = road or none")
-        return Motion(travel, imu_shake(imu, settings.imu_start_s, start_s, end_s))
-    if settings.shake == "road":
-        length = float(travel.distance(end_s) - travel.distance(start_s - RUN_IN_S)) + _MARGIN_M
-        return Motion(travel, road_shake(travel, road_profile(settings.road_class, length, rng), start_s, end_s))
-    return Motion(travel, None)
+    travel = Travel.of(settings)
+    drive = Drive(settings, travel, min(0.0, settings.camera.start_s), film_duration(settings), imu, rng)
+    return Motion(travel, MOTIONS[settings.shake](drive))

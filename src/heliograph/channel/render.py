@@ -10,6 +10,8 @@ from heliograph.channel.background import Painter
 from heliograph.channel.exposure import Lighting, Lit
 from heliograph.channel.motion import Motion
 from heliograph.channel.optics import add_leds, cover, disc_cubature, normal_table
+from heliograph.channel.parts import POINT_SPREADS
+from heliograph.channel.psf import PointSpread
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
 from heliograph.channel.settings import CameraSettings, ChannelSettings
 from heliograph.channel.truth import ArrayTruth
@@ -374,12 +376,29 @@ def add_array(
     """
     emitter, camera = settings.emitter, settings.camera
     radius = emitter.diameter_m / 2
-    resolution = radius * camera.focal_px / one[2, 2] / camera.blur_px
-    steps = math.ceil(_STEPS_PER_OCTAVE * math.log2(resolution))
-    points, rest = disc_cubature(2.0 ** (steps / _STEPS_PER_OCTAVE))
     shape = (emitter.pitch_m, radius, emitter.lobe_order)
-    lens = (camera.focal_px, camera.blur_px)
-    add_leds(canvas.light, canvas.corner, one, drift, eye, moments, shape, lens, points, rest, normal_table())
+    light, late, spread = moments
+    psf: PointSpread = POINT_SPREADS[camera.psf](camera)
+    for fraction, (dx, dy), sigma in zip(psf.fraction, psf.shift_px, psf.sigma_px.tolist(), strict=True):
+        # the Gaussian's place beside the point moves the image: (x + dx, y + dy, 1) Z
+        shift = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]])
+        resolution = radius * camera.focal_px / one[2, 2] / sigma
+        steps = math.ceil(_STEPS_PER_OCTAVE * math.log2(resolution))
+        points, rest = disc_cubature(2.0 ** (steps / _STEPS_PER_OCTAVE))
+        part, lens = (fraction * light, late, spread), (camera.focal_px, sigma)
+        add_leds(
+            canvas.light,
+            canvas.corner,
+            shift @ one,
+            shift @ drift,
+            eye,
+            part,
+            shape,
+            lens,
+            points,
+            rest,
+            normal_table(),
+        )
 
 
 def _truth(view: ArrayView, k: int, lit: Lit | None) -> ArrayTruth:

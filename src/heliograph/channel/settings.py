@@ -4,13 +4,16 @@ Light is measured in full scales: a pixel whose light is 1 just saturates.
 """
 
 import math
+from collections.abc import Mapping
+from dataclasses import field
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG
+from heliograph.channel.parts import BACKGROUNDS, MOTIONS, POINT_SPREADS
 
 Positive = Annotated[float, Field(gt=0)]
 """A number above 0."""
@@ -138,6 +141,9 @@ class CameraSettings:
     blur_px
         Standard deviation of the Gaussian optical blur in pixels, 0.05 to 20, beside the pixel's box and the emitter's
         disc. A larger one mixes neighbouring LEDs, and so loses the low layer first.
+    psf
+        Point-spread function of the lens: "gaussian", or "halo" (a wide and weak Gaussian beside it); others may be
+        registered.
     clock_ppm
         Error of the camera's clock in millionths, -10000 to 10000: the frame period is longer by this than
         1 / ``fps``, shorter if negative.
@@ -158,6 +164,7 @@ class CameraSettings:
     focal_m: Positive = 0.035
     pixel_m: Positive = 12e-6
     blur_px: Annotated[float, Field(ge=0.05, le=20)] = 0.5
+    psf: Annotated[str, AfterValidator(POINT_SPREADS.check)] = "gaussian"
     clock_ppm: Ppm = 0.0
     dropped: Probability = 0.0
     repeated: Probability = 0.0
@@ -263,7 +270,7 @@ class BackgroundSettings:
     Attributes
     ----------
     kind
-        "flat", "synthetic" (sky, buildings, lamps) or "footage" (recorded frames).
+        "flat", "synthetic" (sky, buildings, lamps) or "footage" (recorded frames); others may be registered.
     level
         Light of a flat background in full scales, 0 to 4. A larger value adds shot noise beside the panel.
     gain
@@ -271,7 +278,7 @@ class BackgroundSettings:
         more disturbing.
     """
 
-    kind: Literal["flat", "synthetic", "footage"] = "flat"
+    kind: Annotated[str, AfterValidator(BACKGROUNDS.check)] = "flat"
     level: LightLevel = 0.1
     gain: LightLevel = 1.0
 
@@ -297,7 +304,8 @@ class ChannelSettings:
         Points (time in s, speed in m/s, at least 0) at rising times, joined by straight lines, in place of
         ``speed_m_s``; empty for none.
     shake
-        "none", "road" (half-car model on a random road) or "imu" (a recorded trace).
+        Motion of the camera: "none", "road" (half-car model on a random road) or "imu" (a recorded trace); others may
+        be registered.
     road_class
         Class of the road by ISO 8608, "A" (smooth) to "D" (rough): each has twice the amplitude of the one before.
     imu_start_s
@@ -312,6 +320,8 @@ class ChannelSettings:
         The image sensor.
     background
         The background.
+    own
+        Settings of registered motions, backgrounds and point-spread functions, by name.
     """
 
     distance_m: Positive = 80.0
@@ -319,7 +329,7 @@ class ChannelSettings:
     speed_m_s: Annotated[float, Field(ge=0, le=60)] = 30 / 3.6
     duration_s: Positive | None = None
     speed_profile: tuple[tuple[float, float], ...] = ()
-    shake: Literal["none", "road", "imu"] = "road"
+    shake: Annotated[str, AfterValidator(MOTIONS.check)] = "road"
     road_class: Literal["A", "B", "C", "D"] = "B"
     imu_start_s: NotNegative = 0.0
     arrays: tuple[Placement, ...] = (Placement(),)
@@ -327,6 +337,7 @@ class ChannelSettings:
     emitter: EmitterSettings = EmitterSettings()
     sensor: SensorSettings = SensorSettings()
     background: BackgroundSettings = BackgroundSettings()
+    own: Mapping[str, Any] = field(default_factory=dict)
 
     @model_validator(mode="after")
     def _consistent(self) -> "ChannelSettings":

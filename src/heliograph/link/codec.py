@@ -6,7 +6,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from heliograph.receive.decode.codeword import DecoderOptions, decode_packet
+from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.signal.header import IDENTITIES, header_levels
 from heliograph.signal.message import Message, Reassembler
 from heliograph.signal.packet import PacketFormat
@@ -63,7 +63,7 @@ def decode(luminances: ArrayLike, settings: SignalSettings | None = None) -> Ite
     for packet in x.reshape(-1, size, side, side):
         change = packet[0::2] - packet[1::2]
         header, data = np.split(change, [form.settings.header_pairs])
-        words = decode_packet(data, np.ones(len(data), bool), form, _identity_of(header), DecoderOptions())
+        words = decode_packet(data, np.ones(len(data), bool), form, _identity_of(header), Decoding())
         blocks = [word.block for layer in words.values() for word in layer if word.block]
         yield from filter(None, map(reassembler.add, blocks))
 

@@ -8,7 +8,7 @@ from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detector import Detection, Detector
 from heliograph.receive.acquire.phases import PhasedSearch
 from heliograph.receive.array import ArrayReceiver, PacketReader
-from heliograph.receive.decode.codeword import DecoderOptions
+from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.soft_combining import SoftBuffer
 from heliograph.receive.events import Observer
 from heliograph.receive.packet_reader import SoftParts, SoftReader
@@ -49,7 +49,7 @@ def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: O
         Gets its events.
     """
     form = PacketFormat(signal)
-    options = DecoderOptions(settings.decode.algorithm or "max-log", settings.decode.iterations)
+    options = Decoding(settings.decode.algorithm or "max-log", settings.decode.iterations)
 
     def reader(detection: Detection, tracker: Tracker) -> PacketReader:
         return PlainReader(detection.identity, form, tracker, settings.plain.equaliser, options, observe)
@@ -81,7 +81,7 @@ def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Ob
     """
     _check_signal(signal)
     form = PacketFormat(signal)
-    options = DecoderOptions(settings.decode.algorithm or "log-map", settings.decode.iterations)
+    options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
     # by identity, not by array: one lost and found again goes on with its carousel
     buffers: dict[int, SoftBuffer] = defaultdict(SoftBuffer)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.acquire.header import header_score, header_weights
 from heliograph.receive.array import ReadHeader
-from heliograph.receive.decode.codeword import DecoderOptions
+from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.iterate import GainAndNoise, decode_iteratively
 from heliograph.receive.decode.soft_combining import SoftBuffer
 from heliograph.receive.equalise.led_gains import LedGains
@@ -58,7 +58,7 @@ class SoftParts:
     form: PacketFormat
     tracker: Tracker
     buffer: SoftBuffer | None
-    options: DecoderOptions
+    options: Decoding
     feedback: Feedback
     observe: Observer
 

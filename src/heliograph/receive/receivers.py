@@ -1,13 +1,12 @@
 """All receivers by name. One algorithm has three entrances: the class, the generator below, and a list of it."""
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 from heliograph.base.config import from_mapping
-from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
-from heliograph.base.registry import Registry
 from heliograph.receive.packets import Packet, Receiver
+from heliograph.receive.registry import RECEIVERS, ReceiverPart, part_of
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
@@ -16,41 +15,6 @@ AnyObserver = Callable[[Any], None]
 
 MakeReceiver = Callable[[SignalSettings, ReceiveSettings, AnyObserver], Receiver]
 """Makes a receiver before its first frame, from the light's signal, the settings and an observer."""
-
-
-class ReceiverPart(NamedTuple):
-    """A receiver by name.
-
-    Attributes
-    ----------
-    make
-        Makes it.
-    settings
-        Class of its own settings, a frozen dataclass; None where it has none.
-    """
-
-    make: MakeReceiver
-    settings: type | None = None
-
-
-RECEIVERS: Registry[ReceiverPart] = Registry("receiver", "receive.receiver", "heliograph.receivers")
-"""Receivers by the name of the setting ``receive.receiver``."""
-
-
-def _plain(signal: SignalSettings, settings: ReceiveSettings, observe: AnyObserver) -> Receiver:
-    from heliograph.receive.assemblies import plain_receiver  # SciPy and Numba are slow to import
-
-    return plain_receiver(signal, settings, observe)
-
-
-def _soft(signal: SignalSettings, settings: ReceiveSettings, observe: AnyObserver) -> Receiver:
-    from heliograph.receive.assemblies import soft_receiver
-
-    return soft_receiver(signal, settings, observe)
-
-
-RECEIVERS.built_in("plain", ReceiverPart(_plain))
-RECEIVERS.built_in("soft", ReceiverPart(_soft))
 
 
 def register_receiver(name: str, make: MakeReceiver, settings: type | None = None) -> None:
@@ -87,12 +51,8 @@ def own_settings(settings: ReceiveSettings) -> Any:
     SettingsError
         A key of ``receive.own`` is unknown, or a value out of range.
     """
-    part = _part(settings.receiver)
-    if part.settings is not None:
-        return from_mapping(part.settings, settings.own)
-    if settings.own:
-        raise SettingsError(f"the receiver '{settings.receiver}' has no settings of its own, but receive.own is set")
-    return None
+    kind = part_of(settings.receiver).settings
+    return None if kind is None else from_mapping(kind, settings.own)
 
 
 def make_receiver(
@@ -115,8 +75,8 @@ def make_receiver(
         There is no receiver of that name, or it cannot read this signal.
     """
     settings = settings or ReceiveSettings()
-    own_settings(settings)
-    return _part(settings.receiver).make(signal, settings, observe or _ignore)
+    found: Receiver = part_of(settings.receiver).make(signal, settings, observe or _ignore)
+    return found
 
 
 def receive_frames(
@@ -143,12 +103,6 @@ def receive_frames(
     for frame in frames:
         yield from receiver.push(frame)
     yield from receiver.finish()
-
-
-def _part(name: str) -> ReceiverPart:
-    found: Any = RECEIVERS[name]
-    # an entry point may name the class or function itself
-    return found if isinstance(found, ReceiverPart) else ReceiverPart(found)
 
 
 def _ignore(event: Any, /) -> None:

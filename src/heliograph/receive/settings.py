@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from dataclasses import field, fields, is_dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG
+from heliograph.base.config import CONFIG, from_mapping
+from heliograph.receive.registry import RECEIVERS, part_of
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0)]
@@ -164,7 +165,7 @@ class ReceiveSettings:
         Settings of a registered receiver, by name.
     """
 
-    receiver: str = "plain"
+    receiver: Annotated[str, AfterValidator(RECEIVERS.check)] = "plain"
     calibration: CalibrationSettings = CalibrationSettings()
     detect: DetectSettings = DetectSettings()
     track: TrackSettings = TrackSettings()
@@ -190,6 +191,8 @@ class ReceiveSettings:
                 f"receive.{key} has no effect with receive.receiver = '{self.receiver}'; leave it out, or choose the "
                 f"receiver it belongs to"
             )
+        if self.own and (kind := part_of(self.receiver).settings) is not None:
+            from_mapping(kind, self.own)
         return self
 
 
@@ -201,7 +204,7 @@ def _without_effect(settings: ReceiveSettings) -> list[str]:
             found += _changed(getattr(settings, room), default, f"{room}.")
     if name == "plain" and settings.calibration.exposure_s is not None:
         found.append("calibration.exposure_s")
-    if name in SMALLEST_SIDE_PX:
+    if RECEIVERS.is_built_in(name) or (settings.own and part_of(name).settings is None):
         found += [f"own.{key}" for key in settings.own]
     return found
 

@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.base.errors import SettingsError
 from heliograph.signal import haar, ook, pwm
 from heliograph.signal.block import MIN_BITS, Block, pack, payload_bytes, whitening
-from heliograph.signal.code import Code
+from heliograph.signal.code import CODES, Code, CodeFamily
 from heliograph.signal.formats import AGREED, Format
 from heliograph.signal.header import all_on_levels, header_levels, signalling_levels
 from heliograph.signal.polarity import balance
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
-from heliograph.signal.turbo import HIGHEST_RATE, QPP_SIZES, TurboCode
 
 Value = TypeVar("Value", bound=np.generic)
 
@@ -27,11 +26,6 @@ a codeword.
 Chosen, a prime that divides the symbols of no layer but one. Of each third of a codeword of the default high layer,
 a symbol of D11 then carries 0.94 to 1.12 times the mean number of bits; with 11 or 46 in its place 0.88 to 1.12,
 without a turn 0 to 3."""
-
-_SIZE_SLACK = 32
-"""Information bits by which r E may exceed the largest interleaver (section 9.1): half the step between the largest
-sizes, so that K is no further from r E than rounding to a size takes it. At 0, 4 of 4320 layers tried (8 to 32 LEDs a
-side, 20 to 199 data pairs, eight rates) need more and shorter codewords; a larger slack may lower the rate further."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +131,8 @@ class PacketFormat:
             # twice the patterns, and a column of D11 keeps their light even (section 6.3)
             quarters[0], pairs = half * (half - 1), 2 * pairs
         plans = zip(LAYERS, MULTIPLICITY, quarters, rates, strict=True)
-        return {name: _plan(name, count, quarter, pairs, rate) for name, count, quarter, rate in plans}
+        family = CODES[self.settings.code]
+        return {name: _plan(name, count, quarter, pairs, rate, family) for name, count, quarter, rate in plans}
 
     @property
     def single(self) -> bool:
@@ -227,18 +222,22 @@ def with_inverses(patterns: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.stack([patterns, pwm.invert(patterns)], axis=1).reshape(-1, *patterns.shape[1:])
 
 
-def _plan(name: str, count: int, quarter: int, pairs: int, rate: float) -> LayerFormat:
-    """Plan a layer by section 9.1: the fewest codewords, equal in size, that keep K within the interleavers."""
-    most, of = HIGHEST_RATE
+def _plan(name: str, count: int, quarter: int, pairs: int, rate: float, family: CodeFamily) -> LayerFormat:
+    """Plan a layer of `count` quarters of the data matrix, each coded by itself."""
     bits = quarter * pairs
-    for split in range(1, bits + 1):
-        e = bits // split
-        if bits % split == 0 and rate * e <= QPP_SIZES[-1] + _SIZE_SLACK:
-            break
-    k = min((k for k in QPP_SIZES if of * k <= most * e), key=lambda k: abs(k - rate * e), default=0)
-    if k < MIN_BITS:
+    few = (
+        f"{name} layer: {pairs} data pairs give {bits} bits at rate {rate:.3g}, too few for a block of {MIN_BITS} "
+        f"bits; raise signal.data_pairs or the rate"
+    )
+    try:
+        plan = family(bits, rate)
+    except ValueError as error:
+        raise SettingsError(f"{few} ({error})") from None
+    if plan.codewords * plan.code.length != bits:
         raise SettingsError(
-            f"{name} layer: {pairs} data pairs give {e} bits a codeword at rate {rate:.3g}, "
-            f"too few for a block of {MIN_BITS} bits; raise signal.data_pairs or the rate"
+            f"{name} layer: {plan.codewords} codewords of {plan.code.length} bits do not fill {bits} bits; "
+            f"a code's plan must fill them exactly"
         )
-    return LayerFormat(name, count * split, TurboCode(k=k, coded_bits=e), pairs, count * quarter)
+    if plan.code.k < MIN_BITS:
+        raise SettingsError(few)
+    return LayerFormat(name, count * plan.codewords, plan.code, pairs, count * quarter)

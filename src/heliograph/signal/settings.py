@@ -3,10 +3,11 @@
 from fractions import Fraction
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG
+from heliograph.signal.code import CODES
 from heliograph.signal.pwm import SLOT_ORDER, SLOTS
 
 LAYERS = ("high", "middle", "low")
@@ -75,6 +76,9 @@ class SignalSettings:
         more errors, and less time spent on headers; headers and packets then come less often.
     rate
         Rates of the turbo code by layer.
+    code
+        Name of the channel code. "turbo" is the air interface's; others may be registered for research, and both ends
+        must then have them.
     modulation
         "haar", the hierarchical code, or "ook", on-off keying of each LED.
     header
@@ -87,6 +91,7 @@ class SignalSettings:
     header_pairs: Annotated[int, Field(ge=1, le=16)] = 2
     data_pairs: Annotated[int, Field(ge=1, le=4096)] = 48
     rate: RateSettings = RateSettings()
+    code: Annotated[str, AfterValidator(CODES.check)] = "turbo"
     modulation: Literal["haar", "ook"] = "haar"
     header: Literal["m_sequence", "all_on"] = "m_sequence"
 

@@ -23,7 +23,7 @@ LEAST_POWER, MOST_POWER = 1e-4, 0.999
 
 
 @dataclass(frozen=True, slots=True)
-class DecoderOptions:
+class Decoding:
     """How codewords are decoded.
 
     Attributes
@@ -58,7 +58,7 @@ class DecodedBlock:
 
 
 def decode_packet(
-    luminances: Floats, seen: NDArray[np.bool_], form: PacketFormat, identity: int, options: DecoderOptions
+    luminances: Floats, seen: NDArray[np.bool_], form: PacketFormat, identity: int, options: Decoding
 ) -> dict[str, tuple[Codeword, ...]]:
     """Decode all layers of a packet.
 
@@ -142,7 +142,7 @@ def hard(llr: Floats) -> NDArray[np.uint8]:
 
 
 def _decode_alike(
-    received: Mapping[str, Floats], form: PacketFormat, options: DecoderOptions
+    received: Mapping[str, Floats], form: PacketFormat, options: Decoding
 ) -> dict[tuple[str, int], DecodedBlock]:
     """Decode codewords of equal codes in one call: {(layer, number): block}."""
     groups: dict[Code, list[tuple[str, int]]] = defaultdict(list)
@@ -156,7 +156,7 @@ def _decode_alike(
 
 
 def _decode_group(
-    code: Code, keys: list[tuple[str, int]], received: Mapping[str, Floats], options: DecoderOptions
+    code: Code, keys: list[tuple[str, int]], received: Mapping[str, Floats], options: Decoding
 ) -> list[DecodedBlock]:
     llrs = np.stack([received[name][i] for name, i in keys])
     result = code.decode(llrs, algorithm=options.algorithm, iterations=options.iterations, check=check)

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.receive.decode.codeword import DecoderOptions
+from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.layer import HOPELESS, Layer, decode_layer
 from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer
 from heliograph.receive.equalise.expectation_propagation import ExpectationPropagation
@@ -112,7 +112,7 @@ def decode_iteratively(
     channel: GainAndNoise,
     form: PacketFormat,
     identity: int,
-    options: DecoderOptions,
+    options: Decoding,
     buffer: SoftBuffer | None,
     feedback: Feedback = "propagation",
     observe: Callable[[EqualiseEvent], None] = ignore,
@@ -185,7 +185,7 @@ class _Packet:
 
     form: PacketFormat
     identity: int
-    options: DecoderOptions
+    options: Decoding
     feedback: Feedback
     statistics: Sequence[PairStatistics | None]
     channel: GainAndNoise
@@ -203,7 +203,7 @@ class _Packet:
         channel: GainAndNoise,
         form: PacketFormat,
         identity: int,
-        options: DecoderOptions,
+        options: Decoding,
         feedback: Feedback,
     ) -> "_Packet":
         """A packet of which nothing is decoded."""

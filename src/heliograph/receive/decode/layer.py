@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.receive.decode.codeword import DecodedBlock, DecoderOptions, codeword_of, hard
+from heliograph.receive.decode.codeword import DecodedBlock, Decoding, codeword_of, hard
 from heliograph.receive.decode.soft_combining import consistent
 from heliograph.receive.equalise.llr import LARGEST_LLR, information
 from heliograph.receive.equalise.lmmse import KNOWN
@@ -105,7 +105,7 @@ class Layer:
         return self.form.interleave(self.variance)
 
 
-def decode_layer(layer: Layer, name: str, identity: int, options: DecoderOptions, feedback: bool) -> None:
+def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feedback: bool) -> None:
     """Decode the codewords still open, and note what is known of their bits by now.
 
     Parameters
@@ -151,7 +151,7 @@ Attempt = tuple[Codeword, Floats]
 """A codeword, and the extrinsic LLRs (E,) of its coded bits."""
 
 
-def _decoded(layer: Layer, name: str, identity: int, options: DecoderOptions) -> dict[int, Attempt]:
+def _decoded(layer: Layer, name: str, identity: int, options: Decoding) -> dict[int, Attempt]:
     """Attempts at the open codewords, by number."""
     code, open_ = layer.form.code, layer.open
     tried = _decode(code, (layer.llr + layer.combined)[open_], identity, name, options)
@@ -171,7 +171,7 @@ def _doubtful(layer: Layer, number: int, word: Codeword) -> bool:
     return word.status == "crc_fail" or not consistent(layer.own[number], coded_signs(layer.form.code, word))
 
 
-def _decode(code: Code, llr: Floats, identity: int, name: str, options: DecoderOptions) -> list[Attempt]:
+def _decode(code: Code, llr: Floats, identity: int, name: str, options: Decoding) -> list[Attempt]:
     """Attempts at codewords of LLRs (codewords, E).
 
     They are decoded together, which takes no longer than one of them; where all are hopeless, one iteration must do.

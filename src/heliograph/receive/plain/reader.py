@@ -4,7 +4,7 @@ import numpy as np
 
 from heliograph.receive.acquire.header import header_score, header_weights
 from heliograph.receive.array import ReadHeader
-from heliograph.receive.decode.codeword import DecoderOptions, decode_packet
+from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
 from heliograph.receive.packets import Codeword, Packet
 from heliograph.receive.plain.extract import pair_luminances
@@ -40,7 +40,7 @@ class PlainReader:
         form: PacketFormat,
         tracker: Tracker,
         equaliser: Equaliser,
-        options: DecoderOptions,
+        options: Decoding,
         observe: Observer,
     ):
         self._identity, self._form, self._tracker = identity, form, tracker

@@ -1,0 +1,144 @@
+"""Settings described: each key with its unit, what it may be, its default and its meaning, as the code itself says."""
+
+import inspect
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from docstring_parser import parse
+from pydantic import TypeAdapter
+
+UNITS = {
+    "m_s": "m/s",
+    "m": "m",
+    "s": "s",
+    "px": "px",
+    "deg": "degrees",
+    "ppm": "ppm",
+    "e": "electrons",
+    "patterns": "patterns",
+    "hz": "Hz",
+    "fps": "frames/s",
+}
+"""Units by the ending of a key."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeyDescription:
+    """A settings key.
+
+    Attributes
+    ----------
+    key
+        Dotted key; an item of a list has the number 0.
+    unit
+        Its unit, empty where it has none.
+    allowed
+        What values it may have.
+    default
+        Its default as TOML; empty where it may be left out.
+    meaning
+        What its docstring says.
+    """
+
+    key: str
+    unit: str
+    allowed: str
+    default: str
+    meaning: str
+
+
+def describe(cls: type) -> list[KeyDescription]:
+    """Describe all keys of a settings class, leaves only, in the order of the class."""
+    schema = TypeAdapter(cls).json_schema()
+    return list(_keys(cls, schema, schema.get("$defs", {}), ""))
+
+
+def commented(toml: str, cls: type) -> str:
+    """Add the meaning of each key to TOML text, as a comment behind its value.
+
+    Parameters
+    ----------
+    toml
+        TOML of settings, a key a line.
+    cls
+        Their class.
+    """
+    meanings = {re.sub(r"\.0\.", ".", one.key): one for one in describe(cls)}
+    lines, table = [], ""
+    for line in toml.splitlines():
+        if header := re.fullmatch(r"\[+([\w.-]+)\]+", line):
+            table = header[1] + "."
+        name = line.partition(" = ")[0]
+        known = meanings.get(table + name)
+        lines.append(f"{line}  # {_first_sentence(known.meaning)}{_in_unit(known.unit)}" if known else line)
+    return "\n".join(lines)
+
+
+def _keys(cls: type, schema: Mapping[str, Any], rooms: Mapping[str, Any], prefix: str) -> Iterator[KeyDescription]:
+    meanings = {one.arg_name: one.description or "" for one in parse(inspect.getdoc(cls) or "").params}
+    for name, about in schema["properties"].items():
+        kind = _kind_of(cls, name)
+        items = about.get("items", {}) if about.get("type") == "array" else {}
+        for ref, place in ((_ref(about), f"{prefix}{name}."), (_ref(items), f"{prefix}{name}.0.")):
+            if ref:
+                yield from _keys(kind, rooms[ref], rooms, place)
+                break
+        else:
+            meaning = " ".join(meanings.get(name, "").split())
+            yield KeyDescription(prefix + name, _unit(name), _allowed(about), _default(about), meaning)
+
+
+def _kind_of(cls: type, name: str) -> Any:
+    """Settings class of a field, or of the items of its list."""
+    kind = inspect.get_annotations(cls, eval_str=True)[name]
+    return next((part for part in getattr(kind, "__args__", ()) if inspect.isclass(part)), kind)
+
+
+def _ref(about: Mapping[str, Any]) -> str:
+    """Name of the settings class that a schema refers to, or nothing."""
+    return str(about.get("$ref", "")).rpartition("/")[2]
+
+
+def _unit(name: str) -> str:
+    endings = [ending for ending in UNITS if name == ending or name.endswith("_" + ending)]
+    return UNITS[max(endings, key=len)] if endings else ""
+
+
+def _allowed(about: Mapping[str, Any]) -> str:
+    options = about.get("anyOf")
+    if options:
+        return " or ".join("left out" if one.get("type") == "null" else _allowed(one) for one in options)
+    if "enum" in about or "const" in about:
+        return ", ".join(json.dumps(value) for value in about.get("enum", [about.get("const")]))
+    if about.get("type") == "array":
+        return "list"
+    if about.get("type") == "object":
+        return "table"
+    kinds = {"integer": "whole number", "number": "number", "boolean": "true, false", "string": "text"}
+    return f"{kinds.get(str(about.get('type')), 'any')}{_bounds(about)}"
+
+
+def _bounds(about: Mapping[str, Any]) -> str:
+    low, high = about.get("minimum"), about.get("maximum")
+    above, below = about.get("exclusiveMinimum"), about.get("exclusiveMaximum")
+    parts = [f"{text} {value:g}" for text, value in (("from", low), ("above", above), ("to", high), ("below", below))
+             if value is not None]  # fmt: skip
+    if "multipleOf" in about:
+        parts.append(f"in steps of {about['multipleOf']:g}")
+    return " " + " ".join(parts) if parts else ""
+
+
+def _default(about: Mapping[str, Any]) -> str:
+    value = about.get("default")
+    return "" if value is None else json.dumps(value)
+
+
+def _first_sentence(text: str) -> str:
+    return re.split(r"(?<=[.;])\s", text, maxsplit=1)[0].rstrip(".;")
+
+
+def _in_unit(unit: str) -> str:
+    return f" ({unit})" if unit else ""

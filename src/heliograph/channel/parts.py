@@ -1,0 +1,100 @@
+"""Parts of the channel by name: motions of the camera, backgrounds, point-spread functions.
+
+Each kind has parts of its own in the package. A program adds others with `register_motion`, `register_background` and
+`register_point_spread`; installed packages offer them by entry points of the groups "heliograph.motions",
+"heliograph.backgrounds" and "heliograph.point_spreads".
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from heliograph.base.registry import Registry
+
+MOTIONS: Registry[Callable[..., Any]] = Registry(
+    "motion",
+    "heliograph.motions",
+    {
+        "none": "heliograph.channel.motion:no_motion",
+        "road": "heliograph.channel.motion:road_motion",
+        "imu": "heliograph.channel.motion:imu_motion",
+    },
+)
+"""Motions by the name of the setting ``channel.shake``; each takes a `motion.Drive` and returns a `motion.Shake`."""
+
+BACKGROUNDS: Registry[Callable[..., Any]] = Registry(
+    "background",
+    "heliograph.backgrounds",
+    {
+        "flat": "heliograph.channel.background:flat_background",
+        "synthetic": "heliograph.channel.background:drawn_background",
+        "footage": "heliograph.channel.background:footage_background",
+    },
+)
+"""Backgrounds by the name of the setting ``channel.background.kind``; each takes a `background.Scenery` and returns a
+`background.Painter`."""
+
+POINT_SPREADS: Registry[Callable[..., Any]] = Registry(
+    "point-spread function",
+    "heliograph.point_spreads",
+    {
+        "gaussian": "heliograph.channel.psf:gaussian_spread",
+        "halo": "heliograph.channel.psf:halo_spread",
+    },
+)
+"""Point-spread functions by the name of the setting ``channel.camera.psf``; each takes the `CameraSettings` and returns
+a `psf.PointSpread`."""
+
+
+def register_motion(name: str, make: Callable[..., Any]) -> None:
+    """Register a motion of the camera.
+
+    Parameters
+    ----------
+    name
+        What ``channel.shake`` calls it.
+    make
+        Takes a `heliograph.channel.motion.Drive`; returns a function of times (...) in s that gives (..., 4) heave in m
+        and pitch, yaw and roll in rad, or None for no motion.
+
+    Raises
+    ------
+    SettingsError
+        The name is that of a part of the package, or is no name.
+    """
+    MOTIONS.register(name, make)
+
+
+def register_background(name: str, make: Callable[..., Any]) -> None:
+    """Register a background.
+
+    Parameters
+    ----------
+    name
+        What ``channel.background.kind`` calls it.
+    make
+        Takes a `heliograph.channel.background.Scenery`; returns a `heliograph.channel.background.Painter`.
+
+    Raises
+    ------
+    SettingsError
+        The name is that of a part of the package, or is no name.
+    """
+    BACKGROUNDS.register(name, make)
+
+
+def register_point_spread(name: str, make: Callable[..., Any]) -> None:
+    """Register a point-spread function.
+
+    Parameters
+    ----------
+    name
+        What ``channel.camera.psf`` calls it.
+    make
+        Takes the `CameraSettings`; returns a `heliograph.channel.psf.PointSpread`.
+
+    Raises
+    ------
+    SettingsError
+        The name is that of a part of the package, or is no name.
+    """
+    POINT_SPREADS.register(name, make)

@@ -1,0 +1,44 @@
+"""Receivers by name."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from heliograph.base.registry import Registry
+
+
+class ReceiverPart(NamedTuple):
+    """A receiver by name.
+
+    Attributes
+    ----------
+    make
+        Makes it of the light's signal, the receiver's settings and an observer.
+    settings
+        Class of its own settings, a frozen dataclass; None where it has none.
+    """
+
+    make: Callable[..., Any]
+    settings: type | None = None
+
+
+RECEIVERS: Registry[Any] = Registry(
+    "receiver",
+    "heliograph.receivers",
+    {
+        "plain": "heliograph.receive.assemblies:plain_receiver",
+        "soft": "heliograph.receive.assemblies:soft_receiver",
+    },
+)
+"""Receivers by the name of the setting ``receive.receiver``; a `ReceiverPart`, or what makes one."""
+
+
+def part_of(name: str) -> ReceiverPart:
+    """Receiver of a name.
+
+    Raises
+    ------
+    SettingsError
+        There is none of that name.
+    """
+    found = RECEIVERS[name]
+    return found if isinstance(found, ReceiverPart) else ReceiverPart(found)
