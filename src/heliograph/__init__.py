@@ -9,13 +9,23 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from heliograph.base.errors import HeliographError, MediaError, SettingsError
     from heliograph.base.frames import Frame
+    from heliograph.channel.parts import register_background, register_motion, register_point_spread
+    from heliograph.sweeps.sweep import sweep
     from heliograph.link.codec import decode, encode
     from heliograph.link.settings import LinkSettings, load_settings
     from heliograph.link.simulate import simulate
     from heliograph.media import create_film, open_film
-    from heliograph.receive import Packet, Receiver, receive_frames
+    from heliograph.receive import (
+        Packet,
+        Receiver,
+        ReceiveSettings,
+        make_receiver,
+        own_settings,
+        receive_frames,
+        register_receiver,
+    )
+    from heliograph.signal.code import register_code
     from heliograph.signal.settings import SignalSettings
-    from heliograph.sweeps.sweep import sweep
     from heliograph.transmit import Transmitter
 
 __version__ = "0.1.0"
@@ -26,6 +36,7 @@ _HOMES = {
     "LinkSettings": "link.settings",
     "MediaError": "base.errors",
     "Packet": "receive",
+    "ReceiveSettings": "receive",
     "Receiver": "receive",
     "SettingsError": "base.errors",
     "SignalSettings": "signal.settings",
@@ -34,8 +45,15 @@ _HOMES = {
     "decode": "link.codec",
     "encode": "link.codec",
     "load_settings": "link.settings",
+    "make_receiver": "receive",
     "open_film": "media",
+    "own_settings": "receive",
     "receive_frames": "receive",
+    "register_background": "channel.parts",
+    "register_code": "signal.code",
+    "register_motion": "channel.parts",
+    "register_point_spread": "channel.parts",
+    "register_receiver": "receive",
     "simulate": "link.simulate",
     "sweep": "sweeps.sweep",
 }
@@ -46,6 +64,7 @@ __all__ = [
     "LinkSettings",
     "MediaError",
     "Packet",
+    "ReceiveSettings",
     "Receiver",
     "SettingsError",
     "SignalSettings",
@@ -54,8 +73,15 @@ __all__ = [
     "decode",
     "encode",
     "load_settings",
+    "make_receiver",
     "open_film",
+    "own_settings",
     "receive_frames",
+    "register_background",
+    "register_code",
+    "register_motion",
+    "register_point_spread",
+    "register_receiver",
     "simulate",
     "sweep",
 ]

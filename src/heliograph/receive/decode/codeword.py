@@ -58,7 +58,7 @@ class DecodedBlock:
 
 
 def decode_packet(
-    luminances: Floats, seen: NDArray[np.bool_], form: PacketFormat, identity: int, options: Decoding
+    luminances: Floats, seen: NDArray[np.bool_], form: PacketFormat, identity: int, options: Decoding | None = None
 ) -> dict[str, tuple[Codeword, ...]]:
     """Decode all layers of a packet.
 
@@ -73,12 +73,13 @@ def decode_packet(
     identity
         The array's; a block of another array is a mismatch.
     options
-        The decoder's.
+        The decoder's; None for its defaults.
 
     Returns
     -------
     Codewords by layer.
     """
+    options = options or Decoding()
     soft = form.split(form.soft_data(luminances))
     llrs = {name: soft_to_llr(values, seen) for name, values in soft.items()}
     received = {name: form.layers[name].deinterleave(values) for name, values in llrs.items()}
