@@ -1,9 +1,10 @@
-# make install | demo | test | lint | bench    (PYTHON picks the interpreter that makes .venv)
+# make install | demo | test | test-quick | lint | docs | settings | bench | vectors
+# (PYTHON picks the interpreter that makes .venv)
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: install demo test lint bench vectors clean
+.PHONY: install demo test test-quick lint docs settings bench vectors clean
 
 install: $(STAMP)
 
@@ -17,6 +18,17 @@ demo: install
 
 test: install
 	$(BIN)/python -m pytest
+
+# a test of each room, under a minute
+test-quick: install
+	$(BIN)/python -m pytest -m "not slow" tests
+
+docs: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
+
+settings: install
+	$(BIN)/python scripts/make_settings.py
 
 lint: install
 	$(BIN)/ruff check .

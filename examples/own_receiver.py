@@ -1,7 +1,7 @@
 """A receiver of one's own: a threshold, a bounding box and a resize by OpenCV, beside the package's two receivers.
 
-Run it as it is: `python examples/own_receiver.py` counts codeword errors of all three over distance, and draws them into
-own_receiver.png. It needs `pip install heliograph[analysis]`. The same file serves the command line:
+Run it as it is: `python examples/own_receiver.py` counts codeword errors of all three over distance, and draws them
+into own_receiver.png. It needs `pip install heliograph[analysis]`. The same file serves the command line:
 `heliograph --load examples/own_receiver.py receive film.mkv --receiver threshold`.
 """
 
@@ -97,7 +97,7 @@ def main(few: bool) -> None:
     data = heliograph.sweep(
         {
             "receiver": ["threshold", "plain", "soft"],
-            "channel.distance_m": [20, 60] if few else [15, 20, 25, 30, 40, 60, 80],
+            "channel.distance_m": [20, 60] if few else [15, 30, 40, 50, 60, 80],
         },
         set={"signal.data_pairs": 16 if few else 48},
         min_errors=5 if few else 30,
@@ -109,8 +109,8 @@ def main(few: bool) -> None:
             at = data.sel({"receiver": receiver, "layer": layer})
             rate, low, high = at.fer.values, at.fer_low.values, at.fer_high.values
             axes.errorbar(at["channel.distance_m"], rate, [rate - low, high - rate], label=receiver, capsize=3)
-            print(receiver, layer, {int(z): f"{int(e)}/{int(n)}" for z, e, n in
-                                    zip(at["channel.distance_m"], at.codeword_errors, at.codewords, strict=True)})  # fmt: skip
+            counts = zip(at["channel.distance_m"], at.codeword_errors, at.codewords, strict=True)
+            print(receiver, layer, {int(z): f"{int(wrong)}/{int(sent)}" for z, wrong, sent in counts})
         axes.set(title=f"{layer} priority", xlabel="distance (m)", ylim=(-0.02, 1.02))
     figure.axes[0].set_ylabel("codeword error rate")
     figure.axes[0].legend()

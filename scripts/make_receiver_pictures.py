@@ -6,6 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from heliograph.receive.soft import reference
+from heliograph.receive.soft.glance import Glance
+from heliograph.receive.soft.kernels import FEW, MANY
+from heliograph.receive.soft.look import weigh
+from heliograph.receive.soft.noise import Noise
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -14,11 +19,6 @@ from heliograph.experiments.plots import LAYER_COLOURS, image_row
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose, make_receiver
-from heliograph.receive.soft import reference
-from heliograph.receive.soft.glance import Glance
-from heliograph.receive.soft.kernels import FEW, MANY
-from heliograph.receive.soft.look import weigh
-from heliograph.receive.soft.noise import Noise
 from heliograph.signal.block import pack
 from heliograph.signal.settings import LAYERS
 
