@@ -2,10 +2,10 @@
 
     python -m benchmarks.constants [NAME ...] [--page docs/constants.md] [--keep results.json]
 
-A constant is changed in a copy of the package, and the copy receives the same films as the package itself: near and far,
-driving over a drawn scene, out of step, tilted, hidden and failed LEDs, without inverses, a carousel, and footage without
-any array. NAME picks constants by module or name, such as `decode.layer` or `HOPELESS`; all by default, which takes some
-hours of one core. With --page the table is written into a page, --keep keeps results to go on from.
+A constant is changed in a copy of the package, and the copy receives the same films as the package itself: near and
+far, driving over a drawn scene, out of step, tilted, hidden and failed LEDs, without inverses, a carousel, and footage
+without any array. NAME picks constants by module or name, such as `decode.layer` or `HOPELESS`; all by default, which
+takes some hours of one core. With --page the table is written into a page, --keep keeps results to go on from.
 """
 
 import argparse
@@ -42,9 +42,8 @@ SCENES: Mapping[str, tuple[str, Sequence[str], str, int]] = {
         "paper", (*ROAD, "channel.distance_m=32", "channel.duration_s=0.3", "channel.road_class=D"), "soft", 1,
     ),
     "1.5 frames a pattern, 85 m": (
-        "static",
-        ("channel.distance_m=85", "channel.camera.fps=1500", "channel.camera.exposure_s=0.000666", A + "start_s=0.0004"),
-        "soft", 3,
+        "static", ("channel.distance_m=85", "channel.camera.fps=1500", "channel.camera.exposure_s=0.000666", A +
+        "start_s=0.0004"), "soft", 3,
     ),
     "0.3 T_b out of step, 80 m": ("static", ("channel.distance_m=80", A + "start_s=0.0003"), "soft", 2),
     "clocks apart, frames lost, jitter, 80 m": (
@@ -110,7 +109,7 @@ class _Scaled(ast.NodeTransformer):
     def __init__(self, factor: float):
         self._factor = factor
 
-    def visit_Constant(self, node: ast.Constant) -> ast.Constant:  # noqa: N802 - the library's name
+    def visit_Constant(self, node: ast.Constant) -> ast.Constant:
         if isinstance(node.value, bool) or not isinstance(node.value, int | float):
             return node
         if isinstance(node.value, int):
@@ -165,8 +164,8 @@ def films(folder: Path) -> None:
             margin = window_margin_px(link) if link.channel.arrays else None
             frames = [frame for frame, _ in simulate(link, messages, seed, None, margin)]
             sent = {
-                who: {(name, block) for packet in range(40) for name, blocks in sender.blocks(packet).items() for block in blocks}
-                for who, sender in zip(link.transmit.identities, transmitters(link, messages), strict=True)
+                who: {(name, block) for packet in range(40) for name, blocks in sender.blocks(packet).items() for block
+                in blocks} for who, sender in zip(link.transmit.identities, transmitters(link, messages), strict=True)
             }  # fmt: skip
             with (folder / f"{number:02}-{seed}.pkl").open("wb") as out:
                 pickle.dump((number, receiver, link.signal, link.receive, frames, sent), out)
@@ -256,14 +255,15 @@ def page(results: Mapping[str, Mapping[str, dict[str, list[int]] | str]], chosen
     )
     return f"""# Constants
 
-Every numeric constant of the receivers has its origin beside it in the code: an equation, an experiment, a tolerance. This
-page shows what it is worth: how many codewords more or fewer are read with half and with twice its value, on the same
-films. Whole numbers stay whole. Of numbers from 0.5 to 1.5 the distance from 1 is halved and doubled. A sum of 0 means that
-the constant is not critical. The page is made by
+Every numeric constant of the receivers has its origin beside it in the code: an equation, an experiment, a tolerance.
+This page shows what it is worth: how many codewords more or fewer are read with half and with twice its value, on the
+same films. Whole numbers stay whole. Of numbers from 0.5 to 1.5 the distance from 1 is halved and doubled. A sum of 0
+means that the constant is not critical. The page is made by
 
     python -m benchmarks.constants --page docs/constants.md
 
-Codewords read with all constants as they are, by scene (soft receiver where none is named), {sum(r for r, *_ in base.values())} in all:
+Codewords read with all constants as they are, by scene (soft receiver where none is named), {sum(r for r, *_ in
+base.values())} in all:
 
 | scene | codewords |
 |---|---|

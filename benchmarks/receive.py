@@ -13,8 +13,11 @@ import numpy as np
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
-from heliograph.receive import Packet, Receiver
-from heliograph.receive.detect import Detector
+from heliograph.receive import Packet, Pose, ReceiveSettings
+from heliograph.receive.acquire.detector import Detection, HeaderSearch
+from heliograph.receive.assemblies import plain_parts, plain_receiver
+from heliograph.receive.events import ignore
+from heliograph.receive.receiver import StreamReceiver
 
 RUNS = 5
 FRAMES = 220
@@ -37,37 +40,61 @@ def empty(background: str) -> list[Frame]:
     return film(load_settings("static", {"channel": scene}))
 
 
+def plain() -> StreamReceiver:
+    """The plain receiver of the reference link."""
+    return plain_receiver(load_settings().signal, ReceiveSettings(), ignore)
+
+
 def rate(frames: Sequence[Frame]) -> tuple[float, list[Packet], int]:
     """Median frames/s over the runs, the packets read and the candidates fitted."""
     rates, packets, fitted = list[float](), list[Packet](), 0
     for _ in range(RUNS):
-        receiver, packets = Receiver(load_settings().signal), []
+        receiver, packets = plain(), []
         start = time.perf_counter()
         for frame in frames:
             packets += receiver.push(frame)
         rates.append(len(frames) / (time.perf_counter() - start))
-        fitted = receiver._detector.candidates_fitted
+        fitted = receiver.candidates_fitted
     return float(np.median(rates)), packets, fitted
+
+
+class SearchOnce:
+    """A search that ends with its first detection."""
+
+    def __init__(self, search: HeaderSearch):
+        self._search, self._found = search, False
+
+    @property
+    def candidates_fitted(self) -> int:
+        return self._search.candidates_fitted
+
+    @property
+    def recent(self) -> Sequence[Frame]:
+        return self._search.recent
+
+    def start(self, period_s: float) -> None:
+        self._search.start(period_s)
+
+    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
+        found = [] if self._found else self._search.push(frame, taken)
+        self._found |= bool(found)
+        return found
 
 
 def following_rate(frames: Sequence[Frame]) -> float:
     """Frames/s without the search: what following and decoding alone take."""
-    push = Detector.push
-    receiver, rates = Receiver(load_settings().signal), list[float]()
+    parts = plain_parts(load_settings().signal, ReceiveSettings(), ignore)
+    receiver, rates = StreamReceiver(replace(parts, search=SearchOnce(parts.search)), ignore), list[float]()
     for frame in frames[:20]:
         list(receiver.push(frame))
-    try:
-        Detector.push = lambda *_: []  # type: ignore[method-assign]  # for this measurement only
-        period = round(frames[-1].index / 100) * 100
-        for run in range(RUNS):
-            part = [replace(f, index=f.index + run * period, time_s=f.time_s + run * period * 1e-3) for f in frames]
-            part = part[20 if not run else len(frames) - period : len(frames)]
-            start = time.perf_counter()
-            for frame in part:
-                list(receiver.push(frame))
-            rates.append(len(part) / (time.perf_counter() - start))
-    finally:
-        Detector.push = push  # type: ignore[method-assign]  # as it was
+    period = round(frames[-1].index / 100) * 100
+    for run in range(RUNS):
+        part = [replace(f, index=f.index + run * period, time_s=f.time_s + run * period * 1e-3) for f in frames]
+        part = part[20 if not run else len(frames) - period : len(frames)]
+        start = time.perf_counter()
+        for frame in part:
+            list(receiver.push(frame))
+        rates.append(len(part) / (time.perf_counter() - start))
     return float(np.median(rates))
 
 
@@ -90,7 +117,7 @@ def baselines(frames: Sequence[Frame]) -> tuple[float, float]:
 def main() -> None:
     cv2.setNumThreads(1)
     near = film(static(30.0))
-    list(Receiver(load_settings().signal).push(near[0]))
+    list(plain().push(near[0]))
     difference, blur = baselines(near)
     height, width = near[0].pixels.shape
     print(f"frames of {width} x {height}, medians of {RUNS} runs, one thread")

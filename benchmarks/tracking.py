@@ -1,7 +1,6 @@
 """Error of the tracked pose over a drive: `python -m benchmarks.tracking [VIDEO IMU_CSV]`."""
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,8 @@ import numpy as np
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import Recordings, default_messages, simulate
-from heliograph.receive import Receiver
+from heliograph.receive import make_receiver
+from heliograph.receive.events import Event, TrackEvent
 
 BIN_M = 10
 
@@ -24,11 +24,11 @@ def main() -> None:
         recordings = Recordings(footage=load_footage(Path(recorded[0])), imu=load_imu(Path(recorded[1])))
     poses: list[tuple[int, Any]] = []
 
-    def watch(stage: str, data: Mapping[str, Any], /) -> None:
-        if stage == "track":
-            poses.append((data["frame"], data["tracked"].state.pose))
+    def watch(event: Event) -> None:
+        if isinstance(event, TrackEvent):
+            poses.append((event.frame, event.tracked.state.pose))
 
-    receiver = Receiver(settings.signal, settings.receive, watch)
+    receiver = make_receiver(settings.signal, settings.receive, watch)
     truth = {}
     for frame, row in simulate(settings, default_messages(settings), 2, recordings):
         truth[frame.index] = row.arrays[0]

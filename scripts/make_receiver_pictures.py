@@ -3,14 +3,8 @@
 from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from heliograph.receive.soft import reference
-from heliograph.receive.soft.glance import Glance
-from heliograph.receive.soft.kernels import FEW, MANY
-from heliograph.receive.soft.look import weigh
-from heliograph.receive.soft.noise import Noise
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -19,6 +13,13 @@ from heliograph.experiments.plots import LAYER_COLOURS, image_row
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose, make_receiver
+from heliograph.receive.equalise.kernels import FEW, MANY
+from heliograph.receive.events import DecodeEvent, EqualiseEvent, Event
+from heliograph.receive.image.reference import blur_matrix
+from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.reference import transform
+from heliograph.receive.observe.statistics import whiten
 from heliograph.signal.block import pack
 from heliograph.signal.settings import LAYERS
 
@@ -36,8 +37,8 @@ class Packet:
         changes = [f"channel.distance_m={distance_m}", "channel.duration_s=0.1", "receive.receiver=soft", *other]
         settings = load_settings("static", None, changes)
         messages = default_messages(settings)
-        self.rounds: list[dict[str, Floats]] = []
-        self.glances: list[Glance] = []
+        self.iterations: list[dict[str, Floats]] = []
+        self.cutouts: list[Cutout] = []
         receiver = make_receiver(settings.signal, settings.receive, self._watch)
         for frame, _ in simulate(settings, messages, seed, roi_margin_px=12):
             list(receiver.push(frame))
@@ -46,45 +47,45 @@ class Packet:
         blocks, layers = sender.blocks(0), sender.format.layers
         self.sent = {n: layers[n].code.encode([pack(b, layers[n].code.k) for b in blocks[n]]) for n in LAYERS}
         bits = np.concatenate([layers[n].encode(blocks[n]) for n in LAYERS], axis=1)
-        self.cells = 1.0 - 2.0 * bits
+        self.symbols = 1.0 - 2.0 * bits
 
-    def told(self, name: str, word: int) -> tuple[NDArray[np.intp], list[float]]:
-        """Rounds in which a codeword was open, and what its LLRs told of each bit, in bit."""
-        llr = np.array([one[name][word] for one in self.rounds])
+    def information(self, name: str, word: int) -> tuple[NDArray[np.intp], list[float]]:
+        """Iterations in which a codeword was open, and the information in its LLRs in bit a bit, by what was sent."""
+        llr = np.array([one[name][word] for one in self.iterations])
         sent = 1.0 - 2.0 * self.sent[name][word]
         open_ = np.flatnonzero((llr != 0).any(1))
         return 1 + open_, [float(1 - np.mean(np.logaddexp(0, -row * sent)) / np.log(2)) for row in llr[open_]]
 
-    def _watch(self, stage: str, data: Mapping[str, Any], /) -> None:
-        if stage == "equalise":
-            self.rounds.append({name: llr.copy() for name, llr in data["llr"].items()})
-        if stage == "decode":
-            self.glances = data["glances"]
+    def _watch(self, event: Event) -> None:
+        if isinstance(event, EqualiseEvent):
+            self.iterations.append({name: llr.copy() for name, llr in event.llr.items()})
+        if isinstance(event, DecodeEvent):
+            self.cutouts = [cutout for cutout in event.cutouts if cutout is not None]
 
 
 def pair(packet: Packet, number: int = 5) -> Figure:
-    """A pair as it is seen, and what is left of it once all cells are known."""
-    glance = packet.glances[number]
-    total, change = glance.total, glance.change
-    cells = packet.cells[number]
-    weighted = weigh(glance, Noise(1.0, 1.0), SIDE)
+    """A pair as it is seen, and what is left of it without the light of all symbols."""
+    cutout = packet.cutouts[number]
+    total, change = cutout.total, cutout.difference
+    symbols = packet.symbols[number]
+    whitened = whiten(cutout, Noise(1.0, 1.0), SIDE)
     # the gain that explains the difference best
-    light = -weighted.residual(1.0, cells) + weighted.change
-    gain = float((light * weighted.change).sum() / (light * light).sum())
-    left = weighted.residual(gain, cells)
+    light = -whitened.residual(1.0, symbols) + whitened.difference
+    gain = float((light * whitened.difference).sum() / (light * light).sum())
+    left = whitened.residual(gain, symbols)
     images = [0.5 * (total + change), 0.5 * (total - change), total / 2, 127 + change, 127 + left, 127 + 8 * left]
     names = ["pattern", "inverted", "half the sum", "difference d", "d - g (B c + o)", "the same, 8 times"]
     return image_row(images, names, rows=2)
 
 
 def gram() -> Figure:
-    """B^T B by distance: how far cells can be told apart."""
+    """B^T B by distance: how far symbols can be told apart."""
     figure = Figure(figsize=(11, 3.4))
-    t = reference.transform(SIDE)
+    t = transform(SIDE)
     for k, z in enumerate((40, 80, 120)):
         half = 8 * PITCH_M_PX / z + 4
         size = int(2 * half)
-        a = reference.blur_matrix(Pose(half, half, PITCH_M_PX / z, 0.0, 0.51), SIDE, (0, 0), (size, size))
+        a = blur_matrix(Pose(half, half, PITCH_M_PX / z, 0.0, 0.51), SIDE, (0, 0), (size, size))
         values = (a @ t).T @ (a @ t)
         axes = figure.add_subplot(1, 3, k + 1)
         shown = axes.imshow(np.log10(np.abs(values) / values.max() + 1e-9), vmin=-4, vmax=0, cmap="magma")
@@ -95,11 +96,11 @@ def gram() -> Figure:
     return figure
 
 
-def first_round(packet: Packet) -> Figure:
-    """LLRs of the first round, bits that were sent as 0 and as 1 apart."""
+def first_iteration(packet: Packet) -> Figure:
+    """LLRs of the first iteration, bits that were sent as 0 and as 1 apart."""
     figure = Figure(figsize=(11, 2.8))
     for axes, name in zip(figure.subplots(1, 3, sharey=True), LAYERS, strict=True):
-        llr, sent = packet.rounds[0][name].ravel(), packet.sent[name].ravel()
+        llr, sent = packet.iterations[0][name].ravel(), packet.sent[name].ravel()
         edges = np.linspace(-15, 15, 61)
         for bit, alpha in ((0, 0.9), (1, 0.4)):
             shown, colour = np.clip(llr[sent == bit], -15, 15), LAYER_COLOURS[name]
@@ -114,11 +115,11 @@ def first_round(packet: Packet) -> Figure:
 
 
 def disturbers(packet: Packet) -> Figure:
-    """The LLR by the statistic of a cell: the strongest disturbers as +-1 against all of them as Gaussian."""
-    glance = packet.glances[5]
+    """The LLR by the statistic of a symbol: the strongest disturbers as +-1 against all of them as Gaussian."""
+    cutout = packet.cutouts[5]
     gain, noise = 150.0, 4.5
-    look = weigh(glance, Noise(noise, noise), SIDE).look()
-    s = np.linalg.inv(gain**2 / noise * look.gram.astype(np.float64) + np.eye(SIDE * SIDE))
+    statistics = whiten(cutout, Noise(noise, noise), SIDE).statistics()
+    s = np.linalg.inv(gain**2 / noise * statistics.gram.astype(np.float64) + np.eye(SIDE * SIDE))
     middle = range(SIDE**2 // 4, 3 * SIDE**2 // 4)
     i = max(middle, key=lambda n: float(np.sort(np.abs(np.delete(s[n], n)))[-2] ** 2 / (s[n, n] * (1 - s[n, n]))))
     k, u = 1 - s[i, i], np.linspace(-1.5, 1.5, 301)
@@ -130,40 +131,40 @@ def disturbers(packet: Packet) -> Figure:
         rest, signs = k * s[i, i] - (others**2).sum(), np.array([*product((-1, 1), repeat=count)])
         side = {c: np.logaddexp.reduce([-((u - c * k + others @ x) ** 2) / 2 / rest for x in signs]) for c in (1, -1)}
         axes.plot(u, side[1] - side[-1], style, color=LAYER_COLOURS["middle"], label=f"the {count} strongest as +-1")
-    axes.set(xlabel="statistic u of a middle cell", ylabel="LLR", ylim=(-9, 9))
+    axes.set(xlabel="statistic u of a middle symbol", ylabel="LLR", ylim=(-9, 9))
     axes.legend(frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()
     return figure
 
 
-def rounds(packet: Packet) -> Figure:
-    """What remains unknown of each layer by round."""
+def iterations(packet: Packet) -> Figure:
+    """Information on each layer by iteration."""
     figure = Figure(figsize=(6, 3.2))
     axes = figure.subplots()
     for name in LAYERS:
         for word in range(len(packet.sent[name])):
-            axes.plot(*packet.told(name, word), "o-", color=LAYER_COLOURS[name], label=None if word else name)
-    _finish(axes, len(packet.rounds))
+            axes.plot(*packet.information(name, word), "o-", color=LAYER_COLOURS[name], label=None if word else name)
+    _finish(axes, len(packet.iterations))
     figure.tight_layout()
     return figure
 
 
 def sites(kinds: Mapping[str, Packet]) -> Figure:
-    """What is told of the high layer by round, cells taken as Gaussian and as -1 and +1."""
+    """Information on the high layer by iteration, symbols taken as Gaussian and as -1 and +1."""
     figure = Figure(figsize=(6, 3.2))
     axes = figure.subplots()
     for (name, packet), style in zip(kinds.items(), ("o--", "o-"), strict=True):
-        axes.plot(*packet.told("high", 0), style, color=LAYER_COLOURS["high"], label=name)
-    _finish(axes, max(len(packet.rounds) for packet in kinds.values()))
+        axes.plot(*packet.information("high", 0), style, color=LAYER_COLOURS["high"], label=name)
+    _finish(axes, max(len(packet.iterations) for packet in kinds.values()))
     figure.tight_layout()
     return figure
 
 
 def _finish(axes: Axes, count: int) -> None:
-    """Name the axes of information by round."""
+    """Name the axes of information by iteration."""
     axes.axhline(0.43, color="#8a929b", lw=0.8, ls="--")
-    axes.set(xlabel="round", ylabel="information in the LLRs (bit a bit)", xticks=range(1, 1 + count))
+    axes.set(xlabel="iteration", ylabel="information in the LLRs (bit a bit)", xticks=range(1, 1 + count))
     axes.legend(frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
 
@@ -171,14 +172,14 @@ def _finish(axes: Axes, count: int) -> None:
 def main() -> None:
     PICTURES.mkdir(exist_ok=True)
     near, far = Packet(80), Packet(115)
-    gaussian = Packet(230, "receive.soft.propagate=false")
-    kinds = {"Gaussian cells": gaussian, "cells of -1 and +1": Packet(230)}
+    gaussian = Packet(230, "receive.soft.feedback=soft")
+    kinds = {"Gaussian symbols": gaussian, "symbols of -1 and +1": Packet(230)}
     for name, figure in (
         ("pair", pair(Packet(60))),
         ("gram", gram()),
-        ("first-round", first_round(near)),
+        ("first-round", first_iteration(near)),
         ("disturbers", disturbers(near)),
-        ("rounds", rounds(far)),
+        ("rounds", iterations(far)),
         ("sites", sites(kinds)),
     ):
         figure.savefig(PICTURES / f"soft-{name}.png", dpi=110, bbox_inches="tight")

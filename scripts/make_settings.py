@@ -13,9 +13,9 @@ HEAD = """# Settings
 All settings of the link: what both ends agree on (`signal`), who transmits (`transmit`), scene, vehicle and camera
 (`channel`), and the receiver (`receive`). The receiver is told nothing of `channel`.
 
-A setting is changed by `--set key=value`, by a TOML file (`--settings FILE`), or in Python by `load_settings`. Items of a
-list are numbered: `channel.arrays.1.x_m=3` is the second array's. `heliograph presets NAME` prints a preset with all its
-values. This page is made from the code by `make settings`.
+A setting is changed by `--set key=value`, by a TOML file (`--settings FILE`), or in Python by `load_settings`. Items of
+a list are numbered: `channel.arrays.1.x_m=3` is the second array's. `heliograph presets NAME` prints a preset with all
+its values. This page is made from the code by `make settings`.
 """
 
 

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from heliograph.base.errors import HeliographError, MediaError, SettingsError
     from heliograph.base.frames import Frame
     from heliograph.channel.parts import register_background, register_motion, register_point_spread
-    from heliograph.sweeps.sweep import sweep
     from heliograph.link.codec import decode, encode
     from heliograph.link.settings import LinkSettings, load_settings
     from heliograph.link.simulate import simulate
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     )
     from heliograph.signal.code import register_code
     from heliograph.signal.settings import SignalSettings
+    from heliograph.sweeps.sweep import sweep
     from heliograph.transmit import Transmitter
 
 __version__ = "0.1.0"

@@ -16,8 +16,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
 from heliograph.link.truth import TruthWriter, truth_path
 from heliograph.media import create_film
-from heliograph.receive import Packet
-from heliograph.receive import Receiver
+from heliograph.receive import Packet, Receiver
 from heliograph.signal.settings import SignalSettings
 
 Progress = Callable[[int], None]

@@ -11,8 +11,8 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages
 from heliograph.link.truth import FrameTruth
 from heliograph.measure.errors import ErrorCounter
-from heliograph.receive import Packet, make_receiver
-from heliograph.receive.packets import Codeword, FrameReceiver, Observer, ignore
+from heliograph.receive import Codeword, Packet, Receiver, make_receiver
+from heliograph.receive.receivers import AnyObserver
 from heliograph.signal.block import payload_bytes
 from heliograph.signal.message import Message, Reassembler
 from heliograph.signal.settings import LAYERS, SignalSettings
@@ -154,7 +154,7 @@ def receive_film(
     signal: SignalSettings,
     settings: LinkSettings,
     reception: Reception,
-    observe: Observer = ignore,
+    observe: AnyObserver | None = None,
     progress: Progress = silent,
 ) -> Iterator[tuple[Packet, list[Message]]]:
     """Packets of a film, each with the messages it completes, as soon as they are read; all are counted.
@@ -170,7 +170,7 @@ def receive_film(
     reception
         Counts the packets; it holds the results so far if reading breaks off.
     observe
-        Gets the results of each stage of the receiver.
+        Gets the receiver's events.
     progress
         Called with the number of frames read.
 
@@ -189,7 +189,7 @@ class _Counted:
     """A film whose frames are counted as they are taken."""
 
     film: FrameSource
-    receiver: FrameReceiver
+    receiver: Receiver
     reception: Reception
     progress: Progress
 

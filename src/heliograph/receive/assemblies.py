@@ -34,10 +34,46 @@ It is low because a second test follows: what the light's clock cannot explain a
 """
 
 MakeReader = Callable[[Detection, Tracker], PacketReader]
+"""Makes the reader of an array's first packet."""
 
 
 def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
-    """Assemble the paper's own receiver: one frame a pattern, in step with the light.
+    """Assemble the receiver "plain".
+
+    Parameters
+    ----------
+    signal
+        The light's signal.
+    settings
+        The receiver's.
+    observe
+        Gets its events.
+    """
+    return StreamReceiver(plain_parts(signal, settings, observe), observe)
+
+
+def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
+    """Assemble the receiver "soft".
+
+    Parameters
+    ----------
+    signal
+        The light's signal.
+    settings
+        The receiver's.
+    observe
+        Gets its events.
+
+    Raises
+    ------
+    SettingsError
+        The light does not use the hierarchical code, or its headers have no M-sequence.
+    """
+    return StreamReceiver(soft_parts(signal, settings, observe), observe)
+
+
+def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> Parts:
+    """Parts of the paper's own receiver: one frame a pattern, in step with the light.
 
     Parameters
     ----------
@@ -59,11 +95,13 @@ def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: O
 
     search = Detector(search_parameters(settings, signal, PLAIN_REGULARITY), signal)
     follow = _following(signal, settings, observe, pairing, reader)
-    return StreamReceiver(Parts(SteppedClock(signal.pattern_period_s), search, follow, signal.side), observe)
+    return Parts(SteppedClock(signal.pattern_period_s), search, follow, signal.side)
 
 
-def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
-    """Assemble the receiver at the limit of the channel: any camera from one frame a pattern on.
+def soft_parts(
+    signal: SignalSettings, settings: ReceiveSettings, observe: Observer, reader: MakeReader | None = None
+) -> Parts:
+    """Parts of the receiver at the limit of the channel: any camera from one frame a pattern on.
 
     Parameters
     ----------
@@ -73,6 +111,8 @@ def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Ob
         The receiver's.
     observe
         Gets its events.
+    reader
+        Makes the reader of an array's first packet; None for `soft_reader`.
 
     Raises
     ------
@@ -80,15 +120,6 @@ def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Ob
         The light does not use the hierarchical code, or its headers have no M-sequence.
     """
     _check_signal(signal)
-    form = PacketFormat(signal)
-    options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
-    # by identity, not by array: one lost and found again goes on with its carousel
-    buffers: dict[int, SoftBuffer] = defaultdict(SoftBuffer)
-
-    def reader(detection: Detection, tracker: Tracker) -> PacketReader:
-        buffer = buffers[detection.identity] if settings.soft.combining else None
-        parts = SoftParts(form, tracker, buffer, options, settings.soft.feedback, observe)
-        return SoftReader(detection.identity, parts)
 
     def pairing(found: Detection) -> Pairing:
         exposure_s = settings.calibration.exposure_s
@@ -97,8 +128,38 @@ def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Ob
         )
 
     search = PhasedSearch(search_parameters(settings, signal, SOFT_REGULARITY, impaired=True), signal)
+    reader = reader or soft_reader(signal, settings, observe)
     follow = _following(signal, settings, observe, pairing, reader)
-    return StreamReceiver(Parts(CameraClock(), search, follow, signal.side), observe)
+    return Parts(CameraClock(), search, follow, signal.side)
+
+
+def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> MakeReader:
+    """Make the soft receiver's readers, which share what was seen of an array's codewords.
+
+    Parameters
+    ----------
+    signal
+        The light's signal.
+    settings
+        The receiver's.
+    observe
+        Gets events.
+
+    Returns
+    -------
+    A function that makes the reader of an array's first packet.
+    """
+    form = PacketFormat(signal)
+    decoding = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
+    # by identity, not by array: one lost and found again goes on with its carousel
+    buffers: dict[int, SoftBuffer] = defaultdict(SoftBuffer)
+
+    def reader(detection: Detection, tracker: Tracker) -> PacketReader:
+        buffer = buffers[detection.identity] if settings.soft.combining else None
+        parts = SoftParts(form, tracker, buffer, decoding, settings.soft.feedback, observe)
+        return SoftReader(detection.identity, parts)
+
+    return reader
 
 
 def search_parameters(

@@ -4,10 +4,10 @@ Only in this experiment does a receiver get the truth; everything else about it 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.channel import ArrayTruth
@@ -17,16 +17,26 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, simulate, transmitters
 from heliograph.measure.bench import dithered, lasting, random_messages, window_margin_px
 from heliograph.measure.statistics import Count
-from heliograph.receive.packets import Packet
-from heliograph.receive.reading import Reading
-from heliograph.receive.soft.glance import take_glance
-from heliograph.receive.soft.memory import Memory
-from heliograph.receive.soft.noise import Noise
-from heliograph.receive.soft.reading import SoftReading
-from heliograph.receive.soft.receiver import SoftReceiver
-from heliograph.receive.track import TrackedPair, Tracker
+from heliograph.receive import Codeword, Packet, Receiver, make_receiver
+from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.array import PacketReader, ReadHeader
+from heliograph.receive.assemblies import soft_parts, soft_reader
+from heliograph.receive.decode.codeword import Decoding
+from heliograph.receive.decode.iterate import GainAndNoise, decode_iteratively
+from heliograph.receive.equalise.threads import one_thread
+from heliograph.receive.events import DecodeEvent, ignore
+from heliograph.receive.observe.cutout import Cutout, take_cutout
+from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.receive.receiver import StreamReceiver
+from heliograph.receive.timing.frame_pair import FramePair, MeasuredHeader
+from heliograph.receive.track.pose_refinement import ObservedPacket
+from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 from heliograph.signal.block import Block
+from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
+
+Floats = NDArray[np.float64]
 
 Truths = dict[int, ArrayTruth]
 """The array's truth by number of the frame."""
@@ -42,45 +52,109 @@ TEXT = (
 )
 
 
-class KnownReading(SoftReading):
-    """The soft reading with the true channel in place of the estimated one.
+class KnownReader:
+    """The soft receiver's reader with the true channel in place of the estimated one; see `array.PacketReader`.
 
     Parameters
     ----------
     link
-        The link as simulated.
+        The link as simulated, with one array at rest in step.
     truths
         Truth of each frame taken so far.
-    rest
-        Parameters of `SoftReading`.
+    blind
+        Reads headers and follows the array.
     """
 
-    def __init__(self, link: LinkSettings, truths: Truths, *rest: Any):
-        super().__init__(*rest)
-        self._link, self._truths = link, truths
+    def __init__(self, link: LinkSettings, truths: Truths, blind: PacketReader):
+        self._link, self._truths, self._blind = link, truths, blind
+        self._form = PacketFormat(link.signal)
+        self._cutouts: list[Cutout | None] = [None] * link.signal.data_pairs
+        self._gain = 0.0
 
-    def take(self, place: int, pattern: Frame, inverted: Frame, tracked: TrackedPair, tracker: Tracker) -> None:
+    @property
+    def format(self) -> Format:
+        """The packet's format, as its header signals it."""
+        return self._blind.format
+
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
+        """Read a header pair blind; see `PacketReader`.
+
+        Parameters
+        ----------
+        number
+            Its number in the header.
+        pair
+            Its frames.
+        tracked
+            The array in them.
+        """
+        return self._blind.read_header(number, pair, tracked)
+
+    def end_header(self, header: MeasuredHeader) -> None:
+        """Nothing: the camera is in step."""
+
+    def follow(self, pair: FramePair, track: Track) -> TrackedPair:
+        """Follow the array blind; see `PacketReader`.
+
+        Parameters
+        ----------
+        pair
+            Its frames.
+        track
+            The array before.
+        """
+        return self._blind.follow(pair, track)
+
+    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:  # noqa: ARG002 - the truth is known
         """Keep a pair with its true poses.
 
         Parameters
         ----------
         place
-            Number of the pair in its packet.
-        pattern, inverted
+            Number of the pair in its packet's data.
+        pair
             Its frames.
-        tracked, tracker
-            The pair as it was followed, and the tracker that followed it.
+        tracked
+            The array in them, as it was followed.
         """
-        super().take(place, pattern, inverted, tracked, tracker)
-        first, second = (true_pose(self._truths[frame.index], self._link) for frame in (pattern, inverted))
-        self._glances[place] = take_glance(pattern, inverted, (first, second), self._side)
-        self._gain = true_gain(self._truths[pattern.index], self._link)
+        first, second = (self._truths[frame.index] for frame in (pair.pattern, pair.inverted))
+        poses = true_pose(first, self._link), true_pose(second, self._link)
+        self._cutouts[place] = take_cutout(pair, poses, self._link.signal.side)
+        self._gain = true_gain(first, self._link)
 
-    def _measure(self) -> None:
-        self._noise = true_noise(self._gain, self._link)
+    @one_thread()
+    def decode(self) -> dict[str, tuple[Codeword, ...]]:
+        """Codewords by layer."""
+        noise, side, receive = true_noise(self._gain, self._link), self._link.signal.side, self._link.receive
+        observed = ObservedPacket(self._cutouts, noise, self._form, np.ones((side, side)))
+        channel, decoding = GainAndNoise(self._gain, noise.lit), Decoding("log-map", receive.decode.iterations)
+        identity = self._link.transmit.identities[0]
+        return decode_iteratively(_FixedPoses(observed), channel, self._form, identity, decoding, None)
+
+    def shown(self, packet: Packet) -> DecodeEvent:
+        """The packet with the cut-outs of its pairs."""
+        return DecodeEvent(packet.identity, packet, cutouts=tuple(self._cutouts))
+
+    def next(self) -> "KnownReader":
+        """Give the reader of the next packet."""
+        return KnownReader(self._link, self._truths, self._blind.next())
 
 
-class KnownReceiver(SoftReceiver):
+@dataclass(frozen=True, slots=True)
+class _FixedPoses:
+    """Pairs whose poses are right already."""
+
+    observed: ObservedPacket
+
+    @property
+    def statistics(self) -> Sequence[PairStatistics | None]:
+        return self.observed.statistics
+
+    def refine(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:  # noqa: ARG002
+        return False
+
+
+def known_receiver(link: LinkSettings, truths: Truths) -> Receiver:
     """The soft receiver with the true channel.
 
     Parameters
@@ -90,14 +164,12 @@ class KnownReceiver(SoftReceiver):
     truths
         Truth of each frame, which must be there before the frame is pushed.
     """
+    blind = soft_reader(link.signal, link.receive, ignore)
 
-    def __init__(self, link: LinkSettings, truths: Truths):
-        soft = replace(link.receive.soft, sharpen=False)
-        super().__init__(link.signal, replace(link.receive, soft=soft))
-        self._link, self._truths = link, truths
+    def reader(detection: Detection, tracker: Tracker) -> PacketReader:
+        return KnownReader(link, truths, blind(detection, tracker))
 
-    def _reading(self, identity: int) -> Reading:
-        return KnownReading(self._link, self._truths, identity, self._setup, Memory())
+    return StreamReceiver(soft_parts(link.signal, link.receive, ignore, reader), ignore)
 
 
 def true_gain(truth: ArrayTruth, link: LinkSettings) -> float:
@@ -208,7 +280,7 @@ def count_packet(link: LinkSettings, seed: int, known: bool) -> dict[str, Count]
     messages = random_messages(link, seed)
     sent = transmitters(link, messages)[0].blocks(0)
     truths: Truths = {}
-    receiver = KnownReceiver(link, truths) if known else SoftReceiver(signal, link.receive)
+    receiver = known_receiver(link, truths) if known else make_receiver(signal, link.receive)
     packets = [packet for frame in _frames(link, messages, seed, truths) for packet in receiver.push(frame)]
     packets += receiver.finish()
     return {name: _wrong(name, packets, sent[name]) for name in PacketFormat(signal).layers}

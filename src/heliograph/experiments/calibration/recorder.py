@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +11,8 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, simulate, transmitters
 from heliograph.measure.bench import block_settings, dithered, random_messages, window_margin_px
 from heliograph.measure.statistics import Clustered
-from heliograph.receive import Packet, make_receiver
-from heliograph.receive.packets import FrameReceiver
+from heliograph.receive import Packet, Receiver, make_receiver
+from heliograph.receive.events import EqualiseEvent, Event
 from heliograph.signal.block import pack
 
 Floats = NDArray[np.float64]
@@ -175,7 +174,7 @@ def record(film: CalibrationFilm) -> CalibrationRecord:
 
 
 def _received(
-    receiver: FrameReceiver,
+    receiver: Receiver,
     settings: LinkSettings,
     messages: Sequence[Messages],
     seed: int,
@@ -198,10 +197,10 @@ class LlrRecorder:
     def __init__(self) -> None:
         self._iterations: list[dict[str, Floats]] = []
 
-    def __call__(self, stage: str, data: Mapping[str, Any], /) -> None:
+    def __call__(self, event: Event) -> None:
         """Keep the LLRs that the equaliser hands out."""
-        if stage == "equalise":
-            self._iterations.append({name: llr.copy() for name, llr in data["llr"].items()})
+        if isinstance(event, EqualiseEvent):
+            self._iterations.append({name: llr.copy() for name, llr in event.llr.items()})
 
     def count(self, sent: Mapping[str, NDArray[np.uint8]], reliability: Mapping[str, ReliabilityCounts]) -> None:
         """Count the bits of the packet that was just received, and forget it.

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.frames import Frame
 from heliograph.experiments import plots
 from heliograph.experiments.demo.recorder import TrackRecorder
 from heliograph.experiments.report import Report
@@ -15,7 +14,7 @@ from heliograph.link.truth import TruthFile
 from heliograph.measure.errors import BIN_M
 from heliograph.measure.reception import Reception
 from heliograph.receive import Pose
-from heliograph.receive.detect import cut_out
+from heliograph.receive.image.window import Pixels, cut_out
 from heliograph.signal.message import Message
 from heliograph.signal.settings import LAYERS
 
@@ -130,9 +129,9 @@ def _show_cuts(page: Report, recorder: TrackRecorder) -> None:
         page.figure(plots.image_row(images, names, largest=largest), f"Pattern plus inverse, cut out {title}.")
 
 
-def _sum_at(pose: Pose, up: Frame, down: Frame) -> NDArray[np.float64]:
-    corner = round(pose.x) - CUT_PX // 2, round(pose.y) - CUT_PX // 2
-    return cut_out(up, *corner, CUT_PX, CUT_PX) + cut_out(down, *corner, CUT_PX, CUT_PX)
+def _sum_at(pose: Pose, up: Pixels, down: Pixels) -> NDArray[np.float64]:
+    window = round(pose.x) - CUT_PX // 2, round(pose.y) - CUT_PX // 2, CUT_PX, CUT_PX
+    return cut_out(up, window) + cut_out(down, window)
 
 
 def _show_errors(page: Report, reception: Reception) -> None:

@@ -1,11 +1,10 @@
 """An observer of the receiver that keeps the track and some cut-outs of the first array."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
+from heliograph.receive.events import DetectEvent, Event, ExtractEvent, TrackEvent
 
 
 @dataclass(slots=True)
@@ -29,18 +28,21 @@ class TrackRecorder:
     cuts: list[tuple[int, Pose, Frame, Frame]] = field(default_factory=list)
     identity: int | None = None
 
-    def __call__(self, stage: str, data: Mapping[str, Any], /) -> None:
-        """Take the data of a stage."""
-        if stage == "detect" and self.identity is None:
-            self.identity = data["detection"].identity
-        if stage == "track" and data["identity"] == self.identity:
-            state = data["tracked"].state
-            self.track.append((state.time_s, data["frame"], state.pose))
-        if stage == "extract" and data["identity"] == self.identity:
-            self._cut(data)
+    def __call__(self, event: Event) -> None:
+        """Take an event."""
+        if isinstance(event, DetectEvent) and self.identity is None:
+            self.identity = event.detection.identity
+        if isinstance(event, TrackEvent) and event.identity == self.identity:
+            state = event.tracked.state
+            self.track.append((state.time_s, event.frame, state.pose))
+        if isinstance(event, ExtractEvent) and event.identity == self.identity:
+            self._cut(event)
 
-    def _cut(self, data: Mapping[str, Any]) -> None:
-        pattern, inverted = data["frames"]
+    def _cut(self, event: ExtractEvent) -> None:
+        pattern, inverted = event.frames
+        # combined frames show the array's surroundings alone
+        if not isinstance(pattern, Frame) or not isinstance(inverted, Frame):
+            return
         if self.moments and pattern.index >= self.moments[0]:
             self.moments.pop(0)
-            self.cuts.append((pattern.index, data["poses"][0], pattern, inverted))
+            self.cuts.append((pattern.index, event.poses[0], pattern, inverted))

@@ -7,10 +7,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.frames import Frame
 from heliograph.experiments.detection.clutter import ClutterFilm
 from heliograph.receive import Pose
-from heliograph.receive.detect import BLOCK, COMB, UPRIGHT, Detector, _change, _fit_window
+from heliograph.receive.acquire.candidate import COMB, UPRIGHT, cell_weights, fit_near
+from heliograph.receive.acquire.coarse import BLOCK, alternation_of, busy_blocks, coarse_candidates
+from heliograph.receive.acquire.detector import plausible
+from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
@@ -71,8 +73,8 @@ class Candidate:
     identity: int
 
 
-class VariantDetector(Detector):
-    """The receiver's detector without thresholds on its scores, and without its check of the frames around.
+class VariantDetector:
+    """The receiver's search without thresholds on its scores, and without its check of the frames around.
 
     Parameters
     ----------
@@ -81,47 +83,38 @@ class VariantDetector(Detector):
     """
 
     def __init__(self, variant: DetectorVariant):
-        lowered = replace(
-            ReceiveSettings().detect,
-            detector=variant.detector, coarse_score=0.2, score=0.0, regularity=0.0, candidates=CANDIDATES,
-        )  # fmt: skip
-        super().__init__(ReceiveSettings(detect=lowered), SignalSettings())
-        self._frames_used = variant.frames
-        self._bands = np.array_split(self._sides, BANDS)
+        settings, signal = ReceiveSettings(), SignalSettings()
+        usual = search_parameters(settings, signal, PLAIN_REGULARITY)
+        all_on = variant.detector == "all_on"
+        self._parameters = replace(usual, coarse_score=0.2, score=0.0, candidates=CANDIDATES, all_on=all_on)
+        self._frames_used, self._side = variant.frames, signal.side
+        self._cells = self._parameters.templates()
+        self._bands = np.array_split(self._parameters.sides(), BANDS)
 
     def candidates(self, film: ClutterFilm) -> list[Candidate]:
         """Candidates in the header's frames of a film; where there is an array, those at its place only."""
         window = film.frames[film.first : film.first + self._frames_used]
-        change, full_scale = _change([f.pixels for f in window]), window[0].full_scale
-        busy = self._busy(change, (0, 0), (), full_scale)
+        change, first = alternation_of(window), window[0]
+        busy = busy_blocks(change, first, (), self._side, self._parameters.min_contrast)
         if film.truth is not None:
             busy &= _around(film.truth, busy.shape)
         if not busy.any():
             return []
-        rows = self._coarse_by_size(change, busy, window[0])
-        found = [self._fitted(change, row, full_scale) for row in rows]
+        # of each range of sizes: a square's parts are like it, and would be kept in place of it
+        rows = [coarse_candidates(change, busy, first, self._parameters, self._cells, sides) for sides in self._bands]
+        found = [self._fitted(change, row, first.full_scale) for row in np.concatenate(rows)]
         return [one for one in found if one is not None]
-
-    def _coarse_by_size(
-        self, change: NDArray[np.float32], busy: NDArray[np.bool_], frame: Frame
-    ) -> NDArray[np.float64]:
-        """Candidates of each range of sizes: a square's parts are like it, and would be kept in place of it."""
-        parts = []
-        for sides in self._bands:
-            self._sides = sides
-            parts.append(self._coarse(change, busy, frame))
-        return np.concatenate(parts)
 
     def _fitted(self, change: NDArray[np.float32], row: NDArray[np.float64], full_scale: int) -> Candidate | None:
         """A candidate's pose as the detector fits it: first under a blur that hides single LEDs, then as it is."""
-        number, blur = int(row[4]), self._settings.calibration.blur_px
-        weights = float(np.sign(row[0])) * self._weights(number)
+        number, blur = int(row[4]), self._parameters.blur_px
+        weights = float(np.sign(row[0])) * cell_weights(self._cells[number], self._side)
         start = Pose(row[1] - 0.5, row[2] - 0.5, row[3] / self._side, 0.0, blur)
-        rough = _fit_window(change, (0, 0), start, weights, self._side, UPRIGHT, COMB)
+        rough = fit_near(change, (0, 0), start, weights, UPRIGHT, COMB)
         if rough is None:
             return None
-        fit = _fit_window(change, (0, 0), replace(rough.pose, blur=blur), weights, self._side, UPRIGHT)
-        if fit is None or not self._convincing(fit, 1.0, full_scale):
+        fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, UPRIGHT)
+        if fit is None or fit.score < 0 or not plausible(fit, self._parameters, self._side, full_scale):
             return None
         return Candidate(fit.score, fit.pose, number)
 

@@ -6,9 +6,8 @@ receiver follows it with the right identity and the right start of the packet; m
 second header. Only windows about the array are filmed.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -17,8 +16,9 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import simulate
 from heliograph.measure.bench import random_messages, window_margin_px
 from heliograph.measure.statistics import Count
-from heliograph.receive.detect import Detection
-from heliograph.receive.receivers import make_receiver
+from heliograph.receive import make_receiver
+from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.events import DetectEvent, Event, TrackEvent
 from heliograph.signal.header import IDENTITIES
 
 ON_S = 0.006
@@ -90,12 +90,12 @@ def acquire(trial: AcquisitionTrial) -> Acquired:
     detected: list[Detection] = []
     found: list[Detection] = []
 
-    def watch(stage: str, data: Mapping[str, Any], /) -> None:
-        if stage == "detect":
-            detected.append(data["detection"])
-        elif stage == "track":
+    def watch(event: Event) -> None:
+        if isinstance(event, DetectEvent):
+            detected.append(event.detection)
+        elif isinstance(event, TrackEvent):
             # the last one found is the one followed, as soon as its header is seen to be one
-            found.extend(one for one in detected[-1:] if one.identity == data["identity"] and one not in found)
+            found.extend(one for one in detected[-1:] if one.identity == event.identity and one not in found)
 
     receiver = make_receiver(settings.signal, settings.receive, watch)
     identity, period = settings.transmit.identities[0], settings.signal.pattern_period_s

@@ -14,7 +14,8 @@ from heliograph.experiments.detection.lamps import Backdrop
 from heliograph.experiments.result import Context
 from heliograph.link.settings import load_settings
 from heliograph.measure.statistics import Count
-from heliograph.receive.detect import Detection, Detector
+from heliograph.receive.acquire.detector import Detection, Detector
+from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings
@@ -182,5 +183,6 @@ def detections(film: ClutterFilm, smallest_px: float | None = None) -> list[Dete
     settings = ReceiveSettings()
     if smallest_px:
         settings = replace(settings, detect=replace(settings.detect, min_side_px=smallest_px))
-    detector = Detector(settings, SignalSettings())
+    signal = SignalSettings()
+    detector = Detector(search_parameters(settings, signal, PLAIN_REGULARITY), signal)
     return [one for frame in film.frames for one in detector.push(frame)]

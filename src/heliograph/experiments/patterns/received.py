@@ -115,7 +115,7 @@ def luminance_at(frame: Frame, points: NDArray[np.float64]) -> NDArray[np.float6
     -------
     (...) luminances.
     """
-    from heliograph.receive import kernels
+    from heliograph.receive.plain import kernels
 
     flat = np.ascontiguousarray((points - np.array(frame.origin)).reshape(-1, 2))
     out = np.empty(len(flat))

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
-from heliograph.receive.soft import squares
-from heliograph.receive.soft.mix import Mix, SlotLight, mix_pair
+from heliograph.receive.timing import partial_exposure
+from heliograph.receive.timing.combination import Combination, SlotLight, combine_pair
 
 Floats = NDArray[np.float64]
 LIGHT = SlotLight((0, 1, 2, 3))
@@ -96,22 +96,22 @@ def timing_loss(rate: float, exposure: float, phase: float) -> TimingLoss:
     )
 
 
-def _combinations(rate: float, exposure: float, phase: float) -> list[Mix | None]:
+def _combinations(rate: float, exposure: float, phase: float) -> list[Combination | None]:
     """Best combinations for some pairs in a row; frame 0 begins `phase` after a pair."""
     starts = phase + np.arange(-2 * rate, (2 * PAIRS + 2) * rate) / rate
     near = [starts[(starts >= 2 * k - 1) & (starts <= 2 * k + 3)] - 2 * k for k in range(PAIRS)]
-    return [mix_pair(part, exposure, LIGHT) for part in near]
+    return [combine_pair(part, exposure, LIGHT) for part in near]
 
 
-def _row(combination: Mix | None) -> Floats:
+def _row(combination: Combination | None) -> Floats:
     """Slope, noise, pairs around, rest and bits."""
     if combination is None:
         return np.array([0.0, np.inf, np.nan, np.nan, 0.0])
     slots = combination.slots
-    slope = float(slots[1] @ squares.SLOPES)
-    around = sum(float(slots[q] @ squares.COVARIANCE @ slots[q]) for q in (0, 2))
-    rest = float(slots[1] @ squares.COVARIANCE @ slots[1]) - slope**2
-    _, counts = np.unique(np.round(combination.table, 6), axis=0, return_counts=True)
+    slope = float(slots[1] @ partial_exposure.SLOPES)
+    around = sum(float(slots[q] @ partial_exposure.COVARIANCE @ slots[q]) for q in (0, 2))
+    rest = float(slots[1] @ partial_exposure.COVARIANCE @ slots[1]) - slope**2
+    _, counts = np.unique(np.round(combination.response, 6), axis=0, return_counts=True)
     bits = -float((counts / 16) @ np.log2(counts / 16)) / 4
     return np.array(
         [2 * slope, np.sqrt(combination.noise), np.sqrt(around) / slope, np.sqrt(max(rest, 0)) / slope, bits]

@@ -6,7 +6,7 @@ the plain receiver. Only what the LEDs' luminances mean differs.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,9 @@ from heliograph.experiments.links import static_link, true_pose
 from heliograph.link.settings import LinkSettings
 from heliograph.measure.bench import window_margin_px
 from heliograph.measure.statistics import Clustered, Count
-from heliograph.receive import Receiver
-from heliograph.receive.extract import pair_luminances
+from heliograph.receive import make_receiver
+from heliograph.receive.events import Event, ExtractEvent
+from heliograph.receive.plain.extract import pair_luminances
 from heliograph.signal import haar, ook
 from heliograph.signal.header import header_levels
 from heliograph.signal.packet import PacketFormat, with_inverses
@@ -161,15 +162,14 @@ def _count_film(
     truths: list[ArrayTruth] = []
     counts: dict[tuple[ReadMethod, str], Count] = {}
 
-    def observe(stage: str, data: Mapping[str, Any], /) -> None:
-        place = data["frames"][0].index // 2 - header if stage == "extract" else -1
-        if 0 <= place < pairs:
-            _count(scheme, methods, data, truths, settings, bits[place], counts)
+    def observe(event: Event) -> None:
+        if isinstance(event, ExtractEvent) and 0 <= (place := event.frames[0].index // 2 - header) < pairs:
+            _count(scheme, methods, event, truths, settings, bits[place], counts)
 
     longer = replace(settings.signal, data_pairs=pairs + 1)
     # down to 5 px: the high layer is read from further than the default search reaches
     detect = replace(settings.receive.detect, min_side_px=5.0)
-    receiver = Receiver(longer, replace(settings.receive, detect=detect), observe)
+    receiver = make_receiver(longer, replace(settings.receive, detect=detect), observe)
     for frame, truth in _shown(scheme, bits, settings, rng):
         truths.append(truth)
         for _ in receiver.push(frame):
@@ -194,20 +194,21 @@ def _shown(
 def _count(
     scheme: Scheme,
     methods: Sequence[ReadMethod],
-    data: Mapping[str, Any],
+    event: ExtractEvent,
     truths: Sequence[ArrayTruth],
     settings: LinkSettings,
     bits: NDArray[np.uint8],
     counts: dict[tuple[ReadMethod, str], Count],
 ) -> None:
-    pattern, inverted = data["frames"]
+    pattern, inverted = event.frames
     for method in methods:
-        poses = data["poses"]
+        poses = event.poses[0], event.poses[1]
         if method == "known":
-            poses = tuple(true_pose(truths[frame.index], settings) for frame in (pattern, inverted))
+            poses = true_pose(truths[pattern.index], settings), true_pose(truths[inverted.index], settings)
         equaliser: Literal["none", "inverse"] = "none" if method == "plain" else "inverse"
-        gain = settings.channel.emitter.all_on * pattern.full_scale  # a scale: signs do not depend on it
-        wrong = (scheme.decode(pair_luminances(pattern, inverted, poses, gain, SIDE, equaliser)) < 0) != bits
+        # a scale: signs do not depend on it
+        gain = settings.channel.emitter.all_on * settings.channel.sensor.full_scale
+        wrong = (scheme.decode(pair_luminances(event.frames, poses, gain, SIDE, equaliser)) < 0) != bits
         for name, part in scheme.parts.items():
             count = counts.setdefault((method, name), Count())
             count.add(part.stop - part.start, int(np.count_nonzero(wrong[part])))

@@ -5,10 +5,11 @@ from typing import Protocol
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
-from heliograph.receive.detect import Detection
-from heliograph.receive.track import Tracker
+from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.timing.frame_pair import FramePair, sum_late_s
+from heliograph.receive.track.kalman import MotionModel
+from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.header import header_levels
-from heliograph.signal.pwm import light_centroids
 
 
 class Follower(Protocol):
@@ -86,6 +87,8 @@ class InvertedSignals:
 
     def __init__(self, settings: LinkSettings):
         self._settings = settings
+        model = MotionModel(settings.signal.pattern_period_s, settings.receive.track.acceleration_px)
+        self._tracker = Tracker(settings.signal.side, model)
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
         """Start the receiver's tracker.
@@ -99,7 +102,7 @@ class InvertedSignals:
         """
         side = self._settings.signal.side
         self._weights = header_levels(found.identity, side) / 2.0 - 1.0
-        self._tracker = Tracker(found, side, self._settings.receive.track)
+        self._track = self._tracker.start(found)
         self._start_s = found.start_time_s
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
@@ -110,12 +113,12 @@ class InvertedSignals:
         pattern, inverted
             The pair's frames.
         """
-        signal = self._settings.signal
         header = in_header(self._settings, pattern.time_s - self._start_s)
-        late = 0.0 if header else (light_centroids(signal.slot_order)[0] - 0.5) * signal.pattern_period_s
-        tracked = self._tracker.follow(pattern, inverted, late)
+        pair = FramePair(pattern, inverted, 0.0 if header else sum_late_s(self._settings.signal))
+        tracked = self._tracker.follow(self._track, pair)
+        self._track = tracked.track
         if tracked.seen and header:
-            self._tracker.refine(pattern, inverted, self._weights)
+            self._track = self._tracker.refine(self._track, pair, self._weights)
         return tracked.state.pose
 
 

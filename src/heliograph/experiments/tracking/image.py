@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.detect import Detection
+from heliograph.receive.acquire.detector import Detection
 
 Gray = NDArray[np.uint8]
 

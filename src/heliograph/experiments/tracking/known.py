@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
-from heliograph.receive.detect import Detection, cut_out
-from heliograph.receive.fit import PANEL_MARGINS, window_around
-from heliograph.receive.kalman import PLAIN, SHOWN, PoseState
-from heliograph.receive.track import widened
+from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.image.fit import PANEL_MARGINS
+from heliograph.receive.image.window import cut_out, window_around
+from heliograph.receive.track.kalman import POSE, SHOWN, MotionModel, PoseState
+from heliograph.receive.track.tracker import widened
 from heliograph.signal import haar
 from heliograph.signal.header import header_levels
 from heliograph.signal.pwm import SLOTS
@@ -86,6 +87,7 @@ class KnownPattern:
     def __init__(self, settings: LinkSettings):
         self._settings = settings
         self._side = settings.signal.side
+        self._model = MotionModel(settings.signal.pattern_period_s, settings.receive.track.acceleration_px)
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
         """Begin at the detection.
@@ -98,7 +100,7 @@ class KnownPattern:
             A pair of its header.
         """
         wider = widened(found.fit.covariance)[:SHOWN, :SHOWN]
-        self._state = PoseState.start(found.time_s, found.fit.vector[:SHOWN], wider)
+        self._state = PoseState.start(found.time_s, found.fit.vector[:SHOWN], wider, self._model)
         self._start_s, self._gain = found.start_time_s, found.fit.gain
         self._pitch, self._lost = found.fit.pose.pitch, False
         known, header = known_leds(self._side), header_levels(found.identity, self._side) / SLOTS
@@ -114,7 +116,7 @@ class KnownPattern:
             The pair's frames.
         """
         first, second = self._frame_pose(pattern), self._frame_pose(inverted)
-        return Pose.of(0.5 * (first + second))
+        return Pose.from_vector(0.5 * (first + second))
 
     def _frame_pose(self, frame: Frame) -> Floats:
         if not self._lost:
@@ -124,11 +126,11 @@ class KnownPattern:
     def _follow(self, frame: Frame) -> None:
         before = self._state
         if frame.time_s > before.time_s:
-            self._state = before.predict(frame.time_s, self._settings.receive.track)
+            self._state = before.predict(frame.time_s, self._model)
         mean, data = self._expected[self._kind(frame.time_s - self._start_s)]
         vector, covariance = self._fit(frame, mean, data)
-        self._lost = not self._possible(frame, Pose.of(vector))
-        self._state = before if self._lost else self._state.condition(vector, covariance, PLAIN)
+        self._lost = not self._possible(frame, Pose.from_vector(vector))
+        self._state = before if self._lost else self._state.condition(vector, covariance, POSE)
 
     def _possible(self, frame: Frame, pose: Pose) -> bool:
         """Whether the array may be there: its centre in the frame, its size about what it was."""
@@ -144,8 +146,8 @@ class KnownPattern:
     def _fit(self, frame: Frame, mean: Floats, data: Floats) -> tuple[Floats, Floats]:
         """Posterior pose and covariance by Gauss-Newton; noise and light of data LEDs weight the pixels."""
         start, prior = self._state.mean[:5], np.linalg.inv(self._state.covariance[:5, :5])
-        x0, y0, width, height = window_around(self._state.pose, self._side, MARGIN_PX)
-        image = cut_out(frame, x0, y0, width, height)
+        window = window_around(self._state.pose, self._side, MARGIN_PX)
+        (x0, y0), image = window[:2], cut_out(frame, window)
         trust, scene = self._trust(image, data, (x0, y0)), _ArrayImages(image.shape, (x0, y0))
         vector = start.copy()
         for _ in range(STEPS):
@@ -163,7 +165,7 @@ class KnownPattern:
 
     def _trust(self, image: Floats, data: Floats, corner: tuple[int, int]) -> Floats:
         """One over the variance of each pixel."""
-        from heliograph.receive import kernels  # Numba is slow to import
+        from heliograph.receive.image import kernels  # Numba is slow to import
 
         shape = np.empty((6, *image.shape))
         kernels.render(self._state.mean[:5].copy(), data, float(corner[0]), float(corner[1]), shape)
@@ -192,7 +194,7 @@ class _ArrayImages:
         self._shapes[-1, 0] = np.linspace(-0.5, 0.5, rows)[:, None]
 
     def place(self, vector: Floats, mean: Floats) -> Floats:
-        from heliograph.receive import kernels
+        from heliograph.receive.image import kernels
 
         kernels.render(vector, mean, *self._corner, self._shapes[0])
         for shape, margin in zip(self._shapes[1:-3], PANEL_MARGINS, strict=True):

@@ -18,7 +18,9 @@ from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings, default_messages, simulate
 from heliograph.receive import Pose
-from heliograph.receive.detect import Detection, Detector, cut_out
+from heliograph.receive.acquire.detector import Detection, Detector
+from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
+from heliograph.receive.image.window import cut_out
 
 Floats = NDArray[np.float64]
 
@@ -154,7 +156,9 @@ class _TrackerGroup:
 
     def __init__(self, settings: LinkSettings, names: list[str], found: Detection | None = None):
         self._settings, self.found = settings, found
-        self._detector = Detector(settings.receive, settings.signal)
+        self._detector = Detector(
+            search_parameters(settings.receive, settings.signal, PLAIN_REGULARITY), settings.signal
+        )
         self._followers = {name: TRACKERS[name](settings) for name in names}
         self._held: list[Pair] = []
         self._started = False
@@ -220,7 +224,7 @@ def _error(pose: Pose, true: ArrayTruth, later: ArrayTruth, sized: bool) -> tupl
 def _cut(pair: Pair, pose: Pose, side: int) -> Floats:
     half = round(side * pose.pitch)
     place = (round(pose.x) - half, round(pose.y) - half, 2 * half + 1, 2 * half + 1)
-    return cut_out(pair[0], *place) + cut_out(pair[1], *place)
+    return cut_out(pair[0], place) + cut_out(pair[1], place)
 
 
 def _result(job: TrackingFilm, group: _TrackerGroup, known: _TrackerGroup) -> TrackingRun:
