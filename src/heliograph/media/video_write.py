@@ -174,8 +174,7 @@ class VideoSink:
             picture = planes.to_video(frame.pixels, self._pixel_format)
             picture.pts = self._tick(frame.time_s - self._start_s)
             picture.time_base = self._time_base
-            picture.duration = round(1 / (self._spec.rate_hz * self._time_base))
-            self._container.mux(self._stream.encode(picture))
+            self._mux(self._stream.encode(picture))
 
     def close(self) -> None:
         """Encode the frames that the codec holds back and write the index.
@@ -186,7 +185,7 @@ class VideoSink:
             The file cannot be written.
         """
         with self._clear_errors():
-            self._container.mux(self._stream.encode())
+            self._mux(self._stream.encode())
             self._container.close()
 
     def discard(self) -> None:
@@ -195,11 +194,9 @@ class VideoSink:
             self._container.close()
 
     def _add_stream(self, codec: VideoCodec, options: dict[str, str]) -> "av.VideoStream":
-        import av
-
         encoder = {"h264": "libx264"}.get(codec.name, codec.name)
         rate = rational_rate(self._spec.rate_hz)
-        stream = cast(av.VideoStream, self._container.add_stream(encoder, rate=rate, options=options))
+        stream = cast("av.VideoStream", self._container.add_stream(encoder, rate=rate, options=options))
         stream.width, stream.height = self._spec.width, self._spec.height
         stream.pix_fmt = self._pixel_format
         stream.time_base = self._time_base
@@ -211,6 +208,12 @@ class VideoSink:
             context.gop_size = 1  # every picture stands alone: a damaged one spoils no other
         context.open()
         return stream
+
+    def _mux(self, packets: "list[av.Packet[av.VideoStream]]") -> None:
+        for packet in packets:
+            # a time stamp tells where the frame before ends; the last frame has its duration alone
+            packet.duration = round(1 / (self._spec.rate_hz * self._time_base))
+            self._container.mux(packet)
 
     def _write_record(self, start_s: float) -> None:
         record = FilmRecord(
