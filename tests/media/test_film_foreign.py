@@ -79,6 +79,17 @@ def test_ten_bits_expand() -> None:
     assert (bits, pixels.dtype.name, int(pixels.min())) == (10, "uint16", 1023)
 
 
+@pytest.mark.parametrize("color_range", [planes.LIMITED, planes.FULL])
+def test_packed_levels_of_ten_bits_are_read_as_stored(color_range: int) -> None:
+    picture = ramp("y210le", color_range)
+    words = bytes_of(picture.planes[0]).view(np.uint16).reshape(16, -1)
+    words[:] = 512 << 6  # ten bits in the upper end of a word
+    words[:, :128:2] = np.arange(0, 1024, 16) << 6
+    pixels, bits = planes.to_gray(picture, expand_range=False)
+    assert bits == 10
+    assert np.array_equal(pixels, np.tile(np.arange(0, 1024, 16), (16, 1)))
+
+
 @pytest.mark.parametrize("pixel_format", ["rgb24", "bgr0", "gbrp"])
 def test_rgb_becomes_gray_without_a_shift(pixel_format: str) -> None:
     gray = np.tile(np.arange(0, 256, 4, dtype=np.uint8), (16, 1))

@@ -94,9 +94,12 @@ def is_limited(picture: "av.VideoFrame") -> bool:
 
 
 def _as_gray(picture: "av.VideoFrame") -> "av.VideoFrame":
-    bits = picture.format.components[0].bits
-    # The same range on both sides keeps the levels where they are.
-    return picture.reformat(format=_GRAY.get(max(bits, 8), "gray16le"), src_color_range=FULL, dst_color_range=FULL)
+    bits = max(picture.format.components[0].bits, 8)
+    if not picture.format.is_rgb and len(picture.format.components) > 2:
+        # From YUV to YUV luma stays as it is; on the way to gray FFmpeg may stretch its range.
+        return picture.reformat(format=f"yuv444p{bits}le" if bits > 8 else "yuv444p")
+    # The same range on both sides, "JPEG" being the full one, keeps the levels where they are.
+    return picture.reformat(format=_GRAY.get(bits, "gray16le"), src_color_range="JPEG", dst_color_range="JPEG")
 
 
 def _plane(picture: "av.VideoFrame", index: int, bits: int) -> Pixels:
