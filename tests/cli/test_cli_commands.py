@@ -176,11 +176,12 @@ def test_help_and_no_arguments(tmp_path: Path) -> None:
     assert "Usage: heliograph" in run.stderr
 
 
-def test_long_work_shows_progress_on_a_terminal(tmp_path: Path) -> None:
+def on_a_terminal(*arguments: str, cwd: Path) -> tuple[str, str]:
+    """Run a command whose standard error is a terminal; return its result, and what the terminal got."""
     ours, theirs = pty.openpty()
-    command = [*COMMAND, "simulate", "a.mkv", *lasting(0.3)]
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80"}
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=theirs, env=environment) as process:
+    command = [*COMMAND, *arguments]
+    with subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=theirs, env=environment) as process:
         os.close(theirs)
         shown = b""
         while True:
@@ -191,12 +192,26 @@ def test_long_work_shows_progress_on_a_terminal(tmp_path: Path) -> None:
             if not part:
                 break
             shown += part
-        assert process.wait(60) == 0
+        assert process.wait(60) == 0, shown
         assert process.stdout is not None
-        assert process.stdout.read() == b"a.mkv: 300 frames; truth in a.mkv.truth.npz\n"
+        result = process.stdout.read()
     os.close(ours)
-    assert b"simulating" in shown
-    assert b"/300" in shown
+    return result.decode(), shown.decode()
+
+
+def test_long_work_shows_progress_on_a_terminal(tmp_path: Path) -> None:
+    result, shown = on_a_terminal("simulate", "a.mkv", *lasting(0.3), cwd=tmp_path)
+    assert result == "a.mkv: 300 frames; truth in a.mkv.truth.npz\n"
+    assert "simulating" in shown
+    assert "/300" in shown
+
+
+def test_a_sweep_shows_its_points_on_a_terminal(tmp_path: Path) -> None:
+    grid = ("--vary", "channel.distance_m=40", "--set", "signal.data_pairs=8", "--max-codewords", "4")
+    result, shown = on_a_terminal("sweep", *grid, "--workers", "1", cwd=tmp_path)
+    assert result.count("\n") == 4
+    assert "1 of 1 points" in shown
+    assert "100%" in shown
 
 
 def test_tuning_the_receiver_keeps_the_films_own_signal(tmp_path: Path, call: Call) -> None:

@@ -12,7 +12,6 @@ from heliograph.base.errors import HeliographError
 from heliograph.cli import console, measure, options
 
 app = typer.Typer(
-    no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -20,11 +19,21 @@ app = typer.Typer(
 )
 
 app.add_typer(measure.app, name="measure")
+TyperError: type[Exception] = getattr(typer, "TyperException", typer.BadParameter.__mro__[2])
+"""What a wrong command line raises: before Typer 0.27, Click's exception at the root of `typer.BadParameter`."""
 
 High = Annotated[Path | None, options.message_option("high")]
 Middle = Annotated[Path | None, options.message_option("middle")]
 Low = Annotated[Path | None, options.message_option("low")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+@app.callback(invoke_without_command=True)
+def help_without_command(context: typer.Context) -> None:
+    """Show the help as an error where no command is given; Click itself called that a success until 8.2."""
+    if context.invoked_subcommand is None:
+        sys.stderr.write(context.get_help() + "\n")
+        raise typer.Exit(2)
 
 
 @app.command()
@@ -201,12 +210,9 @@ def presets(
         console.say_json(tree) if as_json else console.say(to_toml(tree).rstrip())
 
 
-def _usage(error: typer.TyperException) -> None:
-    """Say what is wrong with the command line, in one line; the help where nothing was asked."""
+def _usage(error: Exception) -> None:
+    """Say what is wrong with the command line, in one line."""
     text = error.format_message() if hasattr(error, "format_message") else str(error)
-    if text.count("\n") > 3:
-        sys.stderr.write(text + "\n")
-        return
     context = getattr(error, "ctx", None)
     command = f"{context.command_path} --help" if context else "heliograph --help"
     console.complain(f"{' '.join(text.split()).rstrip('.')}; see '{command}'")
@@ -221,7 +227,7 @@ def run() -> None:
     except HeliographError as error:
         console.complain(str(error))
         sys.exit(1)
-    except typer.TyperException as error:
+    except TyperError as error:
         _usage(error)
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
