@@ -53,7 +53,8 @@ def _loss(driving: Count, static: Count) -> Literal["alike", "apart", "open"]:
     if not driving.trials or not static.trials:
         return "open"
     table = [[one.errors, one.trials - one.errors] for one in (driving, static)]
-    if fisher_exact(table, alternative="greater").pvalue < RISK:
+    _, chance = fisher_exact(table, alternative="greater")
+    if chance < RISK:
         return "apart"
     # bound of the difference: Newcombe 1998
     up, down = driving.interval()[1] - driving.rate, static.rate - static.interval()[0]
