@@ -1,10 +1,11 @@
-# make install | demo | test | test-quick | lint | docs | settings | bench | vectors
+# make install | demo | test | test-quick | test-lowest | lint | docs | settings | bench | vectors
 # (PYTHON picks the interpreter that makes .venv)
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+LOWEST := .venv-lowest
 
-.PHONY: install demo test test-quick lint docs settings bench vectors clean
+.PHONY: install demo test test-quick test-lowest lint docs settings bench vectors clean
 
 install: $(STAMP)
 
@@ -30,6 +31,18 @@ docs: install
 settings: install
 	$(BIN)/python scripts/make_settings.py
 
+# in an environment of the lowest versions that pyproject.toml allows, which call much that is deprecated now
+test-lowest: $(LOWEST)/.installed
+	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest -W ignore::DeprecationWarning
+
+$(LOWEST)/.installed: pyproject.toml scripts/lowest_versions.py
+	mkdir -p $(LOWEST)
+	$(PYTHON) scripts/lowest_versions.py > $(LOWEST)/constraints.txt
+	test -x $(LOWEST)/bin/python || $(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check \
+		--constraint $(LOWEST)/constraints.txt --editable '.[dev]'
+	touch $@
+
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -43,4 +56,4 @@ vectors: install
 	$(BIN)/python scripts/make_vectors.py
 
 clean:
-	rm -rf .venv demo
+	rm -rf .venv $(LOWEST) demo
