@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from heliograph.base.errors import HeliographError, MediaError, SettingsError
     from heliograph.base.frames import Frame
+    from heliograph.base.registry import load_parts
     from heliograph.channel.parts import register_background, register_motion, register_point_spread
     from heliograph.link.codec import decode, encode
     from heliograph.link.settings import LinkSettings, load_settings
@@ -44,6 +45,7 @@ _HOMES = {
     "create_film": "media",
     "decode": "link.codec",
     "encode": "link.codec",
+    "load_parts": "base.registry",
     "load_settings": "link.settings",
     "make_receiver": "receive",
     "open_film": "media",
@@ -72,6 +74,7 @@ __all__ = [
     "create_film",
     "decode",
     "encode",
+    "load_parts",
     "load_settings",
     "make_receiver",
     "open_film",

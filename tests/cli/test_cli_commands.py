@@ -170,7 +170,7 @@ def test_help_and_no_arguments(tmp_path: Path) -> None:
     assert "simulate" in succeeded(heliograph("--help", cwd=tmp_path))
     told = " ".join(succeeded(heliograph("receive", "--help", cwd=tmp_path)).split())
     assert "--truth" in told
-    assert "wins over the preset; --settings and --set win over the note" in told
+    assert "wins over the preset. --settings and --set win over the note" in told
     run = heliograph(cwd=tmp_path)
     assert run.returncode == 2
     assert "Usage: heliograph" in run.stderr

@@ -32,7 +32,7 @@ class KeyDescription:
     Attributes
     ----------
     key
-        Dotted key; an item of a list has the number 0.
+        Dotted key; an item of a list of tables has the number 0.
     unit
         Its unit, empty where it has none.
     allowed
@@ -51,7 +51,7 @@ class KeyDescription:
 
 
 def describe(cls: type) -> list[KeyDescription]:
-    """Describe all keys of a settings class, leaves only, in the order of the class."""
+    """Describe all keys of a settings class, without those of whole tables, in the order of the class."""
     schema = TypeAdapter(cls).json_schema()
     return list(_keys(cls, schema, schema.get("$defs", {}), ""))
 
@@ -73,7 +73,7 @@ def commented(toml: str, cls: type) -> str:
             table = header[1] + "."
         name = line.partition(" = ")[0]
         known = meanings.get(table + name)
-        lines.append(f"{line}  # {_first_sentence(known.meaning)}{_in_unit(known.unit)}" if known else line)
+        lines.append(f"{line}  # {_comment(known)}" if known else line)
     return "\n".join(lines)
 
 
@@ -82,13 +82,13 @@ def _keys(cls: type, schema: Mapping[str, Any], rooms: Mapping[str, Any], prefix
     for name, about in schema["properties"].items():
         kind = _kind_of(cls, name)
         items = about.get("items", {}) if about.get("type") == "array" else {}
-        for ref, place in ((_ref(about), f"{prefix}{name}."), (_ref(items), f"{prefix}{name}.0.")):
-            if ref:
-                yield from _keys(kind, rooms[ref], rooms, place)
-                break
-        else:
-            meaning = " ".join(meanings.get(name, "").split())
-            yield KeyDescription(prefix + name, _unit(name), _allowed(about), _default(about), meaning)
+        if table := _ref(about):
+            yield from _keys(kind, rooms[table], rooms, f"{prefix}{name}.")
+            continue
+        meaning = " ".join(meanings.get(name, "").split())
+        yield KeyDescription(prefix + name, _unit(name), _allowed(about), _default(about), meaning)
+        if table := _ref(items):
+            yield from _keys(kind, rooms[table], rooms, f"{prefix}{name}.0.")
 
 
 def _kind_of(cls: type, name: str) -> Any:
@@ -133,12 +133,12 @@ def _bounds(about: Mapping[str, Any]) -> str:
 
 def _default(about: Mapping[str, Any]) -> str:
     value = about.get("default")
+    if isinstance(value, list) and any(isinstance(item, dict) for item in value):
+        return "one table, as below"
     return "" if value is None else json.dumps(value)
 
 
-def _first_sentence(text: str) -> str:
-    return re.split(r"(?<=[.;])\s", text, maxsplit=1)[0].rstrip(".;")
-
-
-def _in_unit(unit: str) -> str:
-    return f" ({unit})" if unit else ""
+def _comment(about: KeyDescription) -> str:
+    """First sentence of a key's meaning, with its unit where the sentence leaves it out."""
+    sentence = re.split(r"(?<=[.;])\s", about.meaning, maxsplit=1)[0].rstrip(".;").replace("``", "")
+    return sentence if not about.unit or f"in {about.unit}" in sentence else f"{sentence} ({about.unit})"

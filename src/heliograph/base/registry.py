@@ -1,11 +1,15 @@
 """Parts by name: those of the package, those a program registers, and those other packages offer by entry points."""
 
 import re
+import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
+from types import FrameType, ModuleType
 from typing import Any, Generic, TypeVar
 
 from heliograph.base.errors import SettingsError
@@ -13,7 +17,8 @@ from heliograph.base.errors import SettingsError
 T = TypeVar("T")
 
 _REGISTRIES: dict[str, "Registry[Any]"] = {}
-_WAITING: dict[str, dict[str, Any]] = {}
+_LOADED: dict[str, "Module"] = {}
+_MISSING: dict[tuple[str, str], str] = {}
 
 
 class Registry(Generic[T]):
@@ -31,7 +36,8 @@ class Registry(Generic[T]):
 
     def __init__(self, kind: str, group: str, built_in: Mapping[str, str]):
         self._kind, self._group, self._built_in = kind, group, dict(built_in)
-        self._own: dict[str, T] = _WAITING.pop(group, {})
+        self._own: dict[str, T] = {}
+        self.origins: dict[str, str] = {}
         _REGISTRIES[group] = self
 
     def register(self, name: str, part: T) -> None:
@@ -54,6 +60,7 @@ class Registry(Generic[T]):
         if name in self._built_in:
             raise SettingsError(f"the {self._kind} '{name}' is one of the package; choose another name")
         self._own[name] = part
+        self.origins[name] = _registering()
 
     def __getitem__(self, name: str) -> T:
         """Part of a name.
@@ -87,6 +94,8 @@ class Registry(Generic[T]):
             There is none of that name; the message names the nearest.
         """
         if name not in self.names():
+            if (self._group, name) in _MISSING:
+                raise SettingsError(_MISSING[self._group, name])
             close = get_close_matches(name, self.names(), 1)
             hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(self.names())}"
             raise SettingsError(f"unknown {self._kind} '{name}'; {hint}")
@@ -101,25 +110,131 @@ class Registry(Generic[T]):
         """Whether a part is one of the package."""
         return name in self._built_in
 
-    @property
-    def own(self) -> Mapping[str, T]:
-        """Parts that this program registered."""
-        return dict(self._own)
+
+@dataclass(frozen=True, slots=True)
+class Module:
+    """A module that registers parts, as another process can run it again.
+
+    Attributes
+    ----------
+    name
+        Its name.
+    file
+        Its file; None for a module that is imported by its name.
+    source
+        Text of that file, as the other process may be on another machine.
+    """
+
+    name: str
+    file: str | None = None
+    source: str = ""
 
 
-def registered() -> dict[str, Mapping[str, Any]]:
-    """Parts that this program registered, by entry-point group: what a worker process must be given."""
-    return {group: registry.own for group, registry in _REGISTRIES.items() if registry.own}
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A part that a program registered, as another process can register it again.
+
+    Attributes
+    ----------
+    group, name
+        Entry-point group of its kind, and its name.
+    module
+        The module that registers it; None where it was registered by hand, in a notebook or an interpreter.
+    """
+
+    group: str
+    name: str
+    module: Module | None
 
 
-def register_all(parts: Mapping[str, Mapping[str, Any]]) -> None:
-    """Register the parts of another process, as of `registered`; those of a kind not loaded yet wait for it."""
-    for group, named in parts.items():
-        if group not in _REGISTRIES:
-            _WAITING.setdefault(group, {}).update(named)
-            continue
-        for name, part in named.items():
-            _REGISTRIES[group].register(name, part)
+def load_parts(file: Path | str) -> None:
+    """Run a Python file that registers parts of one's own.
+
+    Parameters
+    ----------
+    file
+        The file. It can import what lies beside it.
+
+    Raises
+    ------
+    SettingsError
+        The file cannot be read, or ends in an error.
+    """
+    file = Path(file)
+    try:
+        source = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SettingsError(f"cannot load {file}: {getattr(error, 'strerror', None) or error}") from None
+    sys.path.insert(0, str(file.resolve().parent))
+    _run(Module(f"loaded_{file.stem}", str(file), source))
+
+
+def registered() -> tuple[Part, ...]:
+    """Return the parts that this program registered, for `register_again` in another process."""
+    return tuple(
+        Part(group, name, _module(module))
+        for group, registry in _REGISTRIES.items()
+        for name, module in registry.origins.items()
+    )
+
+
+@lru_cache  # a cluster's worker gets them with each task
+def register_again(parts: tuple[Part, ...]) -> None:
+    """Run the modules that register parts; what does not come by that is an error once it is asked for.
+
+    Parameters
+    ----------
+    parts
+        As of `registered` in another process.
+    """
+    failed: dict[Module, str] = {}
+    for module in dict.fromkeys(part.module for part in parts if part.module):
+        try:
+            if module.file is None:
+                import_module(module.name)
+            elif module.name not in sys.modules:
+                _run(module)
+        except Exception as error:  # whatever goes wrong within somebody else's module
+            failed[module] = str(error)
+    for part in parts:
+        if part.module is None:
+            reason = "write it into a file, and load that by heliograph.load_parts(FILE)"
+        else:
+            reason = failed.get(part.module, "register it where its module is run, not in a function or under 'if'")
+        _MISSING[part.group, part.name] = f"'{part.name}' is not registered in this worker process: {reason}"
+
+
+def _run(module: Module) -> None:
+    """Run a module from its source."""
+    found = sys.modules[module.name] = ModuleType(module.name)
+    found.__file__ = module.file
+    _LOADED[module.name] = module
+    try:
+        exec(compile(module.source, module.file or module.name, "exec"), found.__dict__)
+    except Exception as error:  # whatever goes wrong within somebody else's file
+        del sys.modules[module.name]
+        raise SettingsError(f"cannot load {module.file}: {type(error).__name__}: {error}") from error
+
+
+def _module(name: str) -> Module | None:
+    """Return a module of this program so that another process can run it."""
+    if name in _LOADED:
+        return _LOADED[name]
+    if name != "__main__":
+        return Module(name)
+    file = getattr(sys.modules[name], "__file__", None)
+    return Module("__mp_main__", file, Path(file).read_text(encoding="utf-8")) if file else None
+
+
+def _registering() -> str:
+    """Return the name of the module that is being run."""
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None:
+        name = str(frame.f_globals.get("__name__"))
+        if frame.f_code.co_name == "<module>" and not name.startswith("heliograph."):
+            return name
+        frame = frame.f_back
+    return "__main__"
 
 
 @lru_cache  # finding the installed packages takes some milliseconds

@@ -9,16 +9,17 @@ from typing import Annotated
 import typer
 
 from heliograph.base.errors import HeliographError
+from heliograph.base.registry import load_parts
 from heliograph.cli import console, measure, options
 
 app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    help="Data sent by an LED array, received by a high-speed camera on a moving car.",
 )
 
 app.add_typer(measure.app, name="measure")
+
 TyperError: type[Exception] = getattr(typer, "TyperException", typer.BadParameter.__mro__[2])
 """What a wrong command line raises: before Typer 0.27, Click's exception at the root of `typer.BadParameter`."""
 
@@ -29,8 +30,11 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and no
 
 
 @app.callback(invoke_without_command=True)
-def help_without_command(context: typer.Context) -> None:
-    """Show the help as an error where no command is given; Click itself called that a success until 8.2."""
+def main(context: typer.Context, load: options.Load = None) -> None:
+    """Data sent by an LED array, received by a high-speed camera on a moving car."""
+    for file in load or ():
+        load_parts(file)
+    # Click shows the help itself, but called that a success until 8.2
     if context.invoked_subcommand is None:
         sys.stderr.write(context.get_help() + "\n")
         raise typer.Exit(2)
@@ -48,9 +52,11 @@ def simulate(
     high: High = None,
     middle: Middle = None,
     low: Low = None,
-    codec: Annotated[str | None, typer.Option(help="ffv1, h264 or mjpeg; the suffix has a default.")] = None,
+    codec: Annotated[
+        str | None, typer.Option(help="Codec of the film: ffv1, h264 or mjpeg; chosen by the suffix if left out.")
+    ] = None,
     crf: Annotated[float | None, typer.Option(help="Quality of lossy H.264, 0 to 51.")] = None,
-    lossless: Annotated[bool, typer.Option(help="H.264 bit for bit.")] = False,
+    lossless: Annotated[bool, typer.Option(help="Store H.264 without loss.")] = False,
 ) -> None:
     """Film a drive past the arrays, and write its truth beside it."""
     from heliograph.cli.simulate import run_simulate
@@ -82,15 +88,18 @@ def transmit(
 def receive(
     film: Annotated[Path, typer.Argument(help="Film to read.")],
     receiver: Annotated[
-        str | None, typer.Option(help="Receiver to use, plain or soft; default of the preset.", show_default=False)
+        str | None,
+        typer.Option(
+            help="Receiver: plain, soft or one of your own; that of the preset if left out.", show_default=False
+        ),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", metavar="DIR", help="Folder for messages and packet log.", show_default=False),
+        typer.Option("--output", metavar="DIR", help="Folder for the messages and the packet log.", show_default=False),
     ] = None,
     truth: Annotated[
         Path | None,
-        typer.Option("--truth", metavar="FILE", help="Truth of the film: count errors.", show_default=False),
+        typer.Option("--truth", metavar="FILE", help="Truth of the film, to count errors by.", show_default=False),
     ] = None,
     preset: options.Preset = "paper",
     settings: options.SettingsFile = None,
@@ -99,8 +108,8 @@ def receive(
 ) -> None:
     """Find arrays in a film and read what they send.
 
-    What a film notes of its signal (those of 'simulate' do) wins over the preset; --settings and --set win over the
-    note, and a line tells where they differ.
+    Films of 'simulate' hold a note of their signal, which wins over the preset. --settings and --set win over the
+    note; a line says where they differ from it.
     """
     from heliograph.cli.receive import run_receive
 
@@ -110,7 +119,7 @@ def receive(
 @app.command()
 def demo(
     output: Annotated[
-        Path, typer.Option("--output", metavar="DIR", help="Folder for film, messages and report.")
+        Path, typer.Option("--output", metavar="DIR", help="Folder for the film, the messages and the report.")
     ] = Path("demo"),
     seed: options.Seed = 0,
     preset: options.Preset = "paper",
@@ -133,7 +142,7 @@ def sweep(
             "--vary",
             metavar="KEY=VALUES",
             show_default=False,
-            help="Values by comma, or first:last:step; may be repeated for a grid. Also 'receiver' and 'preset'.",
+            help="Key and its values: 1,2 or first:last:step. Repeat it for a grid. 'receiver' and 'preset' serve too.",
         ),
     ] = None,
     preset: options.Preset = "static",
@@ -143,17 +152,26 @@ def sweep(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", metavar="DIR", help="Folder of results; a sweep broken off goes on from it.", show_default=False
+            "--output",
+            metavar="DIR",
+            help="Folder for the results. A sweep that was stopped continues from it.",
+            show_default=False,
         ),
     ] = None,
-    min_errors: Annotated[int, typer.Option(min=1, help="Wrong codewords a layer needs.")] = 50,
-    max_codewords: Annotated[int, typer.Option(min=1, help="Codewords after which a layer needs no more.")] = 1000,
+    min_errors: Annotated[
+        int, typer.Option(min=1, help="A point ends once each layer has so many wrong codewords.")
+    ] = 50,
+    max_codewords: Annotated[int, typer.Option(min=1, help="Most codewords of a layer at a point.")] = 1000,
     max_seconds: Annotated[
-        float | None, typer.Option(help="Computing time of a point, workers together.", show_default=False)
+        float | None,
+        typer.Option(help="Most computing time of a point in s, summed over the workers.", show_default=False),
     ] = None,
     workers: options.Workers = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to work on instead.", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Dask scheduler whose workers compute, in place of --workers.", show_default=False
+        ),
     ] = None,
     background: options.Background = None,
     imu: options.Imu = None,
@@ -171,21 +189,30 @@ def sweep(
 def reproduce(
     figures: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME ...]", help="fig3, fig13, ..., the paper's, all by default; also scenes, ..."),
+        typer.Argument(
+            metavar="[NAME ...]", help="Experiments, such as fig13 or scenes; all of the paper's if left out."
+        ),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Few trials: minutes instead of tens of minutes.")] = False,
-    output: Annotated[Path, typer.Option("--output", metavar="DIR", help="Folder for report, pictures, data.")] = Path(
-        "reproduction"
-    ),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer trials: two minutes on two cores in place of ten.")
+    ] = False,
+    output: Annotated[
+        Path, typer.Option("--output", metavar="DIR", help="Folder for the report, the pictures and the data.")
+    ] = Path("reproduction"),
     data: Annotated[
         Path | None,
-        typer.Option("--data", metavar="DIR", show_default=False,
-                     help="Recordings: driving/*.mp4 and motion/car-imu.csv; a drawn scene and a road without."),
+        typer.Option(
+            "--data",
+            metavar="DIR",
+            show_default=False,
+            help="Folder of recordings, driving/*.mp4 and motion/car-imu.csv; else the background is drawn and the "
+            "road simulated.",
+        ),
     ] = None,
     seed: options.Seed = 0,
     workers: options.Workers = None,
-) -> None:  # fmt: skip
-    """Run the paper's experiments, and write its claims beside what was measured."""
+) -> None:
+    """Run the paper's experiments, and compare its claims with what was measured."""
     from heliograph.cli.reproduce import run_reproduce
 
     run_reproduce(figures or [], quick, output, data, seed, workers)
@@ -193,12 +220,16 @@ def reproduce(
 
 @app.command()
 def presets(
-    name: Annotated[str | None, typer.Argument(help="Preset to print as TOML.", show_default=False)] = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(help="Preset to print as TOML, with the meaning of each setting.", show_default=False),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """List the presets, or print one with all its settings."""
     from heliograph.base.config import to_mapping, to_toml
-    from heliograph.link.settings import PRESETS, load_settings
+    from heliograph.base.describe import commented
+    from heliograph.link.settings import PRESETS, LinkSettings, load_settings
 
     if name is None and as_json:
         console.say_json({key: text for key, (text, _) in PRESETS.items()})
@@ -207,7 +238,7 @@ def presets(
             console.say(f"{key:12} {text}")
     else:
         tree = to_mapping(load_settings(name))
-        console.say_json(tree) if as_json else console.say(to_toml(tree).rstrip())
+        console.say_json(tree) if as_json else console.say(commented(to_toml(tree), LinkSettings).rstrip())
 
 
 def _usage(error: Exception) -> None:

@@ -12,6 +12,11 @@ if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings
     from heliograph.link.simulate import Messages
 
+Load = Annotated[
+    list[Path] | None,
+    typer.Option("--load", metavar="FILE", show_default=False,
+                 help="Python file that registers parts of your own, such as a receiver; may be repeated."),
+]  # fmt: skip
 Preset = Annotated[str, typer.Option("--preset", help="Preset to start from; 'heliograph presets' lists them.")]
 SettingsFile = Annotated[
     Path | None, typer.Option("--settings", metavar="FILE", help="TOML file laid over the preset.", show_default=False)
@@ -20,19 +25,24 @@ Assignments = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated.", show_default=False),
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of road, scene and noise.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the road, the scene and the noise.")]
 Imu = Annotated[
     Path | None,
-    typer.Option("--imu", metavar="CSV", help="Recorded car motion; sets channel.shake=imu.", show_default=False),
+    typer.Option("--imu", metavar="CSV", help="Recorded motion of a car; sets channel.shake=imu.", show_default=False),
 ]
 Background = Annotated[
     Path | None,
-    typer.Option("--background", metavar="VIDEO", help="Film to put behind the arrays.", show_default=False),
+    typer.Option(
+        "--background",
+        metavar="VIDEO",
+        help="Recorded footage for the background; sets channel.background.kind=footage.",
+        show_default=False,
+    ),
 ]
 
 Workers = Annotated[
     int | None,
-    typer.Option("--workers", min=1, help="Worker processes; one a core by default.", show_default=False),
+    typer.Option("--workers", min=1, help="Worker processes; one for each core if left out.", show_default=False),
 ]
 
 

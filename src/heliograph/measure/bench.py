@@ -127,7 +127,7 @@ def stands_still(settings: LinkSettings) -> bool:
     channel = settings.channel
     return (
         not channel.moves
-        and channel.shake != "imu"
+        and channel.shake in ("none", "road")  # a car at rest on a road does not shake; a motion of one's own may
         and not any(p.vx_m_s or p.vy_m_s or p.vz_m_s or p.off_s for p in channel.arrays)
     )
 

@@ -17,6 +17,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Protocol, TypeVar
 
 from heliograph.base.errors import HeliographError
+from heliograph.base.registry import Part, register_again, registered
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
@@ -202,7 +203,7 @@ class Pool:
 
     def _start(self) -> Executor:
         context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self.slots, mp_context=context, initializer=begin_worker)
+        return ProcessPoolExecutor(self.slots, mp_context=context, initializer=begin_worker, initargs=(registered(),))
 
 
 class Cluster:
@@ -229,6 +230,7 @@ class Cluster:
                 f"no Dask scheduler at {address} ({reason}); start one with 'dask scheduler'"
             ) from None
         self._executor = self._client.get_executor(retries=2, pure=False)  # type: ignore[no-untyped-call]  # dask has no types
+        self._parts = registered()
 
     @property
     def slots(self) -> int:
@@ -254,7 +256,7 @@ class Cluster:
         work
             Its argument.
         """
-        return self._executor.submit(_limited, job, work)
+        return self._executor.submit(_limited, self._parts, job, work)
 
     def restart(self) -> None:
         """Begin anew with the workers there are."""
@@ -283,13 +285,20 @@ def _worker_environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def begin_worker() -> None:
-    """First thing in a worker process: leave Ctrl-C to the parent, and end with it however it ends."""
+def begin_worker(parts: tuple[Part, ...] = ()) -> None:
+    """Begin a worker process: leave Ctrl-C to the parent, end with it however it ends, and know its own parts.
+
+    Parameters
+    ----------
+    parts
+        Parts that the parent registered, as of `heliograph.base.registry.registered`.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     limit_threads()
+    register_again(parts)
 
 
 def limit_threads() -> None:
@@ -303,9 +312,10 @@ def limit_threads() -> None:
     numba.set_num_threads(1)
 
 
-def _limited(job: Callable[[Work], Result], work: Work) -> Result:
-    """A job in a worker that others set up."""
+def _limited(parts: tuple[Part, ...], job: Callable[[Work], Result], work: Work) -> Result:
+    """Do a job in a worker that others set up."""
     limit_threads()
+    register_again(parts)
     return job(work)
 
 
