@@ -288,3 +288,13 @@ def test_a_sweep_shows_counts_and_intervals(call: Call) -> None:
     assert " to " not in lines[1]
     assert lines[6].split()[:4] == ["70", "low", "4", "4"]
     assert "1.0e+00 (4.7e-01 to 1.0e+00)" in lines[6]
+
+
+def test_a_printed_preset_says_what_each_setting_means_and_can_be_read_again(tmp_path: Path) -> None:
+    printed = succeeded(heliograph("presets", "two-arrays", cwd=tmp_path))
+    settings = [line for line in printed.splitlines() if " =" in line]
+    assert all("  # " in line for line in settings)
+    assert "# min_side_px =" in printed  # left out, so no value
+    (tmp_path / "two.toml").write_text(printed)
+    again = heliograph("sweep", "--settings", "two.toml", "--vary", "nothing=1", cwd=tmp_path)
+    assert "unknown setting 'nothing'" in again.stderr

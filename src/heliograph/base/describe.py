@@ -57,7 +57,7 @@ def describe(cls: type) -> list[KeyDescription]:
 
 
 def commented(toml: str, cls: type) -> str:
-    """Add the meaning of each key to TOML text, as a comment behind its value.
+    """Add the meaning of each key to TOML text, as a comment behind its value; keys without a value as comments alone.
 
     Parameters
     ----------
@@ -67,14 +67,34 @@ def commented(toml: str, cls: type) -> str:
         Their class.
     """
     meanings = {re.sub(r"\.0\.", ".", one.key): one for one in describe(cls)}
-    lines, table = [], ""
-    for line in toml.splitlines():
+    lines: list[str] = []
+    for table, body in _tables(toml):
+        given = [line.partition(" = ")[0] for line in body]
+        for name, line in zip(given, body, strict=True):
+            known = meanings.get(table + name)
+            lines.append(f"{line}  # {_comment(known)}" if known else line)
+        lines += [
+            f"# {key.removeprefix(table)} =   # {_comment(known)}"
+            for key, known in meanings.items()
+            if key.rpartition(".")[0] + "." == table
+            and key.removeprefix(table) not in given
+            and not known.default
+            and known.allowed != "table"
+        ]
+        lines.append("")
+    return "\n".join(lines).rstrip()
+
+
+def _tables(toml: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield the lines of each table of TOML text, with the table's dotted name and a dot; without empty lines."""
+    table, body = "", list[str]()
+    for line in filter(None, toml.splitlines()):
         if header := re.fullmatch(r"\[+([\w.-]+)\]+", line):
-            table = header[1] + "."
-        name = line.partition(" = ")[0]
-        known = meanings.get(table + name)
-        lines.append(f"{line}  # {_comment(known)}" if known else line)
-    return "\n".join(lines)
+            if body:
+                yield table, body
+            table, body = header[1] + ".", []
+        body.append(line)
+    yield table, body
 
 
 def _keys(cls: type, schema: Mapping[str, Any], rooms: Mapping[str, Any], prefix: str) -> Iterator[KeyDescription]:
@@ -140,5 +160,5 @@ def _default(about: Mapping[str, Any]) -> str:
 
 def _comment(about: KeyDescription) -> str:
     """First sentence of a key's meaning, with its unit where the sentence leaves it out."""
-    sentence = re.split(r"(?<=[.;])\s", about.meaning, maxsplit=1)[0].rstrip(".;").replace("``", "")
+    sentence = re.split(r"(?<=\.)\s", about.meaning, maxsplit=1)[0].rstrip(".;").replace("``", "")
     return sentence if not about.unit or f"in {about.unit}" in sentence else f"{sentence} ({about.unit})"

@@ -30,15 +30,15 @@ class CalibrationSettings:
     Attributes
     ----------
     focal_m
-        Focal length of the lens in metres.
+        Focal length of the lens in m, above 0.
     pixel_m
-        Pitch of the camera's pixels in metres.
+        Pitch of the camera's pixels in m, above 0.
     pitch_m
-        Pitch of the LEDs in metres.
+        Pitch of the LEDs in m, above 0.
     blur_px
         First guess of the blur's standard deviation in px, 0.2 to 5; it is estimated from then on.
     exposure_s
-        Exposure of the camera in seconds, for the receiver "soft". If it is left out the receiver estimates it, and
+        Exposure of the camera in s, for the receiver "soft". If it is left out the receiver estimates it, and
         takes the frame period where headers and brightness do not decide.
     """
 
@@ -100,7 +100,7 @@ class DecodeSettings:
     Attributes
     ----------
     algorithm
-        Of the turbo code: "max-log" with scaled extrinsic values, or "log-map", which loses fewer blocks and takes
+        Algorithm of the turbo code: "max-log" with scaled extrinsic values, or "log-map", which loses fewer blocks and takes
         longer. If it is left out, "max-log" for "plain" and "log-map" for "soft".
     iterations
         Most iterations, 1 to 64; a codeword is finished as soon as its CRC is right.
@@ -118,7 +118,7 @@ class PlainSettings:
     ----------
     equaliser
         "none" reads the luminance at each LED's position, as the paper does; "inverse" estimates all LEDs by least
-        squares with the blur known, as Kasashima et al. 2013 did.
+        squares with the blur known (Kasashima et al., 2013).
     """
 
     equaliser: Equaliser = "none"
@@ -148,7 +148,7 @@ class ReceiveSettings:
     Attributes
     ----------
     receiver
-        Its name: "plain" is the paper's own, "soft" reads as far as the channel allows; others may be registered.
+        Receiver: "plain" is the paper's own, "soft" reads as far as the channel allows; others may be registered.
     calibration
         What is known of lens and array.
     detect

@@ -1,0 +1,75 @@
+"""An array of 8 x 8 LEDs, such as the small matrix modules of hobby shops, from message to picture.
+
+Run it as it is: `python examples/eight_by_eight.py` writes the patterns for a panel (eight_by_eight.csv), films the
+panel with the simulated camera, receives the film, and draws the first patterns, a frame and the reach of each layer
+into eight_by_eight.png. It needs `pip install heliograph[analysis]`.
+"""
+
+import sys
+from itertools import islice
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import heliograph
+
+SMALL = [
+    "signal.side=8",
+    "transmit.identities=[5]",
+    "channel.distance_m=20",
+    "channel.duration_s=0.25",
+    "receive.receiver='soft'",
+]
+"""Settings of the panel and of a film of it. A packet has a quarter of the bits of one of 16 x 16 LEDs."""
+
+MESSAGE = {"high": [b"stop"], "middle": [b"lift 3 is free"], "low": [b"the museum closes at six"]}
+
+
+def write_patterns(settings: heliograph.LinkSettings) -> np.ndarray:
+    """Write the levels of the first packet, a pattern a line; return them, (patterns, 8, 8)."""
+    light = heliograph.Transmitter(settings.signal, 5, MESSAGE)
+    levels = np.stack(list(islice(light.levels(), settings.signal.packet_patterns)))
+    np.savetxt("eight_by_eight.csv", levels.reshape(len(levels), -1), fmt="%d", delimiter=",")
+    return levels
+
+
+def film_and_receive(settings: heliograph.LinkSettings) -> heliograph.Frame:
+    """Film the panel, print what the receiver reads, and return a frame."""
+    frames = [frame for frame, _ in heliograph.simulate(settings, [MESSAGE], seed=1)]
+    for packet in heliograph.receive_frames(frames, settings.signal, settings.receive):
+        words = {layer: "".join("." if word.status == "ok" else "x" for word in found)
+                 for layer, found in packet.layers.items()}  # fmt: skip
+        print(f"array {packet.identity} at {packet.distance_m:.2f} m: {packet.status} {words}")
+    return frames[0]
+
+
+def main(few: bool) -> None:
+    """Go from message to picture."""
+    settings = heliograph.load_settings("static", assignments=SMALL)
+    levels = write_patterns(settings)
+    frame = film_and_receive(settings)
+    data = heliograph.sweep(
+        {"signal.side": [8, 16], "channel.distance_m": [20, 60] if few else [40, 50, 60, 70, 80]},
+        set={"receive.detect.min_side_px": 4},
+        min_errors=5 if few else 30,
+        max_codewords=4 if few else 40,
+    )
+    figure = Figure(figsize=(11, 3.5), layout="constrained")
+    panels, film, rates = figure.subplots(1, 3)
+    panels.imshow(np.block([[levels[0], levels[1]], [levels[4], levels[5]]]), "gray")
+    panels.set(title="header and data, each with its inverse", xticks=[], yticks=[])
+    film.imshow(frame.pixels, "gray")
+    film.set(title="the camera's frame, 20 m", xticks=[], yticks=[])
+    for side in data["signal.side"].values:
+        at = data.sel({"signal.side": side, "layer": "middle"})
+        rate, low, high = at.fer.values, at.fer_low.values, at.fer_high.values
+        rates.errorbar(at["channel.distance_m"], rate, [rate - low, high - rate], label=f"{side} x {side}", capsize=3)
+        counts = zip(at["channel.distance_m"], at.codeword_errors, at.codewords, strict=True)
+        print(f"{side} x {side}, middle:", {int(z): f"{int(wrong)}/{int(sent)}" for z, wrong, sent in counts})
+    rates.set(title="middle layer", xlabel="distance (m)", ylabel="codeword error rate", ylim=(-0.02, 1.02))
+    rates.legend()
+    figure.savefig("eight_by_eight.png", dpi=120)
+
+
+if __name__ == "__main__":
+    main("--few" in sys.argv)

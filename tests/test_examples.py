@@ -1,0 +1,34 @@
+"""The examples run as they are, in an empty folder."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+PICTURES = {
+    "error_rates": [],
+    "own_receiver": ["own_receiver.png"],
+    "own_code": ["own_code.png"],
+    "eight_by_eight": ["eight_by_eight.csv", "eight_by_eight.png"],
+}
+
+
+def test_each_example_is_run() -> None:
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == {*PICTURES}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_an_example_runs_and_writes_what_it_says(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("xarray")
+    if name == "own_code":
+        pytest.importorskip("ldpc")
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, str(EXAMPLES / f"{name}.py"), "--few"]
+    ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    assert ran.returncode == 0, ran.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == PICTURES[name]
+    assert ran.stdout
