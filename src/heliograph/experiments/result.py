@@ -90,7 +90,13 @@ class ExperimentResult:
 
 
 def quiet(title: str, done: float, /) -> None:
-    """Report no progress, whatever the title and the fraction done."""
+    """Report no progress.
+
+    Parameters
+    ----------
+    title, done
+        What is done, and its fraction, 0 to 1: neither is used.
+    """
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

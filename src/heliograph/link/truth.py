@@ -65,6 +65,11 @@ class TruthWriter:
         What was simulated.
     film_id
         Id that the film has as well, so that film and truth are known to belong together.
+
+    Raises
+    ------
+    MediaError
+        The path is a folder's.
     """
 
     def __init__(self, path: Path, settings: LinkSettings, messages: Sequence[Messages], seed: int, film_id: str = ""):
@@ -182,20 +187,26 @@ class TruthFile:
             )
 
     def rows(self) -> Iterator[NDArray[Any]]:
-        """Rows of `row_type`, one a frame, in the order of time; a MediaError where the file is damaged."""
+        """Rows of `row_type`, one a frame, in the order of time.
+
+        Raises
+        ------
+        MediaError
+            The file is damaged.
+        """
         kind = row_type(len(self.settings.channel.arrays))
         with _broken_is_clear(self.path), zipfile.ZipFile(self.path) as archive, archive.open("frames.npy") as file:
             np.lib.format.read_magic(file)
             shape, _, stored = np.lib.format.read_array_header_2_0(file)
             if stored != kind:
-                raise ValueError(f"its rows have the type {stored}, not {kind}")
+                raise _broken(self.path, f"its rows have the type {stored}, not {kind}")
             left = shape[0]
             while block := file.read(CHUNK * kind.itemsize):
                 rows = np.frombuffer(block, kind)
                 left -= len(rows)
                 yield from rows
             if left:
-                raise ValueError(f"it should have {shape[0]} rows, not {shape[0] - left}")
+                raise _broken(self.path, f"it should have {shape[0]} rows, not {shape[0] - left}")
 
 
 def open_truth(path: Path) -> TruthFile:
@@ -213,7 +224,7 @@ def open_truth(path: Path) -> TruthFile:
         messages = [{n: [archive.read(i) for i in m[n]] for n in LAYERS} for m in about["messages"]]
         settings = from_mapping(LinkSettings, about["settings"])
         if len(messages) != len(settings.channel.arrays):
-            raise ValueError(f"messages of {len(messages)} arrays, not {len(settings.channel.arrays)}")
+            raise _broken(path, f"messages of {len(messages)} arrays, not {len(settings.channel.arrays)}")
         return TruthFile(path, settings, messages, int(about["seed"]), str(about.get("film_id", "")))
 
 
@@ -229,7 +240,11 @@ def _broken_is_clear(path: Path) -> Iterator[None]:
     try:
         yield
     except _BROKEN as error:
-        raise MediaError(f"{path} is no truth file, or damaged ({error}); simulate the film again") from None
+        raise _broken(path, error) from None
+
+
+def _broken(path: Path, what: object) -> MediaError:
+    return MediaError(f"{path} is no truth file, or damaged ({what}); simulate the film again")
 
 
 def _ends(patterns: Sequence[int]) -> tuple[int, int]:

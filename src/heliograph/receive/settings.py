@@ -100,8 +100,8 @@ class DecodeSettings:
     Attributes
     ----------
     algorithm
-        Algorithm of the turbo code: "max-log" with scaled extrinsic values, or "log-map", which loses fewer blocks and takes
-        longer. If it is left out, "max-log" for "plain" and "log-map" for "soft".
+        Algorithm of the turbo code: "max-log" with scaled extrinsic values, or "log-map", which loses fewer blocks and
+        takes longer. If it is left out, "max-log" for "plain" and "log-map" for "soft".
     iterations
         Most iterations, 1 to 64; a codeword is finished as soon as its CRC is right.
     """

@@ -58,7 +58,13 @@ METHODS = {
 
 
 def need_xarray() -> None:
-    """Raise a HeliographError where the extra is not installed."""
+    """Check that xarray is installed.
+
+    Raises
+    ------
+    HeliographError
+        It is not.
+    """
     try:
         import xarray  # noqa: F401 - only whether it is there
     except ImportError:

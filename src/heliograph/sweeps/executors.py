@@ -213,6 +213,11 @@ class Cluster:
     ----------
     address
         Of the scheduler, such as tcp://127.0.0.1:8786.
+
+    Raises
+    ------
+    HeliographError
+        Dask is not installed, or there is no scheduler at the address.
     """
 
     def __init__(self, address: str):

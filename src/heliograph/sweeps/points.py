@@ -38,7 +38,13 @@ class Recorded:
 
     @classmethod
     def of(cls, path: Path) -> "Recorded":
-        """The recording in a file, as it is now; a MediaError where it cannot be read."""
+        """Return the recording in a file, as it is now.
+
+        Raises
+        ------
+        MediaError
+            The file cannot be read.
+        """
         try:
             with path.open("rb") as file:
                 return cls(str(path.resolve()), hashlib.file_digest(file, "sha256").hexdigest()[:32])

@@ -25,7 +25,12 @@ class StopRule:
     max_codewords
         or with so many codewords; blocks are counted whole. A point has enough when all its layers have.
     max_seconds
-        Computing time of a point, of all workers together, after which no block is begun; None: no limit.
+        Computing time of a point in s, of all workers together, after which no block is begun; None: no limit.
+
+    Raises
+    ------
+    SettingsError
+        A count is below 1, or the time not above 0.
     """
 
     min_errors: int = 50

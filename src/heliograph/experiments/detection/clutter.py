@@ -119,7 +119,13 @@ class ClipVersion:
 
     @classmethod
     def of(cls, path: Path) -> Self:
-        """The clip in a file; a MediaError where there is none."""
+        """Return the clip in a file.
+
+        Raises
+        ------
+        MediaError
+            There is none.
+        """
         try:
             found = path.stat()
         except OSError as error:

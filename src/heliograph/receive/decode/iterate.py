@@ -104,7 +104,17 @@ class Observed(Protocol):
         """Statistics of each pair, in the single mode of each pattern; None where the array was not seen."""
 
     def refine(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
-        """Refine the poses by the mean and variance of the symbols; whether any statistics changed."""
+        """Refine the poses by what is known of the symbols; return whether any statistics changed.
+
+        Parameters
+        ----------
+        mean, variance
+            (pairs, n^2) float32, of the symbols, -1 to 1 and 0 to 1.
+        gain
+            Of the light, in gray levels.
+        noise
+            Variance of a pixel in gray levels squared.
+        """
 
 
 def decode_iteratively(

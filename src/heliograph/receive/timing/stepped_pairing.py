@@ -66,7 +66,7 @@ class SteppedPairing:
         pose_at: PoseAt,
         led_gains: NDArray[np.float64],
     ) -> None:
-        """There is no clock to correct."""
+        """Return nothing, as there is no clock to correct; see `Pairing`."""
 
     def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | None:  # noqa: ARG002 - the protocol's
         """Give the two frames of a pair; see `Pairing`."""
