@@ -9,7 +9,7 @@ import pytest
 from heliograph.base.frames import Frame
 from heliograph.experiments.result import Finding
 from heliograph.experiments.tracking import experiment as tracking
-from heliograph.experiments.tracking.known import GROWTH, SPREAD, KnownPattern, known_leds, known_light
+from heliograph.experiments.tracking.known import GROWTH, KNOWN_SPREAD, KnownPattern, known_leds, known_light
 from heliograph.experiments.tracking.pictures import pictures
 from heliograph.experiments.tracking.runs import KNOWN, TRACKERS, TrackingFilm, TrackingRun, run_trackers
 from heliograph.experiments.tracking.score import TrackingScore, score, scores
@@ -98,7 +98,7 @@ def test_known_light_keeps_its_leds_lit_and_is_not_inverted() -> None:
     assert (patterns[4:, known] == 4).all()
     assert not (patterns[4:-1:2] + patterns[5::2] == 4).all((1, 2)).any()
     # the spread that the fit assumes of data
-    assert patterns[4:, ~known].std() / 4 == pytest.approx(SPREAD, rel=0.05)
+    assert patterns[4:, ~known].std() / 4 == pytest.approx(KNOWN_SPREAD, rel=0.05)
 
 
 def test_a_known_pattern_that_is_lost_stays_and_looks_at_no_more_than_before() -> None:

@@ -11,14 +11,20 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass
-from typing import Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from heliograph.base.errors import SettingsError
 
 CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
 """Configuration of every settings class: unknown keys, infinities and NaN are errors."""
+
+Positive = Annotated[float, Field(gt=0)]
+"""A number above 0."""
+
+Fraction = Annotated[float, Field(ge=0, le=1)]
+"""Fraction of a whole."""
 
 _CLOSE_KEY = 0.6
 """Least ratio of `difflib`, 0 to 1, at which a known dotted key is proposed for an unknown one: difflib's default.

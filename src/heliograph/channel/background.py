@@ -8,14 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Gray
 from heliograph.base.errors import SettingsError
 from heliograph.channel.footage import Footage
 from heliograph.channel.parts import BACKGROUNDS
 from heliograph.channel.scene import CameraPose
 from heliograph.channel.settings import CameraSettings, ChannelSettings
-
-Gray = NDArray[np.uint8]
-"""Gray image, (rows, columns) uint8."""
 
 SHAKE_MARGIN_PX = 64
 """Background kept beyond each side of the frame for the shake; further out its edge pixels are repeated. Chosen: in the

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.channel.settings import Placement
 from heliograph.signal.pwm import SLOTS
-
-Floats = NDArray[np.float64]
 
 SLIVER = 1e-6
 """Pieces of an exposure shorter than this, in slots, are rounding errors of the clocks: times up to an hour in double

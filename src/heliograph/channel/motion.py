@@ -7,15 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
 from heliograph.channel.parts import MOTIONS
 from heliograph.channel.road import RoadProfile, road_profile
 from heliograph.channel.scene import CameraPose
 from heliograph.channel.settings import ChannelSettings
 
-Floats = NDArray[np.float64]
 Shake = Callable[[Floats], Floats]
 """Times (...) in s -> (..., 4): heave in m upward; pitch, yaw, roll in rad."""
 

@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from heliograph.base.arrays import Floats
 
 REACH_SIGMA = 5.0
 """An LED's image is cut this many standard deviations from its centre; 2 Phi(-5) = 6e-7 of the light is lost along an

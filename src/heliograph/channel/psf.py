@@ -7,12 +7,10 @@ whole. The panel's edges keep the Gaussian of ``camera.blur_px``.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
 from heliograph.channel.settings import CameraSettings
-
-Floats = NDArray[np.float64]
 
 HALO_LIGHT, HALO_WIDTH = 0.05, 6.0
 """Light of the halo, and its width by the lens's own blur. Chosen, to see what veiling glare does."""

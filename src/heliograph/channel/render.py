@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.channel.background import Painter
 from heliograph.channel.exposure import Lighting, Lit
 from heliograph.channel.motion import Motion
@@ -15,8 +16,6 @@ from heliograph.channel.psf import PointSpread
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
 from heliograph.channel.settings import CameraSettings, ChannelSettings
 from heliograph.channel.truth import ArrayTruth
-
-Floats = NDArray[np.float64]
 
 SMEAR_PX = 0.25
 """Motion within an exposure up to which an LED's smear is rendered by its centroid and variance: the fourth cumulant

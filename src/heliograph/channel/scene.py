@@ -6,11 +6,10 @@ Axes are right, down, forward, in the world as in the camera. The world's origin
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from heliograph.base.arrays import Floats
 from heliograph.channel.settings import CameraSettings, Placement
-
-Floats = NDArray[np.float64]
 
 TINY_M = 1e-9
 """Depth in m that replaces smaller ones in divisions; arrays nearer than 0.3 m are not rendered in any case."""

@@ -12,11 +12,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG
+from heliograph.base.config import CONFIG, Fraction, Positive
 from heliograph.channel.parts import BACKGROUNDS, MOTIONS, POINT_SPREADS
-
-Positive = Annotated[float, Field(gt=0)]
-"""A number above 0."""
 
 NotNegative = Annotated[float, Field(ge=0)]
 """A number of at least 0."""
@@ -32,9 +29,6 @@ Ppm = Annotated[float, Field(ge=-1e4, le=1e4)]
 
 TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
 """Angle of an array's tilt in degrees: at 90 it is seen from its edge."""
-
-Fraction = Annotated[float, Field(ge=0, le=1)]
-"""Fraction of a whole."""
 
 EXPOSURE_SLACK = 1e-9
 """Relative excess of the exposure over the frame period, or over T_b, that counts as a rounding error of double

@@ -14,7 +14,7 @@ from heliograph.receive.image.pose import Pose
 from heliograph.receive.packets import Codeword, Packet, Status
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.timing.frame_pair import FramePair, MeasuredHeader, Pairing
-from heliograph.receive.timing.light_clock import AROUND
+from heliograph.receive.timing.light_clock import PATTERNS_AROUND
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 from heliograph.signal.formats import Format
 from heliograph.signal.settings import SignalSettings
@@ -225,7 +225,7 @@ class ArrayReceiver:
                 self._read_data(place, pair)
             self._poses[number] = self.pose
         # the light's clock asks for those around a header
-        oldest = number + 1 - self._signal.header_pairs - AROUND
+        oldest = number + 1 - self._signal.header_pairs - PATTERNS_AROUND
         self._poses = {k: pose for k, pose in self._poses.items() if k >= oldest}
         if in_packet == self._pairs - 1 and self._gathered.frames:
             yield self._finish()

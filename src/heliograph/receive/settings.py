@@ -7,11 +7,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG, from_mapping
+from heliograph.base.config import CONFIG, Fraction, Positive, from_mapping
 from heliograph.receive.registry import RECEIVERS, part_of
-
-Fraction = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0)]
 
 Equaliser = Literal["none", "inverse"]
 """How the plain receiver reads the LEDs of a pair; see `PlainSettings`."""

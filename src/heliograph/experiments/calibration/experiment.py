@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from heliograph.base.arrays import Floats
 from heliograph.experiments.calibration.pictures import distance_errors, reliability_diagram
 from heliograph.experiments.calibration.recorder import (
     FIRST,
     LAST,
     CalibrationFilm,
     CalibrationRecord,
-    Floats,
     ReliabilityBin,
     ReliabilityCounts,
     record,

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.channel import ArrayTruth
 from heliograph.experiments.links import true_pose
@@ -35,8 +35,6 @@ from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 from heliograph.signal.block import Block
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
-
-Floats = NDArray[np.float64]
 
 Truths = dict[int, ArrayTruth]
 """The array's truth by number of the frame."""

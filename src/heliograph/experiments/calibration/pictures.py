@@ -6,8 +6,9 @@ from typing import Literal
 import numpy as np
 from matplotlib.figure import Figure
 
+from heliograph.base.arrays import Floats
 from heliograph.experiments import plots
-from heliograph.experiments.calibration.recorder import Floats, ReliabilityBin
+from heliograph.experiments.calibration.recorder import ReliabilityBin
 from heliograph.experiments.calibration.verdicts import GOOD_M, TOLERANCE, judged
 
 

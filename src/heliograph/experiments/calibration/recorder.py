@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, simulate, transmitters
 from heliograph.measure.bench import block_settings, dithered, random_messages, window_margin_px
@@ -14,8 +15,6 @@ from heliograph.measure.statistics import Clustered
 from heliograph.receive import Packet, Receiver, make_receiver
 from heliograph.receive.events import EqualiseEvent, Event
 from heliograph.signal.block import pack
-
-Floats = NDArray[np.float64]
 
 EDGES = (0.0, 1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5)
 """Edges of the bins of the predicted error probability."""

@@ -6,7 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from heliograph.experiments.calibration.recorder import Floats, ReliabilityBin
+from heliograph.base.arrays import Floats
+from heliograph.experiments.calibration.recorder import ReliabilityBin
 from heliograph.experiments.result import Finding, Verdict
 
 TOLERANCE = 0.1

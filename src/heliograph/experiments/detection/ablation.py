@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from heliograph.experiments.detection.clutter import ClutterFilm
 from heliograph.receive import Pose
-from heliograph.receive.acquire.candidate import COMB, UPRIGHT, cell_weights, fit_near
-from heliograph.receive.acquire.coarse import BLOCK, alternation_of, busy_blocks, coarse_candidates
+from heliograph.receive.acquire.candidate import HIDING_BLUR, UPRIGHT, cell_weights, fit_near
+from heliograph.receive.acquire.coarse import BLOCK_PX, alternation_of, busy_blocks, coarse_candidates
 from heliograph.receive.acquire.detector import plausible
 from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.settings import ReceiveSettings
@@ -110,7 +110,7 @@ class VariantDetector:
         number, blur = int(row[4]), self._parameters.blur_px
         weights = float(np.sign(row[0])) * cell_weights(self._cells[number], self._side)
         start = Pose(row[1] - 0.5, row[2] - 0.5, row[3] / self._side, 0.0, blur)
-        rough = fit_near(change, (0, 0), start, weights, UPRIGHT, COMB)
+        rough = fit_near(change, (0, 0), start, weights, UPRIGHT, HIDING_BLUR)
         if rough is None:
             return None
         fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, UPRIGHT)
@@ -145,8 +145,8 @@ class DetectionScores:
 
 def _around(truth: Pose, blocks: tuple[int, ...]) -> NDArray[np.bool_]:
     """Blocks of the search, (rows, columns), within half the array's side of its centre."""
-    reach = 8 * truth.pitch + BLOCK
-    y, x = ((np.arange(n) + 0.5) * BLOCK for n in blocks)
+    reach = 8 * truth.pitch + BLOCK_PX
+    y, x = ((np.arange(n) + 0.5) * BLOCK_PX for n in blocks)
     return np.asarray((abs(y - truth.y) < reach)[:, None] & (abs(x - truth.x) < reach))
 
 

@@ -10,6 +10,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Gray
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.channel import Footage, ImuTrace, Placement, film
@@ -19,7 +20,6 @@ from heliograph.experiments.detection.lamps import (
     RATE_HZ,
     SIZE,
     Backdrop,
-    Gray,
     Moment,
     drawn_backdrop,
     lamp_backdrop,

@@ -10,14 +10,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erfc
 
+from heliograph.base.arrays import Floats
 from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
 from heliograph.signal.formats import DIMMED, words
 from heliograph.signal.header import CELLS, IDENTITIES, all_header_cells
-
-Floats = NDArray[np.float64]
 
 SIDE = 16
 PITCH_PX_M = 58.3

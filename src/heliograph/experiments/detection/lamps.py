@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Gray
 from heliograph.channel import Footage
-
-Gray = NDArray[np.uint8]
 
 FRAMES = 10
 """Frames of a film."""

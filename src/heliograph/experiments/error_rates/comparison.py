@@ -7,10 +7,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.experiments.error_rates.films import PacketRecord, bin_of
 from heliograph.signal.settings import LAYERS
-
-Floats = NDArray[np.float64]
 
 MARGIN = 1.5
 """Factor between driving and static within which they count as alike; a layer's error rate changes by so much within

@@ -7,9 +7,9 @@ IEEE 1789-2015 low-risk limits, stroboscopic visibility measure (CIE TN 006:2016
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from heliograph.base.arrays import Floats
 
 SVM_EXPONENT = 3.7
 SVM_LIMIT = 0.4

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
+from heliograph.base.arrays import Floats
 from heliograph.experiments import plots
 from heliograph.experiments.flicker import metrics
-from heliograph.experiments.flicker.metrics import Floats
 from heliograph.experiments.flicker.signals import (
     ALL_ON,
     ALL_ON_BARE,

@@ -5,8 +5,9 @@ from itertools import islice
 
 import numpy as np
 
+from heliograph.base.arrays import Floats
 from heliograph.experiments.flicker import metrics
-from heliograph.experiments.flicker.metrics import Flicker, Floats
+from heliograph.experiments.flicker.metrics import Flicker
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import transmitters
 from heliograph.measure.bench import random_messages

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from heliograph.experiments.flicker.metrics import MFTP_S, SVM_LIMIT, Floats
+from heliograph.base.arrays import Floats
+from heliograph.experiments.flicker.metrics import MFTP_S, SVM_LIMIT
 from heliograph.experiments.flicker.signals import (
     ALL_ON,
     ALL_ON_BARE,

@@ -4,13 +4,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
 from heliograph.receive.timing import partial_exposure
 from heliograph.receive.timing.combination import Combination, SlotLight, combine_pair
 
-Floats = NDArray[np.float64]
 LIGHT = SlotLight((0, 1, 2, 3))
 PAIRS = 20
 """Pairs in a row through which a camera is followed."""

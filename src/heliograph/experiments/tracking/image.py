@@ -6,11 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Gray
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.acquire.detector import Detection
-
-Gray = NDArray[np.uint8]
 
 FEATURES = 120
 KEY_PAIRS = 10

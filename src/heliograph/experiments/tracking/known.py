@@ -10,6 +10,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
@@ -22,24 +23,22 @@ from heliograph.signal import haar
 from heliograph.signal.header import header_levels
 from heliograph.signal.pwm import SLOTS
 
-Floats = NDArray[np.float64]
-
-BLOCK = 4
+KNOWN_BLOCK_PX = 4
 """Side of a block of known LEDs."""
 
-SPREAD = 0.25
+KNOWN_SPREAD = 0.25
 """Rms of a data LED's luminance about its mean, 1/2: levels 0 to 4 with probabilities 1, 4, 6, 4, 1 of 16."""
 
 GROWTH = (0.5, 5.0)
 """Least and largest pitch, by the one found, of an array that is not lost; in a drive it grows by less than 4."""
 
-MARGIN_PX = 3.0
-STEPS = 3
+KNOWN_MARGIN_PX = 3.0
+KNOWN_STEPS = 3
 
 
 def known_leds(side: int) -> NDArray[np.bool_]:
     """Which LEDs are known, (side, side)."""
-    near = (np.arange(side) < BLOCK) | (np.arange(side) >= side - BLOCK)
+    near = (np.arange(side) < KNOWN_BLOCK_PX) | (np.arange(side) >= side - KNOWN_BLOCK_PX)
     return near[:, None] & near
 
 
@@ -146,11 +145,11 @@ class KnownPattern:
     def _fit(self, frame: Frame, mean: Floats, data: Floats) -> tuple[Floats, Floats]:
         """Posterior pose and covariance by Gauss-Newton; noise and light of data LEDs weight the pixels."""
         start, prior = self._state.mean[:5], np.linalg.inv(self._state.covariance[:5, :5])
-        window = window_around(self._state.pose, self._side, MARGIN_PX)
+        window = window_around(self._state.pose, self._side, KNOWN_MARGIN_PX)
         (x0, y0), image = window[:2], cut_out(frame, window)
         trust, scene = self._trust(image, data, (x0, y0)), _ArrayImages(image.shape, (x0, y0))
         vector = start.copy()
-        for _ in range(STEPS):
+        for _ in range(KNOWN_STEPS):
             shapes = scene.place(vector, mean)
             linear = self._light(image, shapes, trust)
             slopes = np.tensordot(linear[:-3], shapes[:-3, 1:], 1)
@@ -170,7 +169,7 @@ class KnownPattern:
         shape = np.empty((6, *image.shape))
         kernels.render(self._state.mean[:5].copy(), data, float(corner[0]), float(corner[1]), shape)
         noise = 1.0 + self._gain * np.maximum(image, 0) / 15000
-        return np.asarray(1 / (noise + (SPREAD * self._gain * shape[0]) ** 2))
+        return np.asarray(1 / (noise + (KNOWN_SPREAD * self._gain * shape[0]) ** 2))
 
     def _light(self, image: Floats, shapes: Floats, trust: Floats) -> Floats:
         """Gain, panel and background at a pose, the gain near what it was."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.channel import ArrayTruth, film
@@ -21,8 +22,6 @@ from heliograph.receive import Pose
 from heliograph.receive.acquire.detector import Detection, Detector
 from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.image.window import cut_out
-
-Floats = NDArray[np.float64]
 
 KNOWN = "known pattern"
 TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {

@@ -4,11 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.experiments.tracking.runs import TrackingRun
-
-Floats = NDArray[np.float64]
 
 NEAR_PX = 0.25
 """Largest error in px that counts as near."""

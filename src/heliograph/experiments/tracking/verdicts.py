@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from heliograph.experiments.result import Finding, Verdict
-from heliograph.experiments.tracking.known import BLOCK, known_leds
+from heliograph.experiments.tracking.known import KNOWN_BLOCK_PX, known_leds
 from heliograph.experiments.tracking.runs import KNOWN
 from heliograph.experiments.tracking.score import NEAR_PX, ScoreTable, TrackingScore
 
@@ -85,7 +85,7 @@ def findings(
         _dark(table, [film for films in dark.values() for film in films]),
         rate_finding(rates()),
         _shown(table, BACKGROUND, "The background's motion alone, not helped by later headers."),
-        _shown(table, KNOWN, f"Tracking by known LEDs ({4 * BLOCK**2} of 256 lit), each frame by itself."),
+        _shown(table, KNOWN, f"Tracking by known LEDs ({4 * KNOWN_BLOCK_PX**2} of 256 lit), each frame by itself."),
         _shown(table, "OpenCV MIL", "A general tracker: OpenCV's TrackerMIL, fed with the sums of pairs."),
         _shown(table, "OpenCV template", "Another: template matching, fed with the sums of pairs."),
     ]

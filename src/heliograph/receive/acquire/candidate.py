@@ -6,24 +6,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.coarse import RING
 from heliograph.receive.image.fit import Fit, Prior, fit_array
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import window_around
 from heliograph.signal.header import CELLS
 
-Floats = NDArray[np.float64]
-
 FIT_STEPS = 6
 """Most Gauss-Newton steps of a candidate, which starts up to half a grid step away."""
 
-MARGIN_PX = 1.0
+CANDIDATE_MARGIN_PX = 1.0
 """Pixels around a candidate and its ring that are fitted too."""
 
-REACH = 0.08
+PLACE_SPREAD = 0.08
 """Standard deviation of a candidate's place, as a fraction of its side; the grid's step is 0.1."""
 
-SPREADS = (0.1, 0.05, 0.2)
+CANDIDATE_SPREADS = (0.1, 0.05, 0.2)
 """Standard deviations of a candidate's ln pitch (sizes are 0.11 apart), roll (3 degrees) and ln blur."""
 
 UPRIGHT, TILTED = 0.01, 0.1
@@ -32,7 +31,7 @@ UPRIGHT, TILTED = 0.01, 0.1
 10 degrees of yaw are a stretch of -0.008, 40 degrees of -0.13.
 """
 
-COMB = 0.5
+HIDING_BLUR = 0.5
 """Pitches of blur that hide single LEDs while a candidate is centred: else it locks in a whole pitch beside them."""
 
 LIT_CELL = 0.4
@@ -86,7 +85,7 @@ def fit_near(
     The fit; None where the image does not hold all of the candidate and its surroundings.
     """
     side = len(weights)
-    x0, y0, width, height = window_around(start, side, RING * side * start.pitch + MARGIN_PX)
+    x0, y0, width, height = window_around(start, side, RING * side * start.pitch + CANDIDATE_MARGIN_PX)
     i, j = y0 - origin[1], x0 - origin[0]
     if i < 0 or j < 0 or i + height > change.shape[0] or j + width > change.shape[1]:
         return None
@@ -95,8 +94,8 @@ def fit_near(
     if sigma:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float64)
         start = replace(start, blur=float(np.hypot(start.blur, sigma)))
-    reach = REACH * side * start.pitch
-    spread = np.diag(np.array([reach, reach, *SPREADS, tilt, tilt]) ** 2)
+    reach = PLACE_SPREAD * side * start.pitch
+    spread = np.diag(np.array([reach, reach, *CANDIDATE_SPREADS, tilt, tilt]) ** 2)
     return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, FIT_STEPS)
 
 
@@ -120,7 +119,7 @@ def lit_cells(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, 
     """
     from heliograph.receive.image import kernels
 
-    x0, y0, width, height = window_around(pose, len(weights), MARGIN_PX)
+    x0, y0, width, height = window_around(pose, len(weights), CANDIDATE_MARGIN_PX)
     i, j = max(0, y0 - origin[1]), max(0, x0 - origin[0])
     image = change[i : y0 - origin[1] + height, j : x0 - origin[0] + width].astype(np.float64)
     shapes, out = [], np.empty((6, *image.shape))

@@ -12,7 +12,7 @@ from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import window_around
 from heliograph.signal.header import CELLS, all_header_cells
 
-BLOCK = 8
+BLOCK_PX = 8
 """Pixels of a side of the blocks in which the search first asks whether anything alternates: the smallest array."""
 
 RING = 0.12
@@ -137,11 +137,11 @@ def busy_blocks(
     """
     from heliograph.receive.acquire import kernels
 
-    mean = np.empty((-(-change.shape[0] // BLOCK), -(-change.shape[1] // BLOCK)), dtype=np.float32)
+    mean = np.empty((-(-change.shape[0] // BLOCK_PX), -(-change.shape[1] // BLOCK_PX)), dtype=np.float32)
     padded = cv2.copyMakeBorder(
-        change, 0, mean.shape[0] * BLOCK - change.shape[0], 0, mean.shape[1] * BLOCK - change.shape[1], 0
+        change, 0, mean.shape[0] * BLOCK_PX - change.shape[0], 0, mean.shape[1] * BLOCK_PX - change.shape[1], 0
     )
-    kernels.block_means(padded, BLOCK, mean)
+    kernels.block_means(padded, BLOCK_PX, mean)
     for pose in taken:
         _blank(mean, pose, side, frame.origin)
     least = max(PART_LIT * min_contrast * frame.full_scale, BUSY * float(np.median(mean)))
@@ -185,13 +185,15 @@ def coarse_candidates(
     contrast = COARSE_CONTRAST * parameters.min_contrast * frame.full_scale
     corner = np.array(frame.origin, np.float64)
     count = kernels.search(
-        total, square, busy, float(BLOCK), cells, sides, contrast, parameters.coarse_score, RING, GRID, corner, best
+        total, square, busy, float(BLOCK_PX), cells, sides, contrast, parameters.coarse_score, RING, GRID, corner, best
     )
     return best[:count]
 
 
 def _blank(mean: NDArray[np.float32], pose: Pose, side: int, origin: tuple[int, int]) -> None:
     """Clear the blocks of an array that is followed."""
-    x0, y0, width, height = window_around(pose, side, BLOCK)
-    i, j = max(0, (y0 - origin[1]) // BLOCK), max(0, (x0 - origin[0]) // BLOCK)
-    mean[i : max(0, (y0 - origin[1] + height) // BLOCK + 1), j : max(0, (x0 - origin[0] + width) // BLOCK + 1)] = 0
+    x0, y0, width, height = window_around(pose, side, BLOCK_PX)
+    top, left = y0 - origin[1], x0 - origin[0]
+    rows = slice(max(0, top // BLOCK_PX), max(0, (top + height) // BLOCK_PX + 1))
+    columns = slice(max(0, left // BLOCK_PX), max(0, (left + width) // BLOCK_PX + 1))
+    mean[rows, columns] = 0

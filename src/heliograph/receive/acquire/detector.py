@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.candidate import COMB, TILTED, UPRIGHT, cell_weights, fit_near, lit_cells
+from heliograph.receive.acquire.candidate import HIDING_BLUR, TILTED, UPRIGHT, cell_weights, fit_near, lit_cells
 from heliograph.receive.acquire.coarse import (
     SIDE_STEP,
     SearchParameters,
@@ -203,7 +203,7 @@ class Detector:
             return None
         best: Detection | None = None
         for tilt in self._tilts:
-            rough = fit_near(change, origin, start, sign * weights, tilt, COMB)
+            rough = fit_near(change, origin, start, sign * weights, tilt, HIDING_BLUR)
             if rough is None or rough.score < self._parameters.coarse_score:
                 break
             found = self._timed(frames, replace(rough.pose, blur=blur), weights, number, tilt)

@@ -17,8 +17,8 @@ A camera out of step shows dimmed cells in some of its frames only. There each f
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import RIM_PX, Window, cut_out, window_around
@@ -26,9 +26,7 @@ from heliograph.receive.timing.frame_pair import FramePair, HeaderFrames
 from heliograph.signal.formats import AGREED, DIMMED, Format, format_of, words
 from heliograph.signal.header import CELLS, header_cells
 
-Floats = NDArray[np.float64]
-
-COUNT = CELLS * CELLS
+CELL_COUNT = CELLS * CELLS
 
 LEAST_DISTANCE = 4
 """Cells in which two words of the Reed-Muller code RM(2, 4) differ at least."""
@@ -123,8 +121,10 @@ class FormatReader:
 
     def __init__(self, identity: int, side: int):
         self._side = side
-        self._cells = header_cells(identity).reshape(COUNT).astype(np.float64)
-        self._masks = np.kron(np.eye(COUNT).reshape(COUNT, CELLS, CELLS), np.ones((side // CELLS, side // CELLS)))
+        self._cells = header_cells(identity).reshape(CELL_COUNT).astype(np.float64)
+        self._masks = np.kron(
+            np.eye(CELL_COUNT).reshape(CELL_COUNT, CELLS, CELLS), np.ones((side // CELLS, side // CELLS))
+        )
         self._first: tuple[FramePair, tuple[Pose, Pose]] | None = None
         self._evidence: dict[int, _PairEvidence | _FramesEvidence] = {}
 
@@ -196,7 +196,7 @@ class FormatReader:
     def _images(self, pose: Pose, led_gains: Floats, window: Window) -> Floats:
         """Image of each cell with all its LEDs on, (16, pixels)."""
         x0, y0, cols, rows = window
-        out, images = np.empty((6, rows, cols)), np.empty((COUNT, rows * cols))
+        out, images = np.empty((6, rows, cols)), np.empty((CELL_COUNT, rows * cols))
         for mask, image in zip(self._masks, images, strict=True):
             kernels.render(pose.full_vector(), mask * led_gains, float(x0), float(y0), out)
             image[:] = out[0].ravel()

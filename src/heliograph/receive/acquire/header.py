@@ -1,15 +1,13 @@
 """The header in a pair of frames: its luminances, and how much of it the pair shows."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.image.fit import header_amplitude
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.timing.combination import Combination
 from heliograph.receive.timing.frame_pair import FramePair
 from heliograph.signal.header import dimmed_leds, header_levels, signalling_levels
-
-Floats = NDArray[np.float64]
 
 
 def header_weights(identity: int, form: int, side: int, combination: Combination | None = None) -> Floats:

@@ -14,7 +14,7 @@ from heliograph.receive.image.pose import Pose
 from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 
-KEPT = 4
+PATTERNS_KEPT = 4
 """Patterns around a header whose frames are kept too.
 
 The light's clock asks for two on either side, and two to spare.
@@ -66,7 +66,7 @@ class PhasedSearch:
         else:
             phases = _phases(light_s / period_s)
             self._streams = [_Nearest(self._detector(), light_s, k / phases) for k in range(phases)]
-        patterns = 2 * self._signal.header_pairs + 2 * KEPT
+        patterns = 2 * self._signal.header_pairs + 2 * PATTERNS_KEPT
         self._kept = deque(maxlen=math.ceil(patterns * light_s / period_s))
 
     def _detector(self) -> Detector:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from heliograph.base.arrays import Floats
 
 Candidate = tuple[float, float, float, float, int]
 """Score, x, y, side, identity."""

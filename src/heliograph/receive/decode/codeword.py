@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.llr import LARGEST_LLR
 from heliograph.receive.packets import Codeword
 from heliograph.signal.block import check, unpack
 from heliograph.signal.code import Algorithm, Code
 from heliograph.signal.packet import PacketFormat
-
-Floats = NDArray[np.float64]
 
 ERASED = 255
 """Stands for a raw bit of which nothing was received."""

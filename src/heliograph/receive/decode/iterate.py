@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.layer import HOPELESS, Layer, decode_layer
 from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer
@@ -26,8 +27,6 @@ from heliograph.receive.timing import partial_exposure
 from heliograph.receive.timing.combination import Combination
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
-
-Floats = NDArray[np.float64]
 
 ITERATIONS = 24
 """Most iterations between equaliser and decoder; at 150 m packets take four to seven."""

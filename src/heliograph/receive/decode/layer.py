@@ -3,18 +3,16 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.decode.codeword import DecodedBlock, Decoding, codeword_of, hard
 from heliograph.receive.decode.soft_combining import consistent
 from heliograph.receive.equalise.llr import LARGEST_LLR, information
-from heliograph.receive.equalise.lmmse import KNOWN
+from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE
 from heliograph.receive.packets import Codeword
 from heliograph.signal.block import check
 from heliograph.signal.code import Code
 from heliograph.signal.packet import LayerFormat
-
-Floats = NDArray[np.float64]
 
 TRUST = 0.85
 """Factor on a failed codeword's extrinsic LLRs that are fed back: the decoder's errors come from the same noise.
@@ -130,7 +128,7 @@ def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feed
             layer.soft[i], layer.variance[i] = 0.0, 1.0
         else:
             layer.soft[i] = np.tanh(0.5 * TRUST * extrinsic)
-            layer.variance[i] = np.maximum(1 - layer.soft[i] ** 2, 2 * KNOWN)
+            layer.variance[i] = np.maximum(1 - layer.soft[i] ** 2, 2 * KNOWN_VARIANCE)
     layer.words = [words[i] for i in range(len(layer.llr))]
 
 

@@ -10,22 +10,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.llr import LARGEST_LLR
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.signal.code import Code
 from heliograph.signal.formats import Format
 
-Floats = NDArray[np.float64]
-
 Kind = tuple[str, Code]
 """Layer and code: only codewords of one kind can be the same."""
 
-KEPT = 32
+CODEWORDS_KEPT = 32
 """Codewords kept of each kind: 0.8 MB of 3072 LLRs; a carousel of more goes round before one comes again."""
 
-KEPT_PACKETS = 4
+PACKETS_KEPT = 4
 """Packets whose statistics are kept: 13 MB each of 48 pairs of 16 x 16 LEDs, twice that without inverses."""
 
 SAME = 5.5
@@ -104,8 +102,8 @@ class SoftBuffer:
     """Codewords and packets of one array that were seen but not decoded."""
 
     def __init__(self) -> None:
-        self._kept: dict[Kind, deque[Floats]] = defaultdict(lambda: deque(maxlen=KEPT))
-        self._packets: deque[BufferedPacket] = deque(maxlen=KEPT_PACKETS)
+        self._kept: dict[Kind, deque[Floats]] = defaultdict(lambda: deque(maxlen=CODEWORDS_KEPT))
+        self._packets: deque[BufferedPacket] = deque(maxlen=PACKETS_KEPT)
 
     def copy(self) -> "SoftBuffer":
         """A buffer of the same content that changes independently."""

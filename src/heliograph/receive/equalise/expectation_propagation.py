@@ -10,16 +10,14 @@ with -1 and +1, each as probable as the turbo decoder says (Minka 2001; for equa
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.receive.equalise.lmmse import KNOWN, Estimate
+from heliograph.base.arrays import Floats
+from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE, Estimate
 
-Floats = NDArray[np.float64]
-
-STEP = 0.7
+DAMPING = 0.7
 """Damping: fraction of its way that a site goes in an iteration; with 1, sites of neighbours may oscillate."""
 
-LEAST = 1e-6
+LEAST_PRECISION = 1e-6
 """Least precision of a site; where the update would be below, the site stays as it was."""
 
 
@@ -68,15 +66,15 @@ class ExpectationPropagation:
         Mean and variance of the sites, (patterns, symbols); of decoded symbols their own.
         """
         # P(+1) / P(-1) = exp(L), L = 2 artanh(mean) + 2 G_cavity
-        llr = 2 * np.arctanh(np.clip(mean, KNOWN - 1, 1 - KNOWN)) + 2 * self.cavity_weighted
+        llr = 2 * np.arctanh(np.clip(mean, KNOWN_VARIANCE - 1, 1 - KNOWN_VARIANCE)) + 2 * self.cavity_weighted
         both = np.tanh(0.5 * llr)
-        spread = np.maximum(1 - both**2, 2 * KNOWN)
+        spread = np.maximum(1 - both**2, 2 * KNOWN_VARIANCE)
         # L_i = 1 / variance - L_cavity, G_i = mean / variance - G_cavity
         precision, weighted = 1 / spread - self.cavity, both / spread - self.cavity_weighted
-        step = np.where(self.cavity == 0, 1.0, np.where(precision > LEAST, STEP, 0.0))
+        step = np.where(self.cavity == 0, 1.0, np.where(precision > LEAST_PRECISION, DAMPING, 0.0))
         self.precision += step * (precision - self.precision)
         self.weighted += step * (weighted - self.weighted)
-        known = variance < KNOWN
+        known = variance < KNOWN_VARIANCE
         return np.where(known, mean, self.weighted / self.precision), np.where(known, variance, 1 / self.precision)
 
     def take(self, number: int, estimate: Estimate) -> Floats:

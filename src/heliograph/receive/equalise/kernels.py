@@ -12,7 +12,7 @@ With all disturbers taken as Gaussian up to five times as many errors are predic
 drawn twice as many, with six a tenth more; eight gain nothing for three times the time (docs/measured.md).
 """
 
-DOUBTFUL, SURE = 3.0, 10.0
+DOUBTFUL_LLR, DECIDED_LLR = 3.0, 10.0
 """LLRs in magnitude, 5 % and 5e-5 wrong, between which a closer look is taken; beyond, it would change no decision."""
 
 LEAST_REST = 0.02
@@ -89,7 +89,7 @@ def extrinsic(covariance, posterior, mean, variance, out):
 
     of variance k S_ii, the symbols that weigh most are drawn from +-1 and the rest is Gaussian. With all of them
     Gaussian the LLR would be 2 u_i / S_ii, too small where few neighbours disturb and their sum has no tails. `FEW` are
-    drawn at first; where the LLR is then between `DOUBTFUL` and `SURE`, `MANY`.
+    drawn at first; where the LLR is then between `DOUBTFUL_LLR` and `DECIDED_LLR`, `MANY`.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def extrinsic(covariance, posterior, mean, variance, out):
         for most in (FEW, MANY):
             count = _heaviest(row, inverse, i, which[:most])
             out[i] = _mixture(u, k, k * row[i], row, which[:count], mean, variance, states)
-            if not DOUBTFUL < abs(out[i]) < SURE:
+            if not DOUBTFUL_LLR < abs(out[i]) < DECIDED_LLR:
                 break
 
 

@@ -13,8 +13,8 @@ is marginalised.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.image.footprint import by_squares, to_grid
 from heliograph.receive.observe import kernels
@@ -22,9 +22,7 @@ from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise
 from heliograph.receive.observe.statistics import PairStatistics, whiten
 
-Floats = NDArray[np.float64]
-
-SPREAD = 0.3
+LED_GAIN_SPREAD = 0.3
 """Prior standard deviation of an LED's gain about 1: a failed LED is 3.3 of them away."""
 
 FAILED, SOUND = 0.25, 0.65
@@ -54,7 +52,7 @@ MODEL = 0.02
 FADE = 0.5
 """Weight of earlier headers for each packet since: hidden LEDs come to light."""
 
-STEPS, SCALES = 2, (0.5, 2.0)
+MEDIAN_STEPS, MEDIAN_SCALES = 2, (0.5, 2.0)
 """Most corrections of the gain by the median LED, and bounds of one."""
 
 
@@ -101,12 +99,12 @@ class LedGains:
         slopes = whitened.root * cutout.slopes(header)
         shown = whitened.without(slopes, np.diag(noise / (gain * POSE_SPREADS) ** 2))
         seen = shown if self.seen is None else self.seen.plus(shown)
-        for _ in range(STEPS):
+        for _ in range(MEDIAN_STEPS):
             found = _estimate(seen, header, gain, noise)
             # the median LED is a sound one
-            scale = float(np.clip(np.median(found), *SCALES))
+            scale = float(np.clip(np.median(found), *MEDIAN_SCALES))
             gain *= scale
-            if abs(scale - 1) < SPREAD / 10:
+            if abs(scale - 1) < LED_GAIN_SPREAD / 10:
                 break
         values = np.clip((found / scale - FAILED) / (SOUND - FAILED), 0, 1)
         changed = bool(np.abs(values - self.values).max() > CHANGED)
@@ -138,5 +136,5 @@ def _estimate(seen: PairStatistics, header: Floats, gain: float, noise: float) -
     signs = by_squares(header)
     mean = kernels.symbols_of(signs)
     # of h w of the variance s^2 the symbols have the variance 4 s^2, T T^T being 1/4
-    symbols = equalise(seen, gain, noise, mean, np.full(mean.size, 4 * SPREAD**2)).mean
+    symbols = equalise(seen, gain, noise, mean, np.full(mean.size, 4 * LED_GAIN_SPREAD**2)).mean
     return to_grid(kernels.leds_of(symbols) / signs)

@@ -1,10 +1,9 @@
 """Log-likelihood ratios: their bound, and how much information they hold."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import entr, expit
 
-Floats = NDArray[np.float64]
+from heliograph.base.arrays import Floats
 
 LARGEST_LLR = 50.0
 """Largest magnitude of an LLR between equaliser and decoder: no model of the channel is right to e^-50."""

@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.equalise import kernels
 from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout
 
-Floats = NDArray[np.float64]
-
-KNOWN = 1e-3
+KNOWN_VARIANCE = 1e-3
 """Variance of a symbol below which it counts as known: its light is subtracted with 30 dB of rest."""
 
 PADDING = 4
@@ -101,14 +100,14 @@ def equalise(pair: PairStatistics, gain: float, noise: float, mean: Floats, vari
     mean
         (symbols,) prior means, -1 to 1.
     variance
-        (symbols,) prior variances; one below `KNOWN` takes the symbol for known.
+        (symbols,) prior variances; one below `KNOWN_VARIANCE` takes the symbol for known.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         The posterior precision is not positive definite: gain or noise are absurd.
     """
-    unknown = np.flatnonzero(variance >= KNOWN)
+    unknown = np.flatnonzero(variance >= KNOWN_VARIANCE)
     m, v = mean.copy(), variance[unknown]
     if not unknown.size:
         return Estimate(mean, variance, m, unknown, v, np.zeros((0, 0), np.float32), 0.0)

@@ -12,12 +12,10 @@ and the message to each symbol or datum is the product of the other two of its c
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.llr import LARGEST_LLR
 from heliograph.signal.packet import PacketFormat
-
-Floats = NDArray[np.float64]
 
 CERTAIN = 1e-12
 """Distance of a mean from +-1 below which its LLR is held at 28."""

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from heliograph.base.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)

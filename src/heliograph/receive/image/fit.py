@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.robust import correlation, robust_std
 from heliograph.receive.image.window import Pixels, cut_out, plane, window_around
-
-Floats = NDArray[np.float64]
 
 BIWEIGHT = 4.685
 """Standard deviations from which on a residual has no weight: Tukey's biweight of 95 % efficiency."""
@@ -17,7 +15,7 @@ BIWEIGHT = 4.685
 PANEL_MARGINS = (0.75, 2.0)
 """Rims in pitches of two squares around the LEDs; their combination stands for a panel of unknown width and gray."""
 
-LOADING = 1e-9
+FIT_LOADING = 1e-9
 """Relative loading of the normal equations' diagonal: keeps a parameter that no pixel shows solvable."""
 
 LEAST_VARIANCE = 0.08
@@ -45,7 +43,7 @@ AMPLITUDE_MARGIN_PX = 1.0
 More of them add background, fewer lose its rim.
 """
 
-GAIN_SPREAD = 0.15
+EXPECTED_GAIN_SPREAD = 0.15
 """Standard deviation of an expected gain, as a fraction of it; an array's light changes by less from pair to pair."""
 
 
@@ -142,10 +140,10 @@ def fit_array(
         matrix[:free, :free] += precision
         rhs[:free] += precision @ (prior.vector - vector)[:free]
         if prior.gain:
-            weight = (GAIN_SPREAD * prior.gain) ** -2
+            weight = (EXPECTED_GAIN_SPREAD * prior.gain) ** -2
             matrix[free, free] += weight
             rhs[free] += weight * (prior.gain - linear[0])
-        step = np.asarray(np.linalg.solve(matrix + LOADING * np.diag(np.diag(matrix) + 1e-3), rhs), np.float64)
+        step = np.asarray(np.linalg.solve(matrix + FIT_LOADING * np.diag(np.diag(matrix) + 1e-3), rhs), np.float64)
         limit = _step_limits(vector)[:free]
         vector[:free] += np.clip(step[:free], -limit, limit)
         linear = linear + step[free:]
@@ -154,7 +152,7 @@ def fit_array(
         if panel and near and abs(step[free]) < CLOSE_GAIN * abs(linear[0]):
             break
         scene.place(vector)
-    covariance = np.linalg.inv(matrix + LOADING * np.diag(np.diag(matrix) + 1e-3))[:free, :free]
+    covariance = np.linalg.inv(matrix + FIT_LOADING * np.diag(np.diag(matrix) + 1e-3))[:free, :free]
     return Fit(
         vector,
         np.asarray(covariance, np.float64),

@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels
 from heliograph.receive.image.pose import Pose
-
-Floats = NDArray[np.float64]
 
 
 class Footprints(NamedTuple):

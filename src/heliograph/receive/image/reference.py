@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
-
-Floats = NDArray[np.float64]
 
 Corner = tuple[float, float]
 """(x, y) on the sensor of a window's first pixel."""
 
-STEP = 1e-5
+DIFFERENCE_STEP = 1e-5
 """Step of the central differences, in px, rad or as a logarithm: rounding and curvature err alike, by 1e-10."""
 
 
@@ -106,8 +105,8 @@ def box_image(vector: Floats, half_leds: float, corner: Corner, shape: tuple[int
 
 def _with_derivatives(image: Callable[[Floats], Floats], vector: Floats) -> Floats:
     """An image and its central differences (f(v + h) - f(v - h)) / 2 h by each parameter."""
-    steps = STEP * np.eye(len(vector))
-    return np.stack([image(vector), *((image(vector + h) - image(vector - h)) / (2 * STEP) for h in steps)])
+    steps = DIFFERENCE_STEP * np.eye(len(vector))
+    return np.stack([image(vector), *((image(vector + h) - image(vector - h)) / (2 * DIFFERENCE_STEP) for h in steps)])
 
 
 def pixel_light(pixels: NDArray[Any], centres: Floats, sigma: float) -> Floats:

@@ -1,9 +1,8 @@
 """Measures of images: a spread that outliers do not move, and correlation."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from heliograph.base.arrays import Floats
 
 
 def robust_std(values: Floats) -> float:

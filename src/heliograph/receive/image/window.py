@@ -8,10 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
-
-Floats = NDArray[np.float64]
 
 Window = tuple[int, int, int, int]
 """Corner (x, y) on the sensor, columns and rows."""

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels as image_kernels
 from heliograph.receive.image.footprint import image_of
 from heliograph.receive.image.pose import Pose
@@ -12,8 +12,6 @@ from heliograph.receive.image.window import RIM_PX, covered, cut_out, window_aro
 from heliograph.receive.observe import kernels
 from heliograph.receive.timing.combination import Combination
 from heliograph.receive.timing.frame_pair import FramePair
-
-Floats = NDArray[np.float64]
 
 RING_PX = 2.0
 """Pixels beyond the rim whose difference shows what changes in the background."""

@@ -5,14 +5,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels
 from heliograph.receive.image.footprint import footprints, image_of
 from heliograph.receive.image.robust import robust_std
 from heliograph.receive.observe.cutout import Cutout
-
-Floats = NDArray[np.float64]
 
 INSIDE = 0.8
 """Fraction of the array's light from which on a pixel lies inside the array."""
@@ -23,7 +21,7 @@ BESIDE = 1e-3
 LEAST_NOISE = 1 / 6
 """Variance in squared gray levels that rounding alone gives a difference of two frames, 2 / 12."""
 
-ENOUGH = 4000
+ENOUGH_PIXELS = 4000
 """Pixels inside the array that give its noise to about 3 %, as many differences of sums have that spread."""
 
 
@@ -100,7 +98,7 @@ def _enough(cutouts: Sequence[Cutout], side: int) -> list[tuple[int, int]]:
     """Numbers of successive cut-outs from all over a packet, as many as are enough; of one it and itself."""
     inside = max((side * cutouts[0].middle.pitch - 2) ** 2, 1.0)
     pairs = [*pairwise(range(len(cutouts)))] or [(0, 0)]
-    return pairs[:: max(1, int(len(pairs) * inside / ENOUGH))]
+    return pairs[:: max(1, int(len(pairs) * inside / ENOUGH_PIXELS))]
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,11 +4,9 @@ Nothing runs on it but the tests that hold `kernels.py` and `statistics.py` to i
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.signal import haar
-
-Floats = NDArray[np.float64]
 
 
 def transform(side: int) -> Floats:

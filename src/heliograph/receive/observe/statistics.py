@@ -18,14 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels as image_kernels
 from heliograph.receive.image.footprint import Footprints, footprints, image_of
 from heliograph.receive.observe import kernels
 from heliograph.receive.observe.cutout import RING_PX, Cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.timing.combination import Combination
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

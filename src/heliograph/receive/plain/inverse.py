@@ -6,16 +6,14 @@ whatever the roll, so A^T A is the product of two small Gram matrices, element b
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.image.footprint import footprints, image_of, to_grid
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import Pixels, cut_out, window_around
 
-Floats = NDArray[np.float64]
-
-LOADING = 1e-4
+ZERO_FORCING_LOADING = 1e-4
 """lambda: loading of the diagonal of A^T A, in units in which a wide array with all LEDs on has the image 1.
 
 Zero-forcing is meant, so lambda is no more than the noise is worth: (noise / light)^2 = 2 (0.006 / 0.8)^2 = 1e-4 for
@@ -23,12 +21,16 @@ LEDs of +-1 in the difference of two frames of the reference link. To 55 m it ch
 combinations of LEDs that hardly any pixel sees, and lambda keeps their noise out of all others.
 """
 
-MARGIN_PX = 2.5
+INVERSE_MARGIN_PX = 2.5
 """Pixels beyond the array that are used: LEDs of its rim shine there."""
 
 
 def unblurred(
-    frames: tuple[Pixels, Pixels], poses: tuple[Pose, Pose], gain: float, side: int, loading: float = LOADING
+    frames: tuple[Pixels, Pixels],
+    poses: tuple[Pose, Pose],
+    gain: float,
+    side: int,
+    loading: float = ZERO_FORCING_LOADING,
 ) -> Floats:
     """Normalised luminances x' = level - 2 of a pair, the blur undone.
 
@@ -58,7 +60,7 @@ def unblurred(
     """
     middle = Pose.midway(*poses)
     motion = 0.5 * (poses[1].x - poses[0].x), 0.5 * (poses[1].y - poses[0].y)
-    window = window_around(middle, side, MARGIN_PX + max(abs(motion[0]), abs(motion[1])))
+    window = window_around(middle, side, INVERSE_MARGIN_PX + max(abs(motion[0]), abs(motion[1])))
     corner, shape = (window[0], window[1]), (window[3], window[2])
     change = (cut_out(frames[0], window) - cut_out(frames[1], window)) / max(gain, 1e-6)
     ones = np.ones((side, side))

@@ -4,9 +4,8 @@ Nothing runs on it but the test that holds `kernels.py` to it.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from heliograph.base.arrays import Floats
 
 
 def sample_cubic(image: Floats, points: Floats) -> Floats:

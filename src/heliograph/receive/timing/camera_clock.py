@@ -9,7 +9,7 @@ import numpy as np
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 
-FIRST = 16
+FIRST_FRAMES = 16
 """Frames by which the camera's rate is first found: with a jitter of 5 % they give it to 0.3 %."""
 
 JITTER = 0.05
@@ -127,7 +127,7 @@ class CameraClock:
             yield self._timed(frame)
             return
         self._held.append(frame)
-        if len(self._held) == FIRST:
+        if len(self._held) == FIRST_FRAMES:
             yield from self.flush()
 
     def flush(self) -> Iterator[Frame]:

@@ -20,14 +20,14 @@ from heliograph.receive.timing.frame_pair import (
     is_data,
     sum_late_s,
 )
-from heliograph.receive.timing.light_clock import AROUND, EXPLAINED, LightClock, view_header
+from heliograph.receive.timing.light_clock import EXPLAINED, PATTERNS_AROUND, LightClock, view_header
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
-AHEAD = 1.0
+PATTERNS_AFTER = 1.0
 """Patterns after the end of a pair whose frames are awaited: one that straddles the end may start that late."""
 
-BEFORE = 1.0
+PATTERNS_BEFORE = 1.0
 """Patterns before a pair's start whose frames are used, for the same reason."""
 
 EARLY = 0.02
@@ -36,13 +36,13 @@ EARLY = 0.02
 OVERHANG = 0.04
 """T_b by which an exposure may exceed the header and still count as within it: that much of its light is wrong."""
 
-DOUBT = 1.5
+STEP_DEVIATIONS = 1.5
 """Standard deviations of the clock by which frames may depart from pattern and inverse and still count as in step."""
 
 TICKS = 3
 """Decimal places of a frame's start in patterns: the clock is exact to 0.004 at best."""
 
-MARGIN, MARGIN_PX = 0.5, 8.0
+COMBINED_MARGIN, COMBINED_MARGIN_PX = 0.5, 8.0
 """Margin of combined frames about the array, as a fraction of its side, and at least in px: room for the tracker."""
 
 
@@ -108,11 +108,11 @@ class ClockedPairing:
         """Take the next frame; yield the numbers of the pairs that can be read by now."""
         self._frames.append(frame)
         if self._clock is None:
-            awaited = self._header + AROUND + 1
+            awaited = self._header + PATTERNS_AROUND + 1
             if frame.time_s < self._start_s + awaited * self._signal.pattern_period_s:
                 return
             self._clock = self._begin()
-        yield from self._due(self._clock, float(self._clock.pattern_at(frame.time_s)) - AHEAD)
+        yield from self._due(self._clock, float(self._clock.pattern_at(frame.time_s)) - PATTERNS_AFTER)
 
     def flush(self) -> Iterator[int]:
         """Yield the numbers of the pairs that can still be read, as there will be no more frames."""
@@ -127,7 +127,7 @@ class ClockedPairing:
     ) -> MeasuredHeader | None:
         """Correct the clock by the header before a pair; see `Pairing`."""
         clock, pattern = self._started, 2 * pair - self._header
-        near = self._frames_of(clock, pattern - AROUND, pattern + self._header + AROUND)
+        near = self._frames_of(clock, pattern - PATTERNS_AROUND, pattern + self._header + PATTERNS_AROUND)
         if not poses or len(near) <= self._header:
             return None
         known = np.array(sorted(poses))
@@ -148,7 +148,7 @@ class ClockedPairing:
         """Give the frames of a pair, combined where they are not in step; see `Pairing`."""
         clock, place = self._started, 2 * number
         in_packet, data = number % (self._signal.packet_patterns // 2), is_data(number, self._signal)
-        near = self._frames_of(clock, place - BEFORE, place + 2 + AHEAD)
+        near = self._frames_of(clock, place - PATTERNS_BEFORE, place + 2 + PATTERNS_AFTER)
         combination = self._combination(clock, near, place)
         stepped = _in_step(clock, combination)
         if single and data:
@@ -176,8 +176,8 @@ class ClockedPairing:
         # the median passes over frames that were dropped
         period = float(np.median(np.diff([f.time_s for f in frames])))
         clock = LightClock(start_s, period, self._signal, self._identity, self._exposure_s)
-        end = start_s + (self._header + AROUND) * light_s
-        near = [f for f in frames if start_s - AROUND * light_s <= f.time_s <= end]
+        end = start_s + (self._header + PATTERNS_AROUND) * light_s
+        near = [f for f in frames if start_s - PATTERNS_AROUND * light_s <= f.time_s <= end]
         if len(near) <= self._header:
             # the header would have begun before the film
             self.lost = True
@@ -195,7 +195,7 @@ class ClockedPairing:
             pair = self._next
             self._next += 1
             yield pair
-            self._forget(clock.time_s(2 * pair - self._header - 2 * AROUND))
+            self._forget(clock.time_s(2 * pair - self._header - 2 * PATTERNS_AROUND))
 
     def _combination(self, clock: LightClock, frames: list[Frame], pattern: int) -> Combination | None:
         """How frames combine for the pair that begins with a pattern."""
@@ -234,7 +234,7 @@ class ClockedPairing:
     def _window(self, frames: list[Frame], pose: Pose) -> tuple[int, int, int, int] | None:
         """Part of the sensor around the array that all frames have: left, top, and the right and lower end."""
         side = self._signal.side
-        x, y, width, height = window_around(pose, side, max(MARGIN_PX, MARGIN * side * pose.pitch))
+        x, y, width, height = window_around(pose, side, max(COMBINED_MARGIN_PX, COMBINED_MARGIN * side * pose.pitch))
         left, top = max(x, *(f.origin[0] for f in frames)), max(y, *(f.origin[1] for f in frames))
         right = min(x + width, *(f.origin[0] + f.pixels.shape[1] for f in frames))
         low = min(y + height, *(f.origin[1] + f.pixels.shape[0] for f in frames))
@@ -273,7 +273,7 @@ def _pair_combination(starts: tuple[float, ...], exposure: float, light: SlotLig
 
 def _in_step(clock: LightClock, combination: Combination | None) -> bool:
     """Whether frames show a pair's pattern and inverse one by one, as far as the clock can tell."""
-    return combination is not None and combination.departure < EXACT + DOUBT * clock.deviation
+    return combination is not None and combination.departure < EXACT + STEP_DEVIATIONS * clock.deviation
 
 
 def _cut(frames: list[Frame], window: tuple[int, int, int, int]) -> NDArray[np.float32]:

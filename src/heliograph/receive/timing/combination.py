@@ -16,11 +16,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.timing import partial_exposure
 from heliograph.signal.formats import DIMMED
 from heliograph.signal.pwm import SLOTS
-
-Floats = NDArray[np.float64]
 
 FRAME_NOISE = 0.05
 """Variance of a frame's noise in the choice of the difference, the light of an LED lit all through being 1.

@@ -13,8 +13,8 @@ start goes into a Kalman filter of time and rate.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import cut_out, window_around
@@ -24,9 +24,7 @@ from heliograph.signal.header import header_cells
 from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import SignalSettings
 
-Floats = NDArray[np.float64]
-
-AROUND = 2
+PATTERNS_AROUND = 2
 """Patterns before and after a header whose frames count too: its two ends tell most about the start."""
 
 DEVIATION = 0.03
@@ -38,7 +36,7 @@ A pair's levels have the standard deviation 1/2 in their difference; over 256 LE
 EXPOSURES = 20
 """Exposures of the grid, up to the whole frame period; steps of 5 % change a header's amplitude by at most 5 %."""
 
-LONGER, WHOLE = 20.0, 3.0
+LONGER, WHOLE_PERIOD = 20.0, 3.0
 """Prior log odds of an exposure of the whole frame period over one of none, and of the whole itself on top.
 
 Exposures of any length about the middle of a pattern, or about its end, give the same header and the same brightness.
@@ -51,10 +49,10 @@ GIVEN_UP = 40.0
 STARTS = 121
 """Starts of the grid: 1/48 T_b apart for a first header, finer later."""
 
-REACH = 1.25
+FIRST_REACH = 1.25
 """Patterns by which the start may differ from the detection's: one for frames that straddle, and a quarter."""
 
-SPREADS, NEAREST, FARTHEST = 6.0, 0.1, 0.5
+LATER_DEVIATIONS, LEAST_REACH, MOST_REACH = 6.0, 0.1, 0.5
 """Reach of the grid of later headers: standard deviations of the predicted start, and its bounds in patterns."""
 
 RATE = 2.5e-4
@@ -104,7 +102,7 @@ class LightClock:
     Parameters
     ----------
     start_s
-        When a header began, within `REACH` patterns.
+        When a header began, within `FIRST_REACH` patterns.
     period_s
         The camera's frame period.
     signal
@@ -146,7 +144,7 @@ class LightClock:
         if exposure_s is not None:
             self._exposures = np.array([min(exposure_s / signal.pattern_period_s, longest)])
         self._evidence = LONGER * self._exposures / longest
-        self._evidence[-1] += WHOLE
+        self._evidence[-1] += WHOLE_PERIOD
         self._prior = self._evidence
 
     @property
@@ -210,7 +208,7 @@ class LightClock:
         """
         self._move(pattern)
         spread, gain = self.deviation, self.gain
-        reach = min(max(SPREADS * spread, NEAREST), FARTHEST) if self._measured else REACH
+        reach = min(max(LATER_DEVIATIONS * spread, LEAST_REACH), MOST_REACH) if self._measured else FIRST_REACH
         offset = np.linspace(-reach, reach, STARTS)
         likely = self._evidence > self._evidence.max() - GIVEN_UP
         self._exposures, self._evidence = self._exposures[likely], self._evidence[likely]
@@ -297,7 +295,7 @@ class LightClock:
         of dark dimmed ones is `lit`. In slots that show no dimmed cell that much light is missing.
         """
         count = 2 * self._signal.header_pairs
-        first, patterns = -AROUND - 2, count + 2 * AROUND + 4
+        first, patterns = -PATTERNS_AROUND - 2, count + 2 * PATTERNS_AROUND + 4
         edges = first + np.arange(patterns * SLOTS + 1) / SLOTS
         number = np.floor(edges[:-1] + 1e-9).astype(int)
         inside, later = (number >= 0) & (number < count), (number >= 2) & (number < count)

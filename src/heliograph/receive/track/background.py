@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels
 from heliograph.receive.image.footprint import image_of
 from heliograph.receive.image.pose import Pose
@@ -18,9 +19,7 @@ from heliograph.receive.observe.cutout import RING_PX
 from heliograph.receive.observe.noise import BESIDE
 from heliograph.receive.timing.frame_pair import FramePair
 
-Floats = NDArray[np.float64]
-
-COUNT = 4
+IMAGE_COUNT = 4
 """Images that are combined: a square, and the three of a plane."""
 
 MARGINS = np.arange(0.25, 3.01, 0.25)
@@ -99,7 +98,7 @@ def background_images(pose: Pose, corner: tuple[int, int], shape: tuple[int, int
     -------
     (4, 6, rows, columns).
     """
-    out = np.zeros((COUNT, 6, *shape))
+    out = np.zeros((IMAGE_COUNT, 6, *shape))
     kernels.render_box(pose.full_vector(), half, float(corner[0]), float(corner[1]), out[0])
     out[1:, 0] = plane(*shape)
     return out
@@ -159,6 +158,6 @@ def _view(header: SeenHeader, gain: float, led_gains: Floats) -> _View:
 def _fitted(view: _View, half: float) -> tuple[Floats, Floats]:
     """Least squares coefficients of the images, and the squared residuals (rows, columns)."""
     rows, cols = view.background.shape
-    columns = background_images(view.pose, view.corner, (rows, cols), half)[:, 0].reshape(COUNT, -1).T
+    columns = background_images(view.pose, view.corner, (rows, cols), half)[:, 0].reshape(IMAGE_COUNT, -1).T
     coefficients = np.asarray(np.linalg.lstsq(columns, view.background.ravel(), rcond=1e-6)[0], np.float64)
     return coefficients, (view.background - (columns @ coefficients).reshape(rows, cols)) ** 2

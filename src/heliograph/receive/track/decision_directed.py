@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.lmmse import equalise, products
 from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image import kernels as image_kernels
@@ -24,7 +25,7 @@ from heliograph.receive.observe.noise import Noise, measure_noise
 from heliograph.receive.observe.statistics import PairStatistics, whiten
 from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
 from heliograph.receive.track.background import (
-    COUNT,
+    IMAGE_COUNT,
     SeenHeader,
     background_images,
     fit_background,
@@ -33,15 +34,13 @@ from heliograph.receive.track.background import (
 from heliograph.receive.track.kalman import RATES, SHOWN, STATES, Observation, PoseState
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 
-Floats = NDArray[np.float64]
-
 DECIDED = Observation(np.eye(SHOWN, STATES), np.array([0.01, 0.01, 0.002, 0.001, 0.02]) ** 2)
 """What a frame of decided data shows; the variances are those of the images' model."""
 
-SURE = 0.97
+DECIDED_MEAN = 0.97
 """Least mean of a decided symbol, in magnitude: it is wrong in 1.5 % of cases."""
 
-GAIN_SPREAD = 0.01
+FRAME_GAIN_SPREAD = 0.01
 """Standard deviation of a frame's gain, as a fraction of it; the light of LEDs is steady, and the sensor linear."""
 
 BACKGROUND_SPREAD = 5.0
@@ -155,7 +154,7 @@ class DecisionDirectedTracker:
         start = np.concatenate([expected, [self._gain], self._background])
         precision = np.zeros((start.size, start.size))
         precision[:SHOWN, :SHOWN] = np.linalg.inv(covariance)
-        spreads = np.append(GAIN_SPREAD * self._gain, np.full(COUNT, BACKGROUND_SPREAD))
+        spreads = np.append(FRAME_GAIN_SPREAD * self._gain, np.full(IMAGE_COUNT, BACKGROUND_SPREAD))
         precision[range(SHOWN, start.size), range(SHOWN, start.size)] = spreads**-2
         matrix, rhs, score = self._equations(frame, state, start)
         found = start + np.linalg.solve(matrix + precision, rhs)
@@ -194,7 +193,7 @@ class DecisionDirectedTracker:
         size = self._side**2
         # LLR = 2 G: with the others as Gaussian fewer symbols are decided than with disturbers drawn from +-1
         mean = np.tanh(equalise(pair, gain, self.noise.lit, np.zeros(size), np.ones(size)).extrinsic[1])
-        decided = np.abs(mean) > SURE
+        decided = np.abs(mean) > DECIDED_MEAN
         return np.where(decided, mean, 0.0), np.flatnonzero(~decided)
 
     def _images(

@@ -8,11 +8,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
-
-Floats = NDArray[np.float64]
 
 SHOWN, RATES, STATES = 5, slice(5, 8), 10
 """Parts of the state: the pose vector (x, y, ln pitch, roll, ln blur); the rates a second of its first three; and the

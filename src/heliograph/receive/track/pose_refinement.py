@@ -15,18 +15,16 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, lu_factor, lu_solve
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.led_gains import POSE_SPREADS
-from heliograph.receive.equalise.lmmse import KNOWN, products
+from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE, products
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout, whiten
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
-
-Floats = NDArray[np.float64]
 
 SLOW_SIZES, FAST_SIZES = (0.0, 0.03, 0.1, 0.3, 1.0, 2.0), (0.01, 0.03, 0.1, 0.3, 1.0)
 """Sizes tried, as multiples of `POSE_SPREADS`.
@@ -34,7 +32,7 @@ SLOW_SIZES, FAST_SIZES = (0.0, 0.03, 0.1, 0.3, 1.0, 2.0), (0.01, 0.03, 0.1, 0.3,
 Of errors that stay through a packet and of those that come with the shake.
 """
 
-DOUBT = 2.0
+SMALLER_SIZE_MARGIN = 2.0
 """By how much less, as a log likelihood, a smaller size may explain a packet: most poses of sums are right."""
 
 SLOW_PAIRS, FAST_PAIRS = 200.0, 8.0
@@ -113,7 +111,7 @@ class ObservedPacket:
     def _pose_errors(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Floats:
         """Errors (pairs, 4) in x, y, ln pitch and roll of the poses that the sums gave."""
         # only decoded symbols count: guesses come from the poses that are in doubt
-        decided = variance < KNOWN
+        decided = variance < KNOWN_VARIANCE
         known = np.where(decided, mean, 0.0)
         levels = 0.5 * haar.inverse_transform(self._form.join(known))
         evidence = dict[int, PoseEvidence]()
@@ -189,6 +187,6 @@ def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats
         likelihood = 0.5 * (score @ asked_covariance @ weights - np.log(np.abs(factors[0].diagonal())).sum())
         tried.append((likelihood, covariance, weights))
     best = max(likelihood for likelihood, _, _ in tried)
-    covariance, weights = next((c, w) for likelihood, c, w in tried if likelihood > best - DOUBT)
+    covariance, weights = next((c, w) for likelihood, c, w in tried if likelihood > best - SMALLER_SIZE_MARGIN)
     # P of all pairs: the same in x, y, ln pitch and roll but for their sizes
     return np.asarray(covariance @ (weights.reshape(-1, 4) * POSE_SPREADS**2))

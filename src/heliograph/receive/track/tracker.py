@@ -5,8 +5,8 @@ from math import erf, exp, pi, sqrt
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.detector import Detection
 from heliograph.receive.image.fit import Fit, Prior, fit_array
 from heliograph.receive.image.pose import Pose
@@ -15,9 +15,7 @@ from heliograph.receive.image.window import cut_out, window_around
 from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
 from heliograph.receive.track.kalman import HEADER, SHOWN, MotionModel, PoseState, Tilt, sum_observation
 
-Floats = NDArray[np.float64]
-
-MARGIN_PITCHES, MARGIN_PX = 1.5, 1.5
+WINDOW_MARGIN_PITCHES, WINDOW_MARGIN_PX = 1.5, 1.5
 """Width of the surroundings that are fitted with the array: they hold its edge, the panel's and the background."""
 
 PIXEL = 12**-0.5
@@ -35,7 +33,7 @@ Random data change the light by half of it; an eighth of that leaves room for di
 HEADER_SCORE = 0.6
 """Least correlation with which a header refines the pose: a header half hidden still has more."""
 
-STEPS = 3
+PAIR_STEPS = 3
 """Most Gauss-Newton steps a pair; from the filter's prediction a fit mostly ends after two."""
 
 RESOLVED_PX = 1.0
@@ -44,7 +42,7 @@ RESOLVED_PX = 1.0
 SLIP = 0.2
 """Standard deviation of the prediction, in pitches, from which on LEDs may be taken for their neighbours."""
 
-COMB = 0.5
+SLIP_BLUR = 0.5
 """Pitches of blur that hide single LEDs, as in the detector."""
 
 GAIN_RATE = 0.1
@@ -145,7 +143,7 @@ class Tracker:
         total = up + down
         start = self._unresolved(total, corner, prior, track.led_gains) if self._unsure(predicted) else None
         # a start of its own saves a step
-        steps = STEPS - (start is not None)
+        steps = PAIR_STEPS - (start is not None)
         fit = fit_array(total, corner, prior, track.led_gains, steps, panel=True, start=start)
         seen = _inside(fit, pair.pattern) and self._active(up - down, fit.pose, corner, track.gain)
         if seen:
@@ -174,7 +172,7 @@ class Tracker:
         both = np.zeros((SHOWN + 2, SHOWN + 2))
         both[:SHOWN, :SHOWN], both[SHOWN:, SHOWN:] = covariance, tilt.covariance
         prior = Prior(np.append(mean, tilt.mean), both)
-        fit = fit_array(up - down, corner, prior, weights * track.led_gains, STEPS)
+        fit = fit_array(up - down, corner, prior, weights * track.led_gains, PAIR_STEPS)
         if fit.score < HEADER_SCORE:
             return track
         state = state.condition(fit.vector[:SHOWN], fit.covariance[:SHOWN, :SHOWN], HEADER)
@@ -219,7 +217,7 @@ class Tracker:
     def _unresolved(self, total: Floats, corner: tuple[int, int], prior: Prior, led_gains: Floats) -> Floats:
         """Start of the fit, found on pixels so blurred that no LED can be taken for its neighbour."""
         pose = Pose.from_vector(prior.vector)
-        sigma = COMB * pose.pitch
+        sigma = SLIP_BLUR * pose.pitch
         vector, covariance = prior.vector.copy(), prior.covariance.copy()
         vector[4] = np.log(np.hypot(pose.blur, sigma))
         covariance[[0, 1], [0, 1]] += pose.pitch**2
@@ -235,7 +233,7 @@ class Tracker:
 
     def _cut(self, pair: FramePair, pose: Pose) -> tuple[tuple[int, int], Floats, Floats]:
         """The array's surroundings in both frames, and their corner."""
-        window = window_around(pose, self._side, MARGIN_PITCHES * pose.pitch + MARGIN_PX)
+        window = window_around(pose, self._side, WINDOW_MARGIN_PITCHES * pose.pitch + WINDOW_MARGIN_PX)
         return (window[0], window[1]), cut_out(pair.pattern, window), cut_out(pair.inverted, window)
 
     def _active(self, change: Floats, pose: Pose, corner: tuple[int, int], gain: float) -> bool:

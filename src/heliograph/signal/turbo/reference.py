@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.signal.turbo.options import Algorithm, Check, DecoderOptions
 from heliograph.signal.turbo.trellis import NEXT_STATE, PARITY, STATES, TAIL, TAIL_BITS
-
-Floats = NDArray[np.float64]
 
 _INTO = np.argsort(NEXT_STATE.ravel(), kind="stable").reshape(STATES, 2)
 """Shape (8, 2): the two branches, by the flat index 2 state + bit, that end in each state."""
