@@ -1,4 +1,4 @@
-"""What the receiver's tests look at: an array drawn from the equations, and small films of the simulated link."""
+"""What the receiver's tests film: an array drawn from the equations, and small films of the simulated link."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -12,6 +12,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose
+from heliograph.receive.equalise.threads import one_thread
 from heliograph.signal.pwm import lit_slots
 
 Floats = NDArray[np.float64]
@@ -29,12 +30,13 @@ def draw(pose: Pose, weights: Floats, corner: tuple[int, int], shape: tuple[int,
     """Image of an array by brute force: every LED's Gaussian integrated over every pixel."""
     points = pose.leds(len(weights)).reshape(-1, 2)
 
-    def shares(first: int, count: int, centres: Floats) -> Floats:
+    def pixel_light(first: int, count: int, centres: Floats) -> Floats:
         edges = first - 0.5 + np.arange(count + 1)
         return np.diff(0.5 * erf((edges - centres[:, None]) / (np.sqrt(2) * pose.blur)), axis=1)
 
-    across, down = shares(corner[0], shape[1], points[:, 0]), shares(corner[1], shape[0], points[:, 1])
-    return np.asarray(pose.pitch**2 * (down * weights.reshape(-1, 1)).T @ across)
+    across, down = pixel_light(corner[0], shape[1], points[:, 0]), pixel_light(corner[1], shape[0], points[:, 1])
+    with one_thread():  # beside other work, threads take ten times as long for matrices so small
+        return np.asarray(pose.pitch**2 * (down * weights.reshape(-1, 1)).T @ across)
 
 
 def link(*changes: str, **channel: Any) -> LinkSettings:
@@ -49,7 +51,7 @@ def link(*changes: str, **channel: Any) -> LinkSettings:
 
 
 def film(settings: LinkSettings, frames: int, seed: int = 1, roi_margin_px: int | None = None) -> list[Frame]:
-    """The first frames of a simulated film."""
+    """The first frames of a simulated film, as many as there are milliseconds."""
     channel = replace(settings.channel, duration_s=frames * 1e-3)
     timed = simulate(replace(settings, channel=channel), default_messages(settings), seed, None, roi_margin_px)
     return [frame for frame, _ in timed]
@@ -79,7 +81,7 @@ def drawn_film(
         light = np.full((size, size), 0.1)
         if not any(index in gap for gap in hidden):
             moments = path((index + (np.arange(4) + 0.5) / 4) * 1e-3)
-            for (x, y), lit in zip(moments, lit_slots(pattern), strict=True):
+            for (x, y), lit in zip(moments, lit_slots(pattern, settings.signal.slot_order), strict=True):
                 pose = Pose(float(x), float(y), pitch_at(distance_m), 0.0, 0.52)
                 light += 0.25 * 0.8 * draw(pose, lit.astype(float), (0, 0), light.shape)
         out.append(frame_of(light, index, rng))
@@ -87,7 +89,7 @@ def drawn_film(
 
 
 def frame_of(light: Floats, index: int, rng: np.random.Generator, origin: tuple[int, int] = (0, 0)) -> Frame:
-    """A frame of light as shares of full scale, with the reference link's noise."""
+    """A frame of light, given as fractions of full scale, with the reference link's noise."""
     electrons = 15000 * light + rng.normal(0, np.sqrt(40.0**2 + 15000 * np.maximum(light, 0)))
     pixels = np.clip(np.round(electrons * 255 / 15000), 0, 255).astype(np.uint8)
     return Frame(index, index * 1e-3, pixels, 8, origin)

@@ -1,0 +1,141 @@
+"""Packets of an array whose pose, gain and noise are known: their statistics by whole matrices, no camera, no tracking.
+
+A decoder gets them through `KnownPoses`, which records each request to refine the poses.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scenes import SIDE, pitch_at
+
+from heliograph.receive import Pose
+from heliograph.receive.decode.codeword import DecoderOptions
+from heliograph.receive.decode.iterate import EqualiseEvent, GainAndNoise, decode_iteratively, ignore
+from heliograph.receive.decode.soft_combining import SoftBuffer
+from heliograph.receive.equalise.threads import one_thread
+from heliograph.receive.image.reference import blur_matrix
+from heliograph.receive.observe.reference import pair_model, transform
+from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.receive.packets import Codeword
+from heliograph.receive.settings import Feedback
+from heliograph.signal.block import Block
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import SignalSettings
+
+Floats = NDArray[np.float64]
+Blocks = dict[str, list[Block]]
+Words = dict[str, tuple[Codeword, ...]]
+Statistics = list[PairStatistics | None]
+
+GAIN, NOISE = 180.0, 4.5
+FORM = PacketFormat(SignalSettings(data_pairs=24))
+IDENTITY = 5
+T = transform(SIDE)
+SHAPE = (26, 26)
+
+
+def random_blocks(seed: int) -> Blocks:
+    """Blocks of a packet, each a message of its own."""
+    rng = np.random.default_rng([seed, 1])
+    return {
+        name: [
+            Block(name, IDENTITY, i, 0, layer.payload_bytes, rng.bytes(layer.payload_bytes))
+            for i in range(layer.codewords)
+        ]
+        for name, layer in FORM.layers.items()
+    }
+
+
+def symbols_of(blocks: Blocks) -> Floats:
+    """Symbols +-1 of a packet, (pairs, symbols)."""
+    return 1.0 - 2.0 * np.concatenate([FORM.layers[name].encode(blocks[name]) for name in FORM.layers], axis=1)
+
+
+def by_matrices(b: Floats, d: Floats, o: Floats, w: Floats | float = 1.0) -> PairStatistics:
+    """Statistics of a pair d = B c + o + n whose pixels have weights w, by whole matrices.
+
+    b is (pixels, symbols); d, o and w are (pixels,).
+    """
+    w = np.broadcast_to(w, d.shape)
+    gram = (b.T @ (w[:, None] * b)).astype(np.float32)
+    cross, drift, power = (float(x @ (w * y)) for x, y in ((d, o), (o, o), (d, d)))
+    return PairStatistics(gram, b.T @ (w * d), b.T @ (w * o), cross, drift, power, int((w > 0).sum()))
+
+
+def statistics_of(
+    blocks: Blocks, distance_m: float, seed: int = 0, noise: float = NOISE, gain: float = GAIN
+) -> Statistics:
+    """Statistics of each pair of a packet: anywhere between the pixels, moving, noise of a known variance."""
+    return list(_statistics(symbols_of(blocks).tobytes(), distance_m, seed, noise, gain))
+
+
+@lru_cache(maxsize=16)  # 6 MB each; several tests look at the same packet
+def _statistics(
+    symbols: bytes, distance_m: float, seed: int, noise: float, gain: float
+) -> tuple[PairStatistics | None, ...]:
+    rng = np.random.default_rng([seed, 2])
+    found = []
+    for c in np.frombuffer(symbols).reshape(-1, SIDE * SIDE):
+        x, y = rng.uniform(12, 13, 2)
+        pose = Pose(float(x), float(y), pitch_at(distance_m), float(rng.normal(0, 0.01)), 0.505)
+        poses = pose, pose.moved(*(float(v) for v in rng.normal(0, 0.05, 2)))
+        first, second = (blur_matrix(p, SIDE, (0, 0), SHAPE) for p in poses)
+        with one_thread():
+            b, o = pair_model(first, second, T)
+            found.append(by_matrices(b, gain * (b @ c + o) + rng.normal(0, noise**0.5, len(b)), o))
+    return tuple(found)
+
+
+class KnownPoses:
+    """The pairs of a packet whose poses are right: a refinement changes nothing.
+
+    Parameters
+    ----------
+    statistics
+        Of each pair, None where the array was not seen.
+    moves
+        Refinements that say that statistics changed all the same.
+
+    Attributes
+    ----------
+    known
+        Symbols a pair that were known at each refinement.
+    channels
+        Gain and noise at each refinement.
+    """
+
+    def __init__(self, statistics: Sequence[PairStatistics | None], moves: int = 0):
+        self.statistics, self._moves = statistics, moves
+        self.known: list[int] = []
+        self.channels: list[GainAndNoise] = []
+
+    def refine(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
+        """Record what is known; see `decode.iterate.Observed`."""
+        assert mean.shape == variance.shape
+        self.known.append(int((variance[0] == 0).sum()))
+        self.channels.append(GainAndNoise(gain, noise))
+        return len(self.known) <= self._moves
+
+
+def decoded(
+    packet: Sequence[PairStatistics | None] | KnownPoses,
+    feedback: Feedback = "propagation",
+    channel: GainAndNoise | None = None,
+    buffer: SoftBuffer | None = None,
+    identity: int = IDENTITY,
+    observe: Callable[[EqualiseEvent], None] = ignore,
+) -> Words:
+    """What the soft receiver reads of a packet."""
+    observed = packet if isinstance(packet, KnownPoses) else KnownPoses(packet)
+    options = DecoderOptions("log-map")
+    with one_thread():  # as in the receiver
+        return decode_iteratively(
+            observed, channel or GainAndNoise(GAIN, NOISE), FORM, identity, options, buffer, feedback, observe
+        )
+
+
+def right(words: Words, blocks: Blocks) -> list[bool]:
+    """Which codewords were read as they were sent: high, middle, middle, low."""
+    return [word.block == block for name in FORM.layers for word, block in zip(words[name], blocks[name], strict=True)]
