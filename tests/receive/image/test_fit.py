@@ -1,13 +1,17 @@
-"""The fit of the array's image: right on average, as sharp as the noise allows, and honest about it."""
+"""The fit of the array's image: right on average, as sharp as the noise allows, with a true covariance."""
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
-from receive_scenes import ALL_ON, SIDE, draw, pitch_at
+from properties import examples
+from scenes import ALL_ON, SIDE, draw, pitch_at
 from scipy.special import ndtr
 
 from heliograph.receive import Pose
-from heliograph.receive.fit import Fit, Prior, fit_array, window_around
+from heliograph.receive.image.fit import Fit, Prior, fit_array
+from heliograph.receive.image.window import window_around
 from heliograph.signal.header import header_levels
 
 Floats = NDArray[np.float64]
@@ -30,7 +34,7 @@ def pixels(pose: Pose, weights: Floats) -> Floats:
 
 
 def start(pose: Pose, rng: np.random.Generator) -> Prior:
-    """A prior that is off by 0.3 px and a few percent, and says so."""
+    """A prior that is off by 0.3 px and a few percent, as its covariance says."""
     return Prior(pose.vector() + rng.normal(0, [0.3, 0.3, 0.03, 0.02, 0.1]), BROAD)
 
 
@@ -47,7 +51,7 @@ def bound(pose: Pose, weights: Floats, sigma: float) -> Floats:
     corner, shape = window(pose)
 
     def image(v: Floats) -> Floats:
-        return GAIN * draw(Pose.of(v), weights, corner, shape)
+        return GAIN * draw(Pose.from_vector(v), weights, corner, shape)
 
     steps = 1e-4 * np.eye(5)
     slopes = [(image(pose.vector() + h) - image(pose.vector() - h)) / 2e-4 for h in steps]
@@ -80,7 +84,7 @@ def test_rolled_array(roll: float) -> None:
 
 @pytest.mark.parametrize("kind", PATTERNS)
 @pytest.mark.parametrize("distance_m", [25, 50, 80, 150])
-def test_noise_costs_what_it_must_and_the_covariance_says_so(distance_m: float, kind: str) -> None:
+def test_errors_are_near_the_bound_and_match_the_covariance(distance_m: float, kind: str) -> None:
     weights, sigma, rng = PATTERNS[kind], 2.5, np.random.default_rng(int(distance_m))
     errors, normed = [], []
     for _ in range(50):
@@ -116,13 +120,13 @@ def test_bright_clutter_beside_the_panel_does_not_pull(distance_m: float, scene:
     assert np.abs(error(found, pose))[:2].max() < 0.1
 
 
-def test_header_tells_the_tilt() -> None:
+def test_a_header_shows_the_tilt() -> None:
     rng = np.random.default_rng(2)
     pose = Pose(40.3, 30.8, pitch_at(50.0), 0.05, 0.55, -0.06, 0.04)
     prior = Prior(np.append(start(pose, rng).vector, [0.0, 0.0]), np.diag([1.0, 1.0, 0.1, 0.1, 0.3, 0.1, 0.1]) ** 2)
     found = fit(pixels(pose, HEADER), pose, HEADER, prior)
     assert found.vector == pytest.approx(pose.full_vector(), abs=2e-3)
-    # held where the prior has no room for it
+    # it is held where the prior has no room for it
     held = fit(pixels(pose, HEADER), pose, HEADER, Prior(pose.full_vector() + 0.01, BROAD))
     assert held.vector[5:] == pytest.approx(pose.full_vector()[5:] + 0.01)
     assert len(held.covariance) == 5
@@ -146,7 +150,7 @@ def test_score_of_nothing_is_low() -> None:
     assert abs(fit(noise, pose, HEADER, start(pose, rng)).score) < 0.5
 
 
-def test_prior_holds_where_nothing_is_seen() -> None:
+def test_the_prior_holds_where_nothing_is_seen() -> None:
     rng, pose = np.random.default_rng(0), Pose(40.0, 31.0, 1.2, 0.0, 0.55)
     sharp = Prior(pose.vector(), 1e-6 * np.eye(5), GAIN)
     found = fit_array(rng.normal(LEVEL, 2.5, window(pose)[1]), window(pose)[0], sharp, ALL_ON, 5)
@@ -154,10 +158,47 @@ def test_prior_holds_where_nothing_is_seen() -> None:
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx(np.full(5, 1e-3), rel=0.2)
 
 
-@pytest.mark.parametrize("roll", [0.0, 0.4, -2.5])
-def test_window_holds_the_array(roll: float) -> None:
-    pose = Pose(40.4, 31.3, 1.7, roll, 0.5)
-    x, y, cols, rows = window_around(pose, SIDE, 2.0)
-    leds = pose.leds(SIDE).reshape(-1, 2)
-    assert (leds.min(0) - 1.99 >= (x, y)).all()
-    assert (leds.max(0) + 1.99 <= (x + cols - 1, y + rows - 1)).all()
+POSES = st.builds(
+    Pose,
+    x=st.floats(39, 41),
+    y=st.floats(30, 32),
+    pitch=st.floats(0.5, 2.5),
+    roll=st.floats(-3, 3),
+    blur=st.floats(0.4, 1.0),
+    stretch=st.floats(-0.1, 0.1),
+    shear=st.floats(-0.1, 0.1),
+)
+
+
+@examples(60)
+@given(pose=POSES, kind=st.sampled_from(sorted(PATTERNS)), seed=st.integers(0, 99))
+def test_any_pose_is_found_within_its_covariance(pose: Pose, kind: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    # nearer than a fifth of a pitch anywhere, else LEDs that show singly are taken for their neighbours
+    spread = np.array([0.07 * pose.pitch, 0.07 * pose.pitch, 0.007, 0.007, 0.1, 0.007, 0.007])
+    prior = Prior(pose.full_vector() + rng.normal(0, spread), np.diag(spread**2))
+    clean = pixels(pose, PATTERNS[kind])
+    found = fit(clean + rng.normal(0, 2.5, clean.shape), pose, PATTERNS[kind], prior)
+    off = found.vector - pose.full_vector()
+    # of seven degrees of freedom: noise alone passes 30 once in 10000 draws
+    assert off @ np.linalg.solve(found.covariance, off) < 30
+    assert found.score > 0.9
+
+
+def test_an_expected_gain_and_the_pixels_are_weighed_by_their_variances() -> None:
+    """Of a far array in strong noise the gain is hardly seen, and the pose is known."""
+    rng, pose, sigma = np.random.default_rng(6), Pose(40.37, 31.81, pitch_at(150), 0.0, 0.55), 200.0
+    corner, shape = window(pose)
+    rows, cols = np.mgrid[: shape[0], : shape[1]].astype(float)
+    columns = np.stack([draw(pose, ALL_ON, corner, shape), np.ones(shape), rows, cols]).reshape(4, -1)
+    expected = 1.6 * GAIN
+    # 15 % of the expected gain are its standard deviation
+    information = np.linalg.inv(np.linalg.inv(columns @ columns.T / sigma**2)[:1, :1])[0, 0]
+    before = (0.15 * expected) ** -2
+    want = (information * GAIN + before * expected) / (information + before)
+    prior = Prior(pose.vector(), 1e-8 * np.eye(5), expected)
+    gains = [
+        fit_array(pixels(pose, ALL_ON) + rng.normal(0, sigma, shape), corner, prior, ALL_ON, 6).gain for _ in range(60)
+    ]
+    assert 0.2 < (want - GAIN) / (expected - GAIN) < 0.8
+    assert np.mean(gains) == pytest.approx(want, abs=3 * np.std(gains) / 60**0.5 + 0.02 * GAIN)
