@@ -8,23 +8,28 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from receive_scenes import film, frame_of, link
+from scenes import film, frame_of, link
 
 from heliograph.base.frames import Frame
-from heliograph.receive import ReceiveSettings
-from heliograph.receive.detect import Detection, Detector
-from heliograph.receive.settings import DetectSettings
+from heliograph.receive.acquire.coarse import SearchParameters
+from heliograph.receive.acquire.detector import Detection, Detector
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings
 
 Light = Callable[[int, np.random.Generator], NDArray[np.float64]]
 
 
+PLAIN = SearchParameters(
+    min_side_px=8.0, max_side_px=64.0, min_contrast=0.03, score=0.9, regularity=0.5, candidates=6, blur_px=0.55
+)
+"""As the plain receiver searches."""
+
+
 def detections(
-    frames: Iterable[Frame], signal: SignalSettings | None = None, settings: ReceiveSettings | None = None
+    frames: Iterable[Frame], signal: SignalSettings | None = None, parameters: SearchParameters = PLAIN
 ) -> list[Detection]:
-    """What is found, told to the detector as the receiver does for 50 ms after."""
-    detector, out = Detector(settings or ReceiveSettings(), signal or SignalSettings()), list[Detection]()
+    """What is found; as in the receiver, the detector knows for 50 ms what is followed."""
+    detector, out = Detector(parameters, signal or SignalSettings()), list[Detection]()
     for frame in frames:
         out += detector.push(frame, [d.fit.pose for d in out if frame.time_s - d.time_s < 0.05])
     return out
@@ -32,7 +37,7 @@ def detections(
 
 def first(frames: Iterable[Frame], number: int, signal: SignalSettings | None = None) -> tuple[Detection | None, int]:
     """The first detection of an identity, and how many false ones came before it."""
-    detector, false = Detector(ReceiveSettings(), signal or SignalSettings()), 0
+    detector, false = Detector(PLAIN, signal or SignalSettings()), 0
     for frame in frames:
         for found in detector.push(frame):
             if found.identity == number:
@@ -116,8 +121,8 @@ def edge(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
 
 def texture(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Blocks of street and house that jump to and fro by a pixel or two."""
-    still = np.random.default_rng(9).random((30, 40))
-    scene = cv2.resize(still, (160, 120), interpolation=cv2.INTER_NEAREST)
+    blocks = np.random.default_rng(9).random((30, 40))
+    scene = cv2.resize(blocks, (160, 120), interpolation=cv2.INTER_NEAREST)
     dx, dy = rng.integers(0, 3, 2)
     return np.asarray(scene[dy : dy + 96, dx : dx + 128], np.float64)
 
@@ -132,18 +137,17 @@ def test_followed_arrays_are_not_found_again() -> None:
     frames = film(link(), 120)
     found, _ = first(frames, 0)
     assert found is not None
-    detector = Detector(ReceiveSettings(), SignalSettings())
+    detector = Detector(PLAIN, SignalSettings())
     assert [d for f in frames for d in detector.push(f, [found.fit.pose])] == []
 
 
-def test_dark_array_is_found_only_with_a_lower_contrast() -> None:
+def test_a_dark_array_is_found_only_with_a_lower_contrast() -> None:
     frames = film(link(emitter={"all_on": 0.02, "panel_level": 0.0}, background={"level": 0.0}, distance_m=30.0), 12)
     assert detections(frames) == []
-    lower = ReceiveSettings(detect=DetectSettings(min_contrast=0.005))
-    assert [d.identity for d in detections(frames, settings=lower)] == [0]
+    assert [d.identity for d in detections(frames, parameters=replace(PLAIN, min_contrast=0.005))] == [0]
 
 
-def test_array_at_the_border_is_no_error() -> None:
+def test_an_array_at_the_border_is_no_error() -> None:
     for x_m in np.linspace(0.9, 1.8, 10):
         settings = link(arrays=[{"x_m": float(x_m), "y_m": -0.8}])
         assert {d.identity for d in detections(film(settings, 12))} == ({0} if x_m < 1.15 else set())
@@ -156,10 +160,10 @@ def test_windows_that_move_with_every_frame() -> None:
         x, y = 20 + (7 * f.index) % 5, 15 + (3 * f.index) % 4
         pixels = f.pixels[y : y + 80 + f.index % 3, x : x + 100 - f.index % 2]
         moving.append(replace(f, pixels=pixels, origin=(x, y)))
-    still, found = detections(whole), detections(moving)
+    whole_frames, found = detections(whole), detections(moving)
     assert [(d.identity, round(d.start_time_s, 6)) for d in found] == [(0, 0.1)]
     # only the windows' common part is searched, at other places of the grid: the fit ends in the same
-    assert found[0].fit.vector == pytest.approx(still[0].fit.vector, abs=1e-3)
+    assert found[0].fit.vector == pytest.approx(whole_frames[0].fit.vector, abs=1e-3)
 
 
 def test_windows_without_a_common_part_are_no_error() -> None:
@@ -167,19 +171,19 @@ def test_windows_without_a_common_part_are_no_error() -> None:
     assert detections(cut) == []
 
 
-def test_gap_in_the_frames_hides_that_header_only() -> None:
+def test_a_gap_in_the_frames_hides_that_header_only() -> None:
     frames = film(link(), 212)
     assert [round(d.start_time_s, 6) for d in detections(f for f in frames if f.index != 2)] == [0.1, 0.2]
 
 
-def test_all_on_detector() -> None:
-    rng, settings = np.random.default_rng(0), ReceiveSettings(detect=DetectSettings(detector="all_on"))
+def test_squares_that_blink_as_a_whole_are_found_where_headers_are_such() -> None:
+    rng, parameters = np.random.default_rng(0), replace(PLAIN, all_on=True)
     frames = []
     for k in range(24):
         light = np.full((96, 128), 0.1)
         light[30:52, 40:62] += 0.6 * (8 <= k < 12 and k % 2 == 0)
         frames.append(frame_of(np.asarray(cv2.GaussianBlur(light, (0, 0), 0.7), np.float64), k, rng))
-    found = detections(frames, settings=settings)
+    found = detections(frames, parameters=parameters)
     assert [round(d.start_time_s, 6) for d in found] == [0.008]
     assert found[0].fit.pose.x == pytest.approx(50.5, abs=0.1)
     assert found[0].fit.pose.y == pytest.approx(40.5, abs=0.1)

@@ -1,0 +1,102 @@
+"""The detector's compiled kernels against the reference, which says the same slowly."""
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from heliograph.receive.acquire import kernels, reference
+from heliograph.signal.header import all_header_cells
+
+RING, GRID = 0.12, 0.1
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_alternation(dtype: type) -> None:
+    rng = np.random.default_rng(0)
+    top = 256 if dtype is np.uint8 else 65536
+    f0, f1, f2, f3 = rng.integers(0, top, (4, 13, 21)).astype(dtype)
+    got = np.empty((13, 21), np.float32)
+    kernels.alternation(f0, f1, f2, f3, got)
+    want = reference.alternation(f0.astype(float), f1.astype(float), f2.astype(float), f3.astype(float))
+    assert np.array_equal(got, want.astype(np.float32))
+
+
+def test_alternation_cancels_even_acceleration() -> None:
+    base, rate = np.random.default_rng(0).integers(0, 40, (2, 9, 11))
+    got = np.empty((9, 11), np.float32)
+    f0, f1, f2, f3 = (np.asarray(base + rate * t + 3 * t * t, np.uint8) for t in range(4))
+    kernels.alternation(f0, f1, f2, f3, got)
+    assert not got.any()
+
+
+def test_block_means() -> None:
+    image = np.random.default_rng(0).normal(0, 30, (32, 48)).astype(np.float32)
+    got = np.empty((4, 6), np.float32)
+    kernels.block_means(image, 8, got)
+    assert got == pytest.approx(reference.block_means(image.astype(float), 8), rel=1e-5)
+
+
+def headers(seed: int, pixels: int) -> NDArray[np.float32]:
+    """Two headers, one of them inverted, in noise; the first of identity 7 seed + 2, its corner at (8, 10)."""
+    image = np.random.default_rng(seed).normal(0, 4, (44, 52)).astype(np.float32)
+    cells, size = all_header_cells(), 4 * pixels
+    image[10 : 10 + size, 8 : 8 + size] += 30 * np.kron(cells[7 * seed + 2], np.ones((pixels, pixels)))
+    image[24 : 24 + size, 31 : 31 + size] -= 22 * np.kron(cells[7 * seed + 4], np.ones((pixels, pixels)))
+    return image
+
+
+def searched(
+    image: NDArray[np.float32],
+    busy: NDArray[np.bool_],
+    sides: tuple[float, ...],
+    count: int,
+    *,
+    contrast: float,
+    threshold: float,
+    corner: tuple[float, float] = (0.0, 0.0),
+) -> tuple[int, NDArray[np.float64]]:
+    """Candidates found, and the table of them."""
+    cells, best = all_header_cells().reshape(-1, 16).astype(float), np.zeros((count, 5))
+    total, square = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
+    found = kernels.search(
+        total, square, busy, 8.0, cells, np.array(sides), contrast, threshold, RING, GRID, np.array(corner), best
+    )
+    return found, best
+
+
+# a size whose half is no multiple of the step, else rounding decides which of two neighbours overlap
+@pytest.mark.parametrize(("pixels", "sides", "count"), [(2, (8.3, 9.1), 5), (4, (11.3, 15.8), 1)])
+@pytest.mark.parametrize("seed", range(3))
+def test_search_finds_what_the_reference_finds(seed: int, pixels: int, sides: tuple[float, ...], count: int) -> None:
+    image, cells = headers(seed, pixels), all_header_cells().reshape(-1, 16).astype(float)
+    busy = np.ones((6, 7), dtype=bool)
+    busy[0] = False
+    found, best = searched(image, busy, sides, count, contrast=3.0, threshold=0.35)
+    grid = reference.Grid(sides=np.array(sides), contrast=3.0, threshold=0.35, ring=RING, step=GRID, count=count)
+    want = reference.search(image.astype(float), busy, 8, cells, grid)
+    assert found == count
+    assert best == pytest.approx(np.array(want), rel=1e-6)
+    assert best[0, 4] == 7 * seed + 2
+    assert abs(best[0, 1] - 8 - 2 * pixels) < 1
+    assert abs(best[0, 2] - 10 - 2 * pixels) < 1
+
+
+def test_search_keeps_out_of_quiet_blocks() -> None:
+    image = np.random.default_rng(0).normal(0, 30, (40, 48)).astype(np.float32)
+    for busy, contrast, count in ((False, 1.0, 0), (True, 200.0, 0), (True, 1.0, 5)):
+        found, _ = searched(image, np.full((5, 6), busy), (12.0,), 5, contrast=contrast, threshold=0.0)
+        assert found == count
+
+
+def test_places_of_the_search_are_fixed_to_the_sensor() -> None:
+    """A window that moves by some pixels does not move the places that are looked at."""
+    image, busy, side = headers(1, 4), np.ones((6, 7), dtype=bool), 15.8
+    for left, top in ((0, 0), (3, 2), (5, 7)):
+        found, best = searched(
+            image[top:, left:].copy(), busy, (side,), 1, contrast=3.0, threshold=0.35, corner=(left, top)
+        )
+        assert found == 1
+        # the ring's corner lies on a multiple of the step on the sensor
+        corners = best[0, 1:3] + (left, top) - side / 2 - RING * side
+        assert corners / (GRID * side) == pytest.approx(np.round(corners / (GRID * side)), abs=1e-6)
