@@ -1,0 +1,63 @@
+"""Noise of a packet, inside the array and beside it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes import SIDE, draw
+from whole_pairs import GAIN, SYMBOLS, T, moving, pair_of
+
+from heliograph.receive.observe.cutout import take_cutout
+from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
+from heliograph.receive.timing.frame_pair import FramePair
+
+Floats = NDArray[np.float64]
+
+
+def noisy(pair: FramePair, sigma: Floats, rng: np.random.Generator) -> FramePair:
+    """A pair whose pixels have noise of standard deviations (rows, columns)."""
+    up, down = (
+        replace(frame, pixels=frame.pixels + rng.normal(0, sigma))  # type: ignore[arg-type,type-var]
+        for frame in (pair.pattern, pair.inverted)
+    )
+    return FramePair(up, down)
+
+
+# unaware of the motion it would find 12.3 in place of 8 at 60 m
+@pytest.mark.parametrize(("motion", "error"), [((0.0, 0.0), 0.06), ((0.05, 0.1), 0.12), ((0.2, 0.2), 0.3)])
+@pytest.mark.parametrize(("inside", "beside"), [(2.0, 2.0), (1.5, 0.8)])
+@pytest.mark.parametrize("distance_m", [60, 100, 150])
+def test_noise_is_measured(
+    distance_m: float, inside: float, beside: float, motion: tuple[float, float], error: float
+) -> None:
+    rng = np.random.default_rng(7)
+    cutouts = []
+    for _ in range(48):
+        x = 0.5 * (1 + T @ rng.choice([-1.0, 1.0], SYMBOLS)).reshape(SIDE, SIDE)
+        poses = moving(distance_m, 0.02, motion)
+        lit = draw(poses[0], np.ones((SIDE, SIDE)), (0, 0), (60, 60))
+        sigma = np.sqrt(beside**2 + (inside**2 - beside**2) * np.clip(lit, 0, 1))
+        cutouts.append(take_cutout(noisy(pair_of(poses, x), sigma, rng), poses, SIDE))
+    noise = measure_noise(cutouts, GAIN, SIDE)
+    # of a difference of two frames
+    assert noise.lit == pytest.approx(2 * inside**2, rel=error)
+    assert noise.dark == pytest.approx(2 * beside**2, rel=0.06)
+
+
+def test_noise_beside_single_frames() -> None:
+    rng, poses = np.random.default_rng(8), moving(80, 0.02, (0.0, 0.0))
+    even = pair_of(poses, np.zeros((SIDE, SIDE)))
+    cutouts = []
+    for _ in range(8):
+        pair = noisy(even, np.full((60, 60), 1.5), rng)
+        taken = take_cutout(FramePair(pair.pattern, even.pattern), poses, SIDE)
+        # twice what the frame shows above the background
+        cutouts.append(replace(taken, difference=2 * taken.difference, poses=poses[:1]))
+    assert noise_beside(cutouts, SIDE) == pytest.approx((2 * 1.5) ** 2, rel=0.06)
+
+
+def test_of_nothing_the_noise_is_that_of_rounding() -> None:
+    # 1 / 12 in each of two frames
+    assert measure_noise([], GAIN, SIDE) == Noise(pytest.approx(1 / 6), pytest.approx(1 / 6))
+    assert noise_beside([], SIDE) == pytest.approx(1 / 6)
