@@ -1,22 +1,23 @@
-"""Decoding: honest LLRs, erasures, blocks of others, garbage."""
+"""One decoding of soft data: calibrated LLRs, erasures, blocks of others, garbage."""
 
 from functools import cache
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from receive_scenes import levels, link
+from scenes import levels, link
 
 from heliograph.link.simulate import default_messages, transmitters
-from heliograph.receive.decode import ERASED, decode_packet, soft_to_llr
-from heliograph.receive.settings import DecodeSettings
+from heliograph.receive.decode.codeword import ERASED, DecoderOptions, decode_packet, soft_to_llr
 from heliograph.signal.block import Block
+from heliograph.signal.code import Algorithm
+from heliograph.signal.haar import inverse_transform
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS, SignalSettings
 
 Floats = NDArray[np.float64]
 
-SETTINGS = DecodeSettings()
+OPTIONS = DecoderOptions()
 ALL = np.ones(48, dtype=bool)
 
 
@@ -31,9 +32,9 @@ def sent() -> tuple[PacketFormat, dict[str, list[Block]], Floats]:
 
 
 @pytest.mark.parametrize("amplitude", [1.0, 0.02, 300.0])
-def test_clean_packet(amplitude: float) -> None:
+def test_a_clean_packet(amplitude: float) -> None:
     form, blocks, x = sent()
-    layers = decode_packet(amplitude * x, ALL, form, 0, SETTINGS)
+    layers = decode_packet(amplitude * x, ALL, form, 0, OPTIONS)
     for name in LAYERS:
         assert [w.block for w in layers[name]] == blocks[name]
         assert all(w.status == "ok" and w.iterations == 1 and not (w.raw == ERASED).any() for w in layers[name])
@@ -45,14 +46,14 @@ def test_llrs_are_calibrated(esn0_db: float) -> None:
     sigma = 10 ** (-esn0_db / 20) / np.sqrt(2)
     bits = rng.integers(0, 2, (800, 64))
     llr = soft_to_llr(3.7 * (1 - 2 * bits + rng.normal(0, sigma, bits.shape)), np.ones(800, dtype=bool))
-    claimed, wrong = 1 / (1 + np.exp(np.abs(llr))), (llr < 0) != bits
-    assert claimed.mean() == pytest.approx(wrong.mean(), rel=0.2)
-    # and so for the weak, the middling and the strong ones, where there are errors enough to count
+    predicted, wrong = 1 / (1 + np.exp(np.abs(llr))), (llr < 0) != bits
+    assert predicted.mean() == pytest.approx(wrong.mean(), rel=0.2)
+    # of the weak, the middling and the strong ones too, where there are errors enough to count
     parts = np.array_split(np.argsort(np.abs(llr), axis=None), 3)
     counted = [part for part in parts if wrong.ravel()[part].sum() > 300]
     assert counted
     for part in counted:
-        assert claimed.ravel()[part].mean() == pytest.approx(wrong.ravel()[part].mean(), rel=0.2)
+        assert predicted.ravel()[part].mean() == pytest.approx(wrong.ravel()[part].mean(), rel=0.2)
 
 
 def test_llrs_of_any_values_are_finite() -> None:
@@ -69,7 +70,7 @@ def test_pairs_not_seen_are_erased() -> None:
     seen = rng.permutation(48) >= 14
     # whatever stands in them must not matter
     spoilt = np.where(seen[:, None, None], x, rng.normal(0, 100, x.shape))
-    layers = decode_packet(spoilt, seen, form, 0, SETTINGS)
+    layers = decode_packet(spoilt, seen, form, 0, OPTIONS)
     assert [w.block for name in LAYERS for w in layers[name]] == [b for name in LAYERS for b in blocks[name]]
     erased = np.concatenate([w.raw == ERASED for name in LAYERS for w in layers[name]])
     assert erased.mean() == pytest.approx(14 / 48)
@@ -78,32 +79,30 @@ def test_pairs_not_seen_are_erased() -> None:
 
 def test_nothing_seen() -> None:
     form, _, x = sent()
-    layers = decode_packet(x, np.zeros(48, dtype=bool), form, 0, SETTINGS)
+    layers = decode_packet(x, np.zeros(48, dtype=bool), form, 0, OPTIONS)
     assert all(w.status == "crc_fail" and (w.raw == ERASED).all() for words in layers.values() for w in words)
 
 
 @pytest.mark.parametrize("algorithm", ["max-log", "log-map"])
-def test_noise_is_corrected(algorithm: str) -> None:
+def test_noise_is_corrected(algorithm: Algorithm) -> None:
     form, blocks, x = sent()
     noisy = x + np.random.default_rng(1).normal(0, 1.0, x.shape)
-    layers = decode_packet(noisy, ALL, form, 0, DecodeSettings(algorithm=algorithm))  # type: ignore[arg-type]
+    layers = decode_packet(noisy, ALL, form, 0, DecoderOptions(algorithm))
     assert [w.block for name in LAYERS for w in layers[name]] == [b for name in LAYERS for b in blocks[name]]
 
 
-def test_block_of_another_array_is_a_mismatch() -> None:
+def test_a_block_of_another_array_is_a_mismatch() -> None:
     form, _, x = sent()
-    layers = decode_packet(x, ALL, form, 7, SETTINGS)
+    layers = decode_packet(x, ALL, form, 7, OPTIONS)
     assert {(w.status, w.block) for words in layers.values() for w in words} == {("mismatch", None)}
 
 
-def test_block_of_another_layer_is_no_block() -> None:
+def test_a_block_of_another_layer_is_no_block() -> None:
     form, _, x = sent()
     d = form.soft_data(x)
     swapped = d.copy()
     swapped[:, :8, :8], swapped[:, 8:, 8:] = d[:, 8:, 8:], d[:, :8, :8]
-    from heliograph.signal.haar import inverse_transform
-
-    layers = decode_packet(inverse_transform(swapped), ALL, form, 0, SETTINGS)
+    layers = decode_packet(inverse_transform(swapped), ALL, form, 0, OPTIONS)
     assert [w.status == "ok" for name in LAYERS for w in layers[name]] == [False, True, True, False]
 
 
@@ -116,14 +115,14 @@ def test_garbage_is_never_ok(kind: str) -> None:
     while count < 700:
         x = rng.normal(0, 1, (5, 16, 16))
         x = {"noise": x, "strong": 50 * np.sign(x), "constant sign": np.abs(x)}[kind]
-        layers = decode_packet(x, np.ones(5, dtype=bool), form, 0, DecodeSettings(iterations=2))
+        layers = decode_packet(x, np.ones(5, dtype=bool), form, 0, DecoderOptions(iterations=2))
         assert all(w.status == "crc_fail" and w.block is None for row in layers.values() for w in row)
         count += words
 
 
-def test_plain_keying() -> None:
+def test_on_off_keying() -> None:
     settings = link("signal.modulation=ook")
     stream = levels(settings)
     x = np.stack([next(stream) for _ in range(100)])[4::2].astype(float) - 2
-    layers = decode_packet(x, ALL, PacketFormat(settings.signal), 0, SETTINGS)
+    layers = decode_packet(x, ALL, PacketFormat(settings.signal), 0, OPTIONS)
     assert {w.status for words in layers.values() for w in words} == {"ok"}

@@ -1,0 +1,227 @@
+"""Equaliser, interference cancellation and turbo decoder together, on packets whose channel is known."""
+
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+import pytest
+from known_packets import (
+    FORM,
+    GAIN,
+    IDENTITY,
+    NOISE,
+    SHAPE,
+    KnownPoses,
+    T,
+    Words,
+    by_matrices,
+    decoded,
+    random_blocks,
+    right,
+    statistics_of,
+    symbols_of,
+)
+from numpy.typing import NDArray
+from scenes import SIDE, pitch_at
+
+from heliograph.link.statistics import clopper_pearson
+from heliograph.receive import Pose
+from heliograph.receive.decode.codeword import ERASED
+from heliograph.receive.decode.iterate import EqualiseEvent, GainAndNoise
+from heliograph.receive.decode.soft_combining import SoftBuffer
+from heliograph.receive.equalise.lmmse import equalise
+from heliograph.receive.equalise.threads import one_thread
+from heliograph.receive.image.reference import blur_matrix
+from heliograph.receive.observe.reference import pair_model
+from heliograph.receive.observe.statistics import PairStatistics
+
+Floats = NDArray[np.float64]
+
+
+def test_layers_are_read_one_after_the_other() -> None:
+    """Each iteration reads a layer, whose light the next one subtracts."""
+    for seed in range(3):
+        blocks, order = random_blocks(seed), list[str]()
+        packet = KnownPoses(statistics_of(blocks, 100, seed))
+        words = decoded(packet, observe=lambda event: order.append(f"{event.iteration}: {packet.known}"))  # noqa: B023
+        # symbols of the high layer, then of the middle one too
+        assert order == ["0: []", "1: [64]", "2: [64, 192]"]
+        assert right(words, blocks) == [True, True, True, True]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_near_arrays_are_read_in_one_iteration(seed: int) -> None:
+    blocks, events = random_blocks(seed), list[EqualiseEvent]()
+    assert all(right(decoded(statistics_of(blocks, 60, seed), observe=events.append), blocks))
+    assert [event.iteration for event in events] == [0]
+
+
+def test_too_far_nothing_is_taken_for_right() -> None:
+    words = decoded(statistics_of(random_blocks(0), 300))
+    assert [w.status for by in words.values() for w in by] == ["crc_fail"] * 4
+    assert not any(w.block for by in words.values() for w in by)
+
+
+@pytest.mark.parametrize(
+    ("feedback", "distance_m", "expected"),
+    [
+        ("none", 100, [3, 0, 0]),
+        ("decoded", 100, [3, 6, 3]),
+        ("decoded", 140, [3, 0, 0]),
+        ("soft", 140, [3, 6, 0]),
+        ("propagation", 140, [3, 6, 0]),
+    ],
+)
+def test_each_kind_of_feedback_reads_farther(
+    feedback: Literal["none", "decoded", "soft", "propagation"], distance_m: float, expected: list[int]
+) -> None:
+    """Codewords of the high, middle and low layer that three packets give."""
+    read = np.zeros(4, int)
+    for seed in range(3):
+        blocks = random_blocks(seed)
+        read += right(decoded(statistics_of(blocks, distance_m, seed), feedback), blocks)
+    assert [read[0], read[1] + read[2], read[3]] == expected
+
+
+@pytest.mark.parametrize(("distance_m", "number"), [(148, 1), (212, 0)])
+def test_symbols_that_are_not_decoded_have_two_values(distance_m: float, number: int) -> None:
+    """Where Gaussian symbols leave codewords of a layer unread, symbols of -1 and +1 leave fewer."""
+    read, gaussian = 0, 0
+    for seed in range(8):
+        blocks = random_blocks(seed)
+        packet = statistics_of(blocks, distance_m, seed)
+        read += right(decoded(packet), blocks)[number]
+        gaussian += right(decoded(packet, "soft"), blocks)[number]
+    assert gaussian < read
+
+
+def test_pairs_not_seen_are_erased() -> None:
+    blocks = random_blocks(2)
+    packet = statistics_of(blocks, 80, 2)
+    words = decoded([None if number % 4 == 1 else pair for number, pair in enumerate(packet)])
+    assert all(right(words, blocks))
+    # an LLR of 0 is no bit
+    erased = sum(int((w.raw == ERASED).sum()) for w in words["high"])
+    assert erased == FORM.layers["high"].symbols * len(packet) // 4
+
+
+def test_a_packet_never_seen_is_not_right() -> None:
+    words = decoded([None] * FORM.settings.data_pairs)
+    for word in (w for by in words.values() for w in by):
+        assert word.status == "crc_fail"
+        assert (word.raw == ERASED).all()
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_the_gain_is_estimated_along_with_the_symbols(factor: float) -> None:
+    blocks, events, buffer = random_blocks(0), list[EqualiseEvent](), SoftBuffer()
+    packet = KnownPoses(statistics_of(blocks, 120))
+    words = decoded(packet, channel=GainAndNoise(factor * GAIN, NOISE), buffer=buffer, observe=events.append)
+    # the low layer is not read, so the packet is kept, in units of its gain
+    assert right(words, blocks) == [True, True, True, False]
+    kept = buffer.take_packet(FORM.named, [llr for layer in events[0].llr.values() for llr in layer])
+    assert kept is not None
+    # with each layer that is known it comes nearer
+    errors = [abs(gain / GAIN - 1) for gain in (*(channel.gain for channel in packet.channels), kept.gain)]
+    assert len(errors) == 3
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 0.4 * abs(factor - 1)
+    assert {channel.noise for channel in packet.channels} | {kept.noise} == {NOISE}
+
+
+def against_its_symbols(symbols: Floats, rng: np.random.Generator) -> PairStatistics:
+    """Statistics of a pair at 100 m that moves by 0.4 px, of four ways the one that most looks like its symbols."""
+    pose = Pose(*(float(v) for v in rng.uniform(12, 13, 2)), pitch_at(100), 0.0, 0.505)
+    ways = [pose.moved(x, y) for x, y in ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))]
+    a = blur_matrix(pose, SIDE, (0, 0), SHAPE)
+    models = [pair_model(a, blur_matrix(moved, SIDE, (0, 0), SHAPE), T) for moved in ways]
+    b, o = max(models, key=lambda model: float(symbols @ model[0].T @ model[1]))
+    return by_matrices(b, GAIN * (b @ symbols + o) + rng.normal(0, NOISE**0.5, len(b)), o)
+
+
+def test_motion_that_looks_like_the_symbols_does_not_change_the_gain() -> None:
+    blocks, rng = random_blocks(0), np.random.default_rng(7)
+    packet = KnownPoses([against_its_symbols(symbols, rng) for symbols in symbols_of(blocks)])
+    assert all(right(decoded(packet), blocks))
+    assert [channel.gain for channel in packet.channels] == pytest.approx([GAIN, GAIN], rel=0.01)
+
+
+def test_gain_and_noise_maximise_the_likelihood() -> None:
+    rng = np.random.default_rng(8)
+    # d = g l + n of known light l: <d, l>, |l|^2, |d|^2 and the number of pixels
+    light = rng.normal(size=5000)
+    d = 3.0 * light + rng.normal(0, 0.7, 5000)
+    moments = np.array([d @ light, light @ light, d @ d, 5000.0])
+    before = GainAndNoise(2.0, 1.0)
+    assert before.updated(moments, combined=False) == GainAndNoise(pytest.approx(3.0, rel=0.01), 1.0)
+    after = before.updated(moments, combined=True)
+    assert after.gain == pytest.approx(3.0, rel=0.01)
+    assert after.noise == pytest.approx(np.mean((d - after.gain * light) ** 2))
+    # without light the gain stays; noise is that of rounding, 2 / 12, at least
+    assert before.updated(np.array([0.0, 0.0, 0.0, 10.0]), combined=True) == GainAndNoise(2.0, pytest.approx(1 / 6))
+
+
+@pytest.mark.parametrize(("distance_m", "moves", "asked"), [(160, 0, 1), (160, 2, 3), (100, 0, 2)])
+def test_poses_are_refined_while_something_may_come_of_it(distance_m: float, moves: int, asked: int) -> None:
+    """At 160 m only the high layer can be read: once, or until the poses stay; at 100 m after each of two layers."""
+    packet = KnownPoses(statistics_of(random_blocks(0), distance_m), moves)
+    decoded(packet)
+    assert len(packet.known) == asked
+
+
+def test_without_feedback_no_pose_is_refined() -> None:
+    packet = KnownPoses(statistics_of(random_blocks(0), 100))
+    decoded(packet, "none")
+    assert not packet.known
+
+
+def test_iterations_end_where_nothing_is_learnt_any_more() -> None:
+    events = list[EqualiseEvent]()
+    decoded(statistics_of(random_blocks(0), 300), observe=events.append)
+    assert [(event.identity, event.iteration) for event in events] == [(IDENTITY, k) for k in range(3)]
+
+
+def test_codewords_of_another_array_are_not_used() -> None:
+    words = decoded(statistics_of(random_blocks(0), 60), identity=IDENTITY + 1)
+    assert {w.status for by in words.values() for w in by} == {"mismatch"}
+    assert not any(w.block for by in words.values() for w in by)
+
+
+def test_raw_bits_are_those_of_the_equaliser() -> None:
+    blocks = random_blocks(3)
+    words = decoded(statistics_of(blocks, 90, 3))
+    for name, layer in FORM.layers.items():
+        for word, sent in zip(words[name], layer.code.encode([w.bits for w in words[name]]), strict=True):
+            assert 0 < np.mean(word.raw != sent) < 0.2, name
+
+
+def margins(words: Words) -> list[float]:
+    return [w.margin for by in words.values() for w in by]
+
+
+def test_equal_packets_give_equal_codewords() -> None:
+    packet = statistics_of(random_blocks(0), 110)
+    assert margins(decoded(packet)) == margins(decoded(packet))
+
+
+@pytest.mark.parametrize("distance_m", [70, 100, 150])
+def test_predicted_error_probabilities_are_those_observed(distance_m: float) -> None:
+    """In the first iteration nothing is known but the channel, and that exactly: P(wrong) = 1 / (1 + exp |LLR|)."""
+    predicted, wrong = [], []
+    for seed in range(4):
+        blocks = random_blocks(seed)
+        for pair, symbols in zip(statistics_of(blocks, distance_m, seed), symbols_of(blocks), strict=True):
+            assert pair is not None
+            with one_thread():
+                llr = equalise(pair, GAIN, NOISE, np.zeros(256), np.ones(256)).llr
+            predicted.append(1 / (1 + np.exp(np.abs(llr))))
+            wrong.append((llr > 0) != (symbols > 0))
+    p, w = np.concatenate(predicted), np.concatenate(wrong)
+    edges, counted = [0, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.501], 0
+    for low, high in pairwise(edges):
+        here = (p >= low) & (p < high)
+        if here.sum() > 500:
+            counted += 1
+            least, most = clopper_pearson(int(w[here].sum()), int(here.sum()), 0.999)
+            assert least / 1.1 < p[here].mean() < 1.1 * most, (low, high)
+    assert counted >= 2

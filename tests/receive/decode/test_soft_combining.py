@@ -1,0 +1,265 @@
+"""Packets and codewords of a carousel that come again."""
+
+import numpy as np
+import pytest
+from known_packets import FORM, GAIN, Words, decoded, random_blocks, right, statistics_of
+from numpy.typing import NDArray
+
+from heliograph.receive.decode.iterate import GainAndNoise
+from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer, consistent
+from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.signal.block import Block
+from heliograph.signal.formats import AGREED, Format
+
+Floats = NDArray[np.float64]
+
+FAR = 154
+"""Where one sighting gives the high layer and no more: the middle layer is read up to 148 m or so, the high one to 200.
+
+Two sightings together give the middle layer up to 158 m.
+"""
+
+CODEWORDS, PACKETS = 32, 4
+"""How many codewords of a kind, and how many packets, a buffer keeps."""
+
+PAIRS = FORM.settings.data_pairs
+
+
+def random_llrs(rng: np.random.Generator) -> Floats:
+    """LLRs of a codeword that are sure of nothing but are far from chance."""
+    return np.asarray(rng.choice([-3.0, 3.0], 400))
+
+
+def statuses(words: Words) -> list[str]:
+    return [word.status for by in words.values() for word in by]
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_a_packet_that_comes_again_is_read(number: int) -> None:
+    blocks, buffer = random_blocks(number), SoftBuffer()
+    first, second, third = (statistics_of(blocks, FAR, 10 * number + k) for k in range(3))
+    assert right(decoded(first, buffer=buffer), blocks) == [True, False, False, False]
+    assert right(decoded(second, buffer=buffer), blocks)[:3] == [True, True, True]
+    # and from then on, with what is known of it
+    assert right(decoded(third, buffer=buffer), blocks)[:3] == [True, True, True]
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_pairs_seen_only_once_are_taken_from_that_sighting(number: int) -> None:
+    """At 105 m the low layer needs more pairs than either sighting has."""
+    blocks, buffer = random_blocks(number), SoftBuffer()
+    first, second = (statistics_of(blocks, 105, 10 * number + k) for k in range(2))
+    early, late = [*first[:14], *[None] * 10], [*[None] * 10, *second[10:]]
+    assert not all(right(decoded(early, buffer=buffer), blocks))
+    assert not all(right(decoded(late), blocks))
+    assert all(right(decoded(late, buffer=buffer), blocks))
+
+
+@pytest.mark.parametrize("number", range(2))
+def test_another_packet_is_not_taken_for_it(number: int) -> None:
+    buffer = SoftBuffer()
+    decoded(statistics_of(random_blocks(2 * number), FAR, 1), buffer=buffer)
+    blocks = random_blocks(2 * number + 1)
+    packet = statistics_of(blocks, 140, number)
+    alone = right(decoded(packet), blocks)
+    assert alone == [True, True, True, False]
+    assert right(decoded(packet, buffer=buffer), blocks) == alone
+
+
+def test_a_codeword_in_other_company_is_added_to() -> None:
+    rng, buffer, blocks = np.random.default_rng(6), SoftBuffer(), random_blocks(0)
+    kind, others = ("middle", FORM.layers["middle"].code), list[Floats]()
+    for _ in range(CODEWORDS - 2):
+        others.append(rng.choice([-3.0, 3.0], FORM.layers["middle"].code.length))
+        buffer.keep_codeword(kind, others[-1], np.zeros_like(others[-1]))
+    sent, words = blocks, Words()
+    for seed in range(1, 4):
+        sent = {**random_blocks(seed), "middle": blocks["middle"]}
+        words = decoded(statistics_of(sent, FAR - 3, seed), buffer=buffer)
+    assert right(words, sent)[1:3] == [True, True]
+    # of each of the two one sum is kept, so there is room for all others
+    assert all(np.array_equal(buffer.codeword(kind, other), other) for other in others)
+
+
+def test_only_packets_of_one_format_are_joined() -> None:
+    llrs, buffer = [random_llrs(np.random.default_rng(0))], SoftBuffer()
+    packet = BufferedPacket(AGREED, tuple(llrs), (None,))
+    buffer.keep_packet(packet)
+    assert buffer.take_packet(Format(high=0.5), llrs) is None
+    assert buffer.take_packet(AGREED, [-llrs[0]]) is None
+    assert buffer.take_packet(AGREED, llrs) is packet
+    # who took it keeps it anew
+    assert buffer.take_packet(AGREED, llrs) is None
+
+
+def test_a_codeword_that_contradicts_makes_another_packet() -> None:
+    rng = np.random.default_rng(1)
+    high, low = random_llrs(rng), random_llrs(rng)
+    packet = BufferedPacket(AGREED, (high, low), (None,))
+    assert packet.likeness([high, low]) > 20
+    assert packet.likeness([high, np.zeros(400)]) > 15
+    assert packet.likeness([high, -low]) == 0
+
+
+def test_packets_that_share_a_codeword_are_told_apart() -> None:
+    """Where little is seen of the second too: nothing of the first one may pass for its own."""
+    count = 0
+    for distance_m, pairs in ((150, 3), (180, 5), (180, 24), (240, 10)):
+        first = random_blocks(50)
+        second, buffer = {**random_blocks(51), "high": first["high"]}, SoftBuffer()
+        for seed in (1, 2):
+            assert right(decoded(statistics_of(first, FAR, seed), buffer=buffer), first)[0]
+        packet = [*statistics_of(second, distance_m, 3)[:pairs], *[None] * (PAIRS - pairs)]
+        words = decoded(packet, buffer=buffer)
+        read = [status for status in statuses(words) if status == "ok"]
+        assert sum(right(words, second)) == len(read)
+        # what one sighting gives is given with the buffer too
+        assert sum(right(words, second)) >= sum(right(decoded(packet), second))
+        count += len(read)
+    assert count
+
+
+def test_blocks_that_are_much_alike_are_told_apart() -> None:
+    """Texts that differ in a digit: each sighting gives what it gives without a buffer, and nothing of another."""
+    buffer, alone, together = SoftBuffer(), 0, 0
+    for number in range(6):
+        text = [b"%05d km/h, %8.3f m" % (line, number) for line in range(2)]
+        blocks = {
+            name: [Block(name, b.identity, 2 * number + i, 0, len(text[i]), text[i]) for i, b in enumerate(by)]
+            for name, by in random_blocks(0).items()
+        }
+        # alternately where the middle layer is read and where it is not
+        packet = statistics_of(blocks, (140, FAR)[number % 2], number)
+        words = decoded(packet, buffer=buffer)
+        assert statuses(words).count("ok") == sum(right(words, blocks))
+        together += sum(right(words, blocks))
+        alone += sum(right(decoded(packet), blocks))
+    assert together == alone == 3 * 3 + 3 * 1
+
+
+def of_gain(statistics: list[PairStatistics | None], gain: float) -> list[PairStatistics | None]:
+    """Statistics of the same pairs, the light of a gain in place of 1."""
+    return [
+        PairStatistics(one.gram, gain * one.matched, one.offset, gain * one.cross, one.drift) if one else None
+        for one in statistics
+    ]
+
+
+@pytest.mark.parametrize(("gain", "noise"), [(180.0, 40.0), (90.0, 4.5)])
+def test_sightings_of_other_gain_and_noise_are_weighed_as_such(gain: float, noise: float) -> None:
+    """A noisy sighting adds little, and one of dimmer light is scaled: neither takes away."""
+    blocks, buffer = random_blocks(0), SoftBuffer()
+    first = of_gain(statistics_of(blocks, FAR, 1, noise=noise * (GAIN / gain) ** 2), gain / GAIN)
+    decoded(first, channel=GainAndNoise(gain, noise), buffer=buffer)
+    second = statistics_of(blocks, FAR - 3, 2)
+    assert sum(right(decoded(second, buffer=buffer), blocks)) >= sum(right(decoded(second), blocks)) >= 1
+
+
+def test_a_joined_packet_is_the_sum_in_the_units_of_the_later_one() -> None:
+    """Weights are in units of the noise, light in units of the gain; pairs seen only once stay as they are."""
+    rng, pairs = np.random.default_rng(9), []
+    for _ in range(2):
+        b, d, o = rng.normal(size=(30, 8)), rng.normal(size=30), rng.normal(size=30)
+        gram = (b.T @ b).astype(np.float32)
+        pairs.append(PairStatistics(gram, b.T @ d, b.T @ o, float(d @ o), float(o @ o), float(d @ d), 30))
+    kept = BufferedPacket(AGREED, (), (pairs[0], pairs[0], None), gain=90.0, noise=2.0)
+    both, once, other = kept.joined([pairs[1], None, pairs[1]], 180.0, 6.0)
+    assert other is pairs[1]
+    assert once is not None
+    assert both is not None
+    # g^2 / s^2 B^T B and g / s^2 B^T d are what they were: of the pair in its old units, and of both together
+    for unit, now, before in (
+        (lambda g, s: g**2 / s, once.gram, pairs[0].gram),
+        (lambda g, s: g / s, once.matched, pairs[0].matched),
+        (lambda g, s: g**2 / s, once.offset, pairs[0].offset),
+        (lambda g, s: g / s, once.cross, pairs[0].cross),
+        (lambda g, s: g**2 / s, once.drift, pairs[0].drift),
+        (lambda g, s: 1 / s, once.power, pairs[0].power),
+    ):
+        assert unit(180.0, 6.0) * np.asarray(now) == pytest.approx(unit(90.0, 2.0) * np.asarray(before), rel=1e-6)
+    assert both.matched == pytest.approx(once.matched + pairs[1].matched)
+    assert both.pixels == once.pixels + pairs[1].pixels == 60
+
+
+def test_what_is_decoded_is_not_added_to_and_nothing_is_not_kept() -> None:
+    rng, blocks, buffer = np.random.default_rng(7), random_blocks(0), SoftBuffer()
+    kinds = [(name, layer.code) for name, layer in FORM.layers.items()]
+    codewords = {kind: [rng.choice([-3.0, 3.0], kind[1].length) for _ in range(CODEWORDS)] for kind in kinds}
+    packets = [[random_llrs(rng)] for _ in range(PACKETS)]
+    for kind, kept in codewords.items():
+        for llr in kept:
+            buffer.keep_codeword(kind, llr, np.zeros_like(llr))
+    for llrs in packets:
+        buffer.keep_packet(BufferedPacket(Format(high=0.5), tuple(llrs), (None,) * PAIRS))
+    for seed in range(3):
+        assert all(right(decoded(statistics_of(blocks, 60, seed), buffer=buffer), blocks))
+    decoded([None] * PAIRS, buffer=buffer)
+    # nothing came in the place of what the full buffer holds
+    for kind, kept in codewords.items():
+        assert all(np.array_equal(buffer.codeword(kind, llr), llr) for llr in kept)
+    assert all(buffer.take_packet(Format(high=0.5), llrs) is not None for llrs in packets)
+
+
+def test_a_copy_changes_independently() -> None:
+    rng, buffer = np.random.default_rng(3), SoftBuffer()
+    llr, kind = random_llrs(rng), ("high", FORM.layers["high"].code)
+    packet = BufferedPacket(AGREED, (random_llrs(rng),), (None,) * PAIRS)
+    buffer.keep_codeword(kind, llr, np.zeros(400))
+    other = buffer.copy()
+    other.keep_codeword(kind, -llr, np.zeros(400))
+    other.keep_packet(packet)
+    assert not buffer.codeword(kind, -llr).any()
+    assert buffer.take_packet(AGREED, packet.llrs) is None
+    assert (buffer.codeword(kind, llr) == llr).all()
+    buffer.become(other)
+    assert (buffer.codeword(kind, -llr) == -llr).all()
+    assert buffer.take_packet(AGREED, packet.llrs) is packet
+    # and so does what was taken over
+    assert other.take_packet(AGREED, packet.llrs) is packet
+
+
+def test_a_sum_takes_the_place_of_its_parts() -> None:
+    rng, buffer, kind = np.random.default_rng(8), SoftBuffer(), ("high", FORM.layers["high"].code)
+    llr = random_llrs(rng)
+    others = [random_llrs(rng) for _ in range(CODEWORDS - 1)]
+    for one in (*others, llr):
+        buffer.keep_codeword(kind, one, np.zeros(400))
+    buffer.keep_codeword(kind, llr, buffer.codeword(kind, llr))
+    assert (buffer.codeword(kind, llr) == 2 * llr).all()
+    assert all((buffer.codeword(kind, one) == one).all() for one in others)
+
+
+def test_a_packet_must_support_what_others_helped_to_read() -> None:
+    rng = np.random.default_rng(4)
+    signs = rng.choice([-1.0, 1.0], 1000)
+    # LLRs of a bit sent over Gaussian noise are N(2 / s^2, 4 / s^2)
+    llr = 0.5 * signs + rng.normal(0, 1, 1000)
+    assert consistent(llr, signs)
+    assert not consistent(llr, rng.choice([-1.0, 1.0], 1000))
+    assert not consistent(np.where(np.arange(1000) < 20, llr, 0.0), signs)
+    some = np.where(rng.uniform(size=1000) < 0.25, -1, 1) * signs
+    assert not consistent(3 * llr, some)
+    assert not consistent(np.zeros(1000), signs)
+
+
+def test_the_number_of_codewords_is_bounded() -> None:
+    rng, buffer = np.random.default_rng(5), SoftBuffer()
+    kind, llrs = ("high", FORM.layers["high"].code), [random_llrs(rng) for _ in range(CODEWORDS + 3)]
+    for llr in llrs:
+        buffer.keep_codeword(kind, llr, np.zeros(400))
+    assert [bool(buffer.codeword(kind, llr).any()) for llr in llrs] == [False] * 3 + [True] * CODEWORDS
+
+
+def test_the_number_of_packets_is_bounded() -> None:
+    rng, buffer = np.random.default_rng(2), SoftBuffer()
+    llrs = [random_llrs(rng) for _ in range(PACKETS + 3)]
+    for llr in llrs:
+        buffer.keep_packet(BufferedPacket(AGREED, (llr,), (None,) * PAIRS))
+    found = [buffer.take_packet(AGREED, [llr]) is not None for llr in llrs]
+    assert found == [False] * 3 + [True] * PACKETS
+
+
+def test_without_a_buffer_nothing_is_combined() -> None:
+    blocks = random_blocks(0)
+    for seed in range(2):
+        assert right(decoded(statistics_of(blocks, FAR, seed)), blocks) == [True, False, False, False]
