@@ -1,0 +1,120 @@
+"""The soft receiver with cameras of any rate, phase and exposure, and clocks that differ."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from recorder import Recorder
+from scenes import film, link
+
+from heliograph.base.errors import HeliographError
+from heliograph.base.frames import Frame
+from heliograph.receive import Packet, ReceiveSettings, make_receiver, receive_frames
+from heliograph.receive.events import ExtractEvent
+from heliograph.receive.timing.frame_pair import CombinedFrame
+from heliograph.signal.settings import SignalSettings
+
+
+def test_a_camera_slower_than_the_light_is_refused() -> None:
+    rng = np.random.default_rng(1)
+    frames = [Frame(k, 1.05e-3 * k, rng.integers(0, 255, (8, 8)).astype(np.uint8)) for k in range(16)]
+    with pytest.raises(HeliographError, match="at least one frame a pattern") as error:
+        list(receive_frames(frames, SignalSettings(), ReceiveSettings(receiver="soft")))
+    assert "\n" not in str(error.value)
+
+
+def test_a_clipped_array_in_step_is_read_as_in_step() -> None:
+    """At 25 m single LEDs are at full scale, so that the brightness says nothing of the phase."""
+    settings, recorder = link("receive.receiver=soft", distance_m=25.0), Recorder()
+    list(receive_frames(film(settings, 101, roi_margin_px=30), settings.signal, settings.receive, recorder))
+    frames = [frame for event in recorder.of(ExtractEvent) for frame in event.frames]
+    assert frames
+    assert not any(isinstance(frame, CombinedFrame) for frame in frames)
+
+
+def soft_packets(
+    changes: Sequence[str], patterns: int = 90, start_s: float = 0.0, distance_m: float = 50.0, **camera: Any
+) -> list[Packet]:
+    """What the soft receiver reads of an array that starts at a time, in packets of 36 patterns."""
+    settings = link("receive.receiver=soft", "signal.data_pairs=16", *changes, distance_m=distance_m)
+    channel = replace(
+        settings.channel,
+        camera=replace(settings.channel.camera, **camera),
+        arrays=(replace(settings.channel.arrays[0], start_s=start_s),),
+    )
+    # `film` counts frames of 1 ms
+    frames = film(replace(settings, channel=channel), patterns)
+    return list(receive_frames(frames, settings.signal, settings.receive))
+
+
+def assert_read(packets: Sequence[Packet], start_s: float, count: int) -> None:
+    assert [p.status for p in packets[:count]] == ["ok"] * count
+    starts = [start_s + 0.036 * k for k in range(count)]
+    assert [p.start_time_s for p in packets[:count]] == pytest.approx(starts, abs=1.5e-4)
+
+
+@pytest.mark.parametrize(
+    ("fps", "exposure_s"),
+    [(1000, 1e-3), (1000, 0.75e-3), (1500, 1 / 1500), (2000, 0.5e-3), (2700, 0.3e-3), (4000, 0.25e-3)],
+)
+@pytest.mark.parametrize("start_s", [2.2e-3, 2.7e-3])
+def test_any_phase_and_rate_is_read(fps: float, exposure_s: float, start_s: float) -> None:
+    assert_read(soft_packets([], start_s=start_s, fps=fps, exposure_s=exposure_s), start_s, 2)
+
+
+@pytest.mark.parametrize("start_s", [2.0e-3, 2.25e-3])
+def test_slots_lit_in_another_order(start_s: float) -> None:
+    camera: dict[str, Any] = {"fps": 1500.0, "exposure_s": 0.5e-3}
+    assert_read(soft_packets(["signal.slot_order=[1, 3, 0, 2]"], start_s=start_s, **camera), start_s, 2)
+
+
+def test_dropped_repeated_and_jittered_frames() -> None:
+    camera: dict[str, Any] = {"fps": 2000.0, "exposure_s": 0.5e-3, "dropped": 0.02, "repeated": 0.02, "jitter_s": 5e-5}
+    packets = soft_packets([], 130, start_s=10.3e-3, **camera)
+    assert_read(packets, 10.3e-3, 3)
+
+
+@pytest.mark.parametrize("fps", [1000.0, 1300.0])
+def test_clocks_that_differ_are_followed(fps: float) -> None:
+    # 800 ppm stand for 400 ppm in a film twice as long
+    packets = soft_packets(
+        ["channel.arrays.0.clock_ppm=-400"], 400, start_s=2.05e-3, fps=fps, exposure_s=0.75e-3, clock_ppm=400.0
+    )
+    whole = [p for p in packets if p.pairs_seen > 0.9]
+    assert len(whole) >= 10
+    assert [p.status for p in whole] == ["ok"] * len(whole)
+    # by the camera's clock
+    spacing = np.diff([p.start_time_s for p in whole])
+    assert spacing[3:] == pytest.approx(np.full(len(spacing) - 3, 0.036 * (1 - 800e-6)), abs=1e-5)
+
+
+def test_any_chunking_gives_the_same() -> None:
+    settings = link("signal.data_pairs=16", distance_m=50.0)
+    channel = replace(settings.channel, camera=replace(settings.channel.camera, fps=1500.0, exposure_s=6e-4))
+    frames = film(replace(settings, channel=channel), 80)
+    soft = ReceiveSettings(receiver="soft")
+    whole, receiver = list(receive_frames(iter(frames), settings.signal, soft)), make_receiver(settings.signal, soft)
+    single = [packet for frame in frames for packet in receiver.push(frame)] + list(receiver.finish())
+    assert [p.status for p in whole] == ["ok", "ok"]
+    assert [replace(p, layers={}) for p in single] == [replace(p, layers={}) for p in whole]
+    words = [[w.block for by in p.layers.values() for w in by] for p in single]
+    assert words == [[w.block for by in p.layers.values() for w in by] for p in whole]
+
+
+def test_the_exposure_may_be_given() -> None:
+    # exposures of half a pattern in the middle of it, or of the whole pattern, show the same of a header
+    given = soft_packets(["receive.calibration.exposure_s=0.0005"], start_s=0.3e-3, exposure_s=0.5e-3)
+    assert given[0].start_time_s == pytest.approx(0.3e-3, abs=3e-5)
+    assert abs(soft_packets([], start_s=0.3e-3, exposure_s=0.5e-3)[0].start_time_s - 0.3e-3) > 1e-4
+
+
+@pytest.mark.parametrize(("fps", "start_s"), [(1000.0, 2.3e-3), (1500.0, 2.0e-3), (2500.0, 2.0e-3)])
+def test_a_packet_whose_header_is_dark_is_read_by_the_clock(fps: float, start_s: float) -> None:
+    dark = (start_s + 0.036 - 1.5e-3, start_s + 0.036 + 5.5e-3)
+    packets = soft_packets([f"channel.arrays.0.off_s=[{list(dark)}]"], 116, start_s, 60.0, fps=fps, exposure_s=1 / fps)
+    assert [p.status != "no_header" for p in packets] == [True] * len(packets)
+    assert_read(packets[:1], start_s, 1)
+    assert packets[1].layers["high"][0].status == "ok"
+    assert_read(packets[2:], start_s + 0.072, 1)

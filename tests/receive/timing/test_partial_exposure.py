@@ -1,0 +1,94 @@
+"""Exposures of part of a pattern: symbols of a square by all the values that they can have."""
+
+import itertools
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from heliograph.receive.timing import partial_exposure
+from heliograph.receive.timing.partial_exposure import (
+    SLOPES,
+    VALUES,
+    moments,
+    response,
+    response_of_levels,
+    symbol_llrs,
+)
+from heliograph.signal import haar, pwm
+
+Floats = NDArray[np.float64]
+SIDE = 8
+
+
+def test_half_of_each_slot_shows_the_symbols_themselves() -> None:
+    assert np.allclose(response(np.full(4, 0.5)), VALUES)
+
+
+def test_lit_slots_have_the_moments_of_random_data() -> None:
+    data = np.random.default_rng(0).choice(np.array([-1, 1], np.int8), (4000, SIDE, SIDE))
+    lit = pwm.lit_slots(haar.encode(data))
+    assert lit.mean((0, 2, 3)) == pytest.approx(partial_exposure.MEAN_LIT, abs=0.01)
+    assert np.allclose(partial_exposure.MEAN_LIT * 16, [15, 11, 5, 1])
+    assert np.allclose(SLOPES, [1 / 8, 3 / 8, 3 / 8, 1 / 8])
+    assert np.cov(lit.transpose(1, 0, 2, 3).reshape(4, -1)) == pytest.approx(partial_exposure.COVARIANCE, abs=0.01)
+
+
+def test_moments_go_through_all_values_of_a_square() -> None:
+    rng = np.random.default_rng(2)
+    table, mean = response(np.array([0.1, 0.6, 0.3, 0.0])), rng.uniform(-0.9, 0.9, 4)
+    values = np.array(list(itertools.product((1.0, -1.0), repeat=4)))
+    rows = [int(np.flatnonzero((v == VALUES).all(1))[0]) for v in values]
+    chance = np.prod((1 + values * mean) / 2, 1)
+    first, second = moments(table, mean)
+    assert first == pytest.approx(chance @ table[rows])
+    assert second == pytest.approx(chance @ table[rows] ** 2 - first**2)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_symbols_of_a_square_say_more_of_each_other_once_they_are_known(known: bool) -> None:
+    rng = np.random.default_rng(3)
+    table = response(np.array([0.1, 0.6, 0.3, 0.0]))
+    observed, variance = rng.normal(0, 1, 4), rng.uniform(0.1, 2, 4)
+    for i in range(4):
+        mean = np.array([1.0, -1.0, -1.0, 1.0]) if known else np.zeros(4)
+        mean[i] = 0.0
+        chance = np.prod((1 + VALUES * mean) / 2, 1)
+        fit = (table - observed) ** 2 / variance / 2
+        up = VALUES[:, i] > 0
+        own, joint = (
+            np.log((chance * np.exp(-part))[up].sum() / (chance * np.exp(-part))[~up].sum())
+            for part in (fit[:, i], fit.sum(1))
+        )
+        # power of the products of symbols over that of the symbols themselves
+        products = np.mean(table**2) / np.mean(table * VALUES) ** 2 - 1
+        assert 0.05 < products < 0.5
+        llr = joint if known else own + products * (joint - own)
+        assert symbol_llrs(table, observed, variance, mean)[i] == pytest.approx(llr, abs=1e-6)
+
+
+def test_the_prior_of_a_symbol_is_not_in_its_llr() -> None:
+    rng = np.random.default_rng(4)
+    table = response(np.array([0.1, 0.6, 0.3, 0.0]))
+    observed, variance, mean = rng.normal(0, 1, 4), rng.uniform(0.1, 2, 4), rng.uniform(-0.9, 0.9, 4)
+    for i in range(4):
+        other = mean.copy()
+        other[i] = -0.3
+        llrs = [symbol_llrs(table, observed, variance, m)[i] for m in (mean, other)]
+        assert llrs[0] == pytest.approx(llrs[1])
+
+
+def test_in_step_the_llr_is_that_of_a_bit_in_gaussian_noise() -> None:
+    observed, variance = np.array([0.3, -1.2, 0.8, 0.1] * 4), np.linspace(0.2, 3, 16)
+    llr = symbol_llrs(VALUES, observed, variance, np.zeros(16))
+    assert llr == pytest.approx(2 * observed / variance)
+
+
+def test_known_levels_are_observed_as_they_are() -> None:
+    lit = np.zeros((SIDE, SIDE), bool)
+    lit[:4, 4:] = True
+    weights = np.array([0.2, 0.1, 0.0, 0.3])
+    light = np.where(lit, weights.sum(), 0.0) - weights @ partial_exposure.MEAN_LIT
+    d = haar.decode(2 * light)
+    quarters = [d[:4, :4], d[:4, 4:], d[4:, :4], d[4:, 4:]]
+    assert response_of_levels(weights, lit) == pytest.approx(np.concatenate([q.ravel() for q in quarters]))
