@@ -9,7 +9,7 @@ from scenes import SIDE, draw
 from whole_pairs import GAIN, SYMBOLS, T, moving, pair_of
 
 from heliograph.receive.observe.cutout import take_cutout
-from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
+from heliograph.receive.observe.noise import measure_noise, noise_beside
 from heliograph.receive.timing.frame_pair import FramePair
 
 Floats = NDArray[np.float64]
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 def noisy(pair: FramePair, sigma: Floats, rng: np.random.Generator) -> FramePair:
     """A pair whose pixels have noise of standard deviations (rows, columns)."""
     up, down = (
-        replace(frame, pixels=frame.pixels + rng.normal(0, sigma))  # type: ignore[arg-type,type-var]
+        replace(frame, pixels=frame.pixels + rng.normal(0, sigma))  # type: ignore[arg-type]
         for frame in (pair.pattern, pair.inverted)
     )
     return FramePair(up, down)
@@ -59,5 +59,6 @@ def test_noise_beside_single_frames() -> None:
 
 def test_of_nothing_the_noise_is_that_of_rounding() -> None:
     # 1 / 12 in each of two frames
-    assert measure_noise([], GAIN, SIDE) == Noise(pytest.approx(1 / 6), pytest.approx(1 / 6))
+    none = measure_noise([], GAIN, SIDE)
+    assert (none.lit, none.dark) == pytest.approx((1 / 6, 1 / 6))
     assert noise_beside([], SIDE) == pytest.approx(1 / 6)

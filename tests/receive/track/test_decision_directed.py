@@ -1,209 +1,144 @@
-"""The single mode at the soft receiver: polarities decided softly, poses by decided data, whole packets."""
+"""Data without inverses: the array followed by decisions on its data."""
 
-from itertools import product
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from receive_scenes import draw, frame_of, link, pitch_at
-from scipy.special import erf
+from scenes import frame_of, pitch_at
+from single_frames import GAIN, framed, headers, patterns
 
-from heliograph.base.frames import Frame
-from heliograph.measure.bench import run_block
 from heliograph.receive import Pose
-from heliograph.receive.kalman import PoseState
-from heliograph.receive.soft.behind import Header
-from heliograph.receive.soft.cells import Cells
-from heliograph.receive.soft.single import Singles
-from heliograph.signal import haar
-from heliograph.signal.formats import Format
-from heliograph.signal.header import header_levels
-from heliograph.signal.packet import PacketFormat
-from heliograph.signal.polarity import balance
-from heliograph.signal.settings import SignalSettings
+from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.track.decision_directed import DecisionDirectedTracker
+from heliograph.receive.track.kalman import MotionModel, PoseState
+from heliograph.receive.track.tracker import Track, Tracker
+from heliograph.signal.pwm import light_centroids
 
 Floats = NDArray[np.float64]
 
-SMALL = PacketFormat(SignalSettings(side=8, data_pairs=21), Format(mode="single"))
+SOUND = np.ones((16, 16))
+MODEL = MotionModel(1e-3, 0.1)
+SPREADS = np.array([1.0, 1.0, 0.002, 0.002, 0.02])
+"""Standard deviations of what is expected: of the place next to nothing is known."""
+
+LATE = light_centroids()[0] - 0.5, light_centroids()[1] - 0.5
+"""When the light of the levels' mean and that of the data come, in patterns after the middle of an exposure."""
 
 
-def by_hand(seen: Floats, mean: Floats) -> tuple[Floats, Floats]:
-    """A row of 4 cells, polarity first: LLRs of its data and priors of its cells, summed over polarities and data.
-
-    Each message leaves its own cell's, or datum's, part out.
-    """
-
-    def odds(cell: int | None, datum: int | None) -> Floats:
-        """Sum of the probabilities for cell (or datum) = +1 and -1."""
-        total = np.zeros(2)
-        for s, *d in product((1, -1), repeat=4):
-            values = [s, *(s * one for one in d)]
-            p = 1.0
-            for k in range(4):
-                p *= 1.0 if k == cell else 1 / (1 + np.exp(-values[k] * seen[k]))
-            for k in range(3):
-                p *= 1.0 if k == datum else (1 + d[k] * mean[k]) / 2
-            shown = values[cell] if cell is not None else d[datum or 0]
-            total[0 if shown > 0 else 1] += p
-        return total
-
-    data = np.array([np.log(np.divide(*odds(None, k))) for k in range(3)])
-    cells = [odds(k, None) for k in range(4)]
-    return data, np.array([(a - b) / (a + b) for a, b in cells])
-
-
-def test_messages_are_those_of_exact_sums() -> None:
-    rng = np.random.default_rng(1)
-    cells = Cells(SMALL)
-    llr = np.zeros((42, 64))
-    llr[:, :16] = rng.normal(0, 2, (42, 16))
-    means = [rng.uniform(-0.9, 0.9, (42, 12)), np.zeros((42, 32)), np.zeros((42, 16))]
-    high = cells.bits(llr, means)[0].reshape(42, 4, 3)
-    mean, variance = cells.expected(means, [1 - m**2 for m in means])
-    for pattern, row in ((0, 1), (17, 3), (41, 2)):
-        seen, data = llr[pattern, :16].reshape(4, 4)[row], means[0][pattern].reshape(4, 3)[row]
-        expected, prior = by_hand(seen, data)
-        assert high[pattern, row] == pytest.approx(expected, abs=1e-9)
-        assert mean[pattern, :16].reshape(4, 4)[row] == pytest.approx(prior, abs=1e-9)
-    assert variance[:, :16] == pytest.approx(1 - mean[:, :16] ** 2, abs=1e-9)
-    # row 0 has no polarity: cells are data, and its first cell tells nothing
-    assert high[:, 0] == pytest.approx(llr[:, 1:4])
-    assert mean[:, 1:4] == pytest.approx(means[0][:, :3])
-    assert np.all(mean[:, 0] == 0)
-    assert np.all(variance[:, 0] == 1)
-
-
-def test_a_polarity_once_known_stays_known() -> None:
-    """Of cells that are known the equaliser says nothing more."""
-    cells = Cells(SMALL)
-    llr = np.full((42, 64), 30.0)
-    none = [np.zeros((42, n)) for n in (12, 32, 16)]
-    cells.bits(llr, none)
-    known = [np.ones((42, 12)), *none[1:]]
-    certain = [np.zeros((42, 12)), np.ones((42, 32)), np.ones((42, 16))]
-    for _ in range(3):
-        mean, variance = cells.expected(known, certain)
-        assert variance[:, 1:4].max() < 1e-3
-        assert mean[:, 5:8].min() > 0.999
-        llr[:, :16] = 0
-        cells.bits(llr, known)
-
-
-def scene(pose: Pose, levels: Floats, index: int, rng: np.random.Generator) -> Frame:
-    """A frame of an array on a dark panel before a bright background: the panel's rim within the LEDs' blur."""
-    edge, grid = 9.0 * pose.pitch, np.arange(80)
-    across, down = (0.5 * (erf((edge - abs(grid - c)) / 0.75) + 1) for c in (pose.x, pose.y))
-    light = 0.45 - 0.43 * down[:, None] * across
-    return frame_of(light + 0.8 * draw(pose, levels / 4.0, (0, 0), light.shape), index, rng)
-
-
-def patterns(count: int, seed: int) -> list[Floats]:
-    rng = np.random.default_rng(seed)
-    d = rng.choice(np.array([-1, 1], np.int8), (count, 16, 16))
-    d[:, :8, :8] = balance(d[:, :8, 1:8])
-    return [one.astype(float) for one in haar.encode(d)]
-
-
-@pytest.fixture(scope="module")
-def singles() -> Singles:
+def tracker_of(late_s: tuple[float, float] = (0.0, 0.0)) -> DecisionDirectedTracker:
     """At 80 m, after a header."""
-    rng, header = np.random.default_rng(0), header_levels(7).astype(float)
-    pose = Pose(40.2, 39.7, pitch_at(80.0), 0.01, 0.53)
-    headers: list[Header] = []
-    for k in (0, 2):
-        frames = scene(pose, header, k, rng), scene(pose, 4 - header, k + 1, rng)
-        headers.append((*frames, (pose, pose)))
-    return Singles((0.0, 0.0), headers, 0.8 * 255, np.ones((16, 16)))
+    return DecisionDirectedTracker(Tracker(16, MODEL), late_s, headers(), GAIN, SOUND)
 
 
-def test_a_frame_pulls_a_wrong_pose_back(singles: Singles) -> None:
-    """Its data are decided at the wrong pose, and do not confirm it; anywhere on the grid of pixels."""
-    rng, steps = np.random.default_rng(3), []
-    for k, levels in enumerate(patterns(12, 4)):
+def expected(pose: Pose, time_s: float, rates: tuple[float, float] = (0.0, 0.0)) -> Track:
+    """A track that expects the array at a pose, moving by rates in px/s."""
+    state = PoseState.start(time_s, pose.full_vector()[:5], np.diag(SPREADS**2), MODEL)
+    mean = state.mean.copy()
+    mean[5:7] = rates
+    covariance = state.covariance.copy()
+    covariance[5:8, 5:8] *= 1e-6
+    return Track(PoseState(time_s, mean, covariance), GAIN, GAIN, SOUND, time_s)
+
+
+def errors(motion: tuple[float, float], late: tuple[float, float] | None = None) -> tuple[Floats, Floats]:
+    """Errors (frames, 2) in px of poses found from 0.07 px beside them, and scores (frames,) of their fits.
+
+    `late` is when the tracker takes the light of the mean and that of the data to come, in patterns.
+    """
+    mean_late, data_late = late or LATE
+    decisions = tracker_of((mean_late * 1e-3, data_late * 1e-3))
+    rng, found, scores = np.random.default_rng(3), [], []
+    for k, (earlier, levels) in enumerate(pairwise(patterns(13, 4))):
+        # anywhere on the grid of pixels
         x, y = 40 + rng.uniform(-0.5, 0.5, 2)
         pose = Pose(x, y, pitch_at(80.0), 0.01, 0.53)
-        frame = scene(pose, levels, 10 + k, rng)
-        at = np.concatenate([pose.moved(0.06, -0.04).vector(), [0.8 * 255], singles._behind])
-        for _ in range(2):
-            matrix, rhs, score = singles._equations(frame, PoseState.start(frame.time_s, at[:5], np.eye(5)), at)
-            spreads = np.array([1, 1, 0.002, 0.002, 0.02, 2, *[5] * 4])
-            at = at + np.linalg.solve(matrix + np.diag(spreads**-2.0), rhs)
-        steps.append(at[:2] - (pose.x, pose.y))
-        assert score > 0.9
+        before = framed(pose.moved(-motion[0], -motion[1]), earlier, 10 + 2 * k, rng, motion)
+        frame = framed(pose, levels, 11 + 2 * k, rng, motion)
+        rates = 1e3 * motion[0], 1e3 * motion[1]
+        track = expected(pose.moved(0.06, -0.04), frame.time_s, rates)
+        decided = decisions.follow(track, FramePair(before, frame))
+        assert decided.tracked.seen
+        found.append(decided.tracked.fit.vector[:2] - (x, y))
+        scores.append(decided.tracked.fit.score)
+    return np.array(found), np.array(scores)
+
+
+def test_a_frame_pulls_a_wrong_pose_back() -> None:
+    """Its data are decided at the wrong pose, and do not confirm it."""
+    steps, scores = errors((0.0, 0.0))
+    assert scores.min() > 0.9
     assert np.sqrt(np.mean(np.square(steps))) < 0.02
     assert np.abs(np.mean(steps, 0)).max() < 0.01
 
 
-def test_what_is_behind_is_learnt(singles: Singles) -> None:
-    rng = np.random.default_rng(5)
-    pose = Pose(40.4, 40.3, pitch_at(80.0), 0.01, 0.53)
-    dark = scene(pose, np.zeros((16, 16)), 50, rng)
-
-    state = PoseState.start(dark.time_s, pose.vector(), np.eye(5))
-    left = 0.5 * singles._glance(dark, state).change
-    # 114 gray levels of background, 5 of panel
-    assert np.abs(left).mean() < 4
-
-
-def test_the_panels_width_is_told_by_the_header(singles: Singles) -> None:
-    """9 pitches each way in the scene; a rim half a pitch off would pull the pitch by 5 %."""
-    assert singles._half == pytest.approx(9, abs=0.15)
+def test_the_light_of_the_mean_and_that_of_the_data_come_at_their_times() -> None:
+    """PWM is bright early in a pattern: in motion the levels' mean lies 0.19 patterns behind the data."""
+    motion = 1.5, -1.2
+    steps, scores = errors(motion)
+    assert np.sqrt(np.mean(np.square(steps))) < 0.04
+    # any other times explain the frames worse: both at once, or the one in place of the other
+    for late in ((0.0, 0.0), (LATE[0], LATE[0]), (LATE[1], LATE[0])):
+        _, others = errors(motion, late)
+        assert np.mean(others < scores) > 0.7, late
 
 
-@pytest.mark.parametrize(("rates", "distance_m"), [("1/2", 60.0), ("9/10", 40.0)])
-def test_packets_without_inverses_are_read(rates: str, distance_m: float) -> None:
-    named = f"[{{mode='single', high='{rates}', middle='{rates}', low='{rates}'}}, {{}}]"
-    settings = link(f"transmit.formats={named}", "receive.receiver=soft", distance_m=distance_m)
-    counts = run_block(settings, 1, max_packets=2)
-    assert {n: (c.codewords, c.codeword_errors) for n, c in counts.layers.items()} == {
-        "high": (2, 0),
-        "middle": (4, 0),
-        "low": (2, 0),
-    }
-    assert counts.false_codewords == 0
+def test_cutouts_have_the_poses_of_their_light() -> None:
+    mean_late_s, data_late_s = -2e-4, 1e-4
+    rng, pose, levels = np.random.default_rng(6), Pose(40.2, 39.8, pitch_at(80.0), 0.01, 0.53), patterns(2, 1)
+    frames = framed(pose.moved(-0.5, 0.2), levels[0], 10, rng), framed(pose, levels[1], 11, rng)
+    track = expected(pose, frames[1].time_s, (500.0, -200.0))
+    decided = tracker_of((mean_late_s, data_late_s)).follow(track, FramePair(*frames))
+    state = decided.tracked.state
+    for frame, cutout in zip(frames, decided.cutouts, strict=True):
+        (data,) = cutout.poses
+        assert cutout.mean_light_pose is not None
+        assert (data.x, data.y) == pytest.approx(_place(state, frame.time_s + data_late_s))
+        light = cutout.mean_light_pose
+        assert (light.x, light.y) == pytest.approx(_place(state, frame.time_s + mean_late_s))
+        # about as far apart as the array goes in 0.3 ms
+        assert data.x - light.x == pytest.approx(0.15, rel=0.05)
 
 
-def test_rates_of_167_kb_s_are_read_at_80_m() -> None:
-    """Near the limit of the channel: a clock off by some hundredths of a pattern would lose most of it."""
-    named = "[{mode='single', high='9/10', middle='3/4', low='1/2'}]"
-    counts = run_block(link(f"transmit.formats={named}", "receive.receiver=soft", distance_m=80.0), 1, max_packets=1)
-    assert [(c.codewords, c.codeword_errors) for c in counts.layers.values()] == [(1, 0), (2, 0), (1, 0)]
-    assert counts.layers["high"].raw_errors < 0.01 * counts.layers["high"].raw_bits
+def _place(state: PoseState, time_s: float) -> tuple[float, float]:
+    x, y = state.mean[:2] + (time_s - state.time_s) * state.mean[5:7]
+    return float(x), float(y)
 
 
-def test_a_moving_array_is_followed_without_inverses() -> None:
-    """At 50 km/h on a rough road, packet after packet; the dimmed header leaves the gain as it is."""
-    settings = link(
-        "transmit.formats=[{mode='single', high='1/2', middle='1/2', low='1/2'}]",
-        "receive.receiver=soft",
-        distance_m=52.0,
-        speed_m_s=14.0,
-        stop_m=46.0,
-        shake="road",
-        road_class="C",
-    )
-    counts = run_block(settings, 1, max_packets=2)
-    assert counts.layers["high"].codewords == 2
-    assert sum(layer.codeword_errors for layer in counts.layers.values()) == 0
+def test_a_cutout_is_twice_the_light_above_the_background() -> None:
+    rng, pose = np.random.default_rng(5), Pose(40.4, 40.3, pitch_at(80.0), 0.01, 0.53)
+    even = np.full((16, 16), 2.0)
+    frames = framed(pose, even, 10, rng), framed(pose, even, 11, rng)
+    decided = tracker_of().follow(expected(pose, frames[1].time_s), FramePair(*frames))
+    for cutout in decided.cutouts:
+        rows, cols = cutout.shape
+        inside = cutout.difference[rows // 2 - 2 : rows // 2 + 2, cols // 2 - 2 : cols // 2 + 2]
+        assert inside.mean() == pytest.approx(2 * 0.5 * GAIN, rel=0.03)
+        assert np.array_equal(cutout.difference, cutout.total)
+        assert cutout.difference[0].mean() == pytest.approx(0, abs=8)
 
 
-@pytest.mark.parametrize("place", [{"yaw_deg": 30.0}, {"dead": 0.05}])
-def test_tilt_and_dead_leds_are_known_from_headers(place: dict[str, float]) -> None:
-    settings = link(
-        "transmit.formats=[{mode='single', high='1/2', middle='1/2', low='1/2'}]",
-        "receive.receiver=soft",
-        distance_m=50.0,
-        arrays=[{"x_m": 0.0, "y_m": 0.0, **place}],
-    )
-    counts = run_block(settings, 1, max_packets=2)
-    assert counts.layers["high"].codewords == 2
-    assert [layer.codeword_errors for layer in counts.layers.values()] == [0, 0, 0]
-    assert counts.false_codewords == 0
+def test_what_hides_the_array_is_not_followed() -> None:
+    """The track goes on as predicted, and the next frame is read as if nothing had been."""
+    rng, pose = np.random.default_rng(7), Pose(40.4, 40.3, pitch_at(80.0), 0.01, 0.53)
+    first, second = patterns(2, 2)
+    decisions, plain = tracker_of(), tracker_of()
+    gray, more = (frame_of(np.full((80, 80), 0.8), k, rng) for k in (10, 11))
+    track = expected(pose, more.time_s)
+    hidden = decisions.follow(track, FramePair(gray, more)).tracked
+    assert not hidden.seen
+    assert hidden.track.last_seen_s == track.last_seen_s
+    assert np.array_equal(hidden.state.mean, track.state.mean)
+    pair = FramePair(framed(pose, first, 12, rng), framed(pose, second, 13, rng))
+    after, alone = (one.follow(expected(pose, pair.inverted.time_s), pair) for one in (decisions, plain))
+    assert np.array_equal(after.cutouts[1].difference, alone.cutouts[1].difference)
+    assert after.tracked.seen
 
 
-@pytest.mark.parametrize("seed", [2, 7])
-def test_dimmed_headers_do_not_turn_the_array(seed: int) -> None:
-    """A tilt and dead LEDs were seen where the header's second pair is dimmed on one side."""
-    named = "[{mode='single', high='9/10', middle='3/4', low='1/2'}]"
-    counts = run_block(link(f"transmit.formats={named}", "receive.receiver=soft", distance_m=70.0), seed, max_packets=1)
-    assert [(c.codewords, c.codeword_errors) for c in counts.layers.values()] == [(1, 0), (2, 0), (1, 0)]
+def test_noise_is_that_of_twice_a_frame() -> None:
+    noise = tracker_of().noise
+    # photons and read noise of the reference link, in gray levels of 15000 electrons
+    per_electron = 255 / 15000
+    lit = per_electron**2 * (15000 * 0.42 + 40.0**2) + 1 / 12
+    assert noise.lit == pytest.approx(4 * lit, rel=0.3)
+    assert noise.dark > 2

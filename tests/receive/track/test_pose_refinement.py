@@ -1,142 +1,200 @@
-"""Poses sharpened by what is decoded, and LEDs told from headers, where a background has pulled the poses away."""
+"""Poses refined by decoded data, where a background has pulled them away."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from known_packets import FORM, random_blocks, symbols_of
 from numpy.typing import NDArray
-from receive_scenes import SIDE, draw, film, frame_of, link, pitch_at
-from scipy.special import erf
-from soft_looks import FORM, GAIN, cells_of, looks_at, random_blocks
+from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
 
-from heliograph.receive import Pose, ReceiveSettings, receive_frames
-from heliograph.receive.soft.cancel import Light, decode_looks
-from heliograph.receive.soft.glance import Glance, take_glance
-from heliograph.receive.soft.look import Look, weigh
-from heliograph.receive.soft.memory import Memory
-from heliograph.receive.soft.noise import Noise
-from heliograph.receive.soft.shares import LedShares
-from heliograph.receive.soft.sharpen import Seen, pose_errors, worth_moving
+from heliograph.receive import Pose
+from heliograph.receive.equalise.threads import one_thread
+from heliograph.receive.observe.cutout import Cutout, take_cutout
+from heliograph.receive.observe.noise import Noise
+from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.track.pose_refinement import ObservedPacket, PoseEvidence, smoothed_errors, worth_moving
 from heliograph.signal import haar
-from heliograph.signal.header import header_levels
+from heliograph.signal.formats import Format
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import SignalSettings
 
 Floats = NDArray[np.float64]
 
-NOISE = Noise(4.5, 1.5)
-ONES = np.ones((SIDE, SIDE))
+GAIN, NOISE = 0.7 * 255, Noise(4.5, 1.5)
+PAIRS = FORM.settings.data_pairs
 
 
-def glances(z: float, pulled: Floats, missing: tuple[int, ...] = ()) -> tuple[list[Glance | None], Floats]:
-    """Glances at a packet whose poses are off by `pulled` (pairs, 4), and its cells."""
-    rng, cells = np.random.default_rng(1), cells_of(random_blocks(0))
-    levels = haar.encode(FORM.join(cells.astype(np.int8))) / 4.0
-    out: list[Glance | None] = []
-    for k, x in enumerate(levels):
-        x_px, y_px = (float(v) for v in rng.uniform(30, 31, 2))
-        pose = Pose(x_px, y_px, pitch_at(z), float(rng.normal(0, 0.01)), 0.51)
-        up, down = (frame_of(0.1 + 0.7 * draw(pose, y, (0, 0), (60, 60)), i, rng) for i, y in enumerate((x, 1 - x)))
-        out.append(None if k in missing else take_glance(up, down, (pose, pose), SIDE).moved(pulled[k]))
-    return out, cells
+@dataclass(frozen=True, slots=True)
+class Numbered(Cutout):
+    """A cut-out that notes in `moves` by how much its poses are corrected."""
+
+    number: int = 0
+    moves: dict[int, Floats] = field(default_factory=dict)
+
+    def moved(self, error: Floats) -> Cutout:
+        self.moves[self.number] = self.moves.get(self.number, np.zeros(4)) + error
+        # without arguments super() fails in a class with slots
+        return Cutout.moved(self, error)
 
 
-def errors_of(seen: list[Glance | None], cells: Floats, known: int) -> Floats:
-    """Errors by a number of known cells."""
-    weighted = [None if g is None else weigh(g, NOISE, SIDE) for g in seen]
-    looks = [None if w is None else w.look() for w in weighted]
-    variance = np.where(np.arange(cells.shape[1]) < known, 0.0, 1.0)
-    what = np.where(variance == 0, cells, 0.0), np.broadcast_to(variance, cells.shape)
-    light = 0.7 * 255, NOISE.lit
-    return pose_errors(Seen(seen, weighted, looks, np.zeros((len(seen), 4))), light, what, FORM, ONES)
+class Packet:
+    """A packet whose poses are off.
+
+    Parameters
+    ----------
+    distance_m
+        Of the array.
+    pulled
+        (pairs, 4) by how much its poses are off, in x, y, ln pitch and roll.
+    missing
+        Pairs that were not seen.
+    """
+
+    def __init__(self, distance_m: float, pulled: Floats, missing: tuple[int, ...] = ()):
+        rng, self.symbols = np.random.default_rng(1), symbols_of(random_blocks(0))
+        self.moves: dict[int, Floats] = {}
+        cutouts: list[Cutout | None] = []
+        for k, x in enumerate(haar.encode(FORM.join(self.symbols.astype(np.int8))) / 4.0):
+            x_px, y_px = (float(v) for v in rng.uniform(30, 31, 2))
+            pose = Pose(x_px, y_px, pitch_at(distance_m), float(rng.normal(0, 0.01)), 0.51)
+            up, down = (frame_of(0.1 + 0.7 * draw(pose, y, (0, 0), (60, 60)), i, rng) for i, y in enumerate((x, 1 - x)))
+            if k in missing:
+                cutouts.append(None)
+                continue
+            one = take_cutout(FramePair(up, down), (pose, pose), SIDE).moved(pulled[k])
+            cutouts.append(
+                Numbered(
+                    one.total, one.difference, one.corner, one.poses, covered=one.covered, number=k, moves=self.moves
+                )
+            )
+        with one_thread():
+            self.observed = ObservedPacket(cutouts, NOISE, FORM, ALL_ON)
+
+    def refine(self, known: int) -> bool:
+        """Refine the poses by the first symbols of each pair, so many of them."""
+        variance = np.where(np.arange(self.symbols.shape[1]) < known, 0.0, 1.0)
+        mean = np.where(variance == 0, self.symbols, 0.0)
+        with one_thread():
+            return self.observed.refine(mean, np.broadcast_to(variance, mean.shape), GAIN, NOISE.lit)
+
+    @property
+    def errors(self) -> Floats:
+        """(pairs, 4) corrections so far."""
+        return np.array([self.moves.get(k, np.zeros(4)) for k in range(PAIRS)])
 
 
 @pytest.mark.parametrize(("known", "left"), [(64, 0.04), (192, 0.01)])
 def test_errors_of_poses_are_found(known: int, left: float) -> None:
-    pulled = np.tile([0.15, -0.1, 0.0, 0.01], (24, 1))
-    pulled[:, 0] += 0.05 * np.sin(np.arange(24) / 4)
-    found = errors_of(*glances(95, pulled), known)
+    pulled = np.tile([0.15, -0.1, 0.0, 0.01], (PAIRS, 1))
+    pulled[:, 0] += 0.05 * np.sin(np.arange(PAIRS) / 4)
+    packet = Packet(95, pulled)
+    before = list(packet.observed.statistics)
+    assert packet.refine(known)
     # an error is what is to be added
-    rest = (found + pulled)[:, :2]
+    rest = (packet.errors + pulled)[:, :2]
     assert np.sqrt((rest**2).mean()) < left
     assert np.sqrt((pulled[:, :2] ** 2).mean()) > 0.12
+    assert all(one is not other for one, other in zip(packet.observed.statistics, before, strict=True))
+
+
+def test_the_statistics_become_those_of_the_right_poses() -> None:
+    pulled = np.tile([0.15, -0.1, 0.0, 0.01], (PAIRS, 1))
+    packet, right = Packet(95, pulled), Packet(95, np.zeros((PAIRS, 4)))
+
+    def distance() -> float:
+        """Of the statistics from those of the right poses."""
+        pairs = zip(packet.observed.statistics, right.observed.statistics, strict=True)
+        return float(np.mean([np.abs(a.gram - b.gram).mean() for a, b in pairs if a and b]))
+
+    before = distance()
+    packet.refine(192)
+    assert distance() < 0.2 * before
 
 
 def test_poses_that_are_right_stay() -> None:
-    found = errors_of(*glances(95, np.zeros((24, 4))), 64)
-    assert not any(worth_moving(error) for error in found)
+    packet = Packet(95, np.zeros((PAIRS, 4)))
+    before = list(packet.observed.statistics)
+    assert not packet.refine(64)
+    assert not packet.moves
+    assert all(one is other for one, other in zip(packet.observed.statistics, before, strict=True))
+
+
+def test_what_is_found_once_is_not_found_again() -> None:
+    """A second refinement counts the errors corrected before, and so stays where it is."""
+    pulled = np.tile([0.15, -0.1, 0.0, 0.0], (PAIRS, 1))
+    packet = Packet(95, pulled)
+    assert packet.refine(192)
+    first = packet.errors.copy()
+    packet.refine(192)
+    assert np.abs(packet.errors - first).max() < 0.02
+    assert np.sqrt(((packet.errors + pulled)[:, :2] ** 2).mean()) < 0.01
+
+
+def test_a_movement_is_worth_new_statistics_from_a_hundredth_of_a_pixel() -> None:
     assert worth_moving(np.array([0.0, 0.02, 0.0, 0.0]))
     assert worth_moving(np.array([0.0, 0.0, 0.0, 0.01]))
+    assert worth_moving(np.array([-0.011, 0.0, 0.0, 0.0]))
+    # pitch and roll move the rim, 4 px from the middle
+    assert not worth_moving(np.array([0.009, -0.009, 0.0, 0.0]))
+    assert not worth_moving(np.array([0.0, 0.0, 0.002, 0.002]))
+    assert worth_moving(np.array([0.0, 0.0, 0.003, 0.0]))
 
 
-def test_pairs_seen_are_asked_whichever_they_are() -> None:
+def test_pairs_that_are_asked_were_seen() -> None:
     """Every third is asked; where those are missing, others are."""
-    pulled = np.tile([0.1, 0.1, 0.0, 0.0], (24, 1))
-    seen, cells = glances(95, pulled, missing=tuple(range(0, 24, 3)))
-    assert np.abs(errors_of(seen, cells, 192)[:, :2] + 0.1).max() < 0.04
+    pulled = np.tile([0.1, 0.1, 0.0, 0.0], (PAIRS, 1))
+    packet = Packet(95, pulled, missing=tuple(range(0, PAIRS, 3)))
+    assert packet.refine(192)
+    seen = np.arange(PAIRS) % 3 > 0
+    assert np.abs(packet.errors[seen, :2] + 0.1).max() < 0.04
+    assert [one is None for one in packet.observed.statistics] == (~seen).tolist()
 
 
-def test_each_decoded_layer_sharpens_the_poses() -> None:
-    blocks, asked = random_blocks(0), []
-    looks = looks_at(blocks, 100)
-
-    def again(mean: Floats, variance: Floats, light: Light) -> tuple[list[Look | None], bool]:
-        asked.append(int((variance[0] == 0).sum()))
-        return looks, False
-
-    settings = ReceiveSettings(receiver="soft")
-    decode_looks(looks, Light(GAIN, 4.5), FORM, 5, settings, Memory(), again)
-    # the high layer, then the middle one; with the low one all is known
-    assert asked == [64, 192]
-    asked.clear()
-    still = replace(settings, soft=replace(settings.soft, sharpen=False))
-    decode_looks(looks, Light(GAIN, 4.5), FORM, 5, still, Memory(), again)
-    assert not asked
+def test_of_nothing_decoded_nothing_is_found() -> None:
+    packet = Packet(95, np.tile([0.1, 0.1, 0.0, 0.0], (PAIRS, 1)))
+    assert not packet.refine(0)
+    assert not packet.moves
 
 
-@pytest.mark.parametrize("motion", [0.0, 0.3])
-@pytest.mark.parametrize("pulled", [(0.3, 0.0), (-0.2, 0.25)])
-def test_a_pose_pulled_away_makes_no_led_dead(pulled: tuple[float, float], motion: float) -> None:
-    rng, header = np.random.default_rng(3), header_levels(7) / 2.0 - 1.0
-    pose = Pose(30.3, 29.8, pitch_at(95), 0.0, 0.51)
-    poses = pose, pose.moved(motion, -motion)
-    frames = [
-        frame_of(0.1 + 0.7 * draw(p, 0.5 * (1 + sign * header), (0, 0), (60, 60)), k, rng)
-        for k, (p, sign) in enumerate(zip(poses, (1, -1), strict=True))
-    ]
-    wrong = poses[0].moved(*pulled), poses[1].moved(*pulled)
-    shares = LedShares(SIDE)
-    _, changed = shares.learn(take_glance(frames[0], frames[1], wrong, SIDE), header, 0.7 * 255)
-    assert not changed
-    assert shares.values.mean() > 0.99
-    assert shares.values.min() > (0.5 if motion else 0.99)
+def test_poses_of_the_single_mode_stay() -> None:
+    """They come from decided data already."""
+    single = PacketFormat(SignalSettings(data_pairs=24), Format(mode="single"))
+    observed = ObservedPacket([None] * 48, NOISE, single, ALL_ON)
+    assert not observed.refine(np.ones((48, 256)), np.zeros((48, 256)), GAIN, NOISE.lit)
 
 
-def test_what_moves_with_the_array_is_taken_off() -> None:
-    """A bright edge behind it, a third of a pixel farther in the second frame; what is sent stays as it is."""
-    rng, x = np.random.default_rng(5), haar.encode(FORM.join(cells_of(random_blocks(1))[:1].astype(np.int8)))[0] / 4.0
-    pose, grid = Pose(30.3, 29.8, pitch_at(80), 0.0, 0.51), np.arange(60)
-    poses = pose, pose.moved(0.3, 0.1)
-    ideal, frames = [], []
-    for k, (p, y) in enumerate(zip(poses, (x, 1 - x), strict=True)):
-        lit = 0.6 * draw(p, y, (0, 0), (60, 60))
-        edge = 0.15 * (1 + erf((grid - p.x - 7) / 0.8))[None, :] * np.ones((60, 1))
-        ideal.append(255 * lit)
-        frames.append(frame_of(lit + edge, k, rng))
-    glance = take_glance(frames[0], frames[1], poses, SIDE)
-    steady = glance.steadied(0.6 * 255, ONES)
-    rows, columns = (slice(c, c + n) for c, n in zip(reversed(glance.corner), glance.change.shape, strict=True))
-    sent = (ideal[0] - ideal[1])[rows, columns]
-    before, after = (np.sqrt(((g.change - sent) ** 2).mean()) for g in (glance, steady))
-    # the sensor's noise alone is 1.8 gray levels
-    assert before > 3.5
-    assert after < 2.2
+SHARP = 1e8 * np.eye(4)
 
 
-def test_leds_taken_for_dead_by_mistake_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    def mistaken(self: LedShares, glance: Glance, header: Floats, gain: float) -> tuple[float, bool]:
-        self.values = np.where(np.arange(SIDE)[:, None] < 4, 0.0, ONES)
-        return gain, False
+def test_errors_that_are_sharply_seen_are_taken_as_they_are() -> None:
+    rng = np.random.default_rng(2)
+    error = np.array([0.1, -0.05, 0.002, 0.004]) + rng.normal(0, [0.02, 0.02, 1e-4, 1e-4], (12, 4))
+    evidence = {k: PoseEvidence(SHARP, SHARP @ error[k]) for k in range(12)}
+    assert smoothed_errors(evidence, np.zeros((12, 4))) == pytest.approx(error, abs=1e-4)
 
-    monkeypatch.setattr(LedShares, "learn", mistaken)
-    settings = link("receive.receiver=soft", distance_m=80.0)
-    packets = list(receive_frames(film(settings, 101), settings.signal, settings.receive))
-    assert [word.status for by in packets[0].layers.values() for word in by] == ["ok"] * 4
+
+def test_errors_are_about_the_poses_as_corrected_before() -> None:
+    """What is left of an error after a correction adds to it."""
+    before = np.tile([0.06, 0.0, 0.0, 0.0], (12, 1))
+    rest = np.array([0.04, 0.02, 0.0, 0.0])
+    evidence = {k: PoseEvidence(SHARP, SHARP @ rest) for k in range(12)}
+    assert smoothed_errors(evidence, before) == pytest.approx(before + rest, abs=1e-4)
+
+
+def test_neighbours_share_errors_and_far_pairs_do_not() -> None:
+    """Errors that come and go within 8 pairs, and ones that stay; of the first ten pairs nothing is asked."""
+    rng = np.random.default_rng(3)
+    quick = np.zeros((80, 4))
+    quick[40:44, 0] = 0.2
+    evidence = {k: PoseEvidence(1e4 * np.eye(4), 1e4 * (quick[k] + rng.normal(0, 0.01, 4))) for k in range(10, 80, 3)}
+    found = smoothed_errors(evidence, np.zeros((80, 4)))
+    assert found[41:43, 0] == pytest.approx([0.2, 0.2], abs=0.07)
+    assert np.abs(found[:10, 0]).max() < 0.05
+    constant = {k: PoseEvidence(1e4 * np.eye(4), 1e4 * np.array([0.2, 0, 0, 0])) for k in range(10, 80, 3)}
+    assert smoothed_errors(constant, np.zeros((80, 4)))[:, 0] == pytest.approx(0.2, abs=0.05)
+
+
+def test_without_evidence_the_corrections_stay() -> None:
+    before = np.random.default_rng(4).normal(size=(5, 4))
+    assert smoothed_errors({}, before) is before

@@ -1,0 +1,92 @@
+"""Cut-outs of pairs, and the motion of what is behind the array."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from known_packets import FORM, random_blocks, symbols_of
+from numpy.typing import NDArray
+from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
+from scipy.special import erf
+from whole_pairs import moving, pair_of, random_levels
+
+from heliograph.base.frames import Frame
+from heliograph.receive import Pose
+from heliograph.receive.image.window import window_around
+from heliograph.receive.observe.cutout import take_cutout
+from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.signal import haar
+
+Floats = NDArray[np.float64]
+
+
+def test_a_cutout_holds_sum_and_difference_about_the_array() -> None:
+    poses = moving(80, 0.02, (0.12, -0.2))
+    pair = pair_of(poses, random_levels()[1], noise=2.0)
+    cutout = take_cutout(pair, poses, SIDE)
+    # the rim on which LEDs shine, and a ring beside it: 2 px each
+    x, y, cols, rows = window_around(Pose.midway(*poses), SIDE, 4.0)
+    assert (cutout.corner, cutout.shape) == ((x, y), (rows, cols))
+    up, down = (frame.pixels[y : y + rows, x : x + cols] for frame in (pair.pattern, pair.inverted))
+    assert np.array_equal(cutout.total, up + down)
+    assert np.array_equal(cutout.difference, up - down)
+    assert cutout.poses == poses
+    assert cutout.middle == Pose.midway(*poses)
+    assert (cutout.mean_light_pose, cutout.combination, cutout.covered) == (None, None, None)
+
+
+def test_pixels_beyond_a_frame_are_known_not_to_be_covered() -> None:
+    pose = Pose(4.0, 30.0, 0.8)
+    frames = [Frame(k, k * 1e-3, np.zeros((60, 60), np.uint8)) for k in range(2)]
+    cutout = take_cutout(FramePair(frames[0], frames[1]), (pose, pose), SIDE)
+    assert cutout.covered is not None
+    columns, rows = cutout.covered
+    assert columns.tolist() == (cutout.corner[0] + np.arange(cutout.shape[1]) >= 0).tolist()
+    assert rows.all()
+
+
+def test_slopes_are_those_of_the_image() -> None:
+    poses = moving(60, 0.02, (0.12, -0.2))
+    cutout = take_cutout(pair_of(poses, random_levels()[1]), poses, SIDE)
+    levels = np.random.default_rng(1).uniform(-1, 1, (SIDE, SIDE))
+    vector = cutout.middle.vector()
+    for slope, step in zip(cutout.slopes(levels), 1e-4 * np.eye(5)[:4], strict=True):
+        plus, minus = (
+            draw(Pose.from_vector(vector + sign * step), levels, cutout.corner, cutout.shape) for sign in (1, -1)
+        )
+        want = (plus - minus) / 2e-4
+        assert np.abs(slope - want).max() < 0.01 * np.abs(want).max()
+
+
+def test_poses_are_corrected_by_an_error() -> None:
+    poses = moving(60, 0.02, (0.12, -0.2))
+    cutout = take_cutout(pair_of(poses, random_levels()[1]), poses, SIDE)
+    moved = cutout.moved(np.array([0.1, -0.2, 0.01, 0.02]))
+    for before, after in zip(poses, moved.poses, strict=True):
+        assert after.full_vector() - before.full_vector() == pytest.approx([0.1, -0.2, 0.01, 0.02, 0, 0, 0])
+    assert np.array_equal(moved.difference, cutout.difference)
+
+
+def test_what_moves_with_the_array_is_taken_off() -> None:
+    """A bright edge behind it, a third of a pixel farther in the second frame; what is sent stays as it is."""
+    symbols = symbols_of(random_blocks(1))[:1].astype(np.int8)
+    rng, x = np.random.default_rng(5), haar.encode(FORM.join(symbols))[0] / 4.0
+    pose, grid = Pose(30.3, 29.8, pitch_at(80), 0.0, 0.51), np.arange(60)
+    poses = pose, pose.moved(0.3, 0.1)
+    ideal, frames = [], []
+    for k, (p, y) in enumerate(zip(poses, (x, 1 - x), strict=True)):
+        lit = 0.6 * draw(p, y, (0, 0), (60, 60))
+        edge = 0.15 * (1 + erf((grid - p.x - 7) / 0.8))[None, :] * np.ones((60, 1))
+        ideal.append(255 * lit)
+        frames.append(frame_of(lit + edge, k, rng))
+    cutout = take_cutout(FramePair(frames[0], frames[1]), poses, SIDE)
+    compensated = cutout.motion_compensated(0.6 * 255, ALL_ON)
+    rows, columns = (slice(c, c + n) for c, n in zip(reversed(cutout.corner), cutout.shape, strict=True))
+    sent = (ideal[0] - ideal[1])[rows, columns]
+    before, after = (np.sqrt(((one.difference - sent) ** 2).mean()) for one in (cutout, compensated))
+    # the sensor's noise alone is 1.8 gray levels
+    assert before > 3.5
+    assert after < 2.2
+    # a single frame has no second one to differ from
+    single = replace(cutout, poses=poses[:1])
+    assert single.motion_compensated(0.6 * 255, ALL_ON) is single

@@ -1,0 +1,47 @@
+"""The background of an array in single frames, by its headers."""
+
+import numpy as np
+import pytest
+from scenes import pitch_at
+from single_frames import GAIN, PANEL, framed, headers
+
+from heliograph.receive import Pose
+from heliograph.receive.track.background import background_images, fit_background, surroundings
+
+SOUND = np.ones((16, 16))
+
+
+def test_the_panels_width_is_found_by_the_header() -> None:
+    """9 pitches each way in the scene; a rim half a pitch off would pull the pitch by 5 %."""
+    found = fit_background(headers(), GAIN, SOUND)
+    assert found.half == pytest.approx(PANEL, abs=0.15)
+    # single pixels beside the array have the variance 1.6 of half a sum's noise
+    assert found.variance < 6
+
+
+def test_the_background_is_what_a_dark_array_shows() -> None:
+    found = fit_background(headers(), GAIN, SOUND)
+    pose = Pose(40.4, 40.3, pitch_at(80.0), 0.01, 0.53)
+    dark = framed(pose, np.zeros((16, 16)), 50, np.random.default_rng(5))
+    corner, image = surroundings(dark, pose, 16)
+    rows, cols = image.shape
+    images = background_images(pose, corner, (rows, cols), found.half)
+    left = image - np.tensordot(found.coefficients, images[:, 0], 1)
+    # 114 gray levels of background, 5 of panel
+    assert np.abs(left).mean() < 4
+    assert np.abs(image).mean() > 40
+
+
+def test_slopes_of_the_background_are_those_of_its_square() -> None:
+    """The plane stays where it is; the square moves with the pose."""
+    pose, half = Pose(20.3, 19.6, 1.1, 0.05, 0.6), 9.0
+    images = background_images(pose, (0, 0), (40, 41), half)
+    assert not images[1:, 1:].any()
+    assert images[1, 0].min() == images[1, 0].max() == 1
+    for k, step in enumerate(1e-4 * np.eye(5)[:4]):
+        plus, minus = (
+            background_images(Pose.from_vector(pose.vector() + sign * step), (0, 0), (40, 41), half)[0, 0]
+            for sign in (1, -1)
+        )
+        slope = (plus - minus) / 2e-4
+        assert np.abs(images[0, 1 + k] - slope).max() < 0.02 * np.abs(slope).max()
