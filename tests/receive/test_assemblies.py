@@ -1,21 +1,26 @@
-"""The soft receiver as a whole."""
+"""The receivers "plain" and "soft" as they are assembled."""
 
 from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
-from receive_scenes import film, pitch_at
-from receive_scenes import link as scene
+from scenes import film, pitch_at
+from scenes import link as scene
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from heliograph.base.errors import SettingsError
+from heliograph.base.errors import HeliographError, SettingsError
+from heliograph.base.frames import Frame
+from heliograph.link.bench import run_block
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import run_block
 from heliograph.receive import ReceiveSettings, make_receiver, receive_frames
-from heliograph.receive.soft import cancel, shares, single
-from heliograph.receive.soft.equalise import Estimate, equalise
-from heliograph.receive.soft.receiver import SoftReceiver
+from heliograph.receive.decode import iterate
+from heliograph.receive.equalise import led_gains
+from heliograph.receive.equalise.lmmse import Estimate, equalise
+from heliograph.receive.track import decision_directed
+from heliograph.signal.settings import SignalSettings
 
 
 def link(preset: str, receiver: str, *changes: str) -> LinkSettings:
@@ -40,22 +45,26 @@ def test_it_reads_while_driving() -> None:
     assert wrong(settings) == {"high": 0, "middle": 0, "low": 0}
 
 
-@pytest.mark.parametrize("z", [180, 215])
-def test_far_away_no_pair_is_taken_for_an_array_out_of_sight(z: float) -> None:
-    settings = link("static", "soft", f"channel.distance_m={z}")
+@pytest.mark.parametrize("distance_m", [180, 215])
+def test_far_away_no_pair_is_taken_for_an_array_out_of_sight(distance_m: float) -> None:
+    settings = link("static", "soft", f"channel.distance_m={distance_m}")
     (packet,) = receive_frames(film(settings, 101), settings.signal, settings.receive)
     assert packet.pairs_seen == 1
     assert packet.layers["high"][0].status == "ok"
 
 
-def test_near_it_reads_as_the_plain_receiver_does() -> None:
+def test_near_both_receivers_read_all() -> None:
     for receiver in ("plain", "soft"):
         assert wrong(link("static", receiver, "channel.distance_m=25")) == {"high": 0, "middle": 0, "low": 0}
 
 
-def test_it_is_chosen_by_its_name() -> None:
-    assert isinstance(make_receiver(load_settings().signal, ReceiveSettings(receiver="soft")), SoftReceiver)
-    assert not isinstance(make_receiver(load_settings().signal), SoftReceiver)
+def test_receivers_are_chosen_by_name() -> None:
+    """The plain one wants a frame a pattern, the soft one takes any rate from there on."""
+    frames = [Frame(k, 0.6e-3 * k, np.full((40, 40), k, np.uint8)) for k in range(20)]
+    plain, soft = make_receiver(SignalSettings()), make_receiver(SignalSettings(), ReceiveSettings(receiver="soft"))
+    with pytest.raises(HeliographError, match="the plain receiver needs one frame a pattern"):
+        [list(plain.push(frame)) for frame in frames]
+    assert [list(soft.push(frame)) for frame in frames] == [[]] * 20
 
 
 @pytest.mark.parametrize(
@@ -68,7 +77,7 @@ def test_another_light_is_refused_in_one_line(setting: str, read: str, other: st
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("room", [cancel, shares, single])
+@pytest.mark.parametrize("room", [iterate, led_gains, decision_directed])
 def test_its_algebra_runs_in_one_thread(room: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever calls it: many threads share small matrices slowly."""
     threads: list[int] = []

@@ -1,19 +1,20 @@
-"""The receiver as a whole: one algorithm with several entrances."""
+"""A receiver as a whole: one algorithm with several entrances."""
 
 import tracemalloc
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from receive_scenes import film, link
+from recorder import Recorder
+from scenes import film, link
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
-from heliograph.receive import Packet, Receiver, ReceiveSettings, receive_frames
-from heliograph.receive.settings import DetectSettings
+from heliograph.receive import Packet, make_receiver, receive_frames
+from heliograph.receive.events import DecodeEvent, DetectEvent, ExtractEvent, TrackEvent
 from heliograph.signal.settings import SignalSettings
 
 SIGNAL = SignalSettings()
@@ -49,11 +50,11 @@ def test_every_entrance_gives_the_same() -> None:
     frames = two_and_a_half_packets()
     whole = plain(receive_frames(frames, SIGNAL))
     assert [p.status for p in whole] == ["ok", "ok", "ok"]
-    pushed = Receiver(SIGNAL)
+    pushed = make_receiver(SIGNAL)
     got = [p for frame in frames for p in pushed.push(frame)]
     got += pushed.finish()
     assert plain(got) == whole
-    parts, rest = Receiver(SIGNAL), list(frames)
+    parts, rest = make_receiver(SIGNAL), list(frames)
     chunked: list[Packet] = []
     for size in (1, 7, 93, 100, 2, 57):
         chunk, rest = rest[:size], rest[size:]
@@ -76,7 +77,7 @@ def test_packets_come_as_soon_as_they_are_complete() -> None:
 def test_receivers_share_nothing() -> None:
     frames, other = two_and_a_half_packets(), film(link("transmit.identities=[9]", distance_m=40.0), 260, seed=5)
     alone, beside = plain(receive_frames(frames, SIGNAL)), plain(receive_frames(other, SIGNAL))
-    a, b = Receiver(SIGNAL), Receiver(SIGNAL)
+    a, b = make_receiver(SIGNAL), make_receiver(SIGNAL)
     got_a, got_b = list[Packet](), list[Packet]()
     for one, two in zip(frames, other, strict=True):
         got_a += a.push(one)
@@ -87,16 +88,14 @@ def test_receivers_share_nothing() -> None:
 
 
 def test_observers_see_all_stages_and_change_nothing() -> None:
-    stages: dict[str, int] = {}
-
-    def observe(stage: str, data: Mapping[str, object], /) -> None:
-        stages[stage] = stages.get(stage, 0) + 1
-
-    frames = two_and_a_half_packets()
-    watched = plain(receive_frames(frames, SIGNAL, observe=observe))
+    frames, recorder = two_and_a_half_packets(), Recorder()
+    watched = plain(receive_frames(frames, SIGNAL, observe=recorder))
     assert watched == plain(receive_frames(frames, SIGNAL))
     # two packets of 50 pairs, 48 of them data, and one of 30 pairs
-    assert stages == {"detect": 1, "track": 130, "extract": 124, "decode": 3}
+    counts = {kind: len(recorder.of(kind)) for kind in (DetectEvent, TrackEvent, ExtractEvent, DecodeEvent)}
+    assert counts == {DetectEvent: 1, TrackEvent: 130, ExtractEvent: 124, DecodeEvent: 3}
+    assert sum(counts.values()) == len(recorder.events)
+    assert plain(event.packet for event in recorder.of(DecodeEvent)) == watched
 
 
 def test_frames_are_not_written_to() -> None:
@@ -120,7 +119,7 @@ def test_frames_are_not_written_to() -> None:
     ],
 )
 def test_frames_out_of_step_are_refused(index: int, time_s: float, words: str) -> None:
-    receiver, pixels = Receiver(SIGNAL), np.zeros((40, 40), np.uint8)
+    receiver, pixels = make_receiver(SIGNAL), np.zeros((40, 40), np.uint8)
     for k in (4, 5):
         assert list(receiver.push(Frame(k, k * 1e-3, pixels))) == []
     with pytest.raises(HeliographError, match=words) as error:
@@ -173,7 +172,7 @@ def test_memory_does_not_grow_with_the_film() -> None:
     # the same two packets over and over, renumbered: the film itself stays as it is
     frames = film(link("signal.data_pairs=16"), 72)
     signal = SignalSettings(data_pairs=16)
-    receiver = Receiver(signal)
+    receiver = make_receiver(signal)
 
     def run(first: int, last: int) -> int:
         count = 0
@@ -203,11 +202,10 @@ def test_frames_smaller_than_any_array() -> None:
     assert list(receive_frames(tiny, SIGNAL)) == []
 
 
-def test_all_on_detector_names_nobody_elses_data() -> None:
+def test_a_search_for_blinking_squares_passes_nobody_elses_data_as_its_own() -> None:
     # it finds a filled square; whatever it follows it must not pass as data of identity 0
-    settings = ReceiveSettings(detect=DetectSettings(detector="all_on"))
     frames = film(link("transmit.identities=[9]", distance_m=40.0), 120)
-    packets = list(receive_frames(frames, SIGNAL, settings))
+    packets = list(receive_frames(frames, SignalSettings(header="all_on")))
     # it does follow the array, under the wrong number, and reads whole packets: one high, two middle, one low codeword
     assert packets
     assert {p.identity for p in packets} == {0}

@@ -167,16 +167,16 @@ def test_a_joined_packet_is_the_sum_in_the_units_of_the_later_one() -> None:
     assert other is pairs[1]
     assert once is not None
     assert both is not None
-    # g^2 / s^2 B^T B and g / s^2 B^T d are what they were: of the pair in its old units, and of both together
-    for unit, now, before in (
-        (lambda g, s: g**2 / s, once.gram, pairs[0].gram),
-        (lambda g, s: g / s, once.matched, pairs[0].matched),
-        (lambda g, s: g**2 / s, once.offset, pairs[0].offset),
-        (lambda g, s: g / s, once.cross, pairs[0].cross),
-        (lambda g, s: g**2 / s, once.drift, pairs[0].drift),
-        (lambda g, s: 1 / s, once.power, pairs[0].power),
+    # g^2 / s^2 B^T B, g / s^2 B^T d and d^T d / s^2 are what they were in the old units
+    for power, now, before in (
+        (2, once.gram, pairs[0].gram),
+        (1, once.matched, pairs[0].matched),
+        (2, once.offset, pairs[0].offset),
+        (1, once.cross, pairs[0].cross),
+        (2, once.drift, pairs[0].drift),
+        (0, once.power, pairs[0].power),
     ):
-        assert unit(180.0, 6.0) * np.asarray(now) == pytest.approx(unit(90.0, 2.0) * np.asarray(before), rel=1e-6)
+        assert 180.0**power / 6.0 * np.asarray(now) == pytest.approx(90.0**power / 2.0 * np.asarray(before), rel=1e-6)
     assert both.matched == pytest.approx(once.matched + pairs[1].matched)
     assert both.pixels == once.pixels + pairs[1].pixels == 60
 

@@ -1,0 +1,41 @@
+"""Packets of formats that the soft receiver learns from their headers alone."""
+
+import pytest
+from scenes import link
+
+from heliograph.link.bench import run_block
+
+
+def test_a_receiver_needs_no_rates() -> None:
+    """Packets take three formats in turn; the receiver knows only what format 0 means."""
+    formats = "[{high='3/4', middle='1/2', low='2/5'}, {}, {high='9/10', middle='9/10', low='9/10'}]"
+    settings = link(f"transmit.formats={formats}", "receive.receiver=soft", distance_m=40.0)
+    counts = run_block(settings, 1, max_packets=3)
+    # codewords are longer at higher rates, not more
+    assert {name: (c.codewords, c.codeword_errors) for name, c in counts.layers.items()} == {
+        "high": (3, 0),
+        "middle": (6, 0),
+        "low": (3, 0),
+    }
+    assert counts.false_codewords == 0
+    rates = {"high": (0.75, 1 / 3, 0.9), "middle": (0.5, 1 / 3, 0.9), "low": (0.4, 1 / 3, 0.9)}
+    for name, layer in counts.layers.items():
+        sent = sum(rate * (6144 if name == "middle" else 3072) for rate in rates[name])
+        assert abs(layer.bits - sent) < 200
+
+
+@pytest.mark.parametrize(
+    ("fps", "start_s"), [(1000.0, 0.0), (1000.0, 2e-4), (1500.0, 8e-4), (2000.0, 2e-4), (2000.0, 6e-4)]
+)
+def test_formats_are_read_out_of_step(fps: float, start_s: float) -> None:
+    """Dimmed cells make a header neither early nor late, and combined frames show them otherwise than pairs do."""
+    settings = link(
+        "transmit.formats=[{high='1/2', middle='2/5', low='2/5'}]",
+        "receive.receiver=soft",
+        f"channel.camera.fps={fps}",
+        f"channel.camera.exposure_s={int(1e6 / fps)}e-6",
+        f"channel.arrays.0.start_s={start_s}",
+        distance_m=60.0,
+    )
+    counts = run_block(settings, 2)
+    assert [(c.codewords, c.codeword_errors) for c in counts.layers.values()] == [(1, 0), (2, 0), (1, 0)]

@@ -1,0 +1,47 @@
+"""The soft receiver's reader: when a pair's data were lit, and LEDs taken for dead by mistake."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from recorder import Recorder
+from scenes import SIDE, drawn_film, film, link
+
+from heliograph.receive import receive_frames
+from heliograph.receive.equalise.led_gains import LearntGains, LedGains
+from heliograph.receive.events import DecodeEvent, ExtractEvent
+from heliograph.receive.observe.cutout import Cutout
+
+Floats = NDArray[np.float64]
+
+
+@pytest.mark.parametrize(("order", "centroid"), [((2, 0, 1, 3), 0.375), ((0, 1, 2, 3), 0.5), ((0, 3, 1, 2), 0.625)])
+def test_poses_of_a_pair_are_those_at_the_middle_of_its_data(order: tuple[int, ...], centroid: float) -> None:
+    """What differs between levels is lit in the slots that come second and third; in motion poses are taken then."""
+
+    def even(t: Floats) -> Floats:
+        return np.stack([40.3 + 200 * t, 48.8 - 200 * t], -1)
+
+    changes = "receive.receiver=soft", "signal.data_pairs=24", f"signal.slot_order={list(order)}"
+    settings, recorder = link(*changes), Recorder()
+    frames = drawn_film(settings, 57, even, distance_m=60.0)
+    packets = list(receive_frames(frames, settings.signal, settings.receive, recorder))
+    assert [packet.status for packet in packets] == ["ok"]
+    # at first the rates are still learnt
+    events = recorder.of(ExtractEvent)[8:]
+    times = np.array([frame.time_s + centroid * 1e-3 for event in events for frame in event.frames])
+    places = np.array([(pose.x, pose.y) for event in events for pose in event.poses])
+    off = places - even(times)
+    # the array goes 0.025 px in an eighth of a pattern
+    assert np.abs(off.mean(0)).max() < 0.0125
+    assert len(recorder.of(DecodeEvent)[0].cutouts) == 24
+
+
+def test_leds_taken_for_dead_by_mistake_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def mistaken(self: LedGains, cutout: Cutout, header: Floats, gain: float) -> LearntGains:
+        values = np.where(np.arange(SIDE)[:, None] < 4, 0.0, np.ones((SIDE, SIDE)))
+        return LearntGains(LedGains(values), gain, False)
+
+    monkeypatch.setattr(LedGains, "learn", mistaken)
+    settings = link("receive.receiver=soft", distance_m=80.0)
+    packets = list(receive_frames(film(settings, 101), settings.signal, settings.receive))
+    assert [word.status for by in packets[0].layers.values() for word in by] == ["ok"] * 4
