@@ -1,0 +1,66 @@
+"""When LEDs are lit in an exposure: parts, centroids and variances against light counted in fine steps."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from properties import examples
+
+from heliograph.channel.exposure import Lit
+
+Floats = NDArray[np.float64]
+
+FINE = 4000
+
+
+def by_steps(lit: Lit, start_s: float, end_s: float) -> tuple[Floats, Floats, Floats]:
+    """Part of the exposure each LED is lit, the centroid from its middle, and the variance, by fine steps."""
+    at = start_s + (end_s - start_s) * (np.arange(FINE) + 0.5) / FINE
+    shines = ((at >= lit.start_s[:, None]) & (at < lit.end_s[:, None])).astype(float)
+    light = np.tensordot(lit.on, shines, (0, 0))
+    mass = np.maximum(light.sum(-1), 1e-30)
+    late = at - (start_s + end_s) / 2
+    centroid = (light * late).sum(-1) / mass
+    return light.mean(-1), centroid, (light * late**2).sum(-1) / mass - centroid**2
+
+
+@pytest.mark.parametrize("length_s", [1e-3, 2.5e-4])
+def test_light_all_through_has_the_variance_of_a_box(length_s: float) -> None:
+    lit = Lit(np.array([0.0]), np.array([length_s]), np.ones((1, 2, 2)), (0,))
+    part, late, spread = lit.moments(0.0, length_s)
+    assert part == pytest.approx(np.ones((2, 2)))
+    assert late == pytest.approx(np.zeros((2, 2)), abs=1e-18)
+    assert spread == pytest.approx(np.full((2, 2), length_s**2 / 12))
+
+
+@examples(100)
+@given(
+    cuts=st.lists(st.floats(0.01, 0.99), min_size=1, max_size=6, unique=True),
+    start_s=st.sampled_from([0.0, 0.3]),
+    seed=st.integers(0, 99),
+)
+def test_moments_are_those_of_the_light(cuts: list[float], start_s: float, seed: int) -> None:
+    edges = start_s + 1e-3 * np.array([0.0, *sorted(cuts), 1.0])
+    on = (np.random.default_rng(seed).random((len(edges) - 1, 2, 2)) < 0.6).astype(float)
+    lit = Lit(edges[:-1], edges[1:], on, (0, 1))
+    part, late, spread = lit.moments(start_s, start_s + 1e-3)
+    expected = by_steps(lit, start_s, start_s + 1e-3)
+    shines = on.any(0)
+    assert part == pytest.approx(expected[0], abs=1e-3)
+    assert late[shines] == pytest.approx(expected[1][shines], abs=2e-6)
+    assert spread[shines] == pytest.approx(expected[2][shines], abs=2e-9)
+    assert (part[~shines] == 0).all()
+
+
+@examples(60)
+@given(cuts=st.lists(st.floats(0.01, 0.99), max_size=4, unique=True), longest=st.floats(0.02, 2.0))
+def test_pieces_split_are_the_same_light(cuts: list[float], longest: float) -> None:
+    edges = 1e-3 * np.array([0.0, *sorted(cuts), 1.0])
+    on = (np.random.default_rng(0).random((len(edges) - 1, 2, 2)) < 0.6).astype(float)
+    lit = Lit(edges[:-1], edges[1:], on, (0, 1))
+    split = lit.split(longest * 1e-3)
+    assert (split.end_s - split.start_s).max() <= longest * 1e-3 * (1 + 1e-6)
+    assert split.patterns == lit.patterns
+    for one, other in zip(split.moments(0.0, 1e-3), lit.moments(0.0, 1e-3), strict=True):
+        assert one == pytest.approx(other, abs=1e-12)

@@ -1,0 +1,107 @@
+"""What a sweep varies: ranges, lists and grids of any values."""
+
+import math
+from decimal import Decimal
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+
+from heliograph.base.config import to_toml
+from heliograph.base.errors import SettingsError
+from heliograph.experiments.vary import grid, nested, parse_vary
+
+DECIMALS = st.decimals(-1000, 1000, places=3)
+STEPS = st.decimals("0.001", 100, places=3)
+TEXTS = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=10)
+VALUES = (
+    st.booleans() | st.integers(-(10**9), 10**9) | st.floats(-1e9, 1e9) | TEXTS | st.lists(st.integers(), max_size=3)
+)
+
+
+def written(value: Any) -> str:
+    """A value as a user writes it: as TOML."""
+    return to_toml({"v": value}).removeprefix("v = ").rstrip("\n")
+
+
+@examples(200)
+@given(first=DECIMALS, count=st.integers(0, 60), step=STEPS, down=st.booleans())
+def test_a_range_has_its_ends_and_even_steps(first: Decimal, count: int, step: Decimal, down: bool) -> None:
+    step = -step if down else step
+    last = first + count * step
+    key, values = parse_vary(f"channel.distance_m={first}:{last}:{step}")
+    assert key == "channel.distance_m"
+    assert values == [float(first + k * step) for k in range(count + 1)]
+    # whole numbers stay whole
+    whole = first == first.to_integral_value() and step == step.to_integral_value()
+    assert {type(value) for value in values} == {int if whole else float}
+    # an end that no step hits is left out
+    assert parse_vary(f"a={first}:{last + step / 2}:{step}")[1] == values
+
+
+@examples(200)
+@given(values=st.lists(VALUES, min_size=1, max_size=6))
+def test_a_list_holds_its_values_as_they_are(values: list[Any]) -> None:
+    found = parse_vary(f" a.b = {','.join(map(written, values))}")
+    assert found == ("a.b", values)
+    assert list(map(type, found[1])) == list(map(type, values))
+
+
+@examples(100)
+@given(parts=st.lists(st.lists(st.integers(-9, 9), min_size=1, max_size=3), min_size=1, max_size=4))
+def test_ranges_and_values_follow_one_another(parts: list[list[int]]) -> None:
+    texts = [f"{p[0]}:{p[0] + len(p) - 1}:1" if len(p) > 1 else str(p[0]) for p in parts]
+    expected = [p[0] + k for p in parts for k in range(len(p))]
+    assert parse_vary(f"a={','.join(texts)}") == ("a", expected)
+
+
+@examples(100)
+@given(
+    vary=st.dictionaries(
+        st.sampled_from(["a", "b.c", "d", "e"]),
+        st.lists(st.integers(), min_size=1, max_size=5, unique=True),
+        max_size=4,
+    )
+)
+def test_a_grid_has_each_combination_once_the_last_key_fastest(vary: dict[str, list[int]]) -> None:
+    points = grid(vary)
+    assert len(points) == math.prod(map(len, vary.values()))
+    assert len({tuple(point.items()) for point in points}) == len(points)
+    keys, seen = list(vary), [tuple(vary[key].index(value) for key, value in point.items()) for point in points]
+    assert all(list(point) == keys for point in points)
+    assert seen == sorted(seen)
+
+
+@examples(100)
+@given(path=st.lists(st.text("abc_", min_size=1, max_size=3), min_size=1, max_size=4), value=VALUES)
+def test_a_dotted_key_becomes_nested_mappings(path: list[str], value: Any) -> None:
+    tree = nested(".".join(path), value)
+    for key in path:
+        assert list(tree) == [key]
+        tree = tree[key]
+    assert tree == value
+
+
+def outcome(text: str) -> tuple[str, list[Any]]:
+    """Key and values of a text, or "error" and its message, which must be one line."""
+    try:
+        return parse_vary(text)
+    except SettingsError as error:
+        return "error", str(error).splitlines() if "\n" not in str(error) else []
+
+
+@examples(200)
+@given(text=st.text("a=,:.[]{}'\"1 -e", max_size=14))
+def test_any_text_gives_values_or_one_line(text: str) -> None:
+    key, values = outcome(text)
+    assert key
+    assert values
+
+
+@pytest.mark.parametrize(("text", "count"), [("a=0:9999:1", 10_000), ("a=9999:0:-1", 10_000)])
+def test_the_longest_range(text: str, count: int) -> None:
+    assert len(parse_vary(text)[1]) == count
+    with pytest.raises(SettingsError, match="more than 10000 values"):
+        parse_vary("a=0:10000:1")

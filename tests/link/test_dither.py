@@ -1,0 +1,38 @@
+"""Arrays of a scene at rest are placed anywhere within a pixel, however far each is away."""
+
+import numpy as np
+import pytest
+from link_packets import small
+
+from heliograph.link.bench import dithered
+from heliograph.link.settings import LinkSettings
+from heliograph.link.simulate import default_messages, simulate
+
+
+def places(settings: LinkSettings) -> np.ndarray:
+    """(arrays, 2) centres of the arrays' images in px."""
+    _, truth = next(simulate(settings, default_messages(settings), 0))
+    return np.array([(array.x, array.y) for array in truth.arrays])
+
+
+def test_images_move_by_half_a_pixel_at_most() -> None:
+    """One array stands nearer than the scene's distance, one farther."""
+    settings = small(
+        "channel.distance_m=50",
+        "channel.arrays=[{x_m=-0.4, y_m=0.0, z_offset_m=-20.0}, {x_m=0.4, y_m=0.1, z_offset_m=30.0}]",
+        "transmit.identities=[0, 7]",
+        "channel.duration_s=0.001",
+    )
+    at = places(settings)
+    moves = np.array([places(dithered(settings, seed)) - at for seed in range(60)])
+    assert np.abs(moves).max() < 0.501
+    # of both, in both directions, almost all of the pixel is used
+    assert moves.min(0) == pytest.approx(-0.5, abs=0.06)
+    assert moves.max(0) == pytest.approx(0.5, abs=0.06)
+    # and they do not move together
+    assert abs(np.corrcoef(moves[:, 0, 0], moves[:, 1, 0])[0, 1]) < 0.4
+
+
+def test_what_moves_is_left_where_it_is() -> None:
+    settings = small("channel.speed_m_s=10")
+    assert dithered(settings, 1) == settings
