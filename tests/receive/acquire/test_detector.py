@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scenes import film, frame_of, link
+from scenes import drawn_film, film, frame_of, link
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.coarse import SearchParameters
@@ -188,3 +188,28 @@ def test_squares_that_blink_as_a_whole_are_found_where_headers_are_such() -> Non
     assert found[0].fit.pose.x == pytest.approx(50.5, abs=0.1)
     assert found[0].fit.pose.y == pytest.approx(40.5, abs=0.1)
     assert found[0].fit.pose.pitch == pytest.approx(22 / 16, rel=0.02)
+
+
+def test_the_pose_is_that_of_its_time() -> None:
+    """A pose is where the array is in the middle of the exposure that begins at its time."""
+
+    def even(t: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack([40.3 + 300 * t, 48.8 - 200 * t], -1)
+
+    (found,) = detections(drawn_film(link(), 12, even))
+    assert found.start_time_s == 0
+    x, y = even(np.array([found.time_s + 0.5e-3]))[0]
+    assert (found.fit.pose.x, found.fit.pose.y) == pytest.approx((x, y), abs=0.15)
+
+
+@pytest.mark.parametrize("mode", ["paired", "single"])
+def test_cells_dimmed_by_a_format_change_neither_gain_nor_tilt(mode: str) -> None:
+    """The first pair of a header is whole, whatever the later ones signal."""
+    impaired = replace(PLAIN, impaired=True, regularity=0.15)
+    plain, dimmed = (
+        detections(film(link(*formats, distance_m=60.0), 12), parameters=impaired)[0].fit
+        for formats in ((), (f"transmit.formats=[{{mode='{mode}', high='9/10', middle='3/4', low='1/2'}}]",))
+    )
+    assert dimmed.gain == pytest.approx(plain.gain, rel=0.02)
+    assert dimmed.pose.pitch == pytest.approx(plain.pose.pitch, rel=0.003)
+    assert (dimmed.pose.stretch, dimmed.pose.shear) == pytest.approx((0, 0), abs=0.01)

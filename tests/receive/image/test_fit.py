@@ -185,6 +185,26 @@ def test_any_pose_is_found_within_its_covariance(pose: Pose, kind: str, seed: in
     assert found.score > 0.9
 
 
+def test_the_covariance_is_as_true_with_few_pixels_as_with_many() -> None:
+    """Of 49 pixels nine parameters are fitted: what is left of the noise is that of 40."""
+    rng, pose, sigma = np.random.default_rng(9), Pose(40.1, 30.9, pitch_at(150), 0.0, 0.55), 2.5
+    ratios = []
+    for corner, shape in (((37, 28), (7, 7)), ((25, 16), (30, 31))):
+        clean = GAIN * draw(pose, HEADER, corner, shape) + LEVEL
+        prior = Prior(pose.vector(), np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4]) ** 2)
+        found = [fit_array(clean + rng.normal(0, sigma, shape), corner, prior, HEADER, 2) for _ in range(200)]
+        stated = np.mean([1 / one.covariance[0, 0] for one in found])
+        # information on x and y of pixels of the noise sigma, gain and a plane unknown
+        steps = [draw(pose.moved(*d), HEADER, corner, shape) for d in ((1e-4, 0), (-1e-4, 0), (0, 1e-4), (0, -1e-4))]
+        slopes = [GAIN * (steps[0] - steps[1]) / 2e-4, GAIN * (steps[2] - steps[3]) / 2e-4]
+        rows, cols = np.mgrid[: shape[0], : shape[1]].astype(float)
+        columns = np.stack([*slopes, clean, np.ones(shape), rows, cols]).reshape(6, -1)
+        ratios.append(stated * np.linalg.inv(columns @ columns.T / sigma**2)[0, 0])
+    assert ratios[0] == pytest.approx(ratios[1], rel=0.1)
+    # robust weights and rounding cost a little
+    assert ratios[1] == pytest.approx(1, abs=0.25)
+
+
 def test_an_expected_gain_and_the_pixels_are_weighed_by_their_variances() -> None:
     """Of a far array in strong noise the gain is hardly seen, and the pose is known."""
     rng, pose, sigma = np.random.default_rng(6), Pose(40.37, 31.81, pitch_at(150), 0.0, 0.55), 200.0

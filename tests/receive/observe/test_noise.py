@@ -10,6 +10,7 @@ from whole_pairs import GAIN, SYMBOLS, T, moving, pair_of
 
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.observe.noise import measure_noise, noise_beside
+from heliograph.receive.timing.combination import SlotLight, combine_pair
 from heliograph.receive.timing.frame_pair import FramePair
 
 Floats = NDArray[np.float64]
@@ -55,6 +56,21 @@ def test_noise_beside_single_frames() -> None:
         # twice what the frame shows above the background
         cutouts.append(replace(taken, difference=2 * taken.difference, poses=poses[:1]))
     assert noise_beside(cutouts, SIDE) == pytest.approx((2 * 1.5) ** 2, rel=0.06)
+
+
+def test_noise_of_combined_frames_is_in_units_of_two() -> None:
+    """Sum and difference of combined frames have other variances than those of two, and the array's sum is even."""
+    rng, sigma, poses = np.random.default_rng(9), 1.5, moving(80, 0.02, (0.0, 0.0))
+    combination = combine_pair(np.arange(-2, 5) / 1.5 + 0.2, 1 / 1.5, SlotLight((0, 1, 2, 3)))
+    assert combination is not None
+    assert abs(combination.noise - 1) > 0.2
+    even, cutouts = take_cutout(pair_of(poses, np.full((SIDE, SIDE), 0.5)), poses, SIDE), []
+    for _ in range(48):
+        total = even.total + sigma * rng.normal(0, (combination.total**2).sum() ** 0.5, even.shape)
+        difference = sigma * rng.normal(0, (combination.difference**2).sum() ** 0.5, even.shape)
+        cutouts.append(replace(even, total=total, difference=difference, combination=combination))
+    noise = measure_noise(cutouts, GAIN, SIDE)
+    assert (noise.lit, noise.dark) == pytest.approx((2 * sigma**2, 2 * sigma**2), rel=0.12)
 
 
 def test_of_nothing_the_noise_is_that_of_rounding() -> None:

@@ -12,8 +12,10 @@ from scenes import film, link, pitch_at
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
+from heliograph.receive.image.fit import header_amplitude
 from heliograph.receive.timing.clocked_pairing import ClockedPairing
 from heliograph.receive.timing.frame_pair import CombinedFrame, FramePair
+from heliograph.signal.header import header_levels
 
 SETTINGS = link("signal.data_pairs=5")
 SIGNAL = SETTINGS.signal
@@ -66,7 +68,6 @@ def test_each_pair_comes_once_in_order_with_frames_of_its_time(rate: tuple[float
             assert pair.pattern.time_s == pytest.approx(first, abs=1.5e-4)
             assert pair.inverted.time_s == pytest.approx(first + 1e-3, abs=1.5e-4)
         else:
-            # the time is half a pattern before the mean of the light
             assert first - 1e-3 < pair.time_s < first + 2e-3
 
 
@@ -83,6 +84,17 @@ def test_whole_films_give_every_pair(fps: float, start_s: float) -> None:
     # out of step the detection saw the header too weak
     assert (pairing.first_gain is None) == in_step
     assert pairing.first_gain is None or pairing.first_gain == pytest.approx(0.8 * 255, rel=0.1)
+    signs = header_levels(0) / 2.0 - 1.0
+    for number, pair in got:
+        assert pair is not None
+        if number % 7 < 2:
+            up, down = (header_amplitude(frame, POSE, signs) for frame in (pair.pattern, pair.inverted))
+            # the difference is the header's, as in step: half of the light of +-1 in either direction
+            assert up - down == pytest.approx(0.8 * 255, rel=0.1)
+        if pair.combination is not None:
+            # half a pattern before the mean of the light, which counts from the pair, or from its header
+            place = 2 * (number if number % 7 >= 2 else number - number % 7) + pair.combination.sum_time - 0.5
+            assert pair.time_s == pytest.approx(start_s + 1e-3 * place, abs=3e-5)
     # one header gives the start of a camera in step to a tenth of a pattern, of any other more exactly
     assert pairing.origin_s == pytest.approx(start_s, abs=1e-4 if in_step else 2e-5)
 

@@ -4,7 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 
 from heliograph.receive.timing import partial_exposure
 from heliograph.receive.timing.combination import SlotLight, combine_header, combine_pair
@@ -81,6 +84,41 @@ def test_a_combination_holds_what_it_says(order: tuple[int, ...], exposure: floa
     for leak, slots, table in zip(combination.leaks, combination.slots[[0, 2]], (tables[0], tables[2]), strict=True):
         assert (leak is None) == (np.abs(slots).max() <= LEAK)
         assert leak is None or np.array_equal(leak, table)
+
+
+def merit(weights: Floats, slope: Floats, spread: Floats) -> float:
+    """Squared slope over the levels of a difference, over the variance of what is not linear in them."""
+    return float((weights @ slope) ** 2 / (weights @ spread @ weights))
+
+
+@examples(150)
+@given(rate=st.floats(1.0, 3.0), part=st.floats(0.2, 1.0), phase=st.floats(0, 1))
+def test_no_difference_shows_the_levels_better(rate: float, part: float, phase: float) -> None:
+    """Among noise and light of other pairs; frames of little weight may be left out."""
+    light, exposure = SlotLight((0, 1, 2, 3)), part / rate
+    starts = (phase + np.arange(-8, 16)) / rate
+    starts = starts[(starts > -1) & (starts < 2)]
+    combination = combine_pair(starts, exposure, light)
+    # overlaps with the slots of three pairs, the first of which begins at -2
+    slots = np.arange(-8, 16) / 4
+    ends = np.minimum(starts[:, None] + exposure, slots + 0.25)
+    overlap = np.maximum(ends - np.maximum(starts[:, None], slots), 0) / exposure
+    shown = np.einsum("fj,jqr->fqr", overlap, light.shows)
+    slope = shown[:, 1] @ partial_exposure.SLOPES
+    # a frame has the noise variance 0.05, and each slot's light that of random data
+    spread = 0.05 * np.eye(len(starts)) - np.outer(slope, slope)
+    spread += np.einsum("fqr,rs,gqs->fg", shown, partial_exposure.COVARIANCE, shown)
+    near = overlap[:, 8:16].sum(1) > 1e-9
+    spread, slope = spread[np.ix_(near, near)], slope[near]
+    # the best: M^-1 (h - mu 1) of the sum 0
+    h, ones = np.linalg.solve(spread, np.stack([slope, np.ones(len(slope))], axis=1)).T
+    best = h - ones * h.sum() / ones.sum()
+    if combination is None:
+        assert merit(best, slope, spread) < 0.1
+        return
+    weights = np.zeros(len(starts))
+    weights[combination.frames] = combination.difference
+    assert merit(weights[near], slope, spread) > 0.994 * merit(best, slope, spread)
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 0, 3, 1)])

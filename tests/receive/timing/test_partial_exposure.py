@@ -45,13 +45,13 @@ def test_moments_go_through_all_values_of_a_square() -> None:
     assert second == pytest.approx(chance @ table[rows] ** 2 - first**2)
 
 
-@pytest.mark.parametrize("known", [False, True])
-def test_symbols_of_a_square_say_more_of_each_other_once_they_are_known(known: bool) -> None:
+@pytest.mark.parametrize("known", [0.0, 0.6, 1.0])
+def test_symbols_of_a_square_say_more_of_each_other_the_more_they_are_known(known: float) -> None:
     rng = np.random.default_rng(3)
     table = response(np.array([0.1, 0.6, 0.3, 0.0]))
     observed, variance = rng.normal(0, 1, 4), rng.uniform(0.1, 2, 4)
     for i in range(4):
-        mean = np.array([1.0, -1.0, -1.0, 1.0]) if known else np.zeros(4)
+        mean = known * np.array([1.0, -1.0, -1.0, 1.0])
         mean[i] = 0.0
         chance = np.prod((1 + VALUES * mean) / 2, 1)
         fit = (table - observed) ** 2 / variance / 2
@@ -63,7 +63,9 @@ def test_symbols_of_a_square_say_more_of_each_other_once_they_are_known(known: b
         # power of the products of symbols over that of the symbols themselves
         products = np.mean(table**2) / np.mean(table * VALUES) ** 2 - 1
         assert 0.05 < products < 0.5
-        llr = joint if known else own + products * (joint - own)
+        # the other three are known by the product of their squared means
+        trust = products + (1 - products) * known**6
+        llr = own + trust * (joint - own)
         assert symbol_llrs(table, observed, variance, mean)[i] == pytest.approx(llr, abs=1e-6)
 
 

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from recorder import Recorder
-from scenes import drawn_film, link
+from scenes import ALL_ON, SIDE, draw, drawn_film, frame_of, link, pitch_at
 from scipy.ndimage import gaussian_filter1d
 
 from heliograph.receive import Pose, receive_frames
-from heliograph.receive.track.tracker import TrackedPair, contrast
+from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.image.fit import Fit
+from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.track.kalman import MotionModel
+from heliograph.receive.track.tracker import Track, TrackedPair, Tracker, contrast
+from heliograph.signal.header import header_levels
 
 Floats = NDArray[np.float64]
 
@@ -60,3 +65,45 @@ def test_contrast_is_what_blur_leaves_of_a_square_of_leds(pitch: float, blur: fl
     # along x and along y
     left = ((blurred**2).sum() / (sharp**2).sum()) ** 2
     assert contrast(Pose(0, 0, pitch, 0, blur)) == pytest.approx(np.sqrt(left), rel=1e-2)
+
+
+def followed(gain: float, expected: float, seed: int = 0) -> tuple[Tracker, Track, FramePair]:
+    """A tracker, an array just found that is expected to have a gain, and header frames of it of another."""
+    tracker, rng = Tracker(SIDE, MotionModel(1e-3, 0.1)), np.random.default_rng(seed)
+    pose, header = Pose(40.2, 39.7, pitch_at(50.0), 0.01, 0.53), header_levels(7) / 4.0
+    up, down = (
+        frame_of(0.1 + gain / 255 * draw(pose, x, (0, 0), (80, 80)), 2 + k, rng)
+        for k, x in enumerate((header, 1 - header))
+    )
+    fit = Fit(pose.full_vector(), 1e-6 * np.eye(7), expected, 1.0)
+    return tracker, tracker.start(Detection(7, 0.0, fit, 1.5e-3, 1.0, 1.0, ALL_ON)), FramePair(up, down)
+
+
+def test_the_gain_goes_a_tenth_of_its_way_with_each_sum() -> None:
+    tracker, track, pair = followed(180.0, 160.0)
+    assert (track.gain, track.data_gain, track.last_seen_s) == (160.0, 160.0, 1.5e-3)
+    tracked = tracker.follow(track, pair)
+    assert tracked.seen
+    assert tracked.before is track
+    assert tracked.fit.gain == pytest.approx(180, rel=0.03)
+    assert tracked.track.gain - 160 == pytest.approx(0.1 * (tracked.fit.gain - 160))
+    # that of headers is theirs
+    assert tracked.track.data_gain == 160
+    assert tracked.track.last_seen_s == pair.time_s
+
+
+def test_a_header_gives_the_gain_of_the_data() -> None:
+    tracker, track, pair = followed(180.0, 160.0)
+    refined = tracker.refine(track, pair, header_levels(7) / 2.0 - 1.0)
+    assert refined.data_gain == pytest.approx(180, rel=0.02)
+    assert refined.gain == 160
+    # another array's header changes nothing
+    assert tracker.refine(track, pair, header_levels(20) / 2.0 - 1.0) is track
+
+
+def test_a_hidden_array_leaves_the_gain_as_it_is() -> None:
+    tracker, track, pair = followed(0.0, 160.0)
+    tracked = tracker.follow(track, pair)
+    assert not tracked.seen
+    assert (tracked.track.gain, tracked.track.last_seen_s) == (160, 1.5e-3)
+    assert tracked.track.state.time_s == pair.time_s
