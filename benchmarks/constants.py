@@ -262,8 +262,9 @@ means that the constant is not critical. The page is made by
 
     python -m benchmarks.constants --page docs/constants.md
 
-Codewords read with all constants as they are, by scene (soft receiver where none is named), {sum(r for r, *_ in
-base.values())} in all:
+Codewords read with all constants as they are, by scene (soft receiver where none is named), {
+        sum(r for r, *_ in base.values())
+    } in all:
 
 | scene | codewords |
 |---|---|

@@ -21,7 +21,8 @@ def lowest_versions(project: dict[str, Any]) -> list[str]:
     Parameters
     ----------
     project
-        The table `project` of pyproject.toml; its extras `dev` and `docs` are left out, as they serve the development alone.
+        The table `project` of pyproject.toml. Its extras `dev` and `docs` serve the development alone and are left
+        out.
 
     Raises
     ------

@@ -53,7 +53,7 @@ def test_window_is_the_frame_bit_for_bit(kind: str, bits: int) -> None:
         duration_s=0.06,
         shake="road",
         road_class="D",
-        background=BackgroundSettings(kind=kind),  # type: ignore[arg-type]
+        background=BackgroundSettings(kind=kind),
         arrays=(Placement(roll_deg=3), Placement(x_m=1.1, z_offset_m=7, yaw_deg=20, clock_ppm=80, start_s=0.0103)),
         camera=CameraSettings(fps=250, width=320, height=256, exposure_s=0.9e-3),
         sensor=SensorSettings(bits=bits, dark_noise_e=0 if bits == 12 else 40),

@@ -93,3 +93,10 @@ def test_wrong_arguments_are_one_line(call: Call, arguments: str, message: str) 
 
 def test_an_unknown_measurement_is_a_usage_error(call: Call) -> None:
     assert "heliograph measure --help" in failed(call("nothing"), 2)
+
+
+def test_without_a_measurement_the_help_says_which_there_are(call: Call) -> None:
+    run = call()
+    assert run.returncode == 2
+    assert "Usage: heliograph measure" in run.stderr
+    assert "\n  header-separation " in run.stderr

@@ -15,7 +15,7 @@ from heliograph.measure.bench import random_messages, run_block
 from heliograph.measure.counts import LayerCounts
 from heliograph.measure.errors import ErrorCounter
 from heliograph.measure.statistics import Count
-from heliograph.receive import Packet, Receiver
+from heliograph.receive import Packet, Receiver, make_receiver
 from heliograph.signal.settings import LAYERS
 
 NONE_LOST = Count(200, 0), Count(200, 0)
@@ -131,7 +131,7 @@ class Deaf:
 
 @pytest.mark.parametrize(("times", "packets", "lost"), [(0, 0, 1), (2, 1, 0)])
 def test_lost_and_repeated_packets(monkeypatch: pytest.MonkeyPatch, times: int, packets: int, lost: int) -> None:
-    monkeypatch.setattr(films, "make_receiver", lambda *args: Deaf(Receiver(*args), times))
+    monkeypatch.setattr(films, "make_receiver", lambda *args: Deaf(make_receiver(*args), times))
     one = films.count_film(films.FilmTask(35.0, "haar", (7,)))
     assert (len(one.packets), list(one.lost)) == (packets, [37.5] * lost)
     assert films.lost_packets([one, one]) == Count(2, 2 * lost)
@@ -164,7 +164,7 @@ def test_on_off_keying_end_to_end() -> None:
     changes = {"signal": {"modulation": "ook"}, "channel": {"distance_m": 35.0, "duration_s": 0.2001}}
     settings = load_settings("static", changes)
     messages = random_messages(settings, 5)
-    counter, receiver = ErrorCounter(settings, messages), Receiver(settings.signal, settings.receive)
+    counter, receiver = ErrorCounter(settings, messages), make_receiver(settings.signal, settings.receive)
     statuses = []
     for frame, truth in simulate(settings, messages, 5, roi_margin_px=20):
         counter.saw(truth.time_s, [truth.arrays[0].distance_m], [truth.arrays[0].visible])

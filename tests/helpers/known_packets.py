@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scenes import SIDE, pitch_at
 
 from heliograph.receive import Pose
-from heliograph.receive.decode.codeword import DecoderOptions
+from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.iterate import EqualiseEvent, GainAndNoise, decode_iteratively, ignore
 from heliograph.receive.decode.soft_combining import SoftBuffer
 from heliograph.receive.equalise.threads import one_thread
@@ -156,7 +156,7 @@ def decoded(
 ) -> Words:
     """What the soft receiver reads of a packet."""
     observed = packet if isinstance(packet, KnownPoses) else KnownPoses(packet)
-    options = DecoderOptions("log-map")
+    options = Decoding("log-map")
     with one_thread():  # as in the receiver
         return decode_iteratively(
             observed, channel or GainAndNoise(GAIN, NOISE), FORM, identity, options, buffer, feedback, observe

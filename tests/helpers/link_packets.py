@@ -10,7 +10,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, default_messages, transmitters
 from heliograph.measure.errors import ErrorCounter
 from heliograph.receive import Packet, Pose
-from heliograph.receive.decode.codeword import DecoderOptions, decode_packet
+from heliograph.receive.decode.codeword import Decoding, decode_packet
 
 SMALL = (
     "channel.camera.width=160",
@@ -32,7 +32,7 @@ def perfect(settings: LinkSettings, number: int, messages: Sequence[Messages] | 
     sender = transmitters(settings, messages or default_messages(settings))[array]
     levels = sender.format.patterns(sender.identity, sender.blocks(number)).astype(float)
     change = (levels[0::2] - levels[1::2])[settings.signal.header_pairs :]
-    words = decode_packet(change, np.ones(len(change), bool), sender.format, sender.identity, DecoderOptions())
+    words = decode_packet(change, np.ones(len(change), bool), sender.format, sender.identity, Decoding())
     place, size = settings.channel.arrays[array], settings.signal.packet_patterns
     start = place.start_s + number * settings.signal.packet_s
     first = round(start * settings.channel.camera.fps)

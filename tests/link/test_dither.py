@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from link_packets import small
 
-from heliograph.link.bench import dithered
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import default_messages, simulate
+from heliograph.measure.bench import dithered
 
 
 def places(settings: LinkSettings) -> np.ndarray:

@@ -3,8 +3,8 @@
 import pytest
 from link_packets import small
 
-from heliograph.link.errors import ErrorCounter
 from heliograph.link.simulate import default_messages
+from heliograph.measure.errors import ErrorCounter
 
 SETTINGS = small("channel.duration_s=1")
 FPS = 1000.0

@@ -3,13 +3,13 @@
 from dataclasses import replace
 
 import pytest
-from sent_packets import LAYERS, perfect, small, sums, tampered, watch
+from link_packets import LAYERS, perfect, small, sums, tampered, watch
 
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages
 from heliograph.measure.counts import pooled
 from heliograph.measure.errors import BIN_M, ErrorCounter
-from heliograph.receive.decode import ERASED
+from heliograph.receive.decode.codeword import ERASED
 
 SETTINGS = small()
 K = 1024

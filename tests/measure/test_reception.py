@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from sent_packets import small
+from link_packets import small
 
 from heliograph.link.film import write_film
 from heliograph.link.truth import open_truth, truth_path

@@ -12,7 +12,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from heliograph.base.errors import HeliographError, SettingsError
 from heliograph.base.frames import Frame
-from heliograph.link.bench import run_block
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import run_block
 from heliograph.receive import ReceiveSettings, make_receiver, receive_frames

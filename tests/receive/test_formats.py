@@ -3,7 +3,7 @@
 import pytest
 from scenes import link
 
-from heliograph.link.bench import run_block
+from heliograph.measure.bench import run_block
 
 
 def test_a_receiver_needs_no_rates() -> None:

@@ -7,8 +7,9 @@ import pytest
 from recorder import Recorder
 from scenes import film, link
 
-from heliograph.link.bench import BlockCounts, run_block
 from heliograph.link.settings import LinkSettings
+from heliograph.measure.bench import run_block
+from heliograph.measure.counts import BlockCounts
 from heliograph.receive import Packet, receive_frames
 
 QUARTER = {"hidden": (0.0, 0.0, 0.5, 0.5)}

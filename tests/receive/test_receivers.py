@@ -13,7 +13,8 @@ from heliograph.base.config import CONFIG
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
 from heliograph.receive import Packet, Pose, ReceiveSettings, make_receiver, own_settings, receive_frames
-from heliograph.receive.receivers import RECEIVERS, register_receiver
+from heliograph.receive.receivers import register_receiver
+from heliograph.receive.registry import RECEIVERS
 from heliograph.signal.settings import SignalSettings
 
 SIGNAL = SignalSettings()
@@ -62,7 +63,7 @@ def test_a_receiver_of_ones_own_is_chosen_by_its_name() -> None:
     assert [(p.first_frame, p.last_frame) for p in packets] == [(0, 2), (3, 5), (6, 6)]
     assert shown == FRAMES[::3]
     assert isinstance(make_receiver(SIGNAL, settings), Counting)
-    assert settings.receiver in RECEIVERS
+    assert settings.receiver in RECEIVERS.names()
 
 
 def test_it_has_settings_of_its_own() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import film, link
 
-from heliograph.link.bench import run_block
+from heliograph.measure.bench import run_block
 from heliograph.receive import receive_frames
 
 

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 from scenes import film, link
 
-from heliograph.link.bench import run_block
 from heliograph.link.settings import LinkSettings
+from heliograph.measure.bench import run_block
 from heliograph.receive import receive_frames
 
 DATA_PAIRS = {4: 100, 8: 48, 32: 8}

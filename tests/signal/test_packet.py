@@ -15,7 +15,7 @@ from heliograph.signal.header import header_levels
 from heliograph.signal.packet import LayerFormat, PacketFormat, with_inverses
 from heliograph.signal.pwm import waveform
 from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
-from heliograph.signal.turbo import QPP_SIZES
+from heliograph.signal.turbo import QPP_SIZES, TurboCode
 
 Bits = NDArray[np.uint8]
 
@@ -159,6 +159,7 @@ def test_layers_are_where_blur_leaves_them(modulation: Literal["haar", "ook"]) -
 def systematic(layer: LayerFormat, codeword: int) -> Bits:
     """1 where the packet holds a systematic bit of the codeword: (pairs, symbols)."""
     marks = np.zeros((layer.codewords, layer.code.length), np.uint8)
+    assert isinstance(layer.code, TurboCode)
     positions = layer.code.positions
     marks[codeword] = (positions % 3 == 0) & (positions < 3 * layer.code.k)
     return layer.interleave(marks)
@@ -210,7 +211,7 @@ def test_codewords_fill_the_packet_at_about_the_rate(side: int, pairs: int, rate
         layer = layers[name]
         assert layer.codewords * layer.code.length == quarters * quarter
         assert layer.code.k in QPP_SIZES
-        assert layer.code.rate <= 0.9
+        assert layer.code.k / layer.code.length <= 0.9
         # half the widest step between sizes, a whole one at the highest rate
         assert abs(layer.code.k - rate * layer.code.length) <= (64 if rate > 0.88 else 32)
     assert layers["middle"].codewords == 2 * layers["high"].codewords == 2 * layers["low"].codewords
@@ -242,7 +243,7 @@ def test_highest_rate_never_exceeds_what_the_code_allows(side: int, pairs: int) 
         assert "raise signal.data_pairs" in str(error)  # noqa: PT017  # too few bits for a block
         assert side**2 // 4 * pairs < 116
     else:
-        assert layers["high"].code.rate <= 0.9
+        assert layers["high"].code.k / layers["high"].code.length <= 0.9
 
 
 def test_whitening_is_in_the_light() -> None:

@@ -34,10 +34,7 @@ def main(context: typer.Context, load: options.Load = None) -> None:
     """Data sent by an LED array, received by a high-speed camera on a moving car."""
     for file in load or ():
         load_parts(file)
-    # Click shows the help itself, but called that a success until 8.2
-    if context.invoked_subcommand is None:
-        sys.stderr.write(context.get_help() + "\n")
-        raise typer.Exit(2)
+    options.help_unless_command(context)
 
 
 @app.command()

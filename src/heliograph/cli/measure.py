@@ -12,12 +12,18 @@ from heliograph.cli import console, options
 if TYPE_CHECKING:
     from heliograph.experiments.result import Context
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Measure one thing, and print the counts.")
+app = typer.Typer(rich_markup_mode=None)
 
 Clips = Annotated[list[Path], typer.Argument(metavar="CLIP...", help="Recorded footage.")]
 Motion = Annotated[Path, typer.Option("--imu", metavar="CSV", help="Recorded car motion.")]
 First = Annotated[int, typer.Option(min=0, help="Seed of the first; the others follow.")]
 Layer = Annotated[str, typer.Option(help="Layer to count: high, middle or low.")]
+
+
+@app.callback(invoke_without_command=True)
+def main(context: typer.Context) -> None:
+    """Measure one thing, and print the counts."""
+    options.help_unless_command(context)
 
 
 @app.command()

@@ -1,5 +1,6 @@
 """Options that several commands share, and how they become settings."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -98,3 +99,13 @@ def read_toml(file: Path) -> dict[str, Any]:
         raise SettingsError(f"the settings {file} are no text; write TOML in UTF-8") from None
     except SettingsError as error:
         raise SettingsError(f"{file}: {error}") from None
+
+
+def help_unless_command(context: typer.Context) -> None:
+    """Write the help to standard error and end with status 2 where no command was given.
+
+    Click has this of its own, but called it a success until 8.2.
+    """
+    if context.invoked_subcommand is None:
+        sys.stderr.write(context.get_help() + "\n")
+        raise typer.Exit(2)

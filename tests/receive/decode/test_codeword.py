@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scenes import levels, link
 
 from heliograph.link.simulate import default_messages, transmitters
-from heliograph.receive.decode.codeword import ERASED, DecoderOptions, decode_packet, soft_to_llr
+from heliograph.receive.decode.codeword import ERASED, Decoding, decode_packet, soft_to_llr
 from heliograph.signal.block import Block
 from heliograph.signal.code import Algorithm
 from heliograph.signal.haar import inverse_transform
@@ -17,7 +17,7 @@ from heliograph.signal.settings import LAYERS, SignalSettings
 
 Floats = NDArray[np.float64]
 
-OPTIONS = DecoderOptions()
+OPTIONS = Decoding()
 ALL = np.ones(48, dtype=bool)
 
 
@@ -87,7 +87,7 @@ def test_nothing_seen() -> None:
 def test_noise_is_corrected(algorithm: Algorithm) -> None:
     form, blocks, x = sent()
     noisy = x + np.random.default_rng(1).normal(0, 1.0, x.shape)
-    layers = decode_packet(noisy, ALL, form, 0, DecoderOptions(algorithm))
+    layers = decode_packet(noisy, ALL, form, 0, Decoding(algorithm))
     assert [w.block for name in LAYERS for w in layers[name]] == [b for name in LAYERS for b in blocks[name]]
 
 
@@ -115,7 +115,7 @@ def test_garbage_is_never_ok(kind: str) -> None:
     while count < 700:
         x = rng.normal(0, 1, (5, 16, 16))
         x = {"noise": x, "strong": 50 * np.sign(x), "constant sign": np.abs(x)}[kind]
-        layers = decode_packet(x, np.ones(5, dtype=bool), form, 0, DecoderOptions(iterations=2))
+        layers = decode_packet(x, np.ones(5, dtype=bool), form, 0, Decoding(iterations=2))
         assert all(w.status == "crc_fail" and w.block is None for row in layers.values() for w in row)
         count += words
 

@@ -24,7 +24,7 @@ from known_packets import (
 from numpy.typing import NDArray
 from scenes import SIDE, pitch_at
 
-from heliograph.link.statistics import clopper_pearson
+from heliograph.measure.statistics import clopper_pearson
 from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import ERASED
 from heliograph.receive.decode.iterate import EqualiseEvent, GainAndNoise
@@ -119,7 +119,7 @@ def test_the_gain_is_estimated_along_with_the_symbols(factor: float) -> None:
     words = decoded(packet, channel=GainAndNoise(factor * GAIN, NOISE), buffer=buffer, observe=events.append)
     # the low layer is not read, so the packet is kept, in units of its gain
     assert right(words, blocks) == [True, True, True, False]
-    kept = buffer.take_packet(FORM.named, [llr for layer in events[0].llr.values() for llr in layer])
+    kept = buffer.take_packet(FORM.format, [llr for layer in events[0].llr.values() for llr in layer])
     assert kept is not None
     # with each layer that is known it comes nearer
     errors = [abs(gain / GAIN - 1) for gain in (*(channel.gain for channel in packet.channels), kept.gain)]

@@ -29,4 +29,4 @@ def test_leds_are_read_where_they_are_in_each_frame() -> None:
     (decode,) = recorder.of(DecodeEvent)
     assert decode.luminances is not None
     assert all(event.luminances is not None for event in events)
-    assert np.array_equal(decode.luminances[8:], [event.luminances for event in events])
+    assert np.array_equal(decode.luminances[8:], np.array([event.luminances for event in events]))

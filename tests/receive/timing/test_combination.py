@@ -96,7 +96,7 @@ def merit(weights: Floats, slope: Floats, spread: Floats) -> float:
 def test_no_difference_shows_the_levels_better(rate: float, part: float, phase: float) -> None:
     """Among noise and light of other pairs; frames of little weight may be left out."""
     light, exposure = SlotLight((0, 1, 2, 3)), part / rate
-    starts = (phase + np.arange(-8, 16)) / rate
+    starts = (phase + np.arange(-8.0, 16.0)) / rate
     starts = starts[(starts > -1) & (starts < 2)]
     combination = combine_pair(starts, exposure, light)
     # overlaps with the slots of three pairs, the first of which begins at -2
