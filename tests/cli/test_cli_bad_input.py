@@ -81,7 +81,7 @@ BAD = {
     "simulate a.mkv --settings {}/unknown.toml": "did you mean 'channel.distance_m'",
     "simulate a.mkv --settings {}/missing.toml": "No such file",
     "simulate a.mkv --settings {}/folder": "directory",
-    "receive {}/a.mkv --receiver plane": "'plain' or 'soft', not 'plane'",
+    "receive {}/a.mkv --receiver plane": "unknown receiver 'plane'; did you mean 'plain'?",
     # truth and output
     "receive {}/a.mkv --truth {}/missing.npz": "there is no truth file",
     "receive {}/a.mkv --truth {}/text.mkv": "no truth file, or damaged",

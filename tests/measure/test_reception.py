@@ -10,8 +10,8 @@ from heliograph.link.film import write_film
 from heliograph.link.truth import open_truth, truth_path
 from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import open_film
-from heliograph.receive import Receiver
 from heliograph.receive.packets import Status
+from heliograph.receive.receiver import StreamReceiver
 
 
 def test_a_report_may_be_asked_for_at_any_time(tmp_path: Path) -> None:
@@ -47,9 +47,9 @@ def test_what_is_no_packet_is_neither_handed_on_nor_counted(
     """Also that of an array seen before; it was sent, so it is missed."""
     settings = small("channel.duration_s=0.3")
     write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
-    push = Receiver.push
+    push = StreamReceiver.push
     monkeypatch.setattr(
-        Receiver,
+        StreamReceiver,
         "push",
         lambda *a: [replace(p, status=status) if p.first_frame == 100 else p for p in push(*a)],
     )

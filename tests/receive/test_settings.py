@@ -1,12 +1,26 @@
 """The receiver's settings: what has no effect is refused."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
 from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
-from heliograph.receive import ReceiveSettings
+from heliograph.receive import ReceiveSettings, register_receiver
+
+
+@dataclass(frozen=True)
+class Every:
+    """Settings of a receiver of one's own."""
+
+    frames: int = 1
+
+
+@pytest.fixture(autouse=True)
+def mine() -> None:
+    """Register the receiver "mine", which is never made."""
+    register_receiver("mine", lambda *_: pytest.fail("no receiver is asked for"), Every)
 
 
 @pytest.mark.parametrize(

@@ -118,7 +118,7 @@ def test_presets_and_receivers_vary() -> None:
 
 
 def test_all_receivers_get_the_same_films_and_other_scenes_others() -> None:
-    one, other = plan({"receive.track.iterations": [3, 4]}, "static", SMALL)
+    one, other = plan({"receive.decode.iterations": [3, 4]}, "static", SMALL)
     assert one.key != other.key
     assert [one.block_seed(k) for k in range(3)] == [other.block_seed(k) for k in range(3)]
     near, far = points()

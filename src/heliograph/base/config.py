@@ -207,7 +207,9 @@ def _one_line(error: ValidationError, cls: type) -> str:
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return f"unknown setting '{key}'{_nearest(key, cls)}"
     text = first["msg"].removeprefix("Value error, ")
-    shown = "" if isinstance(first["input"], Mapping) or not key else f", not {first['input']!r}"
+    value = first["input"]
+    named = isinstance(value, Mapping) or (isinstance(value, str) and repr(value) in text)
+    shown = "" if named or not key else f", not {value!r}"
     return f"setting '{key}': {text[0].lower()}{text[1:]}{shown}" if key else text
 
 

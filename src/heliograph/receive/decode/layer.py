@@ -21,10 +21,13 @@ At 150 m 16 of 120 codewords of the middle layer were lost with 0.85 or 0.9, 18 
 """
 
 HOPELESS = 0.3
-"""Information in LLRs as a fraction of a code's rate below which a codeword cannot be decoded yet.
+"""Information in LLRs, as a fraction of a code's rate, below which a codeword cannot be decoded in this iteration.
 
-The turbo code of rate 1/3 and 1000 bits needs 0.43 bit a bit, 1.3 times its rate. Feedback may raise a codeword above
-that from 0.5 of the rate on; from less than 0.3 nothing was seen to come. Such codewords get one decoder iteration.
+The turbo code of rate 1/3 and 1000 bits needs 0.43 bit a bit, 1.3 times its rate: four times this threshold. It saves
+time and decides nothing: where all open codewords are below it, the decoder runs once instead of to its end, and a
+packet of which such an iteration decodes nothing is given up. A codeword that begins below it is often decoded later,
+when other layers are known (105 of 685 that began below it, at rest from 105 to 240 m). Of the 772 codewords of these
+350 packets the threshold lost none, nor would 0.6 have; it saved 73 of 1639 iterations.
 """
 
 
