@@ -17,12 +17,13 @@ $(STAMP): pyproject.toml
 demo: install
 	$(BIN)/heliograph demo --output demo
 
+# two processes, a file of tests each: what a file's tests share is made once
 test: install
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 # a test of each room, under a minute
 test-quick: install
-	$(BIN)/python -m pytest -m "not slow" tests
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" tests
 
 docs: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
@@ -33,7 +34,7 @@ settings: install
 
 # in an environment of the lowest versions that pyproject.toml allows, which call much that is deprecated now
 test-lowest: $(LOWEST)/.installed
-	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest -W ignore::DeprecationWarning
+	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest -n 2 --dist loadfile -W ignore::DeprecationWarning
 
 $(LOWEST)/.installed: pyproject.toml scripts/lowest_versions.py
 	mkdir -p $(LOWEST)

@@ -137,6 +137,7 @@ def all_problems(items: list[Found]) -> list[str]:
 
 
 @pytest.mark.parametrize("package", HELD)
+@pytest.mark.slow
 def test_everything_public_is_described(package: str) -> None:
     items = found(package)
     assert items

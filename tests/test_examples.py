@@ -22,6 +22,7 @@ def test_each_example_is_run() -> None:
 
 
 @pytest.mark.parametrize("name", PICTURES)
+@pytest.mark.slow
 def test_an_example_runs_and_writes_what_it_says(name: str, tmp_path: Path) -> None:
     pytest.importorskip("xarray")
     if name == "own_code":

@@ -46,12 +46,14 @@ MAPPINGS = st.dictionaries(KEYS, NESTED, max_size=4)
 
 @examples(200)
 @given(tree=TREES)
+@pytest.mark.slow
 def test_toml_and_back(tree: dict[str, Any]) -> None:
     assert parse_toml(to_toml(tree)) == tree
 
 
 @examples(150)
 @given(base=MAPPINGS, over=MAPPINGS)
+@pytest.mark.slow
 def test_what_is_laid_over_stands_and_the_rest_stays(base: dict[str, Any], over: dict[str, Any]) -> None:
     # a mapping that is laid on a list would be changes of its items
     base = {k: v for k, v in base.items() if not any(isinstance(value, list) for _, value in leaves({k: v}))}
@@ -87,6 +89,7 @@ def test_a_mapping_laid_on_a_list_changes_items_by_number(
 
 @examples(200)
 @given(path=st.lists(KEYS, min_size=1, max_size=4), value=LEAVES)
+@pytest.mark.slow
 def test_an_assignment_and_back(path: list[str], value: Any) -> None:
     text = to_toml({"v": value}).removeprefix("v = ").rstrip("\n")
     tree = parse_assignment(f"{'.'.join(path)}={text}")
@@ -130,6 +133,7 @@ SETTINGS = st.fixed_dictionaries(
 
 @examples(60)
 @given(over=SETTINGS)
+@pytest.mark.slow
 def test_settings_of_the_link_and_back(over: dict[str, Any]) -> None:
     """By mapping, by TOML, and by an assignment for each value."""
     settings = load_settings("static", over)

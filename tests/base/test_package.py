@@ -40,6 +40,7 @@ def test_public_names_are_there_and_told() -> None:
         assert getattr(heliograph, name).__doc__, name
 
 
+@pytest.mark.slow
 def test_public_names_mean_the_same_the_second_time() -> None:
     """A name that is also a folder's (receive) must not turn into that folder once it is loaded."""
     names = ", ".join(f"'{name}'" for name in heliograph.__all__)
@@ -49,6 +50,7 @@ def test_public_names_mean_the_same_the_second_time() -> None:
     assert out.returncode == 0, out.stderr.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_sweep_is_there_without_the_extra() -> None:
     code = "import sys; sys.modules['xarray'] = None\nimport heliograph as h\n"
     code += "try: h.sweep({})\nexcept h.HeliographError as error: print(error)"

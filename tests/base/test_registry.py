@@ -103,6 +103,7 @@ def run(program: str, *arguments: str, folder: Path, given: bytes = b"") -> subp
     return subprocess.run(command, cwd=folder, input=given, capture_output=True, timeout=120)
 
 
+@pytest.mark.slow
 def test_another_process_runs_the_file_again_even_where_it_does_not_lie(tmp_path: Path) -> None:
     (tmp_path / "beside.py").write_text(BESIDE)
     (tmp_path / "parts.py").write_text(PARTS)
@@ -111,6 +112,7 @@ def test_another_process_runs_the_file_again_even_where_it_does_not_lie(tmp_path
     assert run(WORKER, "nothing", folder=tmp_path, given=parts).stdout == b"Nothing\n"
 
 
+@pytest.mark.slow
 def test_what_does_not_come_by_running_a_file_again_is_an_error_once_it_is_asked_for(tmp_path: Path) -> None:
     (tmp_path / "beside.py").write_text(BESIDE)
     (tmp_path / "parts.py").write_text(PARTS)
@@ -123,6 +125,7 @@ def test_what_does_not_come_by_running_a_file_again_is_an_error_once_it_is_asked
     assert b"No module named 'beside'" in wrong.stderr
 
 
+@pytest.mark.slow
 def test_what_is_registered_by_hand_cannot_go_elsewhere(tmp_path: Path) -> None:
     (tmp_path / "beside.py").write_text(BESIDE)
     program = PROGRAM.replace('load_parts("parts.py")', PARTS)

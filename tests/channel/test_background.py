@@ -25,6 +25,7 @@ def noise(seed: int, size: tuple[int, int] = SIZE) -> NDArray[np.uint8]:
     ("turn", "shift"),
     [(np.eye(2), (20.3, 10.7)), ([[1, -4e-3], [4e-3, 1]], (18.2, 9.9)), ([[0.7, 0.01], [-0.01, 0.7]], (-5.0, 60.0))],
 )
+@pytest.mark.slow
 def test_warp_is_bilinear_interpolation(turn: NDArray[np.float64], shift: tuple[float, float]) -> None:
     first, second = noise(1), noise(2)
     affine = np.eye(3)
@@ -104,6 +105,7 @@ def test_drawn_scene_has_dark_and_bright_and_follows_the_seed() -> None:
 
 
 @pytest.mark.real_data
+@pytest.mark.slow
 def test_real_footage_becomes_a_film(data: Path) -> None:
     import av
 

@@ -47,6 +47,7 @@ def footage(frames: int = 5, seed: int = 3) -> Footage:
 
 @pytest.mark.parametrize("kind", ["flat", "synthetic", "footage"])
 @pytest.mark.parametrize("bits", [8, 12])
+@pytest.mark.slow
 def test_window_is_the_frame_bit_for_bit(kind: str, bits: int) -> None:
     settings = ChannelSettings(
         distance_m=31,
@@ -147,6 +148,7 @@ def test_truth_is_where_the_light_is() -> None:
 
 @pytest.mark.parametrize("level", [2, 4])
 @pytest.mark.parametrize("vx_m_s", [2.0, 12.0])
+@pytest.mark.slow
 def test_long_exposure_is_the_mean_of_short_ones(vx_m_s: float, level: int) -> None:
     # (6): the integral over the open shutter, along the motion (0.2 and 1.2 px) and over the PWM slots
     parts = 20

@@ -60,6 +60,7 @@ def at_rest(level: Floats) -> tuple[Floats, Floats, Floats]:
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 25.0])
 @pytest.mark.parametrize(("distance_m", "share_of_peak"), [(5, 5e-3), (10, 2e-3), (25, 6e-4), (50, 3e-4), (80, 1e-4)])
+@pytest.mark.slow
 def test_leds_equal_brute_force(distance_m: float, share_of_peak: float, tilt_deg: float) -> None:
     settings = ChannelSettings(distance_m=distance_m, speed_m_s=0)
     one, eye = view(

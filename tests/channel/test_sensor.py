@@ -74,6 +74,7 @@ def test_noise_of_the_reference_link_and_of_the_truth() -> None:
     assert gray.std() == pytest.approx(float(NoiseModel(sensor).sigma(0.4)), rel=0.01)
 
 
+@pytest.mark.slow
 def test_tails_are_those_of_a_normal_variable() -> None:
     sensor = SensorSettings(full_well_e=1e6, dark_noise_e=0, bits=12, offset_dn=0)
     mean = 0.5e6

@@ -116,6 +116,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("line", BAD)
+@pytest.mark.slow
 def test_bad_input_is_one_clear_line(line: str, stock: Path, tmp_path: Path, call: Call) -> None:
     before = names(stock)
     assert BAD[line] in failed(call(*line.replace("{}", str(stock)).split()))
@@ -153,11 +154,13 @@ def test_wrong_usage_is_one_line_that_points_to_the_help(line: str, said: str, t
         ("simulate a.mkv --set channel.distanse_m=3", "did you mean 'channel.distance_m'"),
     ],
 )
+@pytest.mark.slow
 def test_it_is_the_same_from_a_shell(line: str, said: str, stock: Path, tmp_path: Path) -> None:
     assert said in failed(heliograph(*line.replace("{}", str(stock)).split(), cwd=tmp_path))
     assert names(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_a_cut_film_gives_its_results_and_then_the_error(stock: Path, tmp_path: Path) -> None:
     run = heliograph(
         "receive", stock / "cut.mkv", "--output", "out", "--truth", stock / "a.mkv.truth.npz", cwd=tmp_path
@@ -202,6 +205,7 @@ def test_a_failed_simulation_leaves_the_earlier_film_alone(stock: Path, call: Ca
     assert names(tmp_path) == ["a.mkv"]
 
 
+@pytest.mark.slow
 def test_too_little_memory_is_told(tmp_path: Path) -> None:
     def little() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
@@ -216,6 +220,7 @@ def limited() -> None:
 
 
 @pytest.mark.parametrize("name", ["a.mkv", "a.h5"])
+@pytest.mark.slow
 def test_a_film_that_must_not_grow_is_removed(name: str, tmp_path: Path) -> None:
     assert "cannot write" in failed(heliograph("simulate", name, *lasting(0.1), cwd=tmp_path, prepare=limited))
     assert names(tmp_path) == []
@@ -252,6 +257,7 @@ def told_full(text: str) -> bool:
     return "disk full" in text or "No space left on device; make room" in text
 
 
+@pytest.mark.slow
 def test_a_full_disk_keeps_no_half_file_and_shows_the_results(disk: Path, stock: Path, call: Call) -> None:
     assert told_full(failed(call("simulate", disk / "a.mkv", *lasting(0.1))))
     assert names(disk) == []
@@ -278,6 +284,7 @@ def humbled() -> None:
             ctypes.CDLL(None).prctl(drop, capability, 0, 0, 0)
 
 
+@pytest.mark.slow
 def test_a_folder_that_may_not_be_written_is_told(stock: Path, tmp_path: Path) -> None:
     closed = tmp_path / "closed"
     closed.mkdir(mode=0o500)

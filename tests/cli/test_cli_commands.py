@@ -17,6 +17,8 @@ from heliograph.cli import console
 from heliograph.link.settings import PRESETS
 from heliograph.media import open_film
 
+pytestmark = pytest.mark.slow
+
 HIGH, MIDDLE, LOW = b"brake\x00\xff", b"detour " * 40, bytes(range(256))
 
 

@@ -15,6 +15,7 @@ INTERRUPTED = 130
 
 
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.slow
 def test_simulate_keeps_the_film_so_far(tmp_path: Path, by: signal.Signals) -> None:
     started = grown(tmp_path, ".*partial*", 200_000)
     run = interrupted("simulate", "a.mkv", *lasting(300), cwd=tmp_path, when=started, by=by)
@@ -26,6 +27,7 @@ def test_simulate_keeps_the_film_so_far(tmp_path: Path, by: signal.Signals) -> N
     assert abs(frames - len(list(open_truth(tmp_path / "a.mkv.truth.npz").rows()))) <= 1
 
 
+@pytest.mark.slow
 def test_receive_shows_and_keeps_the_results_so_far(tmp_path: Path) -> None:
     (tmp_path / "high").write_bytes(b"first")
     succeeded(heliograph("simulate", "a.mkv", *lasting(1.5), "--high", "high", cwd=tmp_path))
@@ -41,6 +43,7 @@ def test_receive_shows_and_keeps_the_results_so_far(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.npy", "a.mkv"])
+@pytest.mark.slow
 def test_transmit_leaves_nothing(tmp_path: Path, name: str) -> None:
     started = grown(tmp_path, ".*partial*")
     run = interrupted("transmit", name, "--packets", "100000", cwd=tmp_path, when=started)
@@ -48,6 +51,7 @@ def test_transmit_leaves_nothing(tmp_path: Path, name: str) -> None:
     assert names(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_demo_reports_what_was_received(tmp_path: Path) -> None:
     truth = tmp_path / "d/drive.mp4.truth.npz"
 

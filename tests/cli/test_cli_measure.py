@@ -15,6 +15,7 @@ def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.
     return lambda *arguments: called("measure", *arguments, capfd=capfd, monkeypatch=monkeypatch)
 
 
+@pytest.mark.slow
 def test_scenes_are_counted_one_by_one(call: Call) -> None:
     lines = succeeded(
         call("scenes", "upright", "--at", "30,40", "--packets", "1", "--receiver", "plain", "--workers", "1")
@@ -28,6 +29,7 @@ def test_acquisition_counts_its_trials(call: Call) -> None:
     assert out.startswith("1 trials: by the first header 1, by the second 0, missed 0 [0.0e+00, ")
 
 
+@pytest.mark.slow
 def test_repeated_packets_are_counted_by_reception(call: Call) -> None:
     lines = succeeded(
         call("repeated-packets", "--distance", "40", "--layer", "low", "--receptions", "2", "--films", "1",
@@ -36,6 +38,7 @@ def test_repeated_packets_are_counted_by_reception(call: Call) -> None:
     assert [line.split(" wrong")[0] for line in lines] == [f"40 m, low, reception {k}: 0 of 1" for k in (1, 2)]
 
 
+@pytest.mark.slow
 def test_the_known_channel_stands_beside_the_estimated_one(call: Call) -> None:
     out = succeeded(call("known-channel", "--distance", "60", "--brightness", "1", "--packets", "1", "--workers", "1"))
     assert [line.split(" wrong")[0] for line in out.splitlines()] == [
@@ -43,6 +46,7 @@ def test_the_known_channel_stands_beside_the_estimated_one(call: Call) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_tables_are_markdown(call: Call) -> None:
     headers = succeeded(call("header-separation", "220")).splitlines()
     assert [line.count("|") for line in headers] == [7, 7, 7, 0, 3, 3, 3]
@@ -52,6 +56,7 @@ def test_tables_are_markdown(call: Call) -> None:
 
 
 @pytest.mark.real_data
+@pytest.mark.slow
 def test_drives_and_empty_clips(call: Call, data: Path) -> None:
     clip, imu = data / "driving" / "day-motorway.mp4", data / "motion" / "car-imu.csv"
     drive = succeeded(
@@ -87,6 +92,7 @@ def test_a_film_encoded_again(call: Call, capfd: pytest.CaptureFixture[str], mon
         ("lossy none.mp4 out.mp4", "there is no truth file none.mp4.truth.npz"),
     ],
 )
+@pytest.mark.slow
 def test_wrong_arguments_are_one_line(call: Call, arguments: str, message: str) -> None:
     assert message in failed(call(*arguments.split()))
 

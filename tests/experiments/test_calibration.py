@@ -61,6 +61,7 @@ def test_a_film_is_received_and_compared() -> None:
     assert distance == pytest.approx(90, abs=1)
 
 
+@pytest.mark.slow
 def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experiment, "QUICK_M", (80.0,))
     result = experiment.run(Context())
@@ -76,6 +77,7 @@ def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
         assert all(len(row) == len(table.head) for row in table.rows)
 
 
+@pytest.mark.slow
 def test_the_known_channel_reads_as_well_as_the_estimated_one() -> None:
     near = known_channel.tasks(80.0, "low", [1.0], 1)
     assert [(task.known, task.brightness) for task in near] == [(False, 1.0), (True, 1.0)]
@@ -84,6 +86,7 @@ def test_the_known_channel_reads_as_well_as_the_estimated_one() -> None:
         assert (count.trials, count.errors) == (1, 0)
 
 
+@pytest.mark.slow
 def test_a_light_too_faint_is_wrong_with_either_channel() -> None:
     for task in known_channel.tasks(150.0, "low", [1.0], 1):
         assert known_channel.measure(task).errors == 1

@@ -18,6 +18,8 @@ from heliograph.link.settings import load_settings
 from heliograph.link.simulate import Recordings
 from heliograph.measure.counts import LayerCounts
 
+pytestmark = pytest.mark.slow
+
 SMALL = (
     "channel.speed_m_s=0", "channel.shake=none", "channel.camera.width=256", "channel.camera.height=96",
     "channel.arrays.0.x_m=0.8", "channel.arrays.0.y_m=0",

@@ -23,6 +23,8 @@ from heliograph.measure.statistics import Count
 from heliograph.media import create_film
 from heliograph.signal.header import IDENTITIES
 
+pytestmark = pytest.mark.slow
+
 
 def test_curve_rises_from_nothing_to_all() -> None:
     rng = np.random.default_rng(0)

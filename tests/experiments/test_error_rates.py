@@ -130,6 +130,7 @@ class Deaf:
 
 
 @pytest.mark.parametrize(("times", "packets", "lost"), [(0, 0, 1), (2, 1, 0)])
+@pytest.mark.slow
 def test_lost_and_repeated_packets(monkeypatch: pytest.MonkeyPatch, times: int, packets: int, lost: int) -> None:
     monkeypatch.setattr(films, "make_receiver", lambda *args: Deaf(make_receiver(*args), times))
     one = films.count_film(films.FilmTask(35.0, "haar", (7,)))
@@ -143,6 +144,7 @@ def test_holm() -> None:
     assert comparison.holm([]) == []
 
 
+@pytest.mark.slow
 def test_packets_of_a_drive_by_themselves_are_the_whole_count() -> None:
     settings = load_settings("paper", {"channel": {"distance_m": 62.0, "duration_s": 0.35}})
     one = films.film_packets(settings, np.random.default_rng(4))
@@ -185,6 +187,7 @@ def test_on_off_keying_errors_are_alike_in_all_layers() -> None:
     assert max(rates) < 0.2
 
 
+@pytest.mark.slow
 def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
     short = load_settings("paper", {"channel": {"distance_m": 66.0, "duration_s": 0.72}})
     monkeypatch.setattr(films, "load_settings", lambda *_: short)

@@ -111,6 +111,7 @@ def test_limits_are_judged_by_the_spread_of_the_stretches() -> None:
     assert signals.SignalFlicker([steady, bad]).text("svm", ".1f") == "0.5 (0.1-0.9)"
 
 
+@pytest.mark.slow
 def test_the_result_judges_by_its_numbers() -> None:
     done = experiment.run(Context())
     verdicts = [finding.verdict for finding in done.findings]

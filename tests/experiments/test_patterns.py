@@ -19,6 +19,7 @@ def results() -> dict[str, ExperimentResult]:
 
 
 @pytest.mark.parametrize("key", MODULES)
+@pytest.mark.slow
 def test_results_are_whole(key: str, results: dict[str, ExperimentResult]) -> None:
     done = results[key]
     assert done.key == key
@@ -34,6 +35,7 @@ def test_results_are_whole(key: str, results: dict[str, ExperimentResult]) -> No
         assert all(len(row) == len(table.head) for row in table.rows)
 
 
+@pytest.mark.slow
 def test_leds_are_resolved_near_only(results: dict[str, ExperimentResult]) -> None:
     contrast = results["fig3"].data["contrast"]
     assert min(contrast["10 m"]) > 0.9

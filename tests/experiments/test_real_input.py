@@ -42,6 +42,7 @@ def scene(data: Path, clip: str, seed: int, *changes: str) -> RealScene:
 @pytest.mark.real_data
 @pytest.mark.parametrize("distance_m", READ_FROM)
 @pytest.mark.parametrize("clip", CLIPS)
+@pytest.mark.slow
 def test_layers_are_read_over_real_footage_and_shake(data: Path, clip: str, distance_m: int) -> None:
     drive = scene(data, clip, 1, f"channel.distance_m={distance_m}", "channel.duration_s=0.35")
     errors = real_input.drive(drive, MARGIN_PX).errors
@@ -54,6 +55,7 @@ def test_layers_are_read_over_real_footage_and_shake(data: Path, clip: str, dist
 
 @pytest.mark.real_data
 @pytest.mark.parametrize("clip", CLIPS)
+@pytest.mark.slow
 def test_a_clip_played_natively_has_no_packet(data: Path, clip: str) -> None:
     # short packets: one that a false detection begins ends within the clip
     small = ("signal.data_pairs=16", "channel.camera.width=480", "channel.camera.height=270")
@@ -65,6 +67,7 @@ def test_a_clip_played_natively_has_no_packet(data: Path, clip: str) -> None:
 
 @pytest.mark.real_data
 @pytest.mark.parametrize("clip", CLIPS)
+@pytest.mark.slow
 def test_a_film_without_any_array_has_no_detection(data: Path, clip: str) -> None:
     found = real_input.empty(scene(data, clip, 3, "channel.duration_s=0.1"))
     assert found.detections.trials == 100
@@ -79,6 +82,7 @@ def test_counts_of_empty_films_add_up() -> None:
     assert "0/200 (< 1.5e-02) packets with a right codeword" in total.text()
 
 
+@pytest.mark.slow
 def test_a_lossy_film_gives_high_and_middle_layers(tmp_path: Path) -> None:
     settings = load_settings("paper", None, ["channel.distance_m=38", "channel.duration_s=0.31", *SMALL])
     path = tmp_path / "lossy.mp4"

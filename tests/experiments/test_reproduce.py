@@ -34,6 +34,7 @@ def test_folder_without_clips_is_refused(tmp_path: Path) -> None:
     assert book.recordings_in(None) == {}
 
 
+@pytest.mark.slow
 def test_report_pictures_and_data(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["reproduce", "fig5", "table1", "--quick", "--output", str(tmp_path)])
     assert result.exit_code == 0, result.output

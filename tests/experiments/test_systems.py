@@ -28,6 +28,7 @@ def test_bits_of_a_pattern() -> None:
     assert (square[4:] == 4).all()
 
 
+@pytest.mark.slow
 def test_bits_are_counted_and_the_inverse_helps() -> None:
     counted = count_bits(SCHEMES["ook"], ("plain", "inverse", "known"), 55.0, 2000, 3)
     plain, inverse, known = (counted.counts[method, "all"] for method in ("plain", "inverse", "known"))
@@ -67,6 +68,7 @@ def test_ranges() -> None:
     assert error_free_m(points[2:]) is None
 
 
+@pytest.mark.slow
 def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experiment, "QUICK_BITS", 500)
     monkeypatch.setattr(

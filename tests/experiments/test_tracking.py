@@ -19,6 +19,8 @@ from heliograph.receive import Pose
 from heliograph.receive.acquire.detector import Detection
 from heliograph.receive.image.fit import Fit
 
+pytestmark = pytest.mark.slow
+
 DAY, DARK = "day", "dark"
 
 

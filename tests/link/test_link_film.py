@@ -45,6 +45,7 @@ def by_place(messages: list[Message]) -> dict[tuple[int, str, int], bytes]:
     return {(m.identity, m.layer, m.stream): m.data for m in messages}
 
 
+@pytest.mark.slow
 def test_messages_come_back_byte_for_byte_in_all_layers(tmp_path: Path) -> None:
     messages: list[Messages] = [{"high": [b"\x00stop\xff"], "middle": [LONG[:300], b"a"], "low": [LONG[:230]]}]
     found, reception = through(tmp_path / "a.mkv", small("channel.duration_s=0.4"), messages)
@@ -76,12 +77,14 @@ def test_an_empty_layer_stays_empty(tmp_path: Path) -> None:
     assert (tally["high"].ok, tally["high"].bytes, tally["low"].ok, tally["low"].bytes) == (2, 0, 2, 0)
 
 
+@pytest.mark.slow
 def test_a_message_of_more_codewords_than_the_film_has_is_unfinished(tmp_path: Path) -> None:
     found, reception = through(tmp_path / "a.mkv", small("channel.duration_s=0.3"), [{"high": [LONG]}])
     assert found == []
     assert reception.unfinished() == [(0, "high", 0, 348, 500)]
 
 
+@pytest.mark.slow
 def test_a_film_may_start_within_a_packet(tmp_path: Path) -> None:
     settings = small("channel.arrays.0.start_s=-0.0371", "channel.duration_s=0.4")
     found, reception = through(tmp_path / "a.mkv", settings, [{"high": [b"odd"], "low": [LONG[:300]]}])
@@ -92,6 +95,7 @@ def test_a_film_may_start_within_a_packet(tmp_path: Path) -> None:
     assert [list(reception.errors.bins())] == [[50.0]]
 
 
+@pytest.mark.slow
 def test_another_signal_is_told_by_the_film(tmp_path: Path) -> None:
     settings = small("signal.data_pairs=64", "signal.rate.low=1/2", "channel.duration_s=0.3")
     write_film(tmp_path / "a.mkv", settings, [{"high": [b"other"], "low": [b"rate"]}], seed=1)
@@ -99,6 +103,7 @@ def test_another_signal_is_told_by_the_film(tmp_path: Path) -> None:
     assert by_place(found) == {(0, "high", 0): b"other", (0, "low", 0): b"rate"}
 
 
+@pytest.mark.slow
 def test_two_arrays_send_different_messages(tmp_path: Path) -> None:
     settings = load_settings("two-arrays", None, [
         "channel.distance_m=40", "channel.speed_m_s=0", "channel.shake=none", "channel.duration_s=0.3",
@@ -186,6 +191,7 @@ def cut(path: Path, share: float) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_film_that_breaks_off_gives_all_packets_before(tmp_path: Path) -> None:
     settings = small("channel.duration_s=0.3")
     write_film(tmp_path / "a.mkv", settings, [{"high": [b"before"]}], seed=1)
@@ -221,6 +227,7 @@ def test_missing_recordings_are_told() -> None:
             next(simulate(load_settings("static", None, [*SMALL, change]), [{}], 0, Recordings()))
 
 
+@pytest.mark.slow
 def test_packets_are_read_without_being_counted(tmp_path: Path) -> None:
     settings = small("channel.duration_s=0.2")
     write_film(tmp_path / "a.mkv", settings, [{}], seed=1)

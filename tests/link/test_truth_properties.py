@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from link_packets import small
@@ -67,6 +68,7 @@ def write(path: Path, settings: LinkSettings, sent: Any, seed: int, film_id: str
 
 @examples(50)
 @given(film=films(), data=st.data(), seed=st.integers(0, 2**63), film_id=st.text(max_size=8))
+@pytest.mark.slow
 def test_a_film_and_back(film: tuple[LinkSettings, list[Truth]], data: st.DataObject, seed: int, film_id: str) -> None:
     settings, truths = film
     sent = data.draw(messages(len(settings.channel.arrays)))

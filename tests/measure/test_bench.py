@@ -58,6 +58,7 @@ def by_film(settings: LinkSettings, seed: int, path: Path) -> Reception:
         ("two-arrays", ("channel.distance_m=45", "channel.duration_s=0.16", "channel.arrays.1.start_s=0.02")),
     ],
 )
+@pytest.mark.slow
 def test_bench_and_films_give_the_same(preset: str, changes: tuple[str, ...], tmp_path: Path) -> None:
     settings = link(preset, *changes)
     film = by_film(settings, 2, tmp_path / "film.h5")

@@ -14,6 +14,7 @@ from heliograph.receive.packets import Status
 from heliograph.receive.receiver import StreamReceiver
 
 
+@pytest.mark.slow
 def test_a_report_may_be_asked_for_at_any_time(tmp_path: Path) -> None:
     settings = small("channel.duration_s=0.2")
     write_film(tmp_path / "a.mkv", settings, [{}], seed=1)
@@ -41,6 +42,7 @@ def test_packets_of_nobody_are_not_counted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("status", ["no_header", "no_array"])
+@pytest.mark.slow
 def test_what_is_no_packet_is_neither_handed_on_nor_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: Status
 ) -> None:

@@ -75,6 +75,7 @@ def clustered(errors: NDArray[np.int64], size: int, scattered: bool = False) -> 
 
 @pytest.mark.parametrize("packets", [10, 100, 1000])
 @pytest.mark.parametrize("bad", [0.01, 0.1, 1.0])
+@pytest.mark.slow
 def test_the_interval_of_bits_that_fail_together_covers_the_rate(packets: int, bad: float) -> None:
     """Bad packets have 5 % to 20 % of their bits wrong, the others none; the binomial interval is far too narrow."""
     rng = np.random.default_rng([packets, round(100 * bad)])

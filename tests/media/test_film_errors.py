@@ -229,6 +229,7 @@ with create_film(sys.argv[1], width=64, height=32, rate_hz=1000) as film:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits on the size of a file")
 @pytest.mark.parametrize("limit", [100, 5000, 600_001])
+@pytest.mark.slow
 def test_hdf5_survives_a_failed_write(tmp_path: Path, limit: int) -> None:
     command = [sys.executable, "-c", HDF5_AT_A_LIMIT, str(tmp_path / "a.h5"), str(limit)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -18,6 +18,7 @@ from heliograph.media import open_film, planes
     ("day-shade", (1280, 720), 25.0, 100),
     ("night-road", (1920, 1080), 29.98, 157),
 ])  # fmt: skip
+@pytest.mark.slow
 def test_dashcam_footage(data: Path, name: str, size: tuple[int, int], rate: float, count: int) -> None:
     with open_film(data / "driving" / f"{name}.mp4") as film:
         assert (film.width, film.height, film.bits, film.frame_count) == (*size, 8, count)

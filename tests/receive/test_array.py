@@ -24,6 +24,7 @@ def read(frames: Iterable[Frame], settings: LinkSettings) -> tuple[list[Packet],
     return list(receive_frames(frames, settings.signal, settings.receive, recorder)), recorder
 
 
+@pytest.mark.slow
 def test_hidden_for_30_ms_is_coasted_over() -> None:
     settings = link()
     packets, recorder = read(drawn_film(settings, 200, at_rest, hidden=[range(40, 70)]), settings)
@@ -35,6 +36,7 @@ def test_hidden_for_30_ms_is_coasted_over() -> None:
     assert [t.seen for t in recorder.tracked[20:35]] == [False] * 15
 
 
+@pytest.mark.slow
 def test_hidden_for_200_ms_is_lost_and_found_again() -> None:
     settings = link()
     packets, recorder = read(drawn_film(settings, 420, at_rest, hidden=[range(80, 280)]), settings)
@@ -47,6 +49,7 @@ def test_hidden_for_200_ms_is_lost_and_found_again() -> None:
 
 
 @pytest.mark.parametrize("missing", [{30}, {31}, {30, 31}, {98, 99}, {99}, {51, 60}])
+@pytest.mark.slow
 def test_missing_frames_cost_their_pairs(missing: set[int]) -> None:
     settings = link()
     packets, recorder = read((f for f in film(settings, 204) if f.index not in missing), settings)
@@ -58,6 +61,7 @@ def test_missing_frames_cost_their_pairs(missing: set[int]) -> None:
 
 
 @pytest.mark.parametrize("missing", [range(70, 110), range(96, 104), range(60, 240), range(150, 270), range(50, 190)])
+@pytest.mark.slow
 def test_a_long_gap_keeps_packets_apart(missing: range) -> None:
     settings = link()
     packets, _ = read((f for f in film(settings, 400) if f.index not in missing), settings)
@@ -73,6 +77,7 @@ def test_a_long_gap_keeps_packets_apart(missing: range) -> None:
 
 
 @pytest.mark.parametrize(("frames", "packets"), [(51, 0), (52, 1), (99, 1), (100, 1), (151, 1), (152, 2)])
+@pytest.mark.slow
 def test_a_film_cut_within_a_packet(frames: int, packets: int) -> None:
     settings = link()
     got, _ = read(film(settings, frames), settings)
@@ -83,6 +88,7 @@ def test_a_film_cut_within_a_packet(frames: int, packets: int) -> None:
         assert got[-1].pairs_seen == pytest.approx(rest / 48 if rest >= 24 else 1)
 
 
+@pytest.mark.slow
 def test_an_array_that_goes_out_of_the_picture_is_lost() -> None:
     def leaving(t: Floats) -> Floats:
         return np.stack([47.3 + 500 * t, 48.8 + 0 * t], -1)

@@ -38,6 +38,7 @@ def test_all_layers_are_read_at_100_m_where_the_plain_receiver_reads_none_but_th
     assert (plain["middle"], plain["low"]) == (2, 1)
 
 
+@pytest.mark.slow
 def test_it_reads_while_driving() -> None:
     settings = link("motorway", "soft", "channel.distance_m=90", "channel.duration_s=0.3")
     assert run_block(settings, 1).layers["high"].codewords == 3
@@ -45,6 +46,7 @@ def test_it_reads_while_driving() -> None:
 
 
 @pytest.mark.parametrize("distance_m", [180, 215])
+@pytest.mark.slow
 def test_far_away_no_pair_is_taken_for_an_array_out_of_sight(distance_m: float) -> None:
     settings = link("static", "soft", f"channel.distance_m={distance_m}")
     (packet,) = receive_frames(film(settings, 101), settings.signal, settings.receive)
@@ -52,6 +54,7 @@ def test_far_away_no_pair_is_taken_for_an_array_out_of_sight(distance_m: float) 
     assert packet.layers["high"][0].status == "ok"
 
 
+@pytest.mark.slow
 def test_near_both_receivers_read_all() -> None:
     for receiver in ("plain", "soft"):
         assert wrong(link("static", receiver, "channel.distance_m=25")) == {"high": 0, "middle": 0, "low": 0}
@@ -77,6 +80,7 @@ def test_another_light_is_refused_in_one_line(setting: str, read: str, other: st
 
 
 @pytest.mark.parametrize("room", [iterate, led_gains, decision_directed])
+@pytest.mark.slow
 def test_its_algebra_runs_in_one_thread(room: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever calls it: many threads share small matrices slowly."""
     threads: list[int] = []
@@ -94,6 +98,7 @@ def test_its_algebra_runs_in_one_thread(room: ModuleType, monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("cut_px", [0, 1])
+@pytest.mark.slow
 def test_an_array_at_the_rim_of_the_picture_is_read(cut_px: int) -> None:
     """Pixels that are not there count for nothing."""
     settings = scene("receive.receiver=soft", distance_m=80.0)

@@ -60,16 +60,19 @@ def assert_read(packets: Sequence[Packet], start_s: float, count: int) -> None:
     [(1000, 1e-3), (1000, 0.75e-3), (1500, 1 / 1500), (2000, 0.5e-3), (2700, 0.3e-3), (4000, 0.25e-3)],
 )
 @pytest.mark.parametrize("start_s", [2.2e-3, 2.7e-3])
+@pytest.mark.slow
 def test_any_phase_and_rate_is_read(fps: float, exposure_s: float, start_s: float) -> None:
     assert_read(soft_packets([], start_s=start_s, fps=fps, exposure_s=exposure_s), start_s, 2)
 
 
 @pytest.mark.parametrize("start_s", [2.0e-3, 2.25e-3])
+@pytest.mark.slow
 def test_slots_lit_in_another_order(start_s: float) -> None:
     camera: dict[str, Any] = {"fps": 1500.0, "exposure_s": 0.5e-3}
     assert_read(soft_packets(["signal.slot_order=[1, 3, 0, 2]"], start_s=start_s, **camera), start_s, 2)
 
 
+@pytest.mark.slow
 def test_dropped_repeated_and_jittered_frames() -> None:
     camera: dict[str, Any] = {"fps": 2000.0, "exposure_s": 0.5e-3, "dropped": 0.02, "repeated": 0.02, "jitter_s": 5e-5}
     packets = soft_packets([], 130, start_s=10.3e-3, **camera)
@@ -77,6 +80,7 @@ def test_dropped_repeated_and_jittered_frames() -> None:
 
 
 @pytest.mark.parametrize("fps", [1000.0, 1300.0])
+@pytest.mark.slow
 def test_clocks_that_differ_are_followed(fps: float) -> None:
     # 800 ppm stand for 400 ppm in a film twice as long
     packets = soft_packets(
@@ -90,6 +94,7 @@ def test_clocks_that_differ_are_followed(fps: float) -> None:
     assert spacing[3:] == pytest.approx(np.full(len(spacing) - 3, 0.036 * (1 - 800e-6)), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_any_chunking_gives_the_same() -> None:
     settings = link("signal.data_pairs=16", distance_m=50.0)
     channel = replace(settings.channel, camera=replace(settings.channel.camera, fps=1500.0, exposure_s=6e-4))
@@ -103,6 +108,7 @@ def test_any_chunking_gives_the_same() -> None:
     assert words == [[w.block for by in p.layers.values() for w in by] for p in whole]
 
 
+@pytest.mark.slow
 def test_the_exposure_may_be_given() -> None:
     # exposures of half a pattern in the middle of it, or of the whole pattern, show the same of a header
     given = soft_packets(["receive.calibration.exposure_s=0.0005"], start_s=0.3e-3, exposure_s=0.5e-3)
@@ -111,6 +117,7 @@ def test_the_exposure_may_be_given() -> None:
 
 
 @pytest.mark.parametrize(("fps", "start_s"), [(1000.0, 2.3e-3), (1500.0, 2.0e-3), (2500.0, 2.0e-3)])
+@pytest.mark.slow
 def test_a_packet_whose_header_is_dark_is_read_by_the_clock(fps: float, start_s: float) -> None:
     dark = (start_s + 0.036 - 1.5e-3, start_s + 0.036 + 5.5e-3)
     packets = soft_packets([f"channel.arrays.0.off_s=[{list(dark)}]"], 116, start_s, 60.0, fps=fps, exposure_s=1 / fps)

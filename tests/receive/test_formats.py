@@ -6,6 +6,7 @@ from scenes import link
 from heliograph.measure.bench import run_block
 
 
+@pytest.mark.slow
 def test_a_receiver_needs_no_rates() -> None:
     """Packets take three formats in turn; the receiver knows only what format 0 means."""
     formats = "[{high='3/4', middle='1/2', low='2/5'}, {}, {high='9/10', middle='9/10', low='9/10'}]"
@@ -27,6 +28,7 @@ def test_a_receiver_needs_no_rates() -> None:
 @pytest.mark.parametrize(
     ("fps", "start_s"), [(1000.0, 0.0), (1000.0, 2e-4), (1500.0, 8e-4), (2000.0, 2e-4), (2000.0, 6e-4)]
 )
+@pytest.mark.slow
 def test_formats_are_read_out_of_step(fps: float, start_s: float) -> None:
     """Dimmed cells make a header neither early nor late, and combined frames show them otherwise than pairs do."""
     settings = link(

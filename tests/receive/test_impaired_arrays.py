@@ -48,11 +48,13 @@ def wrong(counts: BlockCounts) -> list[int]:
         (20.0, {}, {}),
     ],
 )
+@pytest.mark.slow
 def test_every_codeword_is_read(distance_m: float, place: dict[str, Any], channel: dict[str, Any]) -> None:
     assert wrong(run_block(soft(distance_m, place, **channel), 1)) == [0, 0, 0]
 
 
 @pytest.mark.parametrize("distance_m", [50.0, 80.0])
+@pytest.mark.slow
 def test_hidden_leds_are_known_out_of_step_too(distance_m: float) -> None:
     assert wrong(run_block(soft(distance_m, {**QUARTER, "start_s": 0.00015}), 1)) == [0, 0, 0]
 
@@ -63,6 +65,7 @@ def test_half_an_array_gives_no_wrong_codeword() -> None:
     assert wrong(counts)[2] == 1
 
 
+@pytest.mark.slow
 def test_lost_while_off_and_found_by_the_next_header() -> None:
     settings = soft(50.0, {"off_s": [(0.13, 0.43)]})
     packets = list(receive_frames(film(settings, 600), settings.signal, settings.receive))
@@ -72,6 +75,7 @@ def test_lost_while_off_and_found_by_the_next_header() -> None:
 
 
 @pytest.mark.parametrize("distance_m", [80.0, 110.0])
+@pytest.mark.slow
 def test_noise_is_no_dim_array(distance_m: float) -> None:
     """Ten times dimmer and off: lost within the time that arrays are coasted, and nothing of noise is kept."""
     night = {"emitter": {"all_on": 0.08, "panel_level": 0.0}, "background": {"level": 0.1}}
@@ -84,6 +88,7 @@ def test_noise_is_no_dim_array(distance_m: float) -> None:
 
 @pytest.mark.parametrize("off_s", [0.101, 0.103])
 @pytest.mark.parametrize("distance_m", [50.0, 80.0])
+@pytest.mark.slow
 def test_an_array_switched_off_amid_its_header(off_s: float, distance_m: float) -> None:
     settings = soft(distance_m, {"off_s": [(off_s, 0.35)]})
     packets = list(receive_frames(film(settings, 620), settings.signal, settings.receive))
@@ -91,6 +96,7 @@ def test_an_array_switched_off_amid_its_header(off_s: float, distance_m: float) 
     assert [round(p.start_time_s, 3) for p in read] == [0.0, 0.4, 0.5]
 
 
+@pytest.mark.slow
 def test_an_array_passes_before_another() -> None:
     # the nearer one is right before the other at 0.25 s
     near = {"x_m": -0.6, "y_m": 0.0, "z_offset_m": -15.0, "vx_m_s": 2.4}
@@ -105,6 +111,7 @@ def test_an_array_passes_before_another() -> None:
     assert {0.0, 0.5} <= set(starts(packets, 3)) < {0.0, 0.1, 0.2, 0.3, 0.4, 0.5}
 
 
+@pytest.mark.slow
 def test_six_arrays_begin_at_once() -> None:
     places = [{"x_m": x, "y_m": y} for y in (-0.4, 0.4) for x in (-0.8, 0.0, 0.8)]
     settings = link("receive.receiver=soft", "transmit.identities=[0, 7, 12, 3, 20, 9]", distance_m=50.0, arrays=places)

@@ -15,6 +15,7 @@ Floats = NDArray[np.float64]
 
 
 @pytest.mark.parametrize(("order", "centroid"), [((2, 0, 1, 3), 0.375), ((0, 1, 2, 3), 0.5), ((0, 3, 1, 2), 0.625)])
+@pytest.mark.slow
 def test_poses_of_a_pair_are_those_at_the_middle_of_its_data(order: tuple[int, ...], centroid: float) -> None:
     """What differs between levels is lit in the slots that come second and third; in motion poses are taken then."""
 
@@ -36,6 +37,7 @@ def test_poses_of_a_pair_are_those_at_the_middle_of_its_data(order: tuple[int, .
     assert len(recorder.of(DecodeEvent)[0].cutouts) == 24
 
 
+@pytest.mark.slow
 def test_leds_taken_for_dead_by_mistake_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     def mistaken(self: LedGains, cutout: Cutout, header: Floats, gain: float) -> LearntGains:
         values = np.where(np.arange(SIDE)[:, None] < 4, 0.0, np.ones((SIDE, SIDE)))

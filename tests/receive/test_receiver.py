@@ -46,6 +46,7 @@ def codewords(packets: Iterable[Packet]) -> list[Any]:
     ]
 
 
+@pytest.mark.slow
 def test_every_entrance_gives_the_same() -> None:
     frames = two_and_a_half_packets()
     whole = plain(receive_frames(frames, SIGNAL))
@@ -74,6 +75,7 @@ def test_packets_come_as_soon_as_they_are_complete() -> None:
     assert [taken for _ in receive_frames(frames(), SIGNAL)] == [99, 199, 259]
 
 
+@pytest.mark.slow
 def test_receivers_share_nothing() -> None:
     frames, other = two_and_a_half_packets(), film(link("transmit.identities=[9]", distance_m=40.0), 260, seed=5)
     alone, beside = plain(receive_frames(frames, SIGNAL)), plain(receive_frames(other, SIGNAL))
@@ -140,6 +142,7 @@ def test_bits_of_the_camera(bits: int) -> None:
 
 @pytest.mark.parametrize("shake", ["none", "road"])
 @pytest.mark.parametrize("margin", [12, 30])
+@pytest.mark.slow
 def test_windows_give_what_whole_frames_give(margin: int, shake: str) -> None:
     drive = {"shake": "road", "speed_m_s": 20.0, "road_class": "C", "stop_m": 1.0} if shake == "road" else {}
     # an array off the axis wanders through the picture as it comes near
@@ -153,6 +156,7 @@ def test_windows_give_what_whole_frames_give(margin: int, shake: str) -> None:
     assert [p.status for p in from_parts] == ["ok", "ok"]
 
 
+@pytest.mark.slow
 def test_two_arrays_are_read_side_by_side() -> None:
     places = [{"x_m": -0.5, "y_m": 0.1}, {"x_m": 0.5, "y_m": -0.1, "start_s": 0.037}]
     settings = link("transmit.identities=[4, 21]", distance_m=40.0, arrays=places)
@@ -168,6 +172,7 @@ def test_two_arrays_are_read_side_by_side() -> None:
         assert all((p.pose.x - 79.5) * side > 20 for p in full)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_film() -> None:
     # the same two packets over and over, renumbered: the film itself stays as it is
     frames = film(link("signal.data_pairs=16"), 72)
@@ -202,6 +207,7 @@ def test_frames_smaller_than_any_array() -> None:
     assert list(receive_frames(tiny, SIGNAL)) == []
 
 
+@pytest.mark.slow
 def test_a_search_for_blinking_squares_passes_nobody_elses_data_as_its_own() -> None:
     # it finds a filled square; whatever it follows it must not pass as data of identity 0
     frames = film(link("transmit.identities=[9]", distance_m=40.0), 120)

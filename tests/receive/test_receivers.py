@@ -74,7 +74,7 @@ def test_it_has_settings_of_its_own() -> None:
     name = f"plain-{next(NUMBERS)}"
     register_receiver(name, Counting)
     assert own_settings(ReceiveSettings(receiver=name)) is None
-    with pytest.raises(SettingsError, match="own.frames has no effect"):
+    with pytest.raises(SettingsError, match=r"own\.frames has no effect"):
         from_mapping(ReceiveSettings, {"receiver": name, "own": {"frames": 5}})
 
 

@@ -11,6 +11,7 @@ from heliograph.receive import receive_frames
 
 
 @pytest.mark.parametrize(("rates", "distance_m"), [("1/2", 60.0), ("9/10", 40.0)])
+@pytest.mark.slow
 def test_packets_without_inverses_are_read(rates: str, distance_m: float) -> None:
     formats = f"[{{mode='single', high='{rates}', middle='{rates}', low='{rates}'}}, {{}}]"
     settings = link(f"transmit.formats={formats}", "receive.receiver=soft", distance_m=distance_m)
@@ -31,6 +32,7 @@ def test_rates_of_167_kb_s_are_read_at_80_m() -> None:
     assert counts.layers["high"].raw_errors < 0.01 * counts.layers["high"].raw_bits
 
 
+@pytest.mark.slow
 def test_a_moving_array_is_followed_without_inverses() -> None:
     """At 50 km/h on a rough road, packet after packet; the dimmed header leaves the gain as it is."""
     settings = link(
@@ -48,6 +50,7 @@ def test_a_moving_array_is_followed_without_inverses() -> None:
 
 
 @pytest.mark.parametrize("place", [{"yaw_deg": 30.0}, {"dead": 0.05}])
+@pytest.mark.slow
 def test_tilt_and_dead_leds_are_known_from_headers(place: dict[str, float]) -> None:
     settings = link(
         "transmit.formats=[{mode='single', high='1/2', middle='1/2', low='1/2'}]",
@@ -62,6 +65,7 @@ def test_tilt_and_dead_leds_are_known_from_headers(place: dict[str, float]) -> N
 
 
 @pytest.mark.parametrize("seed", [2, 7])
+@pytest.mark.slow
 def test_dimmed_headers_do_not_turn_the_array(seed: int) -> None:
     """A tilt and dead LEDs were seen where the header's second pair is dimmed on one side."""
     formats = "[{mode='single', high='9/10', middle='3/4', low='1/2'}]"

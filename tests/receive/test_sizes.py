@@ -52,12 +52,14 @@ def assert_all_read(settings: LinkSettings, packets: int = 1, seed: int = 1) -> 
         (32, "soft", 95.0),
     ],
 )
+@pytest.mark.slow
 def test_every_codeword_is_read(side: int, receiver: str, distance_m: float, seed: int) -> None:
     assert_all_read(sized(side, receiver, distance_m), 2 if side < 32 else 1, seed)
 
 
 @pytest.mark.parametrize(("side", "distance_m"), [(8, 50.0), (32, 60.0)])
 @pytest.mark.parametrize(("fps", "start_s"), [(1000.0, 4e-4), (1500.0, 2e-4)])
+@pytest.mark.slow
 def test_out_of_step(side: int, distance_m: float, fps: float, start_s: float) -> None:
     camera = {"width": 160, "height": 160, "fps": fps, "exposure_s": 1 / fps}
     arrays = [{"x_m": 0.0, "y_m": 0.0, "start_s": start_s}]
@@ -65,11 +67,13 @@ def test_out_of_step(side: int, distance_m: float, fps: float, start_s: float) -
 
 
 @pytest.mark.parametrize(("side", "distance_m"), [(8, 40.0), (32, 50.0)])
+@pytest.mark.slow
 def test_without_inverses(side: int, distance_m: float) -> None:
     assert_all_read(sized(side, "soft", distance_m, "transmit.formats=[{mode='single'}]"))
 
 
 @pytest.mark.parametrize(("side", "distance_m"), [(8, 50.0), (32, 60.0)])
+@pytest.mark.slow
 def test_a_quarter_hidden(side: int, distance_m: float) -> None:
     arrays = [{"x_m": 0.0, "y_m": 0.0, "hidden": (0.0, 0.0, 0.5, 0.5)}]
     assert_all_read(sized(side, "soft", distance_m, arrays=arrays))
@@ -77,6 +81,7 @@ def test_a_quarter_hidden(side: int, distance_m: float) -> None:
 
 @pytest.mark.parametrize("receiver", ["plain", "soft"])
 @pytest.mark.parametrize(("side", "distance_m"), [(8, 40.0), (32, 40.0)])
+@pytest.mark.slow
 def test_distance_and_place(side: int, distance_m: float, receiver: str) -> None:
     settings = sized(side, receiver, distance_m)
     patterns = settings.signal.packet_patterns

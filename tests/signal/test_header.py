@@ -72,6 +72,7 @@ def test_identities_of_a_polynomial_are_orthogonal() -> None:
     assert np.abs(gram[:CHIPS, CHIPS:]).max() <= 8
 
 
+@pytest.mark.slow
 def test_identities_stay_apart_at_every_shift() -> None:
     for a in range(IDENTITIES):
         for b in range(a, IDENTITIES):
@@ -95,6 +96,7 @@ def image(number: int, x: float, y: float, pitch: float) -> NDArray[np.float64]:
     return np.asarray(0.8 * pitch**2 * shares(y).T @ signs @ shares(x))
 
 
+@pytest.mark.slow
 def test_separation_under_the_blur() -> None:
     """The document's table is the experiment's, which agrees with images made one by one."""
     row = tables([separation(80.0)])[0].markdown().splitlines()[-1]

@@ -98,6 +98,7 @@ def test_a_segment_beyond_the_end_is_no_harm() -> None:
     assert received([Block("low", 0, 0, 7, 4, b""), *segments(message, 2)]) == [message]
 
 
+@pytest.mark.slow
 def test_longest_messages() -> None:
     assert len(segments(Message(0, "high", 0, bytes(3 * MAX_SEGMENTS)), 3)) == MAX_SEGMENTS
     with pytest.raises(ValueError, match="at most 196608 bytes, not 196609"):

@@ -122,6 +122,7 @@ def test_interleaver_is_a_bijection(side: int, pairs: int, rate: float) -> None:
 
 @settings(deadline=None)
 @given(st.sampled_from([4, 8, 12, 16, 20, 24, 32, 44, 48, 64]), st.integers(1, 200))
+@pytest.mark.slow
 def test_interleaver_is_a_bijection_for_any_size(side: int, pairs: int) -> None:
     code = make().layers["high"].code
     for quarters in (1, 2):

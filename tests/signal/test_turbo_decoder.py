@@ -72,6 +72,7 @@ def test_iterations_reach_the_optimum_of_a_toy_code() -> None:
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 @pytest.mark.parametrize("order", [TOY_ORDER, interleaver(40), interleaver(528)], ids=["8", "40", "528"])
 @pytest.mark.parametrize("stop", ["none", "agreement"])
+@pytest.mark.slow
 def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64], stop: Stop) -> None:
     """35 blocks, so that one tile is full and one is padded; a-priori and coded-bit LLRs too."""
     rng = np.random.default_rng(5)
@@ -285,6 +286,7 @@ def test_options_out_of_range(options: dict[str, Any], message: str) -> None:
     ("algorithm", "stop", "blocks", "limit"),
     [("max-log", "agreement", 2048, 0.17), ("max-log", "none", 2048, 0.17), ("log-map", "agreement", 1024, 0.08)],
 )
+@pytest.mark.slow
 def test_block_error_rate(algorithm: Algorithm, stop: Stop, blocks: int, limit: float) -> None:
     """K = 1024 at 0.5 dB: no more errors than the promised rate allows, save once in 10,000, nor half as many."""
     code = TurboCode(k=1024)

@@ -14,6 +14,7 @@ def end(code: int) -> int:
 
 
 @pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.slow
 def test_results_keep_their_order_and_progress_ends_at_all(count: int) -> None:
     shares: list[float] = []
     assert each(count, abs, [-1, 2, -3], shares.append) == [1, 2, 3]
@@ -24,16 +25,19 @@ def test_of_nothing_comes_nothing() -> None:
     assert each(2, abs, []) == []
 
 
+@pytest.mark.slow
 def test_workers_have_a_thread_each() -> None:
     assert each(2, os.getenv, list(THREAD_LIMITS)) == ["1"] * len(THREAD_LIMITS)
 
 
 @pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.slow
 def test_what_a_job_raises_is_raised(count: int) -> None:
     with pytest.raises(ValueError, match="invalid literal"):
         each(count, int, ["1", "two", "3"])
 
 
+@pytest.mark.slow
 def test_a_lost_worker_is_one_line() -> None:
     with pytest.raises(HeliographError, match="lost"):
         each(2, end, [3, 4])

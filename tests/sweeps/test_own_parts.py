@@ -77,6 +77,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, str, int,
     return counts(tmp_path_factory.mktemp("alone"), "--workers", "1")
 
 
+@pytest.mark.slow
 def test_a_receiver_a_code_and_a_motion_of_ones_own_in_this_process(alone: list[tuple[str, str, int, int]]) -> None:
     plain, plain_again, renamed, renamed_again = alone
     assert plain[2:] == plain_again[2:]
@@ -86,10 +87,12 @@ def test_a_receiver_a_code_and_a_motion_of_ones_own_in_this_process(alone: list[
     assert renamed[3] == renamed[2] == plain[2]  # no packet of array 0 arrives
 
 
+@pytest.mark.slow
 def test_worker_processes_have_them_too(tmp_path: Path, alone: list[tuple[str, str, int, int]]) -> None:
     assert counts(tmp_path, "--workers", "2") == alone
 
 
+@pytest.mark.slow
 def test_a_cluster_has_them_too(tmp_path: Path, alone: list[tuple[str, str, int, int]]) -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:

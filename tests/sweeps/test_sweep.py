@@ -212,6 +212,7 @@ def rows(folder: Path) -> list[tuple[int, int]]:
     return found
 
 
+@pytest.mark.slow
 def test_a_store_is_resumed_and_extended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = count(tmp_path)
     assert [p["stopped_by"] for p in first] == ["codewords", "codewords"]
@@ -314,6 +315,7 @@ class Fragile:
     def close(self) -> None: ...
 
 
+@pytest.mark.slow
 def test_lost_workers_are_replaced_and_at_last_given_up() -> None:
     tallies = [PointTally(point, StopRule(max_codewords=10)) for point in points()]
     with Store() as store:
@@ -367,6 +369,7 @@ def test_a_recording_that_is_not_the_one_planned_with_is_refused(tmp_path: Path)
         run_job(work)
 
 
+@pytest.mark.slow
 def test_workers_are_checked() -> None:
     with pytest.raises(HeliographError, match="at least 1 worker"):
         executors.open_workers(0)
@@ -376,6 +379,7 @@ def test_workers_are_checked() -> None:
         executors.open_workers(None, "localhost")
 
 
+@pytest.mark.slow
 def test_a_dataset_has_dimensions_units_and_provenance(tmp_path: Path) -> None:
     found = sweep.sweep(
         {"channel.distance_m": np.array([40, 70]), "receiver": ["plain"]},

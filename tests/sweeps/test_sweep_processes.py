@@ -16,6 +16,8 @@ import pytest
 
 from heliograph.sweeps.store import NAME
 
+pytestmark = pytest.mark.slow
+
 BIN = Path(sys.executable).parent
 POINTS = ("--vary", "channel.distance_m=60:70:10", "--set", "signal.data_pairs=8", "--max-codewords", "80")
 BLOCKS = 2 * 80

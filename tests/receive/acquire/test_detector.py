@@ -47,6 +47,7 @@ def first(frames: Iterable[Frame], number: int, signal: SignalSettings | None = 
 
 
 @pytest.mark.parametrize("distance_m", [25.0, 50.0, 80.0])
+@pytest.mark.slow
 def test_every_identity_by_its_number(distance_m: float) -> None:
     for number in range(IDENTITIES):
         place = {"x_m": 0.0, "y_m": 0.0, "start_s": 0.003 + 0.001 * (number % 2)}
@@ -67,6 +68,7 @@ def two_packets(distance_m: float, shaken: bool) -> tuple[Frame, ...]:
 
 @pytest.mark.parametrize("shaken", [False, True])
 @pytest.mark.parametrize("distance_m", [30.0, 80.0])
+@pytest.mark.slow
 def test_start_is_right_wherever_the_film_begins(distance_m: float, shaken: bool) -> None:
     whole, false_in_all = two_packets(distance_m, shaken), 0
     # every phase near the header, where it matters; a few elsewhere
@@ -84,6 +86,7 @@ def test_start_is_right_wherever_the_film_begins(distance_m: float, shaken: bool
 
 @pytest.mark.parametrize("pairs", [1, 3])
 @pytest.mark.parametrize("distance_m", [30.0, 60.0])
+@pytest.mark.slow
 def test_other_lengths_of_the_header(pairs: int, distance_m: float) -> None:
     settings = link(f"signal.header_pairs={pairs}", "transmit.identities=[13]", distance_m=distance_m)
     period = settings.signal.packet_patterns
@@ -128,6 +131,7 @@ def texture(index: int, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("light", [noise, coarse_noise, lamp, edge, texture])
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is(light: Light) -> None:
     rng = np.random.default_rng(4)
     assert detections(frame_of(light(k, rng), k, rng) for k in range(120)) == []
@@ -153,6 +157,7 @@ def test_an_array_at_the_border_is_no_error() -> None:
         assert {d.identity for d in detections(film(settings, 12))} == ({0} if x_m < 1.15 else set())
 
 
+@pytest.mark.slow
 def test_windows_that_move_with_every_frame() -> None:
     whole = [f for f in film(link(), 112) if f.index]
     moving = []
@@ -171,6 +176,7 @@ def test_windows_without_a_common_part_are_no_error() -> None:
     assert detections(cut) == []
 
 
+@pytest.mark.slow
 def test_a_gap_in_the_frames_hides_that_header_only() -> None:
     frames = film(link(), 212)
     assert [round(d.start_time_s, 6) for d in detections(f for f in frames if f.index != 2)] == [0.1, 0.2]

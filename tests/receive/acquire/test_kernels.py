@@ -68,6 +68,7 @@ def searched(
 # a size whose half is no multiple of the step, else rounding decides which of two neighbours overlap
 @pytest.mark.parametrize(("pixels", "sides", "count"), [(2, (8.3, 9.1), 5), (4, (11.3, 15.8), 1)])
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
 def test_search_finds_what_the_reference_finds(seed: int, pixels: int, sides: tuple[float, ...], count: int) -> None:
     image, cells = headers(seed, pixels), all_header_cells().reshape(-1, 16).astype(float)
     busy = np.ones((6, 7), dtype=bool)

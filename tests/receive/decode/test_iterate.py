@@ -38,6 +38,7 @@ from heliograph.receive.observe.statistics import PairStatistics
 Floats = NDArray[np.float64]
 
 
+@pytest.mark.slow
 def test_layers_are_read_one_after_the_other() -> None:
     """Each iteration reads a layer, whose light the next one subtracts."""
     for seed in range(3):
@@ -72,6 +73,7 @@ def test_too_far_nothing_is_taken_for_right() -> None:
         ("propagation", 140, [3, 6, 0]),
     ],
 )
+@pytest.mark.slow
 def test_each_kind_of_feedback_reads_farther(
     feedback: Literal["none", "decoded", "soft", "propagation"], distance_m: float, expected: list[int]
 ) -> None:
@@ -84,6 +86,7 @@ def test_each_kind_of_feedback_reads_farther(
 
 
 @pytest.mark.parametrize(("distance_m", "number"), [(148, 1), (212, 0)])
+@pytest.mark.slow
 def test_symbols_that_are_not_decoded_have_two_values(distance_m: float, number: int) -> None:
     """Where Gaussian symbols leave codewords of a layer unread, symbols of -1 and +1 leave fewer."""
     read, gaussian = 0, 0
@@ -140,6 +143,7 @@ def against_its_symbols(symbols: Floats, rng: np.random.Generator) -> PairStatis
     return by_matrices(b, GAIN * (b @ symbols + o) + rng.normal(0, NOISE**0.5, len(b)), o)
 
 
+@pytest.mark.slow
 def test_motion_that_looks_like_the_symbols_does_not_change_the_gain() -> None:
     blocks, rng = random_blocks(0), np.random.default_rng(7)
     packet = KnownPoses([against_its_symbols(symbols, rng) for symbols in symbols_of(blocks)])
@@ -164,6 +168,7 @@ def test_gain_and_noise_maximise_the_likelihood() -> None:
 
 
 @pytest.mark.parametrize(("distance_m", "moves", "asked"), [(160, 0, 1), (160, 2, 3), (100, 0, 2)])
+@pytest.mark.slow
 def test_poses_are_refined_while_something_may_come_of_it(distance_m: float, moves: int, asked: int) -> None:
     """At 160 m only the high layer can be read: once, or until the poses stay; at 100 m after each of two layers."""
     packet = KnownPoses(statistics_of(random_blocks(0), distance_m), moves)
@@ -207,6 +212,7 @@ def test_equal_packets_give_equal_codewords() -> None:
 
 
 @pytest.mark.parametrize("distance_m", [70, 100, 150])
+@pytest.mark.slow
 def test_predicted_error_probabilities_are_those_observed(distance_m: float) -> None:
     """In the first iteration nothing is known but the channel, and that exactly: P(wrong) = 1 / (1 + exp |LLR|)."""
     predicted, wrong = [], []

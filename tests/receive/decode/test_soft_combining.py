@@ -35,6 +35,7 @@ def statuses(words: Words) -> list[str]:
 
 
 @pytest.mark.parametrize("number", range(3))
+@pytest.mark.slow
 def test_a_packet_that_comes_again_is_read(number: int) -> None:
     blocks, buffer = random_blocks(number), SoftBuffer()
     first, second, third = (statistics_of(blocks, FAR, 10 * number + k) for k in range(3))
@@ -45,6 +46,7 @@ def test_a_packet_that_comes_again_is_read(number: int) -> None:
 
 
 @pytest.mark.parametrize("number", range(3))
+@pytest.mark.slow
 def test_pairs_seen_only_once_are_taken_from_that_sighting(number: int) -> None:
     """At 105 m the low layer needs more pairs than either sighting has."""
     blocks, buffer = random_blocks(number), SoftBuffer()
@@ -56,6 +58,7 @@ def test_pairs_seen_only_once_are_taken_from_that_sighting(number: int) -> None:
 
 
 @pytest.mark.parametrize("number", range(2))
+@pytest.mark.slow
 def test_another_packet_is_not_taken_for_it(number: int) -> None:
     buffer = SoftBuffer()
     decoded(statistics_of(random_blocks(2 * number), FAR, 1), buffer=buffer)
@@ -66,6 +69,7 @@ def test_another_packet_is_not_taken_for_it(number: int) -> None:
     assert right(decoded(packet, buffer=buffer), blocks) == alone
 
 
+@pytest.mark.slow
 def test_a_codeword_in_other_company_is_added_to() -> None:
     rng, buffer, blocks = np.random.default_rng(6), SoftBuffer(), random_blocks(0)
     kind, others = ("middle", FORM.layers["middle"].code), list[Floats]()
@@ -101,6 +105,7 @@ def test_a_codeword_that_contradicts_makes_another_packet() -> None:
     assert packet.likeness([high, -low]) == 0
 
 
+@pytest.mark.slow
 def test_packets_that_share_a_codeword_are_told_apart() -> None:
     """Where little is seen of the second too: nothing of the first one may pass for its own."""
     count = 0
@@ -119,6 +124,7 @@ def test_packets_that_share_a_codeword_are_told_apart() -> None:
     assert count
 
 
+@pytest.mark.slow
 def test_blocks_that_are_much_alike_are_told_apart() -> None:
     """Texts that differ in a digit: each sighting gives what it gives without a buffer, and nothing of another."""
     buffer, alone, together = SoftBuffer(), 0, 0
@@ -146,6 +152,7 @@ def of_gain(statistics: list[PairStatistics | None], gain: float) -> list[PairSt
 
 
 @pytest.mark.parametrize(("gain", "noise"), [(180.0, 40.0), (90.0, 4.5)])
+@pytest.mark.slow
 def test_sightings_of_other_gain_and_noise_are_weighed_as_such(gain: float, noise: float) -> None:
     """A noisy sighting adds little, and one of dimmer light is scaled: neither takes away."""
     blocks, buffer = random_blocks(0), SoftBuffer()
@@ -181,6 +188,7 @@ def test_a_joined_packet_is_the_sum_in_the_units_of_the_later_one() -> None:
     assert both.pixels == once.pixels + pairs[1].pixels == 60
 
 
+@pytest.mark.slow
 def test_what_is_decoded_is_not_added_to_and_nothing_is_not_kept() -> None:
     rng, blocks, buffer = np.random.default_rng(7), random_blocks(0), SoftBuffer()
     kinds = [(name, layer.code) for name, layer in FORM.layers.items()]
@@ -259,6 +267,7 @@ def test_the_number_of_packets_is_bounded() -> None:
     assert found == [False] * 3 + [True] * PACKETS
 
 
+@pytest.mark.slow
 def test_without_a_buffer_nothing_is_combined() -> None:
     blocks = random_blocks(0)
     for seed in range(2):

@@ -46,6 +46,7 @@ def test_covariance_of_any_number_of_symbols(unknown: int, scattered: bool) -> N
 
 @pytest.mark.parametrize("unknown", [0, 1, 64, 150])
 @pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.slow
 def test_products_before_the_light_of_symbols(motion: tuple[float, float], unknown: int) -> None:
     poses, scale, rng = moving(80, 0.02, motion), GAIN**2 / 4.0, np.random.default_rng(9)
     whole = WholePair(poses, pair_of(poses, random_levels()[1]), Noise(4.0, 4.0))
@@ -75,6 +76,7 @@ def priors(kind: str) -> tuple[Floats, Floats]:
 
 @pytest.mark.parametrize("kind", ["nothing", "something", "the high layer"])
 @pytest.mark.parametrize("distance_m", [60, 110])
+@pytest.mark.slow
 def test_the_estimate_is_linear_mmse(distance_m: float, kind: str) -> None:
     symbols, x = random_levels()
     noise, poses = Noise(4.5, 1.4), moving(distance_m, 0.02, (0.1, 0.05))

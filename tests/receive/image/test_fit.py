@@ -84,6 +84,7 @@ def test_rolled_array(roll: float) -> None:
 
 @pytest.mark.parametrize("kind", PATTERNS)
 @pytest.mark.parametrize("distance_m", [25, 50, 80, 150])
+@pytest.mark.slow
 def test_errors_are_near_the_bound_and_match_the_covariance(distance_m: float, kind: str) -> None:
     weights, sigma, rng = PATTERNS[kind], 2.5, np.random.default_rng(int(distance_m))
     errors, normed = [], []

@@ -33,6 +33,7 @@ def some_pose(rng: np.random.Generator) -> Pose:
 
 
 @pytest.mark.parametrize("seed", range(8))
+@pytest.mark.slow
 def test_render_is_the_sum_of_gaussians(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pose, weights, corner = some_pose(rng), rng.uniform(-1, 1, (16, 16)), (3.0, -5.0)

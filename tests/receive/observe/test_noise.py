@@ -29,6 +29,7 @@ def noisy(pair: FramePair, sigma: Floats, rng: np.random.Generator) -> FramePair
 @pytest.mark.parametrize(("motion", "error"), [((0.0, 0.0), 0.06), ((0.05, 0.1), 0.12), ((0.2, 0.2), 0.3)])
 @pytest.mark.parametrize(("inside", "beside"), [(2.0, 2.0), (1.5, 0.8)])
 @pytest.mark.parametrize("distance_m", [60, 100, 150])
+@pytest.mark.slow
 def test_noise_is_measured(
     distance_m: float, inside: float, beside: float, motion: tuple[float, float], error: float
 ) -> None:

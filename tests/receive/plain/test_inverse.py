@@ -103,6 +103,7 @@ def wrong_leds(settings: LinkSettings, equaliser: Equaliser, sent: list[NDArray[
 
 
 @pytest.mark.parametrize("distance_m", [50.0, 57.0])
+@pytest.mark.slow
 def test_the_inverse_beats_reading_at_the_positions(distance_m: float) -> None:
     """In the link: pose and blur as the receiver finds them, noise as it is."""
     settings = link("signal.modulation=ook", distance_m=distance_m)

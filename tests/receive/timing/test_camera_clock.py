@@ -59,6 +59,7 @@ def test_dropped_frames_leave_a_gap_in_time(numbered: bool) -> None:
     gaps=st.lists(st.integers(1, 6), min_size=40, max_size=150),
     seed=st.integers(0, 99),
 )
+@pytest.mark.slow
 def test_whatever_is_dropped_times_rise_and_the_period_is_right(
     period_s: float, jitter: float, gaps: list[int], seed: int
 ) -> None:

@@ -48,6 +48,7 @@ def paired(pairing: ClockedPairing, frames: list[Frame], single: bool = False) -
 
 @examples(40)
 @given(rate=st.sampled_from(RATES), dropped=st.sets(st.integers(0, 124), max_size=40))
+@pytest.mark.slow
 def test_each_pair_comes_once_in_order_with_frames_of_its_time(rate: tuple[float, float], dropped: set[int]) -> None:
     fps, start_s = rate
     pairing = pairing_of(start_s)

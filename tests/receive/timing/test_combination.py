@@ -210,6 +210,7 @@ def test_the_sum_of_a_header_is_free_of_it() -> None:
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 0, 3, 1)])
+@pytest.mark.slow
 def test_slots_show_the_light_that_is_lit_in_them(order: tuple[int, ...]) -> None:
     light = SlotLight(order)
     # dimmed cells have the levels 3 and 1

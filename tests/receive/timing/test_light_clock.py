@@ -149,6 +149,7 @@ def normed_error(
 @pytest.mark.parametrize("again", [False, True])
 @pytest.mark.parametrize("period", [1.0, 0.5])
 @pytest.mark.parametrize("clipped", [False, True])
+@pytest.mark.slow
 def test_a_header_is_as_sure_as_it_says(period: float, clipped: bool, again: bool) -> None:
     """Errors of the start are those stated, the first header measured once more or not."""
     errors = [normed_error(0.3, period, seed, clipped=clipped, again=again) for seed in range(60)]
@@ -162,6 +163,7 @@ def test_a_header_is_as_sure_as_it_says(period: float, clipped: bool, again: boo
     part=st.none() | st.floats(0.3, 1.0),
     seed=st.integers(0, 99),
 )
+@pytest.mark.slow
 def test_a_header_at_any_phase_starts_within_the_deviation_stated(
     start: float, period: float, part: float | None, seed: int
 ) -> None:

@@ -34,6 +34,7 @@ def paired(pairing: SteppedPairing, frames: list[Frame]) -> list[tuple[int, Fram
     start_s=st.sampled_from([0.0, 0.0371, 2.0]),
     jitter=st.floats(0, 0.4),
 )
+@pytest.mark.slow
 def test_each_pair_comes_once_in_order_with_its_frames(
     dropped: set[int], before: int, start_s: float, jitter: float
 ) -> None:

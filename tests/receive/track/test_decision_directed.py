@@ -72,6 +72,7 @@ def test_a_frame_pulls_a_wrong_pose_back() -> None:
     assert np.abs(np.mean(steps, 0)).max() < 0.01
 
 
+@pytest.mark.slow
 def test_the_light_of_the_mean_and_that_of_the_data_come_at_their_times() -> None:
     """PWM is bright early in a pattern: in motion the levels' mean lies 0.19 patterns behind the data."""
     motion = 1.5, -1.2

@@ -38,6 +38,7 @@ def errors(tracked: list[TrackedPair], path: Callable[[Floats], Floats]) -> Floa
 
 
 @pytest.mark.parametrize("distance_m", [25.0, 40.0, 80.0])
+@pytest.mark.slow
 def test_hard_shake_is_followed(distance_m: float) -> None:
     settings, recorder = link(), Recorder()
     frames = drawn_film(settings, 200, shaking, distance_m=distance_m)
@@ -49,6 +50,7 @@ def test_hard_shake_is_followed(distance_m: float) -> None:
 
 
 @pytest.mark.parametrize("distance_m", [40.0, 80.0])
+@pytest.mark.slow
 def test_at_rest_the_position_is_sharp(distance_m: float) -> None:
     settings, recorder = link("signal.data_pairs=16"), Recorder()
     frames = drawn_film(settings, 72, at_rest, distance_m=distance_m)
