@@ -28,7 +28,7 @@ def run_reproduce(
                 done = keys.index(key)
                 advance(done)
 
-            context = Context(**known, progress=lambda _, share: advance(done + share))
+            context = Context(**known, progress=lambda _, part: advance(done + part))
             results = reproduce(keys, context, output, begin)
     except KeyboardInterrupt:
         console.complain(f"interrupted; {output} holds the experiments done so far")

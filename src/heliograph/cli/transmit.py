@@ -82,7 +82,7 @@ def _write_csv(path: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[in
 
 
 def _write_film(path: Path, patterns: Iterator[NDArray[np.uint8]], side: int, period: float, top: int) -> None:
-    """A film of the array itself, for a screen; gray stands for the lit share."""
+    """A film of the array itself, for a screen; gray stands for the fraction of the time that an LED is lit."""
     from heliograph.media import create_film
 
     edge, block = side * LED_PX, np.ones((LED_PX, LED_PX), dtype=np.uint8)

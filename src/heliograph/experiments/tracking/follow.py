@@ -80,7 +80,7 @@ class InvertedSignals:
     Parameters
     ----------
     settings
-        The link's; its headers sharpen pitch and blur, as in the receiver.
+        The link's; its headers refine pitch and blur, as in the receiver.
     """
 
     sized = True
@@ -106,7 +106,7 @@ class InvertedSignals:
         self._start_s = found.start_time_s
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Follow a pair; a header's pair sharpens the pose for the next.
+        """Follow a pair; a header's pair refines the pose for the next.
 
         Parameters
         ----------

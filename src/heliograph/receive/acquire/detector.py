@@ -52,6 +52,9 @@ FIRST_AMPLITUDE, FIRST_SCORE = 0.7, 0.9
 Out of step a header may begin amid a frame, and two frames have more noise than four.
 """
 
+OVERLAP = 0.1
+"""Fraction of their sides by which two arrays may seem to overlap: a candidate's place and size err by half of it."""
+
 SLACK = 2
 """Frames by which the start of the header may differ from the window searched, either way: every second is searched."""
 
@@ -300,8 +303,9 @@ def apart(a: Pose, b: Pose, side: int) -> bool:
     side
         LEDs in a row.
     """
-    # half the sum of their sides, a tenth of it left for errors of the poses
-    return bool(np.hypot(a.x - b.x, a.y - b.y) > 0.45 * side * (a.pitch + b.pitch))
+    # |a - b| > (n p_a + n p_b) / 2, less what the poses may err by
+    reach = (1 - OVERLAP) / 2 * side * (a.pitch + b.pitch)
+    return bool(np.hypot(a.x - b.x, a.y - b.y) > reach)
 
 
 def _follows(last: Frame, frame: Frame) -> bool:

@@ -117,12 +117,12 @@ def _scores(image: Floats, cells: Floats, x: float, y: float, side: float, grid:
 
 
 def _box(image: Floats, x: float, y: float, size: float) -> float:
-    """Sum over a square whose borders cut pixels, which then count by their share; pixel (0, 0) begins at 0."""
+    """Sum over a square whose borders cut pixels, which then count in part; pixel (0, 0) begins at 0."""
     return float(_overlap(y, size, image.shape[0]) @ image @ _overlap(x, size, image.shape[1]))
 
 
 def _overlap(start: float, size: float, count: int) -> Floats:
-    """Share of each of `count` pixels within [start, start + size]."""
+    """Part of each of `count` pixels within [start, start + size]."""
     first = np.arange(count)
     return np.clip(np.minimum(start + size, first + 1) - np.maximum(start, first), 0, 1)
 

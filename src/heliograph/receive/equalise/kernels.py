@@ -6,14 +6,17 @@ import numpy as np
 from numba import njit
 
 FEW, MANY = 2, 6
-"""Disturbing symbols that are drawn from -1 and +1: at first, and on a closer look.
+"""Disturbing symbols that are drawn from -1 and +1: at first, and in a second evaluation.
 
 With all disturbers taken as Gaussian up to five times as many errors are predicted below 1 % as there are, with two
 drawn twice as many, with six a tenth more; eight gain nothing for three times the time (docs/measured.md).
 """
 
 DOUBTFUL_LLR, DECIDED_LLR = 3.0, 10.0
-"""LLRs in magnitude, 5 % and 5e-5 wrong, between which a closer look is taken; beyond, it would change no decision."""
+"""LLRs in magnitude, 5 % and 5e-5 wrong, between which a symbol is evaluated again.
+
+Beyond them that would change no decision.
+"""
 
 LEAST_REST = 0.02
 """Least part of the variance left to the Gaussian once symbols are drawn: rounding in float32 may leave less."""

@@ -52,6 +52,9 @@ MODEL = 0.02
 FADE = 0.5
 """Weight of earlier headers for each packet since: hidden LEDs come to light."""
 
+SETTLED = 0.1
+"""Correction of the gain, as a fraction of `LED_GAIN_SPREAD`, below which no other one follows."""
+
 MEDIAN_STEPS, MEDIAN_SCALES = 2, (0.5, 2.0)
 """Most corrections of the gain by the median LED, and bounds of one."""
 
@@ -104,7 +107,7 @@ class LedGains:
             # the median LED is a sound one
             scale = float(np.clip(np.median(found), *MEDIAN_SCALES))
             gain *= scale
-            if abs(scale - 1) < LED_GAIN_SPREAD / 10:
+            if abs(scale - 1) < SETTLED * LED_GAIN_SPREAD:
                 break
         values = np.clip((found / scale - FAILED) / (SOUND - FAILED), 0, 1)
         changed = bool(np.abs(values - self.values).max() > CHANGED)

@@ -37,9 +37,9 @@ class Drawn:
     Attributes
     ----------
     few, many
-        At first, and on a closer look.
+        In the first evaluation, and in the second.
     doubtful, sure
-        LLRs in magnitude between which a closer look is taken.
+        LLRs in magnitude between which a symbol is evaluated again.
     """
 
     few: int

@@ -18,6 +18,12 @@ PANEL_MARGINS = (0.75, 2.0)
 FIT_LOADING = 1e-9
 """Relative loading of the normal equations' diagonal: keeps a parameter that no pixel shows solvable."""
 
+FIRST_LOADING = 1e-6
+"""The same of the first coefficients, where images of the array and of a plane may be alike."""
+
+LEAST_INFORMATION = 1e-3
+"""Added to the diagonal before it is loaded: of images that are 0 all over something must be left to solve for."""
+
 LEAST_VARIANCE = 0.08
 """Least variance of a pixel in squared gray levels: that of rounding to whole levels, 1/12."""
 
@@ -143,7 +149,7 @@ def fit_array(
             weight = (EXPECTED_GAIN_SPREAD * prior.gain) ** -2
             matrix[free, free] += weight
             rhs[free] += weight * (prior.gain - linear[0])
-        step = np.asarray(np.linalg.solve(matrix + FIT_LOADING * np.diag(np.diag(matrix) + 1e-3), rhs), np.float64)
+        step = np.asarray(np.linalg.solve(_loaded(matrix, FIT_LOADING), rhs), np.float64)
         limit = _step_limits(vector)[:free]
         vector[:free] += np.clip(step[:free], -limit, limit)
         linear = linear + step[free:]
@@ -152,7 +158,7 @@ def fit_array(
         if panel and near and abs(step[free]) < CLOSE_GAIN * abs(linear[0]):
             break
         scene.place(vector)
-    covariance = np.linalg.inv(matrix + FIT_LOADING * np.diag(np.diag(matrix) + 1e-3))[:free, :free]
+    covariance = np.linalg.inv(_loaded(matrix, FIT_LOADING))[:free, :free]
     return Fit(
         vector,
         np.asarray(covariance, np.float64),
@@ -195,7 +201,7 @@ class _Scene:
             weight = HELD_GAIN * matrix[0, 0]
             matrix[0, 0] += weight
             rhs[0] += weight * gain
-        return np.asarray(np.linalg.solve(matrix + 1e-6 * np.diag(np.diag(matrix) + 1e-3), rhs))
+        return np.asarray(np.linalg.solve(_loaded(matrix, FIRST_LOADING), rhs))
 
     def equations(self, linear: Floats) -> tuple[Floats, Floats]:
         """Normal equations of steps in pose and coefficients, divided by the noise variance of the residuals."""
@@ -215,6 +221,11 @@ class _Scene:
 def _noise_of(residual: Floats) -> float:
     """Standard deviation of residuals, at least half a gray level."""
     return max(robust_std(residual), 0.5)
+
+
+def _loaded(matrix: Floats, loading: float) -> Floats:
+    """M + lambda (diag M + epsilon 1)."""
+    return matrix + loading * np.diag(np.diag(matrix) + LEAST_INFORMATION)
 
 
 def _step_limits(vector: Floats) -> Floats:

@@ -6,10 +6,11 @@ from heliograph.base.arrays import Floats
 
 
 def robust_std(values: Floats) -> float:
-    """Standard deviation about 0 of values of any shape, by their median magnitude; 0.7413 is 1 / (2 Phi^-1(3/4))."""
+    """Standard deviation about 0 of values of any shape, by their median magnitude."""
     # NumPy's own median takes many times as long
     middle = [(values.size - 1) // 2, values.size // 2]
     low, high = np.partition(np.abs(values).ravel(), middle)[middle]
+    # median |x| / Phi^-1(3/4), the median being (low + high) / 2
     return 0.7413 * float(low + high)
 
 
