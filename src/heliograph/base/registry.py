@@ -97,7 +97,7 @@ class Registry(Generic[T]):
             if (self._group, name) in _MISSING:
                 raise SettingsError(_MISSING[self._group, name])
             close = get_close_matches(name, self.names(), 1)
-            hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(self.names())}"
+            hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(self.names())}; others come by --load"
             raise SettingsError(f"unknown {self._kind} '{name}'; {hint}")
         return name
 

@@ -242,6 +242,9 @@ def _usage(error: Exception) -> None:
     """Say what is wrong with the command line, in one line."""
     text = error.format_message() if hasattr(error, "format_message") else str(error)
     context = getattr(error, "ctx", None)
+    if "No such option: --load" in text and context:
+        text = "--load FILE stands before the command"
+        context = context.find_root()
     command = f"{context.command_path} --help" if context else "heliograph --help"
     console.complain(f"{' '.join(text.split()).rstrip('.')}; see '{command}'")
 

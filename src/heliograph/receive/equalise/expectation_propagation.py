@@ -28,13 +28,13 @@ class ExpectationPropagation:
     Attributes
     ----------
     precision
-        L of the sites, (patterns, symbols).
+        Lambda of the sites, (patterns, symbols).
     weighted
-        G of the sites, (patterns, symbols).
+        eta of the sites, (patterns, symbols).
     cavity
-        L of the cavities, (patterns, symbols); 0 for pairs that have not been equalised.
+        Lambda of the cavities, (patterns, symbols); 0 for pairs that have not been equalised.
     cavity_weighted
-        G of the cavities, likewise.
+        eta of the cavities, likewise.
     """
 
     precision: Floats
@@ -65,7 +65,7 @@ class ExpectationPropagation:
         -------
         Mean and variance of the sites, (patterns, symbols); of decoded symbols their own.
         """
-        # P(+1) / P(-1) = exp(L), L = 2 artanh(mean) + 2 G_cavity
+        # P(+1) / P(-1) = exp(L), L = 2 artanh(mean) + 2 eta_cavity
         llr = 2 * np.arctanh(np.clip(mean, KNOWN_VARIANCE - 1, 1 - KNOWN_VARIANCE)) + 2 * self.cavity_weighted
         both = np.tanh(0.5 * llr)
         spread = np.maximum(1 - both**2, 2 * KNOWN_VARIANCE)
@@ -93,5 +93,5 @@ class ExpectationPropagation:
         """
         first = not self.cavity[number].any()
         self.cavity[number], self.cavity_weighted[number] = estimate.extrinsic
-        # LLR = ln N(1) / N(-1) = 2 G; at first the strongest neighbours are drawn from +-1 instead, which is more exact
+        # LLR = ln N(1) / N(-1) = 2 eta_cavity; at first the strongest neighbours are drawn from +-1 instead, which is more exact
         return estimate.llr if first else 2 * self.cavity_weighted[number]
