@@ -20,6 +20,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import heliograph
 
@@ -174,16 +175,19 @@ def films(folder: Path) -> None:
 def count(folder: Path) -> dict[str, list[int]]:
     """Receive all films: by scene codewords right, codewords wrongly taken for right, and detections."""
     from heliograph.receive import make_receiver
+    from heliograph.receive.events import DetectEvent
 
     names, found = list(SCENES), {name: [0, 0, 0] for name in SCENES}
     for path in sorted(folder.glob("*.pkl")):
         number, which, signal, settings, frames, sent = pickle.loads(path.read_bytes())
-        receiver = make_receiver(signal, replace(settings, receiver=which))
+        events: list[Any] = []
+        receiver = make_receiver(signal, replace(settings, receiver=which), events.append)
         packets = [packet for frame in frames for packet in receiver.push(frame)] + list(receiver.finish())
         words = [(p.identity, layer, w.block) for p in packets for layer, by in p.layers.items() for w in by if w.block]
         right = sum((layer, block) in sent.get(who, ()) for who, layer, block in words)
+        detections = sum(isinstance(event, DetectEvent) for event in events)
         total = found[names[number]]
-        total[0], total[1], total[2] = total[0] + right, total[1] + len(words) - right, total[2] + receiver.detections
+        total[0], total[1], total[2] = total[0] + right, total[1] + len(words) - right, total[2] + detections
     return found
 
 

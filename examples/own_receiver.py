@@ -35,7 +35,6 @@ class Threshold:
     """Reads one array that blinks: the box of what changes, resized to a pixel an LED."""
 
     def __init__(self, signal: heliograph.SignalSettings, settings: ReceiveSettings, observe: Any):
-        self.detections = 0
         self._form, self._own = PacketFormat(signal), own_settings(settings)
         self._headers = all_header_cells().reshape(-1, 16).astype(np.float64)
         self._calibration, self._observe = settings.calibration, observe
@@ -85,7 +84,6 @@ class Threshold:
         status = "ok" if all(good) else "partial" if any(good) else "crc_fail"
         numbers = first.index, self._frames[-1].index
         self._frames.clear()
-        self.detections += 1
         return Packet(identity, status, first.time_s, *numbers, pose, distance_m, 1.0, 1.0, 1.0, layers)
 
 

@@ -1,5 +1,6 @@
 """Settings from mappings, TOML and assignments: what is right goes in, what is wrong is one clear line."""
 
+import dataclasses
 import tomllib
 from typing import Any
 
@@ -209,3 +210,13 @@ def test_toml_holds_any_plain_value() -> None:
     assert tomllib.loads(to_toml({"i": [{"a": 1, "s": {"b": 2}}, {"a": 3}]})) == {
         "i": [{"a": 1, "s": {"b": 2}}, {"a": 3}]
     }
+
+
+def test_a_plain_dataclass_refuses_keys_that_it_lacks() -> None:
+    @dataclasses.dataclass(frozen=True)
+    class Plain:
+        patience: float = 0.5
+
+    assert from_mapping(Plain, {"patience": 2}).patience == 2
+    with pytest.raises(SettingsError, match="unknown setting 'patiance'; did you mean 'patience'"):
+        from_mapping(Plain, {"patiance": 2})

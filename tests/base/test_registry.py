@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from heliograph.base.errors import SettingsError
-from heliograph.base.registry import Registry, load_parts
+from heliograph.base.registry import Registry, digest, load_parts, registered
 
 COLOURS: Registry[str] = Registry("colour", "test.colours", {"red": "string:digits"})
 
@@ -119,6 +119,8 @@ def test_what_does_not_come_by_running_a_file_again_is_an_error_once_it_is_asked
     parts = run(PROGRAM, folder=tmp_path).stdout
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
+    assert run(WORKER, "nothing", folder=elsewhere, given=parts).stdout == b"Nothing\n"
+    (tmp_path / "beside.py").unlink()
     assert run(WORKER, "plain", folder=elsewhere, given=parts).stdout == b"StreamReceiver\n"
     wrong = run(WORKER, "nothing", folder=elsewhere, given=parts)
     assert b"'nothing' is not registered in this worker process" in wrong.stderr
@@ -131,3 +133,23 @@ def test_what_is_registered_by_hand_cannot_go_elsewhere(tmp_path: Path) -> None:
     program = PROGRAM.replace('load_parts("parts.py")', PARTS)
     wrong = run(WORKER, "nothing", folder=tmp_path, given=run(program, folder=tmp_path).stdout)
     assert b"write it into a file" in wrong.stderr
+
+
+def test_files_of_one_name_are_different_modules(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "parts.py").write_text(
+            f"import heliograph\nheliograph.register_receiver('own-{name}', lambda *_: None)\n"
+        )
+        load_parts(tmp_path / name / "parts.py")
+    files = {part.module.file for part in registered() if part.module and part.name in ("own-one", "own-two")}
+    assert files == {str(tmp_path / name / "parts.py") for name in ("one", "two")}
+
+
+def test_the_digest_follows_the_text_of_loaded_files(tmp_path: Path) -> None:
+    file, found = tmp_path / "changing.py", list[str]()
+    for text in ("x = 1", "x = 1", "x = 2"):
+        file.write_text(f"import heliograph\n{text}\nheliograph.register_receiver('changing', lambda *_: None)\n")
+        load_parts(file)
+        found.append(digest())
+    assert found[0] == found[1] != found[2]

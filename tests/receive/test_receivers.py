@@ -33,7 +33,7 @@ class Counting:
 
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Any):
         assert signal == SIGNAL
-        self.detections, self._every, self._seen = 0, own_settings(settings).frames, list[Frame]()
+        self._every, self._seen = own_settings(settings).frames, list[Frame]()
         self._observe = observe
 
     def push(self, frame: Frame) -> Iterator[Packet]:

@@ -74,3 +74,8 @@ def test_the_smallest_array_depends_on_the_receiver_unless_it_is_set(settings: d
 def test_the_smallest_array_is_smaller_than_the_largest(settings: dict[str, Any]) -> None:
     with pytest.raises(SettingsError, match="must be below"):
         from_mapping(ReceiveSettings, {"detect": settings})
+
+
+def test_settings_can_be_keys() -> None:
+    one, other = (from_mapping(ReceiveSettings, {"receiver": "mine", "own": {"frames": k}}) for k in (3, 3))
+    assert {one: 1}[other] == 1

@@ -95,5 +95,5 @@ def test_worker_processes_have_them_too(tmp_path: Path, alone: list[tuple[str, s
 @pytest.mark.slow
 def test_a_cluster_has_them_too(tmp_path: Path, alone: list[tuple[str, str, int, int]]) -> None:
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
         assert counts(tmp_path, "--scheduler", cluster.scheduler_address) == alone

@@ -59,6 +59,10 @@ def from_mapping(cls: type[T], mapping: Mapping[str, Any]) -> T:
     SettingsError
         A key is unknown, or a value has the wrong type or is out of range.
     """
+    if is_dataclass(cls) and not hasattr(cls, "__pydantic_config__") and isinstance(mapping, Mapping):
+        # a plain dataclass, as that of a receiver of one's own, would pass over keys that it lacks
+        for key in set(mapping) - {field.name for field in fields(cls)}:
+            raise SettingsError(f"unknown setting '{key}'{_nearest(key, cls)}")
     try:
         return TypeAdapter(cls).validate_python(dict(mapping) if isinstance(mapping, Mapping) else mapping)
     except ValidationError as error:

@@ -1,5 +1,6 @@
 """Parts by name: those of the package, those a program registers, and those other packages offer by entry points."""
 
+import hashlib
 import re
 import sys
 from collections.abc import Mapping
@@ -97,7 +98,8 @@ class Registry(Generic[T]):
             if (self._group, name) in _MISSING:
                 raise SettingsError(_MISSING[self._group, name])
             close = get_close_matches(name, self.names(), 1)
-            hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(self.names())}; others come by --load"
+            known = f"there are {', '.join(self.names())}; others come by --load"
+            hint = f"did you mean '{close[0]}'?" if close else known
             raise SettingsError(f"unknown {self._kind} '{name}'; {hint}")
         return name
 
@@ -165,8 +167,9 @@ def load_parts(file: Path | str) -> None:
         source = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise SettingsError(f"cannot load {file}: {getattr(error, 'strerror', None) or error}") from None
-    sys.path.insert(0, str(file.resolve().parent))
-    _run(Module(f"loaded_{file.stem}", str(file), source))
+    # files of one name in different folders are different modules
+    place = hashlib.sha256(str(file.resolve()).encode()).hexdigest()[:8]
+    _run(Module(f"loaded_{file.stem}_{place}", str(file.resolve()), source))
 
 
 def registered() -> tuple[Part, ...]:
@@ -176,6 +179,24 @@ def registered() -> tuple[Part, ...]:
         for group, registry in _REGISTRIES.items()
         for name, module in registry.origins.items()
     )
+
+
+def digest() -> str:
+    """Return a digest of the code of all parts that are not the package's: results depend on it."""
+    about = hashlib.sha256()
+    for part in registered():
+        source = "" if part.module is None else part.module.source or _text(part.module.name)
+        about.update(repr((part.group, part.name, source)).encode())
+    for group in _REGISTRIES:
+        for entry in _offered(group):
+            about.update(repr((group, entry.name, entry.value, entry.dist and entry.dist.version)).encode())
+    return about.hexdigest()[:12]
+
+
+def _text(module: str) -> str:
+    """Source of an imported module; empty where it has none."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    return Path(file).read_text(encoding="utf-8", errors="replace") if file and Path(file).is_file() else ""
 
 
 @lru_cache  # a cluster's worker gets them with each task
@@ -205,7 +226,10 @@ def register_again(parts: tuple[Part, ...]) -> None:
 
 
 def _run(module: Module) -> None:
-    """Run a module from its source."""
+    """Run a module from its source; it can import what lies beside its file."""
+    folder = str(Path(module.file).parent) if module.file else ""
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
     found = sys.modules[module.name] = ModuleType(module.name)
     found.__file__ = module.file
     _LOADED[module.name] = module

@@ -331,7 +331,7 @@ class ChannelSettings:
     emitter: EmitterSettings = EmitterSettings()
     sensor: SensorSettings = SensorSettings()
     background: BackgroundSettings = BackgroundSettings()
-    own: Mapping[str, Any] = field(default_factory=dict)
+    own: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @model_validator(mode="after")
     def _consistent(self) -> "ChannelSettings":

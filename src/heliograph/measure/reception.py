@@ -11,7 +11,8 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages
 from heliograph.link.truth import FrameTruth
 from heliograph.measure.errors import ErrorCounter
-from heliograph.receive import Codeword, Packet, Receiver, make_receiver
+from heliograph.receive import Codeword, Packet, make_receiver
+from heliograph.receive.events import DetectEvent
 from heliograph.receive.receivers import AnyObserver
 from heliograph.signal.block import payload_bytes
 from heliograph.signal.message import Message, Reassembler
@@ -179,8 +180,14 @@ def receive_film(
     MediaError
         The film breaks off or is shorter than a packet; all packets before have been given.
     """
-    receiver = make_receiver(signal, settings.receive, observe)
-    for packet in read_packets(_Counted(film, receiver, reception, progress), signal, receiver):
+
+    def counted(event: Any) -> None:
+        reception.detections += isinstance(event, DetectEvent)
+        if observe is not None:
+            observe(event)
+
+    receiver = make_receiver(signal, settings.receive, counted)
+    for packet in read_packets(_Counted(film, reception, progress), signal, receiver):
         yield packet, list(reception.add(packet))
 
 
@@ -189,7 +196,6 @@ class _Counted:
     """A film whose frames are counted as they are taken."""
 
     film: FrameSource
-    receiver: Receiver
     reception: Reception
     progress: Progress
 
@@ -202,7 +208,6 @@ class _Counted:
             self.reception.saw(frame.index)
             yield frame
             self.progress(self.reception.frames)
-            self.reception.detections = self.receiver.detections
 
 
 def _completed(reassembler: Reassembler, words: Iterable[Codeword]) -> Iterator[Message]:

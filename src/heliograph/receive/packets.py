@@ -92,15 +92,7 @@ class Packet:
 
 
 class Receiver(Protocol):
-    """What every receiver is: frames in, packets out.
-
-    Attributes
-    ----------
-    detections
-        How often it has taken something for an array.
-    """
-
-    detections: int
+    """What every receiver is: frames in, packets out."""
 
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packets it completes."""

@@ -42,18 +42,12 @@ class StreamReceiver:
         What it is made of.
     observe
         Gets its events.
-
-    Attributes
-    ----------
-    detections
-        How often it has taken something for an array.
     """
 
     def __init__(self, parts: Parts, observe: Observer):
         self._parts, self._observe = parts, observe
         self._arrays: list[ArrayReceiver] = []
         self._started = False
-        self.detections = 0
 
     @property
     def candidates_fitted(self) -> int:
@@ -104,7 +98,6 @@ class StreamReceiver:
 
     def _take_up(self, detection: Detection) -> Iterator[Packet]:
         """Begin to follow an array, its header's frames first."""
-        self.detections += 1
         recent = tuple(self._parts.search.recent)
         self._observe(DetectEvent(detection, recent))
         array = self._parts.follow(detection)

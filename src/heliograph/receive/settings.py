@@ -169,7 +169,7 @@ class ReceiveSettings:
     decode: DecodeSettings = DecodeSettings()
     plain: PlainSettings = PlainSettings()
     soft: SoftSettings = SoftSettings()
-    own: Mapping[str, Any] = field(default_factory=dict)
+    own: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @property
     def smallest_side_px(self) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 
 import heliograph
 from heliograph import __version__
+from heliograph.base import registry
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import MediaError
 from heliograph.link.recordings import load_footage, load_imu
@@ -76,7 +77,7 @@ class Point:
     @property
     def key(self) -> str:
         """Key of the point's blocks in a store: a digest of all that they depend on."""
-        about = [to_mapping(self.settings), self.seed, build()]
+        about = [to_mapping(self.settings), self.seed, build(), registry.digest()]
         return _digest([*about, {name: one.digest for name, one in sorted(self.recordings.items())}])
 
     def block_seed(self, block: int) -> int:

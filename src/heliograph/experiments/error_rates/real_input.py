@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from heliograph.measure.reception import Reception, receive_film
 from heliograph.measure.statistics import Count
 from heliograph.media import open_film
 from heliograph.receive import Packet, make_receiver, receive_frames
+from heliograph.receive.events import DetectEvent
 
 REAL = ("channel.background.kind='footage'", "channel.shake='imu'")
 EMPTY = ("channel.arrays=[]", "transmit.identities=[]")
@@ -159,15 +161,17 @@ def empty(scene: RealScene, most_frames: int | None = None, *, native: bool = Fa
     """
     settings, recordings = RealScene(scene.clip, scene.imu, scene.seed, (*EMPTY, *scene.changes)).load()
     film = native_frames(scene.clip, settings) if native else _rendered(settings, scene.seed, recordings)
-    receiver, packets, frames = make_receiver(settings.signal, settings.receive), list[Packet](), 0
+    events, packets, frames = list[Any](), list[Packet](), 0
+    receiver = make_receiver(settings.signal, settings.receive, events.append)
     for frame in islice(film, most_frames):
         packets += receiver.push(frame)
         frames += 1
     packets += receiver.finish()
     headed = sum(map(is_packet, packets))
     right = sum(p.status in ("ok", "partial") for p in packets)
+    found = sum(isinstance(event, DetectEvent) for event in events)
     words = sum(w.status == "ok" for p in packets for layer in p.layers.values() for w in layer)
-    detections, headers, read = (Count(frames, n) for n in (receiver.detections, headed, right))
+    detections, headers, read = (Count(frames, n) for n in (found, headed, right))
     return EmptyCounts(detections, headers, read, words, len(packets) - headed)
 
 

@@ -16,7 +16,7 @@ from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.layer import HOPELESS, Layer, decode_layer
 from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer
 from heliograph.receive.equalise.expectation_propagation import ExpectationPropagation
-from heliograph.receive.equalise.llr import LARGEST_LLR, information
+from heliograph.receive.equalise.llr import information
 from heliograph.receive.equalise.lmmse import Estimate, equalise
 from heliograph.receive.equalise.polarity import SymbolMapper
 from heliograph.receive.observe.noise import LEAST_NOISE
@@ -239,14 +239,14 @@ class _Packet:
             observe(EqualiseEvent(self.identity, number, {name: layer.llr for name, layer in self.layers.items()}))
             for name, layer in self.layers.items():
                 decode_layer(layer, name, self.identity, self.options, self.feedback in ("soft", "propagation"))
-            still = self.open
+            left = self.open
             self.information = np.concatenate([information(one.llr + one.combined) for one in self.layers.values()])
-            if not still.any() or self.feedback == "none":
+            if not left.any() or self.feedback == "none":
                 break
-            decoded = still.sum() < open_.sum()
+            decoded = left.sum() < open_.sum()
             due |= decoded
             # at least once, and until they stay: a codeword may seem hopeless because of its poses
-            if refinements and due and (refinements == REFINEMENTS or moved or not self.hopeless[still].all()):
+            if refinements and due and (refinements == REFINEMENTS or moved or not self.hopeless[left].all()):
                 moved = observed.refine(*self.expected(), self.channel.gain, self.channel.noise)
                 self.replace(observed.statistics)
                 if moved:
@@ -255,7 +255,7 @@ class _Packet:
             elif moved:
                 # this iteration began without guesses: another one follows
                 moved = False
-            elif not decoded and ((self.information - before)[still].max() < PROGRESS or self.hopeless[still].all()):
+            elif not decoded and ((self.information - before)[left].max() < PROGRESS or self.hopeless[left].all()):
                 break
         self.doubt()
 
@@ -307,7 +307,7 @@ class _Packet:
             self.equalise()
             return
         for name, layer in self.layers.items():
-            layer.combined = np.stack([buffer.codeword((name, layer.form.code), own) for own in layer.own])
+            layer.combine(np.stack([buffer.codeword((name, layer.form.code), own) for own in layer.own]))
 
     def doubt(self) -> None:
         """Take nothing for decoded that only earlier packets support: they may be others."""
@@ -359,7 +359,7 @@ class _Packet:
         self.channel = channel.updated(moments, self.combined)
         parts = self.mapper.bits(llr, [layer.mean() for layer in self.layers.values()])
         for layer, part in zip(self.layers.values(), parts, strict=True):
-            layer.llr = layer.form.deinterleave(np.clip(part, -LARGEST_LLR, LARGEST_LLR))
+            layer.take(part)
 
 
 def _equalise_combined(

@@ -72,6 +72,14 @@ class Layer:
         """Numbers of the codewords that are not decoded."""
         return [i for i in range(len(self.llr)) if not self.words or self.words[i].status == "crc_fail"]
 
+    def take(self, sent: Floats) -> None:
+        """Take the LLRs (pairs, symbols) of the bits as they were sent, by a new equalisation."""
+        self.llr = self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR))
+
+    def combine(self, earlier: Floats) -> None:
+        """Take the LLRs (codewords, E) of earlier packets with the same codewords."""
+        self.combined = earlier
+
     def remember_own(self) -> None:
         """Keep the LLRs of the first equalisation, by which codewords are told apart."""
         self.own = np.where(self.form.code.distinguishing, self.llr, 0.0)

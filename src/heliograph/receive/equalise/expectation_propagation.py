@@ -93,5 +93,5 @@ class ExpectationPropagation:
         """
         first = not self.cavity[number].any()
         self.cavity[number], self.cavity_weighted[number] = estimate.extrinsic
-        # LLR = ln N(1) / N(-1) = 2 eta_cavity; at first the strongest neighbours are drawn from +-1 instead, which is more exact
+        # LLR = ln N(1) / N(-1) = 2 eta_cavity; at first the strongest neighbours are summed over as +-1, more exactly
         return estimate.llr if first else 2 * self.cavity_weighted[number]
