@@ -103,7 +103,7 @@ def test_what_is_no_mapping_is_refused(no_mapping: Any) -> None:
         ("channel.stop_m=90", ("stop_m", "80", "90")),
     ],
 )
-def test_ranges_are_checked_and_told(change: str, parts: tuple[str, ...]) -> None:
+def test_ranges_are_checked_and_shown(change: str, parts: tuple[str, ...]) -> None:
     with pytest.raises(SettingsError) as caught:
         load_settings(assignments=[change])
     assert all(part in str(caught.value) for part in parts), str(caught.value)

@@ -34,7 +34,7 @@ def test_whatever_goes_wrong_leaves_the_old_file(tmp_path: Path, error: BaseExce
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for target in (tmp_path / "none" / "a", tmp_path / "file" / "a", tmp_path):
         with pytest.raises(MediaError, match=r"cannot write .*; make room or choose another place"):

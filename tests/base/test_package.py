@@ -34,7 +34,7 @@ def test_every_module_has_a_docstring(path: Path) -> None:
     assert len(text.split()) > 1, f"'{text}' says nothing"
 
 
-def test_public_names_are_there_and_told() -> None:
+def test_public_names_are_there_and_described() -> None:
     assert heliograph.__version__
     for name in heliograph.__all__:
         assert getattr(heliograph, name).__doc__, name

@@ -88,7 +88,7 @@ def test_unresolved_array_has_the_surface_brightness_all_on(distance_m: float) -
     assert patch.mean() == pytest.approx(0.4, rel=0.02)
 
 
-def test_levels_are_shares_of_the_exposure() -> None:
+def test_levels_are_fractions_of_the_exposure() -> None:
     settings = replace(still(arrays=[{"x_m": 0, "y_m": 0}]), sensor=FINE)
     sums = [float(shoot(settings, constant(level))[0][0].pixels.astype(float).sum()) for level in range(5)]
     assert np.diff(sums) == pytest.approx(np.full(4, (sums[4] - sums[0]) / 4), rel=1e-3)

@@ -97,7 +97,7 @@ def test_equals_the_blur_matrix_of_the_reference_link(distance_m: float, roll_ra
 
 
 @pytest.mark.parametrize("late_s", [-3e-4, 0.0, 3e-4])
-def test_smear_equals_many_short_looks(late_s: float) -> None:
+def test_smear_equals_many_short_exposures(late_s: float) -> None:
     settings = ChannelSettings(distance_m=25, speed_m_s=0)
     one, eye = view(settings, Placement())
     drift = settings.camera.focal_px * np.array([[0, 0, 0.25 * 25], [0, 0, -0.1 * 25], [0, 0, 0]]) / 2917 * 1e3

@@ -207,7 +207,7 @@ def test_a_failed_simulation_leaves_the_earlier_film_alone(stock: Path, call: Ca
 
 
 @pytest.mark.slow
-def test_too_little_memory_is_told(tmp_path: Path) -> None:
+def test_too_little_memory_is_reported(tmp_path: Path) -> None:
     def little() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
 
@@ -253,18 +253,18 @@ def fill(disk: Path, left: int) -> None:
         file.write(bytes(max(0, free - left)))
 
 
-def told_full(text: str) -> bool:
+def says_full(text: str) -> bool:
     """Whether the disk is said to be full: by the film or by its truth, whichever met the end first."""
     return "disk full" in text or "No space left on device; make room" in text
 
 
 @pytest.mark.slow
 def test_a_full_disk_keeps_no_half_file_and_shows_the_results(disk: Path, stock: Path, call: Call) -> None:
-    assert told_full(failed(call("simulate", disk / "a.mkv", *lasting(0.1))))
+    assert says_full(failed(call("simulate", disk / "a.mkv", *lasting(0.1))))
     assert names(disk) == []
     assert "No space left" in failed(call("transmit", disk / "a.npy", "--packets", "9"))
     assert names(disk) == []
-    assert told_full(failed(call("demo", "--output", disk / "d", *lasting(0.1))))
+    assert says_full(failed(call("demo", "--output", disk / "d", *lasting(0.1))))
     assert names(disk) == []
     fill(disk, 4096)
     run = call("receive", stock / "a.mkv", "--output", disk / "out")
@@ -286,7 +286,7 @@ def humbled() -> None:
 
 
 @pytest.mark.slow
-def test_a_folder_that_may_not_be_written_is_told(stock: Path, tmp_path: Path) -> None:
+def test_a_folder_that_may_not_be_written_is_reported(stock: Path, tmp_path: Path) -> None:
     closed = tmp_path / "closed"
     closed.mkdir(mode=0o500)
     for line in (

@@ -93,7 +93,7 @@ def test_missed_packets_are_a_report_as_well(tmp_path: Path) -> None:
     assert "no data of 0" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_drive_too_short_is_told_with_its_report(tmp_path: Path) -> None:
+def test_a_drive_too_short_still_has_its_report(tmp_path: Path) -> None:
     made = demo(tmp_path, "static", "channel.duration_s=0.05")
     assert isinstance(made.ending, MediaError)
     assert (tmp_path / "report.html").exists()

@@ -21,7 +21,8 @@ CLIPS = ("day-motorway", "day-shade", "night-road")
 READ_FROM = {75: ("high",), 52: ("high", "middle"), 45: ("high", "middle", "low")}
 """Layers of which every codeword is read, by the distance in m at which the drive begins."""
 
-MARGIN_PX = 16
+FILMED_MARGIN_PX = 16
+"""Only the array and so many px about it are filmed, which is faster than whole frames."""
 
 NATIVE_FRAMES = 60
 MOST_NATIVE_DETECTIONS = 3
@@ -45,7 +46,7 @@ def scene(data: Path, clip: str, seed: int, *changes: str) -> RealScene:
 @pytest.mark.slow
 def test_layers_are_read_over_real_footage_and_shake(data: Path, clip: str, distance_m: int) -> None:
     drive = scene(data, clip, 1, f"channel.distance_m={distance_m}", "channel.duration_s=0.35")
-    errors = real_input.drive(drive, MARGIN_PX).errors
+    errors = real_input.drive(drive, FILMED_MARGIN_PX).errors
     total = errors.total()
     # three packets are filmed whole
     assert {n: e.codewords for n, e in total.items()} == {"high": 3, "middle": 6, "low": 3}

@@ -103,7 +103,7 @@ def test_known_light_keeps_its_leds_lit_and_is_not_inverted() -> None:
     assert patterns[4:, ~known].std() / 4 == pytest.approx(KNOWN_SPREAD, rel=0.05)
 
 
-def test_a_known_pattern_that_is_lost_stays_and_looks_at_no_more_than_before() -> None:
+def test_a_known_pattern_that_is_lost_stays_in_the_picture_and_of_a_likely_size() -> None:
     link = settings({"kind": "synthetic"})
     tracker, rng = KnownPattern(link), np.random.default_rng(0)
     pose = Pose(128.0, 96.0, 1.2, 0.0, 0.8)

@@ -96,7 +96,7 @@ def test_a_film_may_start_within_a_packet(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_another_signal_is_told_by_the_film(tmp_path: Path) -> None:
+def test_another_signal_is_noted_in_the_film(tmp_path: Path) -> None:
     settings = small("signal.data_pairs=64", "signal.rate.low=1/2", "channel.duration_s=0.3")
     write_film(tmp_path / "a.mkv", settings, [{"high": [b"other"], "low": [b"rate"]}], seed=1)
     found, _ = read(tmp_path / "a.mkv", small())
@@ -173,14 +173,14 @@ def test_a_truth_that_cannot_be_written_takes_the_film_with_it(tmp_path: Path) -
     assert [p.name for p in tmp_path.iterdir()] == ["a.mkv.truth.npz"]
 
 
-def test_a_drive_without_a_frame_is_told(tmp_path: Path) -> None:
+def test_a_drive_without_a_frame_is_refused(tmp_path: Path) -> None:
     with pytest.raises(MediaError, match=r"no frames.*channel\.duration_s"):
         write_film(tmp_path / "a.mkv", small("channel.duration_s=1e-5"), [{}], seed=1)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("data", [b"x" * 8_000_000, b"x" * 20_000_000])
-def test_a_message_too_long_is_told(data: bytes) -> None:
+def test_a_message_too_long_is_refused(data: bytes) -> None:
     with pytest.raises(SettingsError, match=r"array 0: .* at most"):
         simulate(small(), [{"high": [data]}], 0)
 
@@ -210,18 +210,18 @@ def test_a_film_that_breaks_off_gives_all_packets_before(tmp_path: Path) -> None
     assert reception.arrays[0].packets == 3
 
 
-def test_a_film_shorter_than_a_packet_is_told(tmp_path: Path) -> None:
+def test_a_film_shorter_than_a_packet_is_reported(tmp_path: Path) -> None:
     with pytest.raises(MediaError, match="has 99 frames; a packet takes 100"):
         through(tmp_path / "a.mkv", small("channel.duration_s=0.099"), [{}])
 
 
-def test_a_film_out_of_step_is_told(tmp_path: Path) -> None:
+def test_a_film_out_of_step_is_refused(tmp_path: Path) -> None:
     settings = small("channel.camera.fps=500", "channel.duration_s=0.3")
     with pytest.raises(HeliographError, match=r"500\.0 frames/s, the light 1000\.0"):
         through(tmp_path / "a.mkv", settings, [{}])
 
 
-def test_missing_recordings_are_told() -> None:
+def test_missing_recordings_are_reported() -> None:
     for change in ("channel.background.kind=footage", "channel.shake=imu"):
         with pytest.raises(SettingsError, match="needs"):
             next(simulate(load_settings("static", None, [*SMALL, change]), [{}], 0, Recordings()))

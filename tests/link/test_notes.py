@@ -67,7 +67,7 @@ def test_the_films_note_lies_over_the_preset_and_changes_over_it(tmp_path: Path)
 
 
 @pytest.mark.parametrize("note", ["", "{", "[1]", "null", '{"sied": 3}', '{"side": 3}'])
-def test_an_unreadable_note_on_the_signal_is_told(tmp_path: Path, note: str) -> None:
+def test_an_unreadable_note_on_the_signal_is_reported(tmp_path: Path, note: str) -> None:
     settings = small("channel.duration_s=0.001")
     with create_film(tmp_path / "a.mkv", width=160, height=120, rate_hz=1000, metadata={SIGNAL_TAG: note}) as film:
         film.write(next(iter(simulate(settings, [{}], 0)))[0])

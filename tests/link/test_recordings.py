@@ -43,7 +43,7 @@ def test_motion_is_read_by_the_names_of_its_columns(tmp_path: Path) -> None:
         ([HEAD, *rows(39), "0.39,0,0"], "Line #41 .got 3 columns instead of 5"),
     ],
 )
-def test_wrong_motion_is_told(tmp_path: Path, lines: list[str], said: str) -> None:
+def test_wrong_motion_is_reported(tmp_path: Path, lines: list[str], said: str) -> None:
     path = motion(tmp_path / "a.csv", lines)
     with pytest.raises(MediaError, match=said) as caught:
         load_imu(path)
@@ -51,7 +51,7 @@ def test_wrong_motion_is_told(tmp_path: Path, lines: list[str], said: str) -> No
     assert "\n" not in str(caught.value)
 
 
-def test_motion_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+def test_motion_that_cannot_be_read_is_reported(tmp_path: Path) -> None:
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
     for name, said in (("none.csv", "No such file"), (".", "directory"), ("binary.csv", "no text")):
         with pytest.raises(MediaError, match=said):
@@ -70,7 +70,7 @@ def test_footage_can_be_read_again_and_again(tmp_path: Path) -> None:
         assert all(f.dtype == np.uint8 and f.shape == (16, 32) for f in frames)
 
 
-def test_footage_that_is_none_is_told(tmp_path: Path) -> None:
+def test_footage_that_is_none_is_reported(tmp_path: Path) -> None:
     (tmp_path / "a.mkv").write_text("no film")
     with pytest.raises(MediaError, match="not a video"):
         load_footage(tmp_path / "a.mkv")

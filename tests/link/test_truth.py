@@ -116,7 +116,7 @@ def test_an_aborted_or_failed_file_leaves_nothing(path: Path) -> None:
     assert list(path.parent.iterdir()) == []
 
 
-def test_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(MediaError, match="cannot write"):
         TruthWriter(tmp_path / "none" / "a.npz", SETTINGS, MESSAGES, 0)
 
@@ -135,7 +135,7 @@ def complaint(path: Path) -> str:
     return text
 
 
-def test_a_missing_file_is_told_how_to_come_by(path: Path) -> None:
+def test_of_a_missing_file_it_is_said_how_to_make_it(path: Path) -> None:
     assert "there is no truth file" in complaint(path)
     assert "heliograph simulate" in complaint(path.parent)
 
@@ -154,16 +154,16 @@ def test_a_cut_file_is_damaged(path: Path, share: float) -> None:
     assert "damaged" in complaint(path)
 
 
-def test_any_flipped_byte_is_harmless_or_told(path: Path) -> None:
+def test_any_flipped_byte_is_harmless_or_reported(path: Path) -> None:
     write(path)
-    data, told = path.read_bytes(), 0
+    data, reported = path.read_bytes(), 0
     for place in range(0, len(data), 23):
         path.write_bytes(data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :])
         with contextlib.suppress(MediaError):
             read_all(path)
             continue
-        told += 1
-    assert told > len(data) / 23 / 2
+        reported += 1
+    assert reported > len(data) / 23 / 2
 
 
 def rewritten(path: Path, **changes: bytes) -> None:

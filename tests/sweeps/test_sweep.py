@@ -55,7 +55,7 @@ def test_values_are_read(text: str, values: list[Any]) -> None:
 
 
 @pytest.mark.parametrize("text", ["a", "=1", "a=", "a=1,,2", "a=1:2", "a=1:2:0", "a=1:2:-1", "a=0:1e9:1"])
-def test_what_varies_nothing_is_told(text: str) -> None:
+def test_what_varies_nothing_is_refused(text: str) -> None:
     with pytest.raises(SettingsError) as caught:
         parse_vary(text)
     assert "\n" not in str(caught.value)
@@ -81,7 +81,7 @@ def test_values_may_be_an_array_of_numbers() -> None:
 
 
 @pytest.mark.parametrize("values", [5, "5", [], np.array([]), np.array(5), {"a": 1}, [1, np.float64(1)]])
-def test_what_is_no_list_of_values_is_told(values: Any) -> None:
+def test_what_is_no_list_of_values_is_refused(values: Any) -> None:
     with pytest.raises(SettingsError, match=r"channel\.distance_m"):
         plan({"channel.distance_m": values})
 
@@ -276,7 +276,7 @@ def test_two_sweeps_may_share_a_store(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"no database at all, but some text", b""])
-def test_a_foreign_file_is_told(content: bytes, tmp_path: Path) -> None:
+def test_a_foreign_file_is_reported(content: bytes, tmp_path: Path) -> None:
     (tmp_path / NAME).write_bytes(content)
     if not content:
         Store(tmp_path).close()  # an empty file is a new one

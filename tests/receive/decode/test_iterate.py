@@ -133,7 +133,7 @@ def test_the_gain_is_estimated_along_with_the_symbols(factor: float) -> None:
 
 
 def against_its_symbols(symbols: Floats, rng: np.random.Generator) -> PairStatistics:
-    """Statistics of a pair at 100 m that moves by 0.4 px, of four ways the one that most looks like its symbols."""
+    """Statistics of a pair at 100 m that moves by 0.4 px, of four ways the one that most resembles its symbols."""
     x, y = (float(v) for v in rng.uniform(12, 13, 2))
     pose = Pose(x, y, pitch_at(100), 0.0, 0.505)
     ways = [pose.moved(dx, dy) for dx, dy in ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))]
@@ -144,7 +144,7 @@ def against_its_symbols(symbols: Floats, rng: np.random.Generator) -> PairStatis
 
 
 @pytest.mark.slow
-def test_motion_that_looks_like_the_symbols_does_not_change_the_gain() -> None:
+def test_motion_that_resembles_the_symbols_does_not_change_the_gain() -> None:
     blocks, rng = random_blocks(0), np.random.default_rng(7)
     packet = KnownPoses([against_its_symbols(symbols, rng) for symbols in symbols_of(blocks)])
     assert all(right(decoded(packet), blocks))

@@ -23,7 +23,7 @@ BROAD = np.diag([1.0, 1.0, 0.1, 0.1, 0.3]) ** 2
 
 
 def window(pose: Pose) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Corner and shape of the pixels the tracker looks at."""
+    """Corner and shape of the pixels the tracker fits."""
     x, y, cols, rows = window_around(pose, SIDE, 1.5 * pose.pitch + 1.5)
     return (x, y), (rows, cols)
 
