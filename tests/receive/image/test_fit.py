@@ -145,6 +145,18 @@ def test_a_light_that_is_not_as_expected_does_not_end_the_fit_early(distance_m: 
     assert np.sqrt(np.mean(np.square(errors))) < 0.01
 
 
+@pytest.mark.parametrize("panel", [False, True])
+def test_with_the_gain_expected_the_first_step_comes_near(panel: bool) -> None:
+    """Beside an array that is a little off, only the expected gain tells how bright its image is."""
+    pose = Pose(40.37, 31.81, pitch_at(60), 0.0, 0.55)
+    off = np.array([0.2, -0.15, 0.005, 0.0, 0.02])
+    prior = Prior(pose.vector() + off, np.diag([0.5, 0.5, 0.02, 0.02, 0.1]) ** 2, GAIN)
+    found = fit_array(pixels(pose, ALL_ON), window(pose)[0], prior, ALL_ON, 1, panel=panel)
+    # what is left is of the second order in the step
+    assert np.abs(error(found, pose))[:2].max() < 0.1 * 0.2
+    assert found.gain == pytest.approx(GAIN, rel=0.02)
+
+
 def test_score_of_nothing_is_low() -> None:
     rng, pose = np.random.default_rng(0), Pose(40.0, 31.0, 1.2, 0.0, 0.55)
     noise = rng.normal(LEVEL, 2.5, window(pose)[1])
