@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -68,23 +69,26 @@ def drawn_film(
     path: Callable[[Floats], Floats],
     *,
     hidden: Sequence[range] = (),
+    exposed_slots: int = 4,
     distance_m: float = 50.0,
     size: int = 96,
     seed: int = 0,
 ) -> list[Frame]:
     """A film of an array whose centre goes along a path: time in s (n,) -> (x, y) of shape (n, 2).
 
-    Each exposure is the mean of four moments, the slots of PWM. Gain 0.8, background 0.1, no panel, reference noise.
+    Frame follows frame, and each is exposed for so many of the four slots of a pattern, which takes 1 ms. An exposure
+    is the mean of moments, one a slot. Gain 0.8, background 0.1, no panel, reference noise.
     """
     rng, out = np.random.default_rng(seed), []
-    for index, pattern in zip(range(frames), levels(settings), strict=False):
-        light = np.full((size, size), 0.1)
-        if not any(index in gap for gap in hidden):
-            moments = path((index + (np.arange(4) + 0.5) / 4) * 1e-3)
-            for (x, y), lit in zip(moments, lit_slots(pattern, settings.signal.slot_order), strict=True):
+    slots = (lit for pattern in levels(settings) for lit in lit_slots(pattern, settings.signal.slot_order))
+    for index in range(frames):
+        light, first = np.full((size, size), 0.1), index * exposed_slots
+        moments = path((first + np.arange(exposed_slots) + 0.5) / 4 * 1e-3)
+        for (x, y), lit in zip(moments, islice(slots, exposed_slots), strict=True):
+            if not any(index in gap for gap in hidden):
                 pose = Pose(float(x), float(y), pitch_at(distance_m), 0.0, 0.52)
-                light += 0.25 * 0.8 * draw(pose, lit.astype(float), (0, 0), light.shape)
-        out.append(frame_of(light, index, rng))
+                light += 0.8 / exposed_slots * draw(pose, lit.astype(float), (0, 0), light.shape)
+        out.append(replace(frame_of(light, index, rng), time_s=first / 4 * 1e-3))
     return out
 
 
