@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scenes import SIDE, pitch_at
+from slot_light import light_about_mean, observed
 
 from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import Decoding
@@ -21,8 +22,8 @@ from heliograph.receive.observe.reference import pair_model, transform
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packets import Codeword
 from heliograph.receive.settings import Feedback
-from heliograph.receive.timing import partial_exposure
 from heliograph.receive.timing.combination import Combination
+from heliograph.signal import haar
 from heliograph.signal.block import Block
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
@@ -94,23 +95,17 @@ def _statistics(
 def combined_statistics_of(blocks: Blocks, distance_m: float, combination: Combination, seed: int = 0) -> Statistics:
     """Statistics of each pair of a packet whose frames are combined, the header before and after it; nothing moves."""
     rng = np.random.default_rng([seed, 3])
-    # number of each square's value in `partial_exposure.VALUES`
-    squares = (symbols_of(blocks).reshape(-1, 4, SIDE * SIDE // 4) < 0).astype(int)
-    values = np.einsum("kis,i->ks", squares, [1, 2, 4, 8])
-    tables = [partial_exposure.response(slots) for slots in combination.slots]
-    header = FORM.header_pattern(IDENTITY) > 2
-    ends = [partial_exposure.response_of_levels(combination.slots[q], header) for q in (0, 2)]
+    data, header = haar.encode(FORM.join(symbols_of(blocks).astype(np.int8))), FORM.header_pattern(IDENTITY)
+    levels = np.stack([header, *data, header])
     found: Statistics = []
-    for k in range(len(values)):
-        observed = tables[1][values[k]].T.ravel()
-        observed = observed + (tables[0][values[k - 1]].T.ravel() if k else ends[0])
-        observed = observed + (tables[2][values[k + 1]].T.ravel() if k + 1 < len(values) else ends[1])
+    for before, own, after in zip(levels, levels[1:], levels[2:], strict=False):
+        c = observed(np.sum(list(map(light_about_mean, (before, own, after), combination.slots)), 0))
         x, y = (float(v) for v in rng.uniform(12, 13, 2))
         a = blur_matrix(Pose(x, y, pitch_at(distance_m), 0.01, 0.505), SIDE, (0, 0), SHAPE)
         with one_thread():
             b, o = a @ T, (combination.levels[0] - combination.levels[1]) * a.sum(1)
             noise = rng.normal(0, (NOISE * combination.noise) ** 0.5, len(b))
-            pair = by_matrices(b, GAIN * (b @ observed + o) + noise, o).scaled(1 / combination.noise)
+            pair = by_matrices(b, GAIN * (b @ c + o) + noise, o).scaled(1 / combination.noise)
         found.append(replace(pair, combination=combination))
     return found
 

@@ -15,6 +15,7 @@ from known_packets import (
     T,
     Words,
     by_matrices,
+    combined_statistics_of,
     decoded,
     random_blocks,
     right,
@@ -34,6 +35,7 @@ from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image.reference import blur_matrix
 from heliograph.receive.observe.reference import pair_model
 from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.receive.timing.combination import SlotLight, combine_pair
 
 Floats = NDArray[np.float64]
 
@@ -141,6 +143,16 @@ def against_its_symbols(symbols: Floats, rng: np.random.Generator) -> PairStatis
     models = [pair_model(a, blur_matrix(moved, SIDE, (0, 0), SHAPE), T) for moved in ways]
     b, o = max(models, key=lambda model: float(symbols @ model[0].T @ model[1]))
     return by_matrices(b, GAIN * (b @ symbols + o) + rng.normal(0, NOISE**0.5, len(b)), o)
+
+
+@pytest.mark.parametrize(("late", "distance_m"), [(0.25, 110), (0.5, 80)])
+@pytest.mark.slow
+def test_pairs_of_combined_frames_are_read(late: float, distance_m: float) -> None:
+    """Each contains products of its symbols, and light of the pairs or the header beside it."""
+    combination = combine_pair(late + np.arange(-2.0, 5.0), 1.0, SlotLight((0, 1, 2, 3)))
+    assert combination is not None
+    blocks = random_blocks(2)
+    assert right(decoded(combined_statistics_of(blocks, distance_m, combination)), blocks) == [True] * 4
 
 
 @pytest.mark.slow

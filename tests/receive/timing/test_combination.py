@@ -1,13 +1,12 @@
 """Combined frames: what frames of any timing hold of patterns lit by PWM, against light drawn slot by slot."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
+from slot_light import COVARIANCE, SLOPES, observed, symbols_of, values_of
 
 from heliograph.receive.timing import partial_exposure
 from heliograph.receive.timing.combination import SlotLight, combine_header, combine_pair
@@ -25,12 +24,6 @@ LEAK = 1e-3
 """Weight of another pair's slot that is small enough to be left out."""
 
 
-def symbols_of(d: NDArray[Any]) -> Floats:
-    """A data matrix in the order of symbols: quarters D11, D12, D21, D22, row by row."""
-    h = SIDE // 2
-    return np.concatenate([d[:h, :h].ravel(), d[:h, h:].ravel(), d[h:, :h].ravel(), d[h:, h:].ravel()]).astype(float)
-
-
 def random_data(seed: int, count: int) -> NDArray[np.int8]:
     return np.random.default_rng(seed).choice(np.array([-1, 1], np.int8), (count, SIDE, SIDE))
 
@@ -40,18 +33,6 @@ def light_of(pairs: NDArray[np.int8], order: tuple[int, ...]) -> Floats:
     levels = haar.encode(pairs)
     patterns = np.stack([levels, pwm.invert(levels)], 1).reshape(-1, SIDE, SIDE)
     return pwm.lit_slots(patterns, order).reshape(-1, SIDE, SIDE).repeat(FINE // 4, 0).astype(float)
-
-
-def observed(light: Floats) -> Floats:
-    """Symbols in a difference of light, which is 2 x - 1 for the whole of a pattern less its inverse."""
-    return symbols_of(haar.decode(2 * light))
-
-
-def values_of(symbols: Floats) -> NDArray[np.intp]:
-    """For each symbol the row of `partial_exposure.VALUES` that its square has."""
-    square = symbols.reshape(4, -1).T
-    rows = np.array([np.flatnonzero((v == partial_exposure.VALUES).all(1))[0] for v in square])
-    return np.tile(rows, 4)
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 0, 3, 1)])
@@ -104,10 +85,10 @@ def test_no_difference_shows_the_levels_better(rate: float, part: float, phase: 
     ends = np.minimum(starts[:, None] + exposure, slots + 0.25)
     overlap = np.maximum(ends - np.maximum(starts[:, None], slots), 0) / exposure
     shown = np.einsum("fj,jqr->fqr", overlap, light.shows)
-    slope = shown[:, 1] @ partial_exposure.SLOPES
+    slope = shown[:, 1] @ SLOPES
     # a frame has the noise variance 0.05, and each slot's light that of random data
     spread = 0.05 * np.eye(len(starts)) - np.outer(slope, slope)
-    spread += np.einsum("fqr,rs,gqs->fg", shown, partial_exposure.COVARIANCE, shown)
+    spread += np.einsum("fqr,rs,gqs->fg", shown, COVARIANCE, shown)
     near = overlap[:, 8:16].sum(1) > 1e-9
     spread, slope = spread[np.ix_(near, near)], slope[near]
     # the best: M^-1 (h - mu 1) of the sum 0
@@ -179,7 +160,7 @@ def test_half_a_pattern_late_only_neighbours_differ() -> None:
     assert combination.difference[within] == 0
     assert combination.total[within] == pytest.approx(2, rel=0.1)
     # half of the slope in step, as much light of the pairs before and after together
-    assert combination.slots[1] @ partial_exposure.SLOPES == pytest.approx(0.5 * 0.5)
+    assert combination.slots[1] @ SLOPES == pytest.approx(0.5 * 0.5)
     assert combination.slots[0] == pytest.approx([-0.25, -0.25, 0, 0])
     assert combination.slots[2] == pytest.approx([-0.25, -0.25, 0, 0])
 

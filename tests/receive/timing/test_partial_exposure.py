@@ -1,20 +1,12 @@
 """Exposures of part of a pattern: symbols of a square by all the values that they can have."""
 
-import itertools
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from slot_light import COVARIANCE, MEAN_LIT, SLOPES, VALUES, light_about_mean, observed
 
 from heliograph.receive.timing import partial_exposure
-from heliograph.receive.timing.partial_exposure import (
-    SLOPES,
-    VALUES,
-    moments,
-    response,
-    response_of_levels,
-    symbol_llrs,
-)
+from heliograph.receive.timing.partial_exposure import moments, response, response_of_levels, symbol_llrs
 from heliograph.signal import haar, pwm
 
 Floats = NDArray[np.float64]
@@ -27,22 +19,30 @@ def test_half_of_each_slot_shows_the_symbols_themselves() -> None:
 
 def test_lit_slots_have_the_moments_of_random_data() -> None:
     data = np.random.default_rng(0).choice(np.array([-1, 1], np.int8), (4000, SIDE, SIDE))
-    lit = pwm.lit_slots(haar.encode(data))
-    assert lit.mean((0, 2, 3)) == pytest.approx(partial_exposure.MEAN_LIT, abs=0.01)
-    assert np.allclose(partial_exposure.MEAN_LIT * 16, [15, 11, 5, 1])
-    assert np.allclose(SLOPES, [1 / 8, 3 / 8, 3 / 8, 1 / 8])
-    assert np.cov(lit.transpose(1, 0, 2, 3).reshape(4, -1)) == pytest.approx(partial_exposure.COVARIANCE, abs=0.01)
+    levels = haar.encode(data)
+    lit = pwm.lit_slots(levels).transpose(1, 0, 2, 3).reshape(4, -1)
+    assert lit.mean(1) == pytest.approx(MEAN_LIT, abs=0.01)
+    assert np.cov(lit) == pytest.approx(COVARIANCE, abs=0.01)
+    assert np.cov(lit, levels.ravel())[4, :4] == pytest.approx(SLOPES, abs=0.01)
+    stated = partial_exposure.MEAN_LIT, partial_exposure.COVARIANCE, partial_exposure.SLOPES
+    for one, derived in zip(stated, (MEAN_LIT, COVARIANCE, SLOPES), strict=True):
+        assert one == pytest.approx(derived)
+
+
+def test_the_response_is_what_the_light_of_each_value_shows() -> None:
+    weights = np.array([0.1, 0.6, -0.3, 0.2])
+    assert np.array_equal(partial_exposure.VALUES, VALUES)
+    shown = [observed(light_about_mean(haar.encode(value.reshape(2, 2)), weights)) for value in VALUES]
+    assert response(weights) == pytest.approx(np.stack(shown))
 
 
 def test_moments_go_through_all_values_of_a_square() -> None:
     rng = np.random.default_rng(2)
     table, mean = response(np.array([0.1, 0.6, 0.3, 0.0])), rng.uniform(-0.9, 0.9, 4)
-    values = np.array(list(itertools.product((1.0, -1.0), repeat=4)))
-    rows = [int(np.flatnonzero((v == VALUES).all(1))[0]) for v in values]
-    chance = np.prod((1 + values * mean) / 2, 1)
+    chance = np.prod((1 + VALUES * mean) / 2, 1)
     first, second = moments(table, mean)
-    assert first == pytest.approx(chance @ table[rows])
-    assert second == pytest.approx(chance @ table[rows] ** 2 - first**2)
+    assert first == pytest.approx(chance @ table)
+    assert second == pytest.approx(chance @ table**2 - first**2)
 
 
 @pytest.mark.parametrize("known", [0.0, 0.6, 1.0])
@@ -90,7 +90,5 @@ def test_known_levels_are_observed_as_they_are() -> None:
     lit = np.zeros((SIDE, SIDE), bool)
     lit[:4, 4:] = True
     weights = np.array([0.2, 0.1, 0.0, 0.3])
-    light = np.where(lit, weights.sum(), 0.0) - weights @ partial_exposure.MEAN_LIT
-    d = haar.decode(2 * light)
-    quarters = [d[:4, :4], d[:4, 4:], d[4:, :4], d[4:, 4:]]
-    assert response_of_levels(weights, lit) == pytest.approx(np.concatenate([q.ravel() for q in quarters]))
+    levels = np.where(lit, 4, 0).astype(np.uint8)
+    assert response_of_levels(weights, lit) == pytest.approx(observed(light_about_mean(levels, weights)))
