@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import film, pitch_at
+from numpy.typing import NDArray
+from scenes import drawn_film, film, pitch_at
 from scenes import link as scene
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -14,7 +15,7 @@ from heliograph.base.errors import HeliographError, SettingsError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import run_block
-from heliograph.receive import ReceiveSettings, make_receiver, receive_frames
+from heliograph.receive import Packet, ReceiveSettings, make_receiver, receive_frames
 from heliograph.receive.decode import iterate
 from heliograph.receive.equalise import led_gains
 from heliograph.receive.equalise.lmmse import Estimate, equalise
@@ -108,3 +109,36 @@ def test_an_array_at_the_rim_of_the_picture_is_read(cut_px: int) -> None:
     frames = [replace(f, pixels=f.pixels[:, :right].copy()) if f.index > 101 else f for f in frames]
     packets = list(receive_frames(frames, settings.signal, settings.receive))
     assert [p.status for p in packets] == ["ok", "ok"]
+
+
+def content(packet: Packet) -> list[Any]:
+    """What was read of a packet, but for its times."""
+    words = [word for by in packet.layers.values() for word in by]
+    bits = [(w.status, w.block, w.iterations, w.bits.tobytes(), w.raw.tobytes()) for w in words]
+    return [packet.identity, packet.status, packet.first_frame, packet.last_frame, packet.pairs_seen, bits]
+
+
+@pytest.mark.parametrize(("receiver", "exposed_slots"), [("plain", 4), ("soft", 4), ("soft", 3)])
+@pytest.mark.slow
+def test_times_count_in_patterns(receiver: str, exposed_slots: int) -> None:
+    """A film is read alike in slow motion, where its light is as slow. The array moves, and is hidden for a while."""
+
+    def path(t: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack([40.3 + 100 * t, 48.8 - 60 * t], -1)
+
+    slower = 33.3
+    settings = scene(f"receive.receiver={receiver}", "signal.data_pairs=24")
+    signal = settings.signal
+    slow_signal = replace(signal, pattern_period_s=slower * signal.pattern_period_s)
+    # two packets of 52 patterns, of four slots each
+    count, hidden = 448 // exposed_slots, 336 // exposed_slots
+    frames = drawn_film(settings, count, path, hidden=[range(hidden, hidden + 6)], exposed_slots=exposed_slots)
+    slow_frames = [replace(frame, time_s=slower * frame.time_s) for frame in frames]
+    packets = list(receive_frames(frames, signal, settings.receive))
+    again = list(receive_frames(slow_frames, slow_signal, settings.receive))
+    assert [packet.status for packet in packets] == ["ok", "ok"]
+    assert packets[1].pairs_seen < 1
+    assert [content(packet) for packet in again] == [content(packet) for packet in packets]
+    for packet, slow in zip(packets, again, strict=True):
+        assert slow.start_time_s == pytest.approx(slower * packet.start_time_s, abs=1e-9)
+        assert slow.pose.full_vector() == pytest.approx(packet.pose.full_vector(), abs=1e-9)
