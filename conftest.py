@@ -5,11 +5,10 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from sybil import Example, Sybil
-from sybil.parsers.myst import CodeBlockParser, PythonCodeBlockParser, SkipParser
+from sybil.parsers import myst, rest
 
 
 def _run(example: Example) -> None:
@@ -30,9 +29,17 @@ def page_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     os.chdir(here)
 
 
-def _sybil(**where: Any) -> Sybil:
-    parsers = [PythonCodeBlockParser(), CodeBlockParser("sh", _run), SkipParser()]
-    return Sybil(parsers=parsers, fixtures=["page_folder"], **where)
+MARKDOWN = Sybil(
+    parsers=[myst.PythonCodeBlockParser(), myst.CodeBlockParser("sh", _run), myst.SkipParser()],
+    patterns=["README.md", "docs/*.md", "docs/**/*.md"],
+    excludes=["docs/_build/**"],
+    fixtures=["page_folder"],
+)
+RESTRUCTURED = Sybil(
+    parsers=[rest.PythonCodeBlockParser(), rest.CodeBlockParser("sh", _run), rest.SkipParser()],
+    pattern="docs/**/*.rst",
+    excludes=["docs/_build/**"],
+    fixtures=["page_folder"],
+)
 
-
-pytest_collect_file = _sybil(pattern="*.md", excludes=["_build/**"]).pytest()
+pytest_collect_file = (MARKDOWN + RESTRUCTURED).pytest()
