@@ -32,7 +32,7 @@ napoleon_use_rtype = False
 
 
 def _write_cli_reference() -> None:
-    """Let Typer describe the command; its output is made anew with each build."""
+    """Let Typer describe the command; its output is made again with each build."""
     page = HERE / "reference" / "cli.md"
     command = [sys.executable, "-m", "typer", "heliograph.cli.main", "utils", "docs", "--name", "heliograph"]
     page.write_text(subprocess.run(command, capture_output=True, text=True, check=True).stdout)

@@ -62,7 +62,7 @@ def commented(toml: str, cls: type) -> str:
     Parameters
     ----------
     toml
-        TOML of settings, a key a line.
+        TOML of settings, a key per line.
     cls
         Their class.
     """

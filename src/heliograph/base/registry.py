@@ -201,7 +201,7 @@ def _text(module: str) -> str:
 
 @lru_cache  # a cluster's worker gets them with each task
 def register_again(parts: tuple[Part, ...]) -> None:
-    """Run the modules that register parts; what does not come by that is an error once it is asked for.
+    """Run the modules that register parts. A part that they do not register is an error once it is asked for.
 
     Parameters
     ----------

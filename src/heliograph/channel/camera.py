@@ -19,8 +19,8 @@ Patterns = Iterable[NDArray[np.uint8]]
 """An array's patterns in the order of time, each (n, n) uint8 levels 0 to 4."""
 
 BLOCK_FRAMES = 64
-"""Frames whose poses are computed together. Chosen: a window of the reference link takes 310 us of CPU time a frame, as
-at half the value; 285 us at twice."""
+"""Frames whose poses are computed together. Chosen: a window of the reference link takes 310 us of CPU time per frame,
+as at half the value; 285 us at twice."""
 
 _LENGTH_SLACK = 1e-6
 """Frame periods by which a film may be too short for its last frame: far above rounding errors, far below a slot."""

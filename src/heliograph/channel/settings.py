@@ -118,7 +118,7 @@ class CameraSettings:
     Attributes
     ----------
     fps
-        Frames a second, above 0 and at most 1e6. The receiver "plain" needs one frame a pattern, "soft" at least one.
+        Frames a second, above 0 and at most 1e6. The receiver "plain" needs one frame per pattern, "soft" at least one.
     exposure_s
         Exposure time tau of equation (4) in s, above 0 and at most 1 / ``fps`` and T_b. A shorter one sees less of a
         pattern's slots and smears less; ``emitter.all_on`` takes lens and gain as set for it.

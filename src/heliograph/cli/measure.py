@@ -137,7 +137,7 @@ def empty(
     imu: Motion,
     seed: options.Seed = 3,
     assignments: options.Assignments = None,
-    native: Annotated[bool, typer.Option("--native", help="The clip's own frames, one a pattern period.")] = False,
+    native: Annotated[bool, typer.Option("--native", help="The clip's own frames, one per pattern period.")] = False,
     seconds: Annotated[float, typer.Option(help="Length of each film, unless --native.")] = 6.7,
     frames: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="At most N frames of each clip.", show_default=False)

@@ -115,7 +115,7 @@ def _progress(points: int) -> "Iterator[Progress]":
 
 
 def _show(tallies: "Sequence[PointTally]") -> None:
-    """A line a point and layer: codewords wrong, error rates with intervals, or bounds where no error was met."""
+    """A line per point and layer: codewords wrong, error rates with intervals, or bounds where no error was met."""
     rows = [row for tally in tallies for row in _rows(tally)]
     head = [*tallies[0].point.choice, "layer", "wrong", "of", "FER (95 %)", "BER (95 %)", "net bit/s"]
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]

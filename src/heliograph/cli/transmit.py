@@ -73,7 +73,7 @@ def _write_npy(path: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[in
 
 
 def _write_csv(path: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], period: float) -> None:
-    """A line a pattern: time in s, then the LEDs row by row."""
+    """A line per pattern: time in s, then the LEDs row by row."""
     side = size[1]
     with path.open("w", encoding="ascii") as file:
         file.write("time_s," + ",".join(f"led_{u}_{v}" for u in range(side) for v in range(side)) + "\n")

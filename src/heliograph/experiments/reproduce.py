@@ -83,7 +83,7 @@ def recordings_in(folder: Path | None) -> dict[str, Any]:
 def reproduce(
     keys: Sequence[str], context: Context, folder: Path, begin: Callable[[str, str], None]
 ) -> list[ExperimentResult]:
-    """Run experiments and write the report anew after each, so that an interrupted run leaves what it had.
+    """Run experiments and write the report again after each, so that an interrupted run leaves what it had.
 
     Parameters
     ----------

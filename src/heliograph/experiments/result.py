@@ -95,7 +95,7 @@ def quiet(title: str, done: float, /) -> None:
     Parameters
     ----------
     title, done
-        What is done, and its fraction, 0 to 1: neither is used.
+        Title of what is being done, and the fraction done, 0 to 1. Both are ignored.
     """
 
 

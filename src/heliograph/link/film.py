@@ -61,7 +61,7 @@ def write_film(
 
     Returns
     -------
-    Frames written. On Ctrl-C film and truth are closed with the frames so far and KeyboardInterrupt is raised anew.
+    Frames written. On Ctrl-C film and truth are closed with the frames so far and KeyboardInterrupt is raised again.
 
     Raises
     ------

@@ -187,7 +187,7 @@ class TruthFile:
             )
 
     def rows(self) -> Iterator[NDArray[Any]]:
-        """Rows of `row_type`, one a frame, in the order of time.
+        """Rows of `row_type`, one per frame, in the order of time.
 
         Raises
         ------

@@ -23,9 +23,10 @@ HEADER_SEEN = 0.5
 """Least header score of a packet whose header was seen: half of the array's light must alternate."""
 
 ENOUGH_SEEN = 0.5
-"""Least fraction of a packet's data that must have been seen for it to be given out unfinished.
+"""Least fraction of a packet's data that must have been seen.
 
-Or to count as in sight.
+Below it a packet that the film's end cuts off is not given out, and one without a right codeword is "no_array". Chosen;
+docs/constants.md says what half and twice of it cost.
 """
 
 
@@ -270,7 +271,7 @@ class ArrayReceiver:
         reader, layers = self._reader, self._reader.decode()
         self._reader = reader.next()
         packet = self._packet(gathered, layers, reader.format)
-        # neither header nor a right codeword: no array, or out of step; it is found anew by its next header
+        # neither header nor a right codeword: no array, or out of step; it is found again by its next header
         self._proven |= packet.status in ("ok", "partial")
         self._failed = packet.status in ("no_header", "no_array")
         self._observe(reader.shown(packet))

@@ -73,7 +73,7 @@ def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Ob
 
 
 def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> Parts:
-    """Parts of the paper's own receiver: one frame a pattern, in step with the light.
+    """Parts of the paper's own receiver: one frame per pattern, in step with the light.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
 def soft_parts(
     signal: SignalSettings, settings: ReceiveSettings, observe: Observer, reader: MakeReader | None = None
 ) -> Parts:
-    """Parts of the receiver at the limit of the channel: any camera from one frame a pattern on.
+    """Parts of the receiver at the limit of the channel: any camera of at least one frame per pattern.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""All receivers by name. One algorithm has three entrances: the class, the generator below, and a list of it."""
+"""All receivers by name. One algorithm is called in three ways: as a class, as the generator below, as a list of it."""
 
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any

@@ -83,7 +83,7 @@ class TrackSettings:
         Standard deviation of the image's acceleration by shake, in px per pattern squared. Larger follows rougher
         roads, smaller smooths more.
     coast_patterns
-        Patterns without the array in sight after which it is given up and looked for anew.
+        Patterns without the array in sight after which it is given up and looked for again.
     """
 
     acceleration_px: Positive = 0.1

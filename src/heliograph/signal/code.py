@@ -43,11 +43,11 @@ class Code(Protocol):
 
     @property
     def k(self) -> int:
-        """Information bits a block."""
+        """Information bits per block."""
 
     @property
     def length(self) -> int:
-        """Coded bits a block."""
+        """Coded bits per block."""
 
     @property
     def distinguishing(self) -> NDArray[np.bool_]:

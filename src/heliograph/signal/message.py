@@ -127,7 +127,7 @@ class Reassembler:
 
     Memory is bounded: for each array, layer and size of blocks one unfinished message for each of the 256 streams. A
     transmitter that changes a message must change its stream number; a block of another length or content under the
-    same number starts the message anew.
+    same number starts the message again.
     """
 
     _open: dict[_Key, _Assembly] = field(default_factory=dict)
@@ -141,7 +141,7 @@ class Reassembler:
         block
             A block whose CRC was right.
         room
-            Bytes of payload in a block of its codeword. Where packets differ in their rates, a message is cut anew for
+            Bytes of payload in a block of its codeword. Where packets differ in their rates, a message is cut for
             each size, and segments of one size do not fit those of another.
         """
         who = (block.identity, block.layer, block.stream)

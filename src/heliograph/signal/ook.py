@@ -1,4 +1,4 @@
-"""On-off keying, one bit an LED: the baseline for the hierarchical code (section 6.2)."""
+"""On-off keying, one bit per LED: the baseline for the hierarchical code (section 6.2)."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

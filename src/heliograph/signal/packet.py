@@ -66,7 +66,7 @@ class LayerFormat:
         return pair * self.symbols + (j // self.pairs + SYMBOL_STEP * pair) % self.symbols
 
     def encode(self, blocks: Sequence[Block]) -> NDArray[np.uint8]:
-        """Return the layer's bits 0 and 1 of a packet, (pairs, symbols) uint8, for one block a codeword."""
+        """Return the layer's bits 0 and 1 of a packet, (pairs, symbols) uint8, for one block per codeword."""
         info = np.stack([pack(block, self.code.k) for block in blocks])
         return self.interleave(self.code.encode(info) ^ self.chips)
 
@@ -145,7 +145,7 @@ class PacketFormat:
         Parameters
         ----------
         blocks
-            For each layer one block a codeword.
+            For each layer one block per codeword.
         ahead
             Sum of all D11 sent before, for the balance of the single mode; ignored otherwise.
 
@@ -168,7 +168,7 @@ class PacketFormat:
         identity
             Number of the array, 0 to 29.
         blocks
-            For each layer one block a codeword.
+            For each layer one block per codeword.
         ahead
             Sum of all D11 sent before, for the balance of the single mode; ignored otherwise.
 

@@ -30,7 +30,7 @@ def as_number(value: Any) -> Any:
 
 
 CodeRate = Annotated[float, BeforeValidator(as_number), Field(ge=1 / 3 - RATE_SLACK, le=0.9 + RATE_SLACK)]
-"""Information bits a sent bit: from 1/3, the mother code's rate, to 9/10."""
+"""Information bits per sent bit: from 1/3, the mother code's rate, to 9/10."""
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
@@ -40,7 +40,7 @@ class RateSettings:
     Attributes
     ----------
     high
-        Rate of the high layer in information bits a sent bit, 1/3 to 9/10; a fraction such as "2/3" may be written. A
+        Rate of the high layer in information bits per sent bit, 1/3 to 9/10; a fraction such as "2/3" may be written. A
         larger rate carries more data and tolerates less noise.
     middle
         The same for the middle layer.

@@ -50,7 +50,7 @@ class Workers(Protocol):
         """
 
     def restart(self) -> None:
-        """Begin anew after workers were lost; what was handed in is lost."""
+        """Begin again after workers were lost; what was handed in is lost."""
 
     def close(self) -> None:
         """Stop at once; what is not finished is lost."""
@@ -62,7 +62,7 @@ def open_workers(count: int | None = None, scheduler: str | None = None) -> Work
     Parameters
     ----------
     count
-        Worker processes; 1 computes in this process, None takes one a core.
+        Worker processes; 1 computes in this process, None takes one per core.
     scheduler
         Address of a Dask scheduler, which has its own workers.
 
@@ -157,7 +157,7 @@ class Here:
 
 
 class Pool:
-    """Worker processes, started afresh (never forked: threads and locks of this process stay here).
+    """Worker processes, each a new interpreter (never forked: threads and locks of this process stay here).
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ class Cluster:
         return self._executor.submit(_limited, self._parts, job, work)
 
     def restart(self) -> None:
-        """Begin anew with the workers there are."""
+        """Begin again with the workers there are."""
 
     def close(self) -> None:
         """Drop what is not finished and leave; the cluster stays."""

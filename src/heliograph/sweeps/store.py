@@ -1,4 +1,4 @@
-"""Results of sweeps in one SQLite file: a row a block, so that nothing done is lost or done again.
+"""Results of sweeps in one SQLite file: a row per block, so that nothing done is lost or done again.
 
 Rows are keyed by all that a block depends on (see `Point.key`). A transaction a block: whatever is killed, and when,
 the file holds whole blocks. Several sweeps may write to one file at a time.

@@ -46,7 +46,7 @@ def sweep(
     seed
         Of all that is random; the result depends on it, not on the workers.
     workers
-        Processes; 1 computes in this one, None takes one a core. In a script, more than one need a call under
+        Processes; 1 computes in this one, None takes one per core. In a script, more than one need a call under
         ``if __name__ == "__main__":``.
     scheduler
         Address of a Dask scheduler in place of `workers` (then None).

@@ -151,7 +151,7 @@ def _values(part: str, text: str) -> Iterator[Any]:
 
 
 def _range(first: str, last: str, step: str, text: str) -> Iterator[int | float]:
-    """First to last, which is one of them where a step hits it."""
+    """Yield the values from first to last by a step; last is one of them if a step reaches it exactly."""
     # decimals, so that 0.1:0.3:0.1 hits its end
     a, b, h = map(Decimal, (first, last, step))
     if not h or (b - a) / h < 0:

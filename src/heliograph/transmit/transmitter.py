@@ -123,7 +123,7 @@ class Transmitter:
         return self.formats[packet % len(self.formats)]
 
     def blocks(self, packet: int) -> dict[str, list[Block]]:
-        """Return the blocks in packet number `packet` by layer, one a codeword."""
+        """Return the blocks in packet number `packet` by layer, one per codeword."""
         return {
             name: [
                 self._carousels[name, layer.payload_bytes].block(self._sent_before(packet, name) + i)

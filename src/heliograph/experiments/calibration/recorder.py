@@ -25,7 +25,7 @@ FIRST, LAST = "first iteration", "last iteration"
 
 @dataclass(slots=True)
 class ReliabilityCounts:
-    """Bits by bin of the predicted error probability, a row a packet, since errors of a packet may come together.
+    """Bits by bin of the predicted error probability, a row per packet, since errors of a packet may come together.
 
     Attributes
     ----------

@@ -132,7 +132,7 @@ def _mains(rng: np.random.Generator) -> Lamp:
 
 
 def _moving(rng: np.random.Generator) -> Lamp:
-    """A steady lamp of a vehicle, up to 0.7 px a frame."""
+    """A steady lamp of a vehicle, up to 0.7 px per frame."""
     speed = (float(rng.uniform(-500, 500)), float(rng.uniform(-500, 500)))
     return Lamp(*_body(rng), speed, lambda t: np.ones_like(t))
 

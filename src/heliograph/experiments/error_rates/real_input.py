@@ -156,7 +156,7 @@ def empty(scene: RealScene, most_frames: int | None = None, *, native: bool = Fa
     most_frames
         Frames at most; None: all.
     native
-        The clip's own frames, one a pattern period, in place of the channel's: nothing is faded from frame to frame,
+        The clip's own frames, one per pattern period, in place of the channel's: nothing is faded from frame to frame,
         and all that moves does so some forty times too fast.
     """
     settings, recordings = RealScene(scene.clip, scene.imu, scene.seed, (*EMPTY, *scene.changes)).load()
@@ -180,7 +180,7 @@ def _rendered(settings: LinkSettings, seed: int, recordings: Recordings) -> Iter
 
 
 def native_frames(clip: Path, settings: LinkSettings) -> Iterator[Frame]:
-    """A clip's own frames, one a pattern period, resized to the camera's frame.
+    """A clip's own frames, one per pattern period, resized to the camera's frame.
 
     Parameters
     ----------

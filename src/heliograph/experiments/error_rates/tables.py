@@ -13,7 +13,7 @@ from heliograph.signal.settings import LAYERS
 
 
 def rates_table(static: CountsByDistance, driving: CountsByDistance, keyed: CountsByDistance) -> Table:
-    """Error rates at rest, driving and of on-off keying, a row a distance.
+    """Error rates at rest, driving and of on-off keying, a row per distance.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ class Scheme:
     Attributes
     ----------
     key
-        "ook", one bit an LED; "haar", the hierarchical code; "repeat2" and "repeat4", one bit a square of 2 x 2 or
+        "ook", one bit per LED; "haar", the hierarchical code; "repeat2" and "repeat4", one bit per square of 2 x 2 or
         4 x 4 LEDs.
     parts
         Place in the bits of a pattern of each part that is counted by itself.

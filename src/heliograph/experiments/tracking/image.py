@@ -13,7 +13,7 @@ from heliograph.receive.acquire.detector import Detection
 
 FEATURES = 120
 KEY_PAIRS = 10
-"""Background features, and pairs after which they are chosen anew."""
+"""Background features, and pairs after which they are chosen again."""
 
 REACH_PX = 3
 """Largest motion in px from pair to pair that is searched; in the drives here it is up to 2 px."""

@@ -32,7 +32,7 @@ class TrackingScore:
         part of it is missing.
     shake_px
         Rms error in px within a packet after its best straight line in time is taken out: the vibration left for a
-        receiver that finds the array anew at each header and knows its mean motion.
+        receiver that finds the array again at each header and knows its mean motion.
     pitch
         Relative rms error of the pitch; None where the tracker gives none.
     """

@@ -28,7 +28,7 @@ class TrackingRate:
     method
         The tracking method.
     bits
-        Data bits a pattern.
+        Data bits per pattern.
     inverse
         Whether each pattern is followed by its inverse.
     """
@@ -39,7 +39,7 @@ class TrackingRate:
 
     @property
     def per_slot(self) -> float:
-        """Data bits a pattern shown, an inverse counted as one."""
+        """Data bits per pattern shown, an inverse counted as one."""
         return self.bits / (2 if self.inverse else 1)
 
     @property
@@ -49,7 +49,7 @@ class TrackingRate:
 
 
 def rates(lost: int | None = None) -> list[TrackingRate]:
-    """Data rates by method; the known pattern takes `lost` bits a pattern, None: as many as it has LEDs."""
+    """Data rates by method; the known pattern takes `lost` bits per pattern, None: as many as it has LEDs."""
     every = SIDE * SIDE
     left = every - (int(known_leds(SIDE).sum()) if lost is None else lost)
     return [

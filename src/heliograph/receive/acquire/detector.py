@@ -126,7 +126,7 @@ class HeaderSearch(Protocol):
 
 
 class Detector:
-    """Looks for headers in a stream of one frame a pattern.
+    """Looks for headers in a stream of one frame per pattern.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ class Detector:
         self._fitted = 0
 
     def start(self, period_s: float) -> None:
-        """Begin; the frames are taken to come one a pattern."""
+        """Begin; the frames are taken to come one per pattern."""
 
     @property
     def candidates_fitted(self) -> int:

@@ -22,7 +22,7 @@ The light's clock asks for two on either side, and two to spare.
 
 
 class PhasedSearch:
-    """Thins frames out to streams of one frame a pattern at several phases, each with a detector of its own.
+    """Thins frames out to streams of one frame per pattern at several phases, each with a detector of its own.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class _EveryFrame:
 
 
 class _Nearest:
-    """One frame a pattern: those that begin nearest to even times."""
+    """One frame per pattern: those that begin nearest to even times."""
 
     def __init__(self, detector: Detector, step_s: float, phase: float):
         self.detector, self._step_s, self._phase = detector, step_s, phase
@@ -134,5 +134,5 @@ class _Nearest:
 
 
 def _phases(rate: float) -> int:
-    """Streams for a camera of `rate` frames a pattern: the fewer frames to choose from, the more phases are tried."""
+    """Streams for a camera of `rate` frames per pattern: the fewer frames to choose from, the more phases are tried."""
     return 4 if rate < 2 else max(2, math.floor(rate))

@@ -32,7 +32,7 @@ ITERATIONS = 24
 """Most iterations between equaliser and decoder; at 150 m packets take four to seven."""
 
 PROGRESS = 0.002
-"""Least gain of information, in bit a coded bit, of an iteration that decodes nothing, for another one to follow."""
+"""Least gain of information, in bit per coded bit, of an iteration that decodes nothing, for another one to follow."""
 
 REFINEMENTS = 6
 """Most times that a packet's poses are refined."""
@@ -185,7 +185,7 @@ class _Packet:
     header
         (n, n) LEDs lit in its header, as if none were dimmed.
     information
-        (codewords,) bit a coded bit in the LLRs of the last iteration.
+        (codewords,) bit per coded bit in the LLRs of the last iteration.
     propagation
         Sites of the symbols; None where these are taken as Gaussian.
     earlier
@@ -340,7 +340,7 @@ class _Packet:
                     buffer.keep_codeword((name, layer.form.code), layer.llr[i], layer.combined[i])
 
     def equalise(self) -> None:
-        """Equalise every pair with what is known now, then estimate the gain anew."""
+        """Equalise every pair with what is known now, then estimate the gain again."""
         channel, (mean, variance) = self.channel, self.expected()
         llr, moments = np.zeros_like(mean), np.zeros(4)
         priors = self.propagation.priors(mean, variance) if self.propagation else (mean, variance)

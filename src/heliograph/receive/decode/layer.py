@@ -23,7 +23,7 @@ At 150 m 16 of 120 codewords of the middle layer were lost with 0.85 or 0.9, 18 
 HOPELESS = 0.3
 """Information in LLRs, as a fraction of a code's rate, below which a codeword cannot be decoded in this iteration.
 
-The turbo code of rate 1/3 and 1000 bits needs 0.43 bit a bit, 1.3 times its rate: four times this threshold. It saves
+The turbo code of rate 1/3 and 1000 bits needs 0.43 bit per bit, 1.3 times its rate: four times this threshold. It saves
 time and decides nothing: where all open codewords are below it, the decoder runs once instead of to its end, and a
 packet of which such an iteration decodes nothing is given up. A codeword that begins below it is often decoded later,
 when other layers are known (105 of 685 that began below it, at rest from 105 to 240 m). Of the 772 codewords of these

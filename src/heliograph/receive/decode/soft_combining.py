@@ -1,7 +1,7 @@
 """Soft combining: what could not be decoded is kept, and added to when it is sent again.
 
 A whole packet that is sent again, as the only one of a carousel is, is kept as the statistics of its pairs; their sum
-is one better observation, equalised as a whole. A codeword that is sent again in other company is kept as its LLRs.
+is one better observation, equalised as a whole. Of a codeword that is sent again beside others its LLRs are kept.
 LLRs of one and the same packet would not add: the light of its other layers disturbs them alike each time.
 """
 

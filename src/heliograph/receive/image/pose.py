@@ -78,7 +78,7 @@ class Pose:
 
     @property
     def axes(self) -> NDArray[np.float64]:
-        """Steps from one LED to the next along a row and along a column, (2, 2) px, one a column."""
+        """Steps from one LED to the next along a row and along a column, (2, 2) px, one per column."""
         c, s = math.cos(self.roll), math.sin(self.roll)
         form = np.array([[1 + self.stretch, self.shear], [self.shear, 1 - self.stretch]])
         return np.asarray(self.pitch * np.array([[c, -s], [s, c]]) @ form)

@@ -47,7 +47,7 @@ class FrameClock(Protocol):
 
 
 class SteppedClock:
-    """Clock of a camera that takes one frame a pattern; it passes frames on as they are and checks their rate.
+    """Clock of a camera that takes one frame per pattern; it passes frames on as they are and checks their rate.
 
     Parameters
     ----------

@@ -37,10 +37,12 @@ EXPOSURES = 20
 """Exposures of the grid, up to the whole frame period; steps of 5 % change a header's amplitude by at most 5 %."""
 
 LONGER, WHOLE_PERIOD = 20.0, 3.0
-"""Prior log odds of an exposure of the whole frame period over one of none, and of the whole itself on top.
+"""Prior log odds of long exposures.
+
+They rise evenly from 0 at no exposure to `LONGER` at the whole frame period, which alone gets `WHOLE_PERIOD` more.
 
 Exposures of any length about the middle of a pattern, or about its end, give the same header and the same brightness.
-The prior decides these for the longest. It is chosen small against the evidence of one header, which is hundreds.
+Among these the prior prefers the longest. Both are small against the evidence of one header, which is hundreds.
 """
 
 GIVEN_UP = 40.0

@@ -1,4 +1,4 @@
-"""Pairs of a camera in step: one frame a pattern, nothing to combine."""
+"""Pairs of a camera in step: one frame per pattern, nothing to combine."""
 
 from collections.abc import Iterator, Mapping
 

@@ -46,7 +46,7 @@ A car rolls by a degree or two, and passes the array.
 START_RATES = np.array([0.9, 0.9, 1.5e-4])
 """Prior standard deviations of the rates: px, px and ln pitch per pattern.
 
-0.9 px a pattern is hard shake, 0.3 rad/s with 35 mm and 12 um at 1000 patterns/s; 1.5e-4 is 30 km/h at 55 m.
+0.9 px per pattern is hard shake, 0.3 rad/s with 35 mm and 12 um at 1000 patterns/s; 1.5e-4 is 30 km/h at 55 m.
 """
 
 

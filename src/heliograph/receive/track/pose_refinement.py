@@ -27,10 +27,7 @@ from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 
 SLOW_SIZES, FAST_SIZES = (0.0, 0.03, 0.1, 0.3, 1.0, 2.0), (0.01, 0.03, 0.1, 0.3, 1.0)
-"""Sizes tried, as multiples of `POSE_SPREADS`.
-
-Of errors that stay through a packet and of those that come with the shake.
-"""
+"""Sizes tried, as multiples of `POSE_SPREADS`: of errors that stay through a packet, and of those that shake brings."""
 
 SMALLER_SIZE_MARGIN = 2.0
 """By how much less, as a log likelihood, a smaller size may explain a packet: most poses of sums are right."""
@@ -42,7 +39,7 @@ STRIDE = 3
 """Pairs of which one is asked: errors of its neighbours are nearly its own."""
 
 LEAST_PX = 0.01
-"""Least error in px at `HALF_SIDE_PX` from the middle for which a pair's statistics are worked out anew."""
+"""Least error in px at `HALF_SIDE_PX` from the middle for which a pair's statistics are worked out again."""
 
 HALF_SIDE_PX = 4.0
 """Half the side of a far array in px: at 116 m in the reference link."""
@@ -54,7 +51,7 @@ class ObservedPacket:
     Parameters
     ----------
     cutouts
-        One a pair, in the single mode one a pattern; None where the array was not seen.
+        One per pair, in the single mode one per pattern; None where the array was not seen.
     noise
         Variances inside and beside the array.
     form

@@ -1,4 +1,4 @@
-"""Tracking: the sum of a pattern and its inverse shows every LED, so each pair gives the pose anew."""
+"""Tracking: the sum of a pattern and its inverse shows every LED, so each pair gives a new pose."""
 
 from dataclasses import dataclass, replace
 from math import erf, exp, pi, sqrt

@@ -24,7 +24,7 @@ class TurboCode:
     Attributes
     ----------
     k : int
-        Information bits a block, one of `QPP_SIZES`.
+        Information bits per block, one of `QPP_SIZES`.
     coded_bits : int, optional
         Bits sent a block, E, at least 10 k / 9: rate matching punctures or repeats mother bits to send exactly E, of
         redundancy version 0. None for no rate matching: the 3 k + 12 bits of the mother code in the order
@@ -65,7 +65,7 @@ class TurboCode:
 
     @property
     def rate(self) -> float:
-        """Information bits a sent bit, k / E; the tail counts."""
+        """Information bits per sent bit, k / E; the tail counts."""
         return self.k / self.length
 
     @property
