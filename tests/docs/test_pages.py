@@ -29,8 +29,7 @@ def test_term_is_defined_where_the_glossary_says(row: tuple[str, str, str, str])
     where = row[3]
     if "#" in where:
         page, _, anchor = where.partition("#")
-        titles = re.findall(r"^#+ (.+)$", (DOCS / page).read_text(), re.MULTILINE)
-        assert anchor in {re.sub(r"[^\w]+", "-", title.lower()).strip("-") for title in titles}
+        assert anchor in anchors((DOCS / page).read_text())
         return
     parts, found = where.split("."), None
     for end in range(len(parts), 0, -1):
@@ -51,12 +50,38 @@ def _has(found: object, name: str) -> bool:
     return hasattr(found, name) or annotated
 
 
-LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)(?:#[^)]*)?\)")
+ANCHORED_LEVELS = 3
+"""Levels of headings that get anchors on the site: `myst_heading_anchors` of docs/conf.py."""
+
+LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
+PAGES = [*sorted(DOCS.rglob("*.md")), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
 
 
-@pytest.mark.parametrize("page", [*sorted(DOCS.rglob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"], ids=str)
+def anchors(text: str) -> set[str]:
+    """Anchors of a page's headings, as MyST and GitHub make them."""
+    found: set[str] = set()
+    prose = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+    for marks, title in re.findall(r"^(#+) (.+)$", prose, re.MULTILINE):
+        slug = re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-")
+        same = [slug, *(f"{slug}-{number}" for number in range(1, 100))]
+        if len(marks) <= ANCHORED_LEVELS:
+            found.add(next(one for one in same if one not in found))
+    return found
+
+
+def test_anchors_are_those_of_the_site() -> None:
+    text = (
+        "# A page\n## What is lost, and why\n```\n# no heading\n```\n### Times of `k.py`, 2\n## A page\n#### Too deep\n"
+    )
+    assert anchors(text) == {"a-page", "what-is-lost-and-why", "times-of-kpy-2", "a-page-1"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_between_pages_lead_somewhere(page: Path) -> None:
     if "_build" in page.parts:
         return
-    for target in LINK.findall(page.read_text()):
-        assert (page.parent / target).exists() or target.endswith("cli.md"), f"{page.name}: {target}"
+    for target, anchor in LINK.findall(page.read_text()):
+        there = page.parent / target if target else page
+        assert there.exists() or target.endswith("cli.md"), f"{page.name}: {target}"
+        if anchor and there.suffix == ".md" and there.exists():
+            assert anchor in anchors(there.read_text()), f"{page.name}: {target}#{anchor}"
