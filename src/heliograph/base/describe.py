@@ -24,6 +24,15 @@ UNITS = {
 }
 """Units by the ending of a key."""
 
+BOUNDS = {
+    "ge": "minimum",
+    "gt": "exclusiveMinimum",
+    "le": "maximum",
+    "lt": "exclusiveMaximum",
+    "multiple_of": "multipleOf",
+}
+"""Bounds of an annotated type, and what a JSON schema calls them."""
+
 
 @dataclass(frozen=True, slots=True)
 class KeyDescription:
@@ -100,6 +109,8 @@ def _tables(toml: str) -> Iterator[tuple[str, list[str]]]:
 def _keys(cls: type, schema: Mapping[str, Any], rooms: Mapping[str, Any], prefix: str) -> Iterator[KeyDescription]:
     meanings = {one.arg_name: one.description or "" for one in parse(inspect.getdoc(cls) or "").params}
     for name, about in schema["properties"].items():
+        # a schema leaves out the bounds of a type whose values are converted first
+        about = {**_bounds_of(inspect.get_annotations(cls, eval_str=True)[name]), **about}
         kind = _kind_of(cls, name)
         items = about.get("items", {}) if about.get("type") == "array" else {}
         if table := _ref(about):
@@ -115,6 +126,12 @@ def _kind_of(cls: type, name: str) -> Any:
     """Settings class of a field, or of the items of its list."""
     kind = inspect.get_annotations(cls, eval_str=True)[name]
     return next((part for part in getattr(kind, "__args__", ()) if inspect.isclass(part)), kind)
+
+
+def _bounds_of(kind: Any) -> dict[str, Any]:
+    """Bounds of an annotated type, as a JSON schema has them."""
+    limits = [one for part in getattr(kind, "__metadata__", ()) for one in getattr(part, "metadata", ())]
+    return {key: getattr(one, name) for one in limits for name, key in BOUNDS.items() if hasattr(one, name)}
 
 
 def _ref(about: Mapping[str, Any]) -> str:
@@ -134,11 +151,22 @@ def _allowed(about: Mapping[str, Any]) -> str:
     if "enum" in about or "const" in about:
         return ", ".join(json.dumps(value) for value in about.get("enum", [about.get("const")]))
     if about.get("type") == "array":
-        return "list"
-    if about.get("type") == "object":
+        return _list(about)
+    if about.get("type") == "object" or _ref(about):
         return "table"
     kinds = {"integer": "whole number", "number": "number", "boolean": "true, false", "string": "text"}
     return f"{kinds.get(str(about.get('type')), 'any')}{_bounds(about)}"
+
+
+def _list(about: Mapping[str, Any]) -> str:
+    if about.get("maxItems") == 0:
+        return "empty list"
+    items = {_allowed(item) for item in about.get("prefixItems", [about.get("items", {})])}
+    if len(items) > 1:
+        return "list"
+    count = f"{about['maxItems']} " if "maxItems" in about else ""
+    several = re.sub("^(whole number|number|list|table|text)", r"\1s", items.pop())
+    return f"list of {count}{several}"
 
 
 def _bounds(about: Mapping[str, Any]) -> str:

@@ -293,7 +293,7 @@ class ChannelSettings:
         Speed of the vehicle in m/s, 0 to 60; 0 for a vehicle at rest. A larger one shakes the camera more and shortens
         the drive.
     duration_s
-        Length of the film in s, above 0; None: until ``stop_m`` is reached, or 1 s where the vehicle stands.
+        Length of the film in s, above 0; left out: until ``stop_m`` is reached, or 1 s where the vehicle stands.
     speed_profile
         Points (time in s, speed in m/s, at least 0) at rising times, joined by straight lines, in place of
         ``speed_m_s``; empty for none.

@@ -60,12 +60,12 @@ class Format:
         "paired": every data pattern is followed by its inverse. "single": every data pattern carries new data, which
         doubles the data rate (but for 1/32 at 16 x 16 LEDs); only the receiver "soft" reads it.
     high
-        Rate of the high layer's turbo code in information bits per sent bit: 2/5, 1/2, 3/5, 2/3, 3/4, 5/6 or 9/10, or
-        None for ``signal.rate.high``. A larger rate carries more data and tolerates less noise.
+        Rate of the high layer's turbo code in information bits per sent bit: 2/5, 1/2, 3/5, 2/3, 3/4, 5/6 or 9/10;
+        left out: ``signal.rate.high``. A larger rate carries more data and tolerates less noise.
     middle
-        The same for the middle layer; None for ``signal.rate.middle``.
+        The same for the middle layer; left out: ``signal.rate.middle``.
     low
-        The same for the low layer; None for ``signal.rate.low``.
+        The same for the low layer; left out: ``signal.rate.low``.
     """
 
     mode: Mode = "paired"

@@ -61,9 +61,9 @@ class SignalSettings:
     ----------
     side
         LEDs in a row and in a column, 4 to 64, a multiple of 4 because the header has 4 x 4 cells. A larger array
-        carries more data a pattern and, at the same pitch of its LEDs, is found from further away.
+        carries more data per pattern and, at the same pitch of its LEDs, is found from further away.
     pattern_period_s
-        Time T_b for which a pattern is shown, in s, 1e-6 to 1. A shorter one carries more data a second and needs a
+        Time T_b for which a pattern is shown, in s, 1e-6 to 1. A shorter one carries more data per second and needs a
         camera with as many frames a second; each frame then collects less light.
     slot_order
         Order in which the four PWM slots of T_b, numbered 0 to 3 in time, are lit as the level rises: a permutation of
