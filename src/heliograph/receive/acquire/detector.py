@@ -29,10 +29,13 @@ from heliograph.receive.image.window import common
 from heliograph.signal.settings import SignalSettings
 
 CLEAR = 0.95
-"""Score from which on a candidate is not tried as a tilted one too."""
+"""Score from which on a candidate is not tried as a tilted one too: it then explains 90 % of the pixels' power."""
 
 GAINED = 0.03
-"""How much better a tilted candidate must be: an upright array with a hidden side looks a little tilted."""
+"""How much better a tilted candidate must be: an upright array with a hidden side looks a little tilted.
+
+Chosen; docs/constants.md says what half and twice of it cost.
+"""
 
 MOST_TILT = 0.2
 """Largest tilt taken for an array's: that of 48 degrees, beyond which LEDs of 22.6 degrees half angle hardly shine."""
@@ -41,7 +44,10 @@ HIDDEN = 0.32
 """Largest hidden fraction of an array that is found all the same: 5 of 16 cells."""
 
 HIDDEN_TRIED = 0.7
-"""Least score of a candidate that is fitted again without its hidden cells."""
+"""Least score of a candidate that is fitted again without its hidden cells.
+
+With the fraction `HIDDEN` missing the whole header still correlates by sqrt(1 - 0.32) = 0.82; the rest is for noise.
+"""
 
 HIDDEN_SCORE, HIDDEN_REGULARITY = 0.8, 0.85
 """Least score and regularity of an array of which a part is hidden: it correlates less, but alternates evenly."""
@@ -49,7 +55,8 @@ HIDDEN_SCORE, HIDDEN_REGULARITY = 0.8, 0.85
 FIRST_AMPLITUDE, FIRST_SCORE = 0.7, 0.9
 """Least gain and score of a header's first pair, as fractions of the whole header's, for the pose to be its.
 
-Out of step a header may begin amid a frame, and two frames have more noise than four.
+Out of step a header may begin amid a frame, and two frames have more noise than four. Chosen; docs/constants.md says
+what half and twice of it cost.
 """
 
 OVERLAP = 0.1

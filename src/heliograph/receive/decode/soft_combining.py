@@ -33,10 +33,16 @@ By chance 2e-8 of different codewords agree as far, in coded bits that differ by
 """
 
 CONTRADICTION = 2.0
-"""Standard deviations by which the agreement of a codeword must fall below half of what is expected, to contradict."""
+"""Standard deviations by which the agreement of a codeword must fall below half of what is expected, to contradict.
+
+The same codeword falls by 2 below all of what is expected in 2 % of cases, and more rarely below half of it.
+"""
 
 CONSISTENT = 0.6
-"""Least agreement of LLRs with their codeword, as a fraction of the agreement expected, less 3 standard deviations."""
+"""Least agreement of LLRs with their codeword, as a fraction of the agreement expected, less 3 standard deviations.
+
+The mean is 1 for the codeword that was sent, and 0.6 for one that differs from it in a fifth of the bits.
+"""
 
 SUPPORT = 4.0
 """Least agreement of LLRs with their codeword in standard deviations of another codeword's: 3e-5 by chance."""

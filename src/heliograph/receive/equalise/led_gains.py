@@ -32,7 +32,7 @@ Between them the gain rises evenly. Noise and small errors of the pose then leav
 """
 
 CHANGED = 0.5
-"""Change of an LED's gain for which the header's pose is fitted again."""
+"""Change of an LED's gain for which the header's pose is fitted again: half of that from a sound to a failed one."""
 
 LIT = 4.0
 """Noise variance inside the array over that beside it, where failed LEDs hide the first.
@@ -47,10 +47,16 @@ Over real footage sums were pulled by up to 0.19 px at 64 to 70 m and 0.4 px at 
 """
 
 MODEL = 0.02
-"""Error of the image that the affine pose and the Gaussian blur leave, as a fraction of the light."""
+"""Error of the image that the affine pose and the Gaussian blur leave, as a fraction of the light.
+
+Chosen; docs/constants.md says what half and twice of it cost.
+"""
 
 FADE = 0.5
-"""Weight of earlier headers for each packet since: hidden LEDs come to light."""
+"""Weight of earlier headers for each packet since: hidden LEDs come to light.
+
+All earlier headers together then weigh as much as the new one, 1/2 + 1/4 + ... = 1.
+"""
 
 SETTLED = 0.1
 """Correction of the gain, as a fraction of `LED_GAIN_SPREAD`, below which no other one follows."""

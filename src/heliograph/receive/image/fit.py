@@ -28,7 +28,10 @@ LEAST_VARIANCE = 0.08
 """Least variance of a pixel in squared gray levels: that of rounding to whole levels, 1/12."""
 
 HELD_GAIN = 1e3
-"""Weight of an expected gain in the first coefficients, over that of the pixels: it all but holds the gain."""
+"""Weight of an expected gain in the first coefficients, over that of the pixels: it all but holds the gain.
+
+The pixels can move it by a thousandth of the way to what they say.
+"""
 
 CLOSE_PX, CLOSE_BLUR, CLOSE_GAIN = 0.02, 0.02, 0.1
 """Steps of the array's rim in px, of ln blur, and of the gain as a fraction of it, below which a fit ends.
@@ -50,7 +53,10 @@ More of them add background, fewer lose its rim.
 """
 
 EXPECTED_GAIN_SPREAD = 0.15
-"""Standard deviation of an expected gain, as a fraction of it; an array's light changes by less from pair to pair."""
+"""Standard deviation of an expected gain, as a fraction of it; an array's light changes by less from pair to pair.
+
+Chosen; docs/constants.md says what half and twice of it cost.
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,16 +64,25 @@ RATE_WALK = 6.3e-8
 """Random walk of that rate per square root of a pattern: 2e-6 in a second at 1000 patterns/s, as quartz drifts."""
 
 EXPLAINED = 0.7
-"""Least part of the power in a header's amplitudes that the header must explain; of clutter it explains less."""
+"""Least part of the power in a header's amplitudes that the header must explain; of clutter it explains less.
+
+Chosen; docs/constants.md says what half and twice of it cost.
+"""
 
 LEAST_DEVIATION = 0.004
-"""Least standard deviation of a measured start in T_b: what the model of the light leaves out."""
+"""Least standard deviation of a measured start in T_b: what the model of the light leaves out.
+
+It is below the 0.005 to 0.02 T_b to which one header gives the start.
+"""
 
 CLIPPED = 0.02
-"""Fraction of an array's pixels at full scale from which on its brightness is not used."""
+"""Fraction of an array's pixels at full scale from which on its brightness is not used.
+
+Chosen; docs/constants.md says what half and twice of it cost.
+"""
 
 SURROUNDINGS_PX = 3.0
-"""Pixels around the array against which its brightness is measured."""
+"""Pixels around the array against which its brightness is measured: five times the blur of the reference link."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,10 @@ SUM_ERROR = np.array([0.05, 0.5])
 """Prior standard deviations of the sums' errors of ln pitch and ln blur: a panel's rim is at most half a pitch wide."""
 
 SUM_SPREAD = np.array([0.0, 0.0, 0.002, 0.0, 0.02])
-"""Standard deviations of errors of sums that differ from one sum to the next, in the pose vector."""
+"""Standard deviations of errors of sums that differ from one sum to the next, in the pose vector.
+
+Chosen; docs/constants.md says what half and twice of it cost.
+"""
 
 WALK_PATTERNS = 1000.0
 """Patterns over which the random walks below have the standard deviations given."""
@@ -116,7 +119,10 @@ def sum_observation(late_s: float) -> Observation:
 
 
 HEADER = Observation(np.eye(SHOWN, STATES), np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2)
-"""A header less its inverse: the background cancels, but the array moves between the two, hence x and y."""
+"""A header less its inverse: the background cancels, but the array moves between the two, hence x and y.
+
+0.5 px is about half of what hard shake moves it from one pattern to the next (`START_RATES`).
+"""
 
 POSE = Observation(np.eye(SHOWN, STATES), np.zeros(SHOWN))
 """The pose itself."""
