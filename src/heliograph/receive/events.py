@@ -1,4 +1,4 @@
-"""What an observer of a receiver gets: one event a stage, as a value."""
+"""What an observer of a receiver gets: one event per stage, as a value."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
