@@ -63,7 +63,7 @@ class DetectSettings:
     score
         Least correlation with the header's image of a detection. Lower lets clutter through.
     candidates
-        Most candidates examined a search, 1 to 64. More finds arrays among more clutter and takes longer.
+        Most candidates examined per search, 1 to 64. More finds arrays among more clutter and takes longer.
     """
 
     min_side_px: Annotated[float, Field(ge=3)] | None = None

@@ -56,7 +56,7 @@ class SearchParameters:
     regularity
         Least ratio of the weakest to the mean alternation of the header's frames, 0 to 1; clutter alternates unevenly.
     candidates
-        Most candidates fitted a search.
+        Most candidates fitted per search.
     impaired
         Whether tilted and partly hidden arrays are looked for too; more clutter is taken for one of them.
     all_on

@@ -91,8 +91,8 @@ class SteppedClock:
 class CameraClock:
     """Clock of a camera of any rate, which gives frames even times.
 
-    Stamps are inexact readings of a clock that ticks once a frame. A Kalman filter follows time and period; its step is
-    one frame or, where a stamp is late by more than `MISSING` periods, one more for each missing frame. A frame with
+    Stamps are inexact readings of a clock that ticks once per frame. A Kalman filter follows time and period. Its step
+    is one frame or, where a stamp is late by more than `MISSING` periods, one more for each missing frame. A frame with
     the very pixels of the one before is a copy and is left out.
 
     Attributes

@@ -34,7 +34,7 @@ HEADER_SCORE = 0.6
 """Least correlation with which a header refines the pose: a header half hidden still has more."""
 
 PAIR_STEPS = 3
-"""Most Gauss-Newton steps a pair; from the filter's prediction a fit mostly ends after two."""
+"""Most Gauss-Newton steps per pair; from the filter's prediction a fit mostly ends after two."""
 
 RESOLVED_PX = 1.0
 """Pitch in px from which on single LEDs show in a sum."""
