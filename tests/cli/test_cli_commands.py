@@ -274,8 +274,8 @@ def test_a_log_gets_a_line_of_progress_now_and_then(
         lines(done)
     # 4 of 12 were done before: 60 s for one point, 120 s for two
     assert capsys.readouterr().err.splitlines() == [
-        "sweeping, points: 5.0 of 12, about 7 min left",
-        "sweeping, points: 6.0 of 12, about 6 min left",
+        "sweeping, points: 5 of 12, about 7 min left",
+        "sweeping, points: 6 of 12, about 6 min left",
     ]
 
 

@@ -54,7 +54,7 @@ class Lines:
         if now - self._said < EVERY_S:
             return
         self._said = now
-        text = f"{self._title}: {done:.1f}"
+        text = f"{self._title}: {done:.1f}".removesuffix(".0")
         if self._total:
             text += f" of {self._total}"
             if done > before:
