@@ -240,7 +240,7 @@ def _difference(found: dict[str, list[int]] | str, base: dict[str, list[int]]) -
     wrong = sum(found[name][1] for name in base)
     false = found["no array"][2] - base["no array"][2]
     scenes = [f"{name} {found[name][0] - base[name][0]:+d}" for name in base if found[name][0] != base[name][0]]
-    parts = [f"{total:+d}" + (f" ({', '.join(scenes)})" if scenes else "")]
+    parts = [(f"{total:+d}" if total else "0") + (f" ({', '.join(scenes)})" if scenes else "")]
     parts += [f"{wrong} wrong"] if wrong else []
     parts += [f"{false:+d} false detections"] if false else []
     return ", ".join(parts)
@@ -261,10 +261,13 @@ def page(results: Mapping[str, Mapping[str, dict[str, list[int]] | str]], chosen
 
 Every numeric constant of the receivers has its origin beside it in the code: an equation, an experiment, a tolerance.
 This page shows what it is worth: how many codewords more or fewer are read with half and with twice its value, on the
-same films. Whole numbers stay whole. Of numbers from 0.5 to 1.5 the distance from 1 is halved and doubled. A sum of 0
-means that the constant is not critical. The page is made by
+same films. Whole numbers stay whole. Of numbers from 0.5 to 1.5 the distance from 1 is halved and doubled. 0 means that
+the constant is not critical on these films: they find what a receiver cannot do without, not the last percent. The
+variances of the filter's observations (`DECIDED`, `HEADER`) are not in the table. The page is made by
 
-    python -m benchmarks.constants --page docs/constants.md
+```
+python -m benchmarks.constants --page docs/constants.md
+```
 
 Codewords read with all constants as they are, by scene (soft receiver where none is named), {
         sum(r for r, *_ in base.values())

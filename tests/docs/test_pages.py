@@ -4,6 +4,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from benchmarks.constants import constants
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -85,3 +86,8 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
         assert there.exists() or target.endswith("cli.md"), f"{page.name}: {target}"
         if anchor and there.suffix == ".md" and there.exists():
             assert anchor in anchors(there.read_text()), f"{page.name}: {target}#{anchor}"
+
+
+def test_each_constant_of_the_receivers_stands_with_its_value() -> None:
+    rows = dict(re.findall(r"^\| `([^`]+)` \| (.+?) \|", (DOCS / "constants.md").read_text(), re.M))
+    assert rows == {one.key: one.text for one in constants()}
