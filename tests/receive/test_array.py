@@ -1,6 +1,8 @@
 """One array's reception: hidden arrays, missing frames, films cut within a packet."""
 
+import itertools
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,11 @@ from scenes import drawn_film, film, link
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, receive_frames
+from heliograph.receive.decode.codeword import ERASED
+from heliograph.receive.packet_reader import SoftReader
+from heliograph.receive.plain.reader import PlainReader
+from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 
 Floats = NDArray[np.float64]
 
@@ -108,3 +115,43 @@ def test_what_is_no_array_is_given_up() -> None:
     assert len(recorder.found_s) == len(recorder.lost_s) == 1
     assert len(packets) <= 3
     assert all(word.status != "ok" for p in packets for words in p.layers.values() for word in words)
+
+
+@pytest.mark.parametrize("receiver", ["plain", "soft"])
+@pytest.mark.slow
+def test_a_packet_whose_equations_have_no_solution_is_lost_alone(
+    receiver: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings, calls = link(f"receive.receiver={receiver}"), itertools.count()
+    reader: type[PlainReader | SoftReader] = PlainReader if receiver == "plain" else SoftReader
+    decode = reader.decode
+
+    def failing(self: Any) -> Any:
+        if next(calls) == 0:
+            raise np.linalg.LinAlgError("no solution")
+        return decode(self)
+
+    monkeypatch.setattr(reader, "decode", failing)
+    packets, _ = read(film(settings, 204), settings)
+    assert [(p.status, p.reason) for p in packets] == [("crc_fail", "no solution"), ("ok", "")]
+    assert all((word.raw == ERASED).all() for words in packets[0].layers.values() for word in words)
+    assert "packet at frame 0 is not read: no solution" in caplog.text
+
+
+@pytest.mark.slow
+def test_an_array_whose_pose_has_no_solution_is_found_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings = link()
+    follow, calls = Tracker.follow, itertools.count()
+
+    def failing(self: Tracker, track: Track, pair: FramePair) -> TrackedPair:
+        if next(calls) == 20:
+            raise np.linalg.LinAlgError("no solution")
+        return follow(self, track, pair)
+
+    monkeypatch.setattr(Tracker, "follow", failing)
+    packets, recorder = read(film(settings, 304), settings)
+    assert [packet.status for packet in packets] == ["ok", "ok"]
+    assert len(recorder.lost_s) == 1
+    assert "is given up at 0.04" in caplog.text

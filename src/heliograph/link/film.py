@@ -152,6 +152,7 @@ def packet_row(packet: Packet) -> Mapping[str, Any]:
     return {
         "id": packet.identity,
         "status": packet.status,
+        **({"reason": packet.reason} if packet.reason else {}),
         "format": packet.format.number,
         "time_s": round(packet.start_time_s, 6),
         "first_frame": packet.first_frame,

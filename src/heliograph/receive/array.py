@@ -1,5 +1,6 @@
 """One array's reception: its frames paired, followed, and gathered to packets."""
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.decode.codeword import unread
 from heliograph.receive.events import DecodeEvent, Observer, TrackEvent
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.packets import Codeword, Packet, Status
@@ -17,7 +19,10 @@ from heliograph.receive.timing.frame_pair import FramePair, MeasuredHeader, Pair
 from heliograph.receive.timing.light_clock import PATTERNS_AROUND
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 from heliograph.signal.formats import Format
+from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
+
+LOG = logging.getLogger(__name__)
 
 HEADER_SEEN = 0.5
 """Least header score of a packet whose header was seen: half of the array's light must alternate."""
@@ -192,21 +197,26 @@ class ArrayReceiver:
 
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packet it completes."""
-        if not self._failed:
-            for number in self._pairing.push(frame):
-                yield from self._take(number)
+        yield from self._take_all(self._pairing.push(frame))
 
     def flush(self) -> Iterator[Packet]:
         """Yield the packet in progress if at least half of its data was seen."""
-        if not self._failed:
-            for number in self._pairing.flush():
-                yield from self._take(number)
+        yield from self._take_all(self._pairing.flush())
         if self._gathered.seen.mean() >= ENOUGH_SEEN:
             yield self._finish()
 
     @property
     def _pairs(self) -> int:
         return self._signal.packet_patterns // 2
+
+    def _take_all(self, numbers: Iterator[int]) -> Iterator[Packet]:
+        """Read pairs; an array whose pixels give no solution is given up, and found again by its next header."""
+        try:
+            for number in () if self._failed else numbers:
+                yield from self._take(number)
+        except np.linalg.LinAlgError as error:
+            self._failed = True
+            LOG.warning("array %d is given up at %.4f s: %s", self.identity, self._pairing.now_s, error)
 
     def _take(self, number: int) -> Iterator[Packet]:
         """Read a pair; yield the packet it completes."""
@@ -268,9 +278,14 @@ class ArrayReceiver:
     def _finish(self) -> Packet:
         """Decode what was gathered, and begin the next packet."""
         gathered, self._gathered = self._gathered, self._empty()
-        reader, layers = self._reader, self._reader.decode()
+        reader, reason = self._reader, ""
+        try:
+            layers = reader.decode()
+        except np.linalg.LinAlgError as error:
+            layers, reason = unread(PacketFormat(self._signal, reader.format), self.identity), str(error)
+            LOG.warning("array %d, packet at frame %d is not read: %s", self.identity, gathered.frames[0], reason)
         self._reader = reader.next()
-        packet = self._packet(gathered, layers, reader.format)
+        packet = replace(self._packet(gathered, layers, reader.format), reason=reason)
         # neither header nor a right codeword: no array, or out of step; it is found again by its next header
         self._proven |= packet.status in ("ok", "partial")
         self._failed = packet.status in ("no_header", "no_array")

@@ -1,5 +1,6 @@
 """The soft receiver's reader: a packet's frames are kept until its end, equalised and decoded together."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -79,7 +80,7 @@ class SoftReader:
         self._side = parts.form.settings.side
         self._cutouts: list[Cutout | None] = []
         self._even: Cutout | None = None
-        self._gain = 0.0
+        self._gain, self._full_scale = 0.0, math.inf
         self._format_reader = FormatReader(identity, self._side)
         self._form: PacketFormat | None = None
         self._headers: list[SeenHeader] = []
@@ -131,7 +132,7 @@ class SoftReader:
 
     def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
         """Keep a pair; see `PacketReader`."""
-        self._gain = tracked.track.data_gain
+        self._gain, self._full_scale = tracked.track.data_gain, pair.pattern.full_scale
         cutouts: Sequence[Cutout] = (
             [self._cutout(pair, tracked.track)] if self._decided is None else self._decided.cutouts
         )
@@ -205,7 +206,7 @@ class SoftReader:
         """Decode all that was kept, LEDs having given gains (n, n)."""
         parts, noise = self._parts, self._noise(led_gains)
         observed = ObservedPacket(self._cutouts, noise, form, led_gains)
-        channel = GainAndNoise(self._gain, noise.lit)
+        channel = GainAndNoise(min(self._gain, self._full_scale), noise.lit, self._full_scale)
         return decode_iteratively(
             observed, channel, form, self._identity, parts.options, buffer, parts.feedback, parts.observe
         )

@@ -75,6 +75,8 @@ class Packet:
         Codewords by layer, "high", "middle" and "low".
     format
         The format it was read in, as its header signals it.
+    reason
+        Why nothing was read where the receiver's equations had no solution; empty otherwise.
     """
 
     identity: int
@@ -89,6 +91,7 @@ class Packet:
     pairs_seen: float
     layers: Mapping[str, tuple[Codeword, ...]]
     format: Format = AGREED
+    reason: str = ""
 
 
 class Receiver(Protocol):

@@ -1,5 +1,6 @@
 """Equaliser, interference cancellation and turbo decoder together, on packets whose channel is known."""
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
@@ -177,6 +178,27 @@ def test_gain_and_noise_maximise_the_likelihood() -> None:
     # without light the gain stays; noise is that of rounding, 2 / 12, at least
     dark = before.updated(np.array([0.0, 0.0, 0.0, 10.0]), combined=True)
     assert (dark.gain, dark.noise) == pytest.approx((2.0, 1 / 6))
+
+
+@pytest.mark.parametrize(("match", "gain"), [(600.0, 255.0), (250.0, 250.0), (-40.0, 200.0)])
+@pytest.mark.parametrize("combined", [False, True])
+def test_no_gain_exceeds_what_a_sensor_can_show(match: float, gain: float, combined: bool) -> None:
+    """Pairs that hardly show the array may have any quotient, and any sign."""
+    after = GainAndNoise(200.0, 1.0, 255.0).updated(np.array([match, 1.0, 1e5, 1e3]), combined)
+    assert (after.gain, after.full_scale) == (gain, 255.0)
+
+
+def test_a_pair_without_a_solution_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
+    blocks = random_blocks(5)
+    pairs = statistics_of(blocks, 60)
+    bad = pairs[7]
+    assert bad is not None
+    pairs[7] = replace(bad, gram=-bad.gram)
+    caplog.set_level("INFO")
+    assert right(decoded(pairs), blocks) == [True] * 4
+    assert {record.message for record in caplog.records} == {
+        f"array {IDENTITY}: pair 7 is left out: the equaliser's matrix is not positive definite"
+    }
 
 
 @pytest.mark.parametrize(("distance_m", "moves", "asked"), [(160, 0, 1), (160, 2, 3), (100, 0, 2)])

@@ -235,3 +235,9 @@ def test_an_expected_gain_and_the_pixels_are_weighed_by_their_variances() -> Non
     ]
     assert 0.2 < (want - GAIN) / (expected - GAIN) < 0.8
     assert np.mean(gains) == pytest.approx(want, abs=3 * np.std(gains) / 60**0.5 + 0.02 * GAIN)
+
+
+def test_pixels_without_a_number_give_no_pose() -> None:
+    prior = Prior(np.array([20.0, 20.0, 0.2, 0.0, -0.5]), np.diag([1.0, 1.0, 0.01, 0.01, 0.1]))
+    with pytest.raises(np.linalg.LinAlgError, match="no solution"):
+        fit_array(np.full((40, 40), np.nan), (0, 0), prior, np.ones((16, 16)), 3)

@@ -96,7 +96,11 @@ def fit_near(
         start = replace(start, blur=float(np.hypot(start.blur, sigma)))
     reach = PLACE_SPREAD * side * start.pitch
     spread = np.diag(np.array([reach, reach, *CANDIDATE_SPREADS, tilt, tilt]) ** 2)
-    return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, FIT_STEPS)
+    try:
+        return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, FIT_STEPS)
+    except np.linalg.LinAlgError:
+        # pixels that give no pose are no array
+        return None
 
 
 def lit_cells(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, weights: Floats) -> Floats:

@@ -89,6 +89,20 @@ def decode_packet(
     }
 
 
+def unread(form: PacketFormat, identity: int) -> dict[str, tuple[Codeword, ...]]:
+    """Codewords by layer of a packet of which nothing was received.
+
+    Parameters
+    ----------
+    form
+        Its format.
+    identity
+        The array's.
+    """
+    pairs, side = form.layers["high"].pairs, form.settings.side
+    return decode_packet(np.zeros((pairs, side, side)), np.zeros(pairs, bool), form, identity, Decoding(iterations=1))
+
+
 def soft_to_llr(soft: Floats, seen: NDArray[np.bool_]) -> Floats:
     """LLR = ln P(b=0)/P(b=1) of soft values +-a with Gaussian noise, by the values' own moments.
 

@@ -4,8 +4,10 @@ The light of decoded codewords is subtracted; soft values of the others are fed 
 nothing changes any more.
 """
 
+import logging
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -27,6 +29,8 @@ from heliograph.receive.timing import partial_exposure
 from heliograph.receive.timing.combination import Combination
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
+
+LOG = logging.getLogger(__name__)
 
 ITERATIONS = 24
 """Most iterations between equaliser and decoder; at 150 m packets take four to seven."""
@@ -77,10 +81,13 @@ class GainAndNoise:
         Gray levels of the array with all LEDs on.
     noise
         Variance of a pixel of a difference.
+    full_scale
+        Largest gain that the sensor can show.
     """
 
     gain: float
     noise: float
+    full_scale: float = math.inf
 
     def updated(self, moments: Floats, combined: bool) -> "GainAndNoise":
         """Maximise the expected likelihood (a step of expectation and maximisation).
@@ -93,12 +100,13 @@ class GainAndNoise:
             Whether frames were combined: their sums are not even, so the noise is estimated here too.
         """
         match, norm, power, pixels = moments
-        # g = <d, B m + o> / E|B c + o|^2
-        gain = match / norm if norm > 0 else self.gain
+        # g = <d, B m + o> / E|B c + o|^2; of pairs that do not show the array it may be anything
+        gain = min(match / norm, self.full_scale) if match > 0 and norm > 0 else self.gain
         if not combined:
-            return GainAndNoise(gain, self.noise)
+            return replace(self, gain=gain)
         # s^2 = E|d - g (B c + o)|^2 / pixels
-        return GainAndNoise(gain, max((power - 2 * gain * match + gain**2 * norm) / pixels, LEAST_NOISE))
+        noise = (power - 2 * gain * match + gain**2 * norm) / pixels
+        return replace(self, gain=gain, noise=max(noise, LEAST_NOISE))
 
 
 class Observed(Protocol):
@@ -353,14 +361,18 @@ class _Packet:
         for number, pair in enumerate(self.statistics):
             if pair is None:
                 continue
-            if pair.combination is None:
-                estimate = equalise(pair, channel.gain, channel.noise, priors[0][number], priors[1][number])
-                llr[number] = self.propagation.take(number, estimate) if self.propagation else estimate.llr
-            else:
-                around = [mean[k] if 0 <= k < len(mean) else None for k in (number - 1, number + 1)]
-                llr[number], estimate = _equalise_combined(
-                    pair, pair.combination, channel, mean[number], around, self.header
-                )
+            try:
+                if pair.combination is None:
+                    estimate = equalise(pair, channel.gain, channel.noise, priors[0][number], priors[1][number])
+                    llr[number] = self.propagation.take(number, estimate) if self.propagation else estimate.llr
+                else:
+                    around = [mean[k] if 0 <= k < len(mean) else None for k in (number - 1, number + 1)]
+                    llr[number], estimate = _equalise_combined(
+                        pair, pair.combination, channel, mean[number], around, self.header
+                    )
+            except np.linalg.LinAlgError as error:
+                LOG.info("array %d: pair %d is left out: %s", self.identity, number, error)
+                continue
             moments += _moments(pair, estimate)
         self.channel = channel.updated(moments, self.combined)
         parts = self.mapper.bits(llr, [layer.mean() for layer in self.layers.values()])

@@ -140,6 +140,11 @@ def fit_array(
     Returns
     -------
     Pose, its covariance, gain and score.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The pixels give no pose, as numbers that are not finite do.
     """
     free = len(prior.covariance)
     scene = _Scene(image, corner, weights, panel, resolved, free)
@@ -156,6 +161,8 @@ def fit_array(
             matrix[free, free] += weight
             rhs[free] += weight * (prior.gain - linear[0])
         step = np.asarray(np.linalg.solve(_loaded(matrix, FIT_LOADING), rhs), np.float64)
+        if not np.isfinite(step).all():
+            raise np.linalg.LinAlgError("the fit of an array's pose has no solution")
         limit = _step_limits(vector)[:free]
         vector[:free] += np.clip(step[:free], -limit, limit)
         linear = linear + step[free:]

@@ -259,9 +259,10 @@ class ClockedPairing:
         first, second = np.tensordot(weights, _cut(frames, window), 1).astype(np.float32)
         # a frame's time is the start of its exposure, half a pattern before the middle of its light
         time_s, corner = clock.time_s(place + combination.sum_time - 0.5), (window[0], window[1])
+        full = frames[0].full_scale
         return FramePair(
-            CombinedFrame(frames[0].index, time_s, first, corner),
-            CombinedFrame(frames[-1].index, time_s, second, corner),
+            CombinedFrame(frames[0].index, time_s, first, corner, full),
+            CombinedFrame(frames[-1].index, time_s, second, corner, full),
             combination=combination,
         )
 

@@ -35,12 +35,15 @@ class CombinedFrame:
         (rows, columns) float32 gray levels.
     origin
         Place (x, y) of the first pixel on the sensor.
+    full_scale
+        Largest gray level of the camera.
     """
 
     index: int
     time_s: float
     pixels: NDArray[np.float32]
     origin: tuple[int, int]
+    full_scale: int
 
 
 AnyFrame = Frame | CombinedFrame
