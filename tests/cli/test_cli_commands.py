@@ -6,6 +6,7 @@ import pty
 import subprocess
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,7 +16,7 @@ from cli_runs import COMMAND, Run, called, failed, heliograph, lasting, names, s
 
 from heliograph.cli import console
 from heliograph.link.settings import PRESETS
-from heliograph.media import open_film
+from heliograph.media import create_film, open_film
 
 pytestmark = pytest.mark.slow
 
@@ -300,3 +301,21 @@ def test_a_printed_preset_says_what_each_setting_means_and_can_be_read_again(tmp
     (tmp_path / "two.toml").write_text(printed)
     again = heliograph("sweep", "--settings", "two.toml", "--vary", "nothing=1", cwd=tmp_path)
     assert "unknown setting 'nothing'" in again.stderr
+
+
+@pytest.mark.parametrize("receiver", ["plain", "soft"])
+def test_a_take_in_slow_motion_is_read_at_the_camera_s_own_rate(
+    film: Path, receiver: str, tmp_path: Path, call: Call
+) -> None:
+    with open_film(film) as taken, create_film(
+        tmp_path / "slow.mp4", width=taken.width, height=taken.height, rate_hz=30, lossless=True
+    ) as slow:  # fmt: skip
+        for frame in taken:
+            slow.write(replace(frame, time_s=frame.index / 30))
+    said = failed(call("receive", tmp_path / "slow.mp4", "--receiver", receiver))
+    assert "30.0 frames/s, the light 1000.0 patterns/s" in said
+    assert "--fps" in said
+    report = json.loads(
+        succeeded(call("receive", tmp_path / "slow.mp4", "--receiver", receiver, "--fps", "1000", "--json"))
+    )
+    assert [(array["packets"], array["layers"]["high"]["ok"]) for array in report["arrays"]] == [(4, 4)]

@@ -29,7 +29,7 @@ def test_the_truth_of_another_film_is_refused(tmp_path: Path) -> None:
         film.width = 320
         with pytest.raises(MediaError, match="160x120 pixels, the film of 320x120"):
             check_truth(film, truth, settings.signal)
-        film.width, film.rate_hz = 160, 500.0
+        film.width, film.claimed_hz = 160, 500.0
         with pytest.raises(MediaError, match="1000 frames/s, the film 500"):
             check_truth(film, truth, settings.signal)
 

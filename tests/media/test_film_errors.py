@@ -330,3 +330,31 @@ def test_a_failing_finish_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.raises(MediaError, match="not allowed to write"):
         film_of(tmp_path / "a.mkv")
     assert not list(tmp_path.iterdir())
+
+
+def test_numbers_jump_where_frames_are_missing_though_no_rate_is_noted(tmp_path: Path) -> None:
+    times = np.delete(np.arange(200) * 1e-3, [40, 41, 90, 150])
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["frames"], file["times_s"] = np.zeros((196, 4, 4), np.uint8), times
+    with open_film(tmp_path / "a.h5") as film:
+        assert film.rate_hz == pytest.approx(1000)
+        assert [frame.index for frame in film] == [round(1000 * time) for time in times]
+
+
+@pytest.mark.parametrize("name", ["slow.mp4", "slow.mkv", "slow.h5", "slow.avi"])
+def test_the_camera_s_own_rate_replaces_that_of_a_file_in_slow_motion(name: str, tmp_path: Path) -> None:
+    with create_film(tmp_path / name, width=16, height=16, rate_hz=25) as film:
+        for k in (0, 1, 2, 4, 5):
+            film.write(Frame(k, k / 25, np.full((16, 16), 20 * k, np.uint8)))
+    with open_film(tmp_path / name, rate_hz=1000) as film:
+        frames = list(film)
+        assert (film.rate_hz, film.claimed_hz) == (1000, 25)
+    numbers = [0, 1, 2, 4, 5] if name != "slow.avi" else [frame.index for frame in frames]
+    assert [frame.index for frame in frames] == numbers
+    assert [frame.time_s for frame in frames] == pytest.approx([k * 1e-3 for k in numbers], abs=1e-6)
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, -25.0, float("inf"), float("nan")])
+def test_a_rate_that_no_camera_has_is_refused(rate_hz: float, tmp_path: Path) -> None:
+    with pytest.raises(MediaError, match="more than 0 frames/s"):
+        open_film(tmp_path / "a.mkv", rate_hz=rate_hz)

@@ -125,3 +125,28 @@ def test_a_packet_whose_header_is_dark_is_read_by_the_clock(fps: float, start_s:
     assert_read(packets[:1], start_s, 1)
     assert packets[1].layers["high"][0].status == "ok"
     assert_read(packets[2:], start_s + 0.072, 1)
+
+
+@pytest.mark.parametrize("receiver", ["plain", "soft"])
+@pytest.mark.slow
+def test_late_stamps_and_missing_frames_say_nothing_of_the_rate(receiver: str) -> None:
+    """Stamps alone tell of the missing frame, as in films whose numbers run on."""
+    settings = link(f"receive.receiver={receiver}", "signal.data_pairs=24")
+    jitter = np.random.default_rng(4).normal(0, 6e-5, 170)
+    frames = [replace(frame, time_s=frame.time_s + jitter[k]) for k, frame in enumerate(film(settings, 170)) if k != 31]
+    frames = [replace(frame, index=k) for k, frame in enumerate(frames)]
+    packets = list(receive_frames(frames, settings.signal, settings.receive))
+    assert [packet.status for packet in packets] == ["ok", "ok", "ok"]
+    # the soft receiver has other frames of the pair
+    assert [packet.pairs_seen for packet in packets[1:]] == [1, 1]
+
+
+@pytest.mark.parametrize("rate_hz", [500.0, 985.0, 1015.0, 2000.0])
+def test_the_plain_receiver_names_the_rate_it_cannot_read(rate_hz: float) -> None:
+    settings = link()
+    frames = [Frame(k, k / rate_hz, np.zeros((60, 60), np.uint8)) for k in range(40)]
+    if abs(rate_hz - 1000) < 20:
+        assert list(receive_frames(frames, settings.signal, settings.receive)) == []
+    else:
+        with pytest.raises(HeliographError, match=rf"has {rate_hz:.1f} frames/s.*--fps"):
+            list(receive_frames(frames, settings.signal, settings.receive))

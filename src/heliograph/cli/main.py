@@ -98,6 +98,15 @@ def receive(
         Path | None,
         typer.Option("--truth", metavar="FILE", help="Truth of the film, to count errors by.", show_default=False),
     ] = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            "--fps",
+            metavar="RATE",
+            show_default=False,
+            help="Frames per second that the camera took, where the film claims another rate, as in slow motion.",
+        ),
+    ] = None,
     preset: options.Preset = "paper",
     settings: options.SettingsFile = None,
     assignments: options.Assignments = None,
@@ -110,7 +119,7 @@ def receive(
     """
     from heliograph.cli.receive import run_receive
 
-    run_receive(film, receiver, output, truth, preset, settings, assignments, as_json)
+    run_receive(film, fps, receiver, output, truth, preset, settings, assignments, as_json)
 
 
 @app.command()

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 def run_receive(
     film: Path,
+    fps: float | None,
     receiver: str | None,
     output: Path | None,
     truth: Path | None,
@@ -47,7 +48,7 @@ def run_receive(
     known = open_truth(truth) if truth else None
     reception = Reception(known)
     began = time.perf_counter()
-    with open_film(film) as source:
+    with open_film(film, rate_hz=fps) as source:
         signal, departure = signal_of(source, base.signal, signal_changes)
         if known is not None:
             check_truth(source, known, signal)

@@ -1,5 +1,6 @@
 """Open and create films. The suffix chooses the kind of a new file; the content tells the kind of an existing one."""
 
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +15,7 @@ FILM_SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
 """Suffixes of films that can be created."""
 
 
-def open_film(path: str | os.PathLike[str], *, expand_range: bool = False) -> FilmReader:
+def open_film(path: str | os.PathLike[str], *, expand_range: bool = False, rate_hz: float | None = None) -> FilmReader:
     """Open a film: HDF5 as written by `create_film`, or any video FFmpeg reads, as gray frames.
 
     Gray levels are those in the file: luma of YUV video is not rescaled, RGB is weighted to luma.
@@ -26,6 +27,9 @@ def open_film(path: str | os.PathLike[str], *, expand_range: bool = False) -> Fi
     expand_range
         Stretch limited-range video (black at 16, white at 235, usual for dashcams) to the full scale. Films written
         here are full range and stay as they are.
+    rate_hz
+        Frames per second that the camera took, above 0, where the file claims another rate, as films in slow motion
+        do. None believes the file.
 
     Returns
     -------
@@ -35,10 +39,12 @@ def open_film(path: str | os.PathLike[str], *, expand_range: bool = False) -> Fi
     Raises
     ------
     MediaError
-        The file is missing, a folder, empty, no film, or damaged beyond reading. Damage further on is reported while
-        iterating, after the whole frames.
+        The rate is not above 0; the file is missing, a folder, empty, no film, or damaged beyond reading. Damage
+        further on is reported while iterating, after the whole frames.
     """
     path = Path(path)
+    if rate_hz is not None and not 0 < rate_hz < math.inf:
+        raise MediaError(f"a camera takes more than 0 frames/s, not {rate_hz:g}; give the rate it was set to")
     if path.is_dir():
         raise MediaError(f"{path} is a folder: give a film in it")
     if not path.exists():
@@ -51,8 +57,8 @@ def open_film(path: str | os.PathLike[str], *, expand_range: bool = False) -> Fi
     if not head:
         raise MediaError(f"{path} is empty: copy or record it again")
     if head == hdf5.SIGNATURE or path.suffix.lower() in hdf5.SUFFIXES:
-        return hdf5.Hdf5Reader(path)
-    return video_read.VideoReader(path, expand_range)
+        return hdf5.Hdf5Reader(path, rate_hz)
+    return video_read.VideoReader(path, expand_range, rate_hz)
 
 
 def create_film(

@@ -145,20 +145,27 @@ class Hdf5Sink:
 class Hdf5Reader(FilmReader):
     """An HDF5 film; see `FilmReader`.
 
+    Parameters
+    ----------
+    path
+        The file.
+    rate_hz
+        Frames per second of the camera, where the file claims another.
+
     Raises
     ------
     MediaError
         The file is no readable film.
     """
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
+    def __init__(self, path: Path, rate_hz: float | None = None) -> None:
+        super().__init__(path, rate_hz)
         with _opened(path) as file:
             frames = file["frames"]
             self.frame_count, self.height, self.width = frames.shape
             self.bits = int(file.attrs.get("bits", 8 * frames.dtype.itemsize))
             self.metadata = _read_metadata(file.attrs)
-            self.rate_hz = float(file.attrs.get("rate_hz") or _mean_rate(file["times_s"]))
+            self.claimed_hz = float(file.attrs.get("rate_hz") or _median_rate(file["times_s"]))
 
     def _frames(self) -> Iterator[Frame]:
         if not self.frame_count:
@@ -170,7 +177,7 @@ class Hdf5Reader(FilmReader):
                     pixels = frames[place]
                 except OSError as error:
                     raise MediaError(f"{self.path} is damaged after {place} whole frames: copy it again") from error
-                index = max(index + 1, round(time_s * self.rate_hz))
+                index = max(index + 1, round(time_s * self.claimed_hz))
                 yield Frame(index, time_s, pixels, self.bits)
 
 
@@ -179,9 +186,11 @@ def _times(dataset: Any) -> Iterator[float]:
         yield from dataset[start : start + _READ_TIMES].tolist()
 
 
-def _mean_rate(times: Any) -> float:
-    span = float(times[-1] - times[0]) if times.shape[0] > 1 else 0.0
-    return (times.shape[0] - 1) / span if span > 0 else 1.0
+def _median_rate(times: Any) -> float:
+    """Rate by the median gap of the first frames: where frames are missing, the mean gap is too long."""
+    gaps = np.diff(times[:_READ_TIMES])
+    gap = float(np.median(gaps)) if gaps.size else 0.0
+    return 1 / gap if gap > 0 else 1.0
 
 
 def _write_attributes(attributes: Any, spec: FilmSpec) -> None:

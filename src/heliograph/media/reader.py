@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -25,8 +26,8 @@ class FilmReader(ABC):
         Rows in pixels.
     bits
         Bits of a gray level, 8 to 16.
-    rate_hz
-        Nominal frames per second, above 0.
+    claimed_hz
+        Frames per second as the file says, above 0.
     frame_count
         Frames to expect, for a progress display: exact for HDF5, else the smaller of the container's count and the
         duration times the rate, which counts dropped frames too; None where unknown.
@@ -38,14 +39,19 @@ class FilmReader(ABC):
     width: int
     height: int
     bits: int
-    rate_hz: float
+    claimed_hz: float
     frame_count: int | None
     metadata: dict[str, str]
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, rate_hz: float | None = None) -> None:
+        self.path, self._true_hz = path, rate_hz
         self._running: Iterator[Frame] | None = None
         self._closed = False
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second of the camera: as it was said where the film was opened, or else as the file says."""
+        return self._true_hz or self.claimed_hz
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames in order of time.
@@ -64,8 +70,13 @@ class FilmReader(ABC):
         """
         if self._closed:
             raise MediaError(f"{self.path} is closed: iterate it inside its 'with' block")
-        self._running = self._frames()
+        self._running = self._frames() if self._true_hz is None else self._retimed(self.claimed_hz / self._true_hz)
         return self._running
+
+    def _retimed(self, scale: float) -> Iterator[Frame]:
+        """Frames whose times are those of the camera, not of a file in slow motion."""
+        for frame in self._frames():
+            yield replace(frame, time_s=frame.time_s * scale)
 
     @abstractmethod
     def _frames(self) -> Iterator[Frame]: ...

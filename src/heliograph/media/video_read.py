@@ -39,6 +39,8 @@ class VideoReader(FilmReader):
         The file.
     expand_range
         Whether to stretch limited-range video to the full scale.
+    rate_hz
+        Frames per second of the camera, where the file claims another.
 
     Raises
     ------
@@ -46,24 +48,24 @@ class VideoReader(FilmReader):
         The file is no readable video.
     """
 
-    def __init__(self, path: Path, expand_range: bool) -> None:
-        super().__init__(path)
+    def __init__(self, path: Path, expand_range: bool, rate_hz: float | None = None) -> None:
+        super().__init__(path, rate_hz)
         self._expand_range = expand_range
         with _opened(path) as container:
             stream = container.streams.video[0]
             self._record = from_tags(container.metadata)
             self.width, self.height = stream.codec_context.width, stream.codec_context.height
             self.metadata = self._record.metadata if self._record else _tags(container)
-            self.rate_hz = self._record.rate_hz if self._record else _rate(stream)
+            self.claimed_hz = self._record.rate_hz if self._record else _rate(stream)
             self.bits = self._record.bits if self._record else _bits(stream)
-            self.frame_count = _frame_count(container, self.rate_hz)
+            self.frame_count = _frame_count(container, self.claimed_hz)
 
     def _frames(self) -> Iterator[Frame]:
         with _opened(self.path) as container:
             index = -1
             for count, picture in enumerate(self._pictures(container)):
                 time_s = self._time(picture, count)
-                index = max(index + 1, round(time_s * self.rate_hz))
+                index = max(index + 1, round(time_s * self.claimed_hz))
                 pixels, bits = planes.to_gray(picture, self._expand_range)
                 self._check_size(pixels, count)
                 yield Frame(index, time_s, pixels, self.bits if self._record else bits)
@@ -116,7 +118,7 @@ class VideoReader(FilmReader):
 
     def _time(self, picture: "av.VideoFrame", count: int) -> float:
         if picture.pts is None or picture.time_base is None:
-            return count / self.rate_hz
+            return count / self.claimed_hz
         elapsed_s = float(picture.pts * picture.time_base)
         if self._record is None:
             return elapsed_s

@@ -59,7 +59,8 @@ class PhasedSearch:
         if period_s > light_s * (1 + STEP_TOLERANCE):
             raise HeliographError(
                 f"the soft receiver needs at least one frame a pattern: the film has {1 / period_s:.1f} frames/s, the "
-                f"light {1 / light_s:.1f} patterns/s; film faster or set signal.pattern_period_s"
+                f"light {1 / light_s:.1f} patterns/s; film faster, or say by --fps what the camera did where the film "
+                f"misstates it"
             )
         if period_s > light_s * (1 - STEP_TOLERANCE):
             self._streams = [_EveryFrame(self._detector(), period_s)]

@@ -63,6 +63,7 @@ class SteppedClock:
     def __init__(self, pattern_period_s: float):
         self.period_s = pattern_period_s
         self._last: Frame | None = None
+        self._gaps: list[float] = []
 
     def push(self, frame: Frame) -> Iterator[Frame]:
         """Check and pass on the next frame.
@@ -74,18 +75,36 @@ class SteppedClock:
         """
         if self._last is not None:
             _check_order(self._last, frame, by_index=True)
-            steps, gap_s = frame.index - self._last.index, frame.time_s - self._last.time_s
-            if abs(gap_s / steps - self.period_s) > STEP_TOLERANCE * self.period_s:
-                raise HeliographError(
-                    f"the plain receiver needs one frame a pattern: the film has {steps / gap_s:.1f} frames/s, the "
-                    f"light {1 / self.period_s:.1f} patterns/s; film at that rate or set signal.pattern_period_s"
-                )
+            self._gaps.append((frame.time_s - self._last.time_s) / (frame.index - self._last.index))
+            if len(self._gaps) == FIRST_FRAMES:
+                self._check_rate()
         self._last = frame
         yield frame
 
     def flush(self) -> Iterator[Frame]:
-        """No frame is held back."""
+        """No frame is held back.
+
+        Raises
+        ------
+        HeliographError
+            The camera's rate is not the light's.
+        """
+        self._check_rate()
         yield from ()
+
+    def _check_rate(self) -> None:
+        """Compare the rate of the last frames with the light's; a late stamp or a missing frame says nothing of it."""
+        gaps, self._gaps = np.array(self._gaps), []
+        if not gaps.size:
+            return
+        steps = np.maximum(np.round(gaps / np.median(gaps)), 1)
+        period_s = float(gaps.sum() / steps.sum())
+        if abs(period_s - self.period_s) > STEP_TOLERANCE * self.period_s:
+            raise HeliographError(
+                f"the plain receiver needs one frame a pattern: the film has {1 / period_s:.1f} frames/s, the light "
+                f"{1 / self.period_s:.1f} patterns/s; film at that rate, use --receiver soft, or say by --fps what the "
+                f"camera did where the film misstates it"
+            )
 
 
 class CameraClock:
