@@ -1,9 +1,11 @@
 """Packets of formats that the soft receiver learns from their headers alone."""
 
 import pytest
-from scenes import link
+from scenes import film, link
 
 from heliograph.measure.bench import run_block
+from heliograph.receive import receive_frames
+from heliograph.signal.formats import Format
 
 
 @pytest.mark.slow
@@ -41,3 +43,21 @@ def test_formats_are_read_out_of_step(fps: float, start_s: float) -> None:
     )
     counts = run_block(settings, 2)
     assert [(c.codewords, c.codeword_errors) for c in counts.layers.values()] == [(1, 0), (2, 0), (1, 0)]
+
+
+@pytest.mark.parametrize("mode", [2, 3])
+@pytest.mark.parametrize("receiver", ["plain", "soft"])
+@pytest.mark.slow
+def test_a_packet_of_a_reserved_mode_is_ignored(receiver: str, mode: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its data may mean anything, even if they look like those of data pairs."""
+    settings = link(f"receive.receiver={receiver}", "transmit.formats=[{}, {high='1/2'}]")
+    with monkeypatch.context() as sent:
+        # the second packet names a mode of the future, but is coded as ever
+        sent.setattr(Format, "number", property(lambda form: 512 * mode if form.high else 0))
+        sent.setattr(Format, "rates", lambda _, agreed: (agreed.high, agreed.middle, agreed.low))
+        frames = film(settings, 304)
+    packets = list(receive_frames(frames, settings.signal, settings.receive))
+    assert [(packet.status, packet.reason) for packet in packets] == [
+        ("ok", ""), ("crc_fail", f"its mode, {mode}, is not known to this version"), ("ok", ""),
+    ]  # fmt: skip
+    assert all(word.block is None for words in packets[1].layers.values() for word in words)

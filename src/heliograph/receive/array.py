@@ -18,7 +18,7 @@ from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.timing.frame_pair import FramePair, MeasuredHeader, Pairing
 from heliograph.receive.timing.light_clock import PATTERNS_AROUND
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
-from heliograph.signal.formats import Format
+from heliograph.signal.formats import Format, ReservedModeError
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
@@ -281,7 +281,7 @@ class ArrayReceiver:
         reader, reason = self._reader, ""
         try:
             layers = reader.decode()
-        except np.linalg.LinAlgError as error:
+        except (np.linalg.LinAlgError, ReservedModeError) as error:
             layers, reason = unread(PacketFormat(self._signal, reader.format), self.identity), str(error)
             LOG.warning("array %d, packet at frame %d is not read: %s", self.identity, gathered.frames[0], reason)
         self._reader = reader.next()

@@ -26,7 +26,7 @@ from heliograph.receive.track.background import SeenHeader
 from heliograph.receive.track.decision_directed import DecidedPair, DecisionDirectedTracker
 from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
-from heliograph.signal.formats import Format
+from heliograph.signal.formats import Format, check_mode, known_format
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
 
@@ -93,7 +93,7 @@ class SoftReader:
     @property
     def format(self) -> Format:
         """The packet's format, as far as its header has shown it."""
-        return self._form.format if self._form else self._format_reader.format(self._gain)
+        return self._form.format if self._form else known_format(self._format_reader.number(self._gain))
 
     def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
         """Read the format, refine the pose and learn the LEDs' gains; see `PacketReader`."""
@@ -143,6 +143,7 @@ class SoftReader:
     @one_thread()
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Codewords by layer, of all pairs kept."""
+        check_mode(self._format_reader.number(self._gain))
         form, buffer = self._known(), self._parts.buffer
         led_gains = self._gains()
         first = None if buffer is None else buffer.copy()

@@ -76,7 +76,8 @@ class Packet:
     format
         The format it was read in, as its header signals it.
     reason
-        Why nothing was read where the receiver's equations had no solution; empty otherwise.
+        Why nothing was read where the packet's mode is not known or the receiver's equations had no solution; empty
+        otherwise.
     """
 
     identity: int

@@ -24,6 +24,9 @@ Mode = Literal["paired", "single"]
 MODES: tuple[Mode, ...] = ("paired", "single")
 """Modes by number; 2 and 3 are reserved (section 4.1)."""
 
+ALL_MODES = 4
+"""Modes that a header can name, the reserved ones included."""
+
 RATE_BITS = 3
 """Bits of a layer's rate number: eight numbers."""
 
@@ -106,20 +109,51 @@ def format_of(number: int) -> Format:
     return Format(mode=MODES[number >> 3 * RATE_BITS], high=high, middle=middle, low=low)
 
 
-@lru_cache(maxsize=1)
-def words() -> NDArray[np.uint8]:
+def mode_number(number: int) -> int:
+    """Return the number of a format's mode, M = F div 512 (section 4.1)."""
+    return number >> 3 * RATE_BITS
+
+
+class ReservedModeError(ValueError):
+    """A packet is of a mode that this version does not know; it must be ignored (section 15)."""
+
+
+def check_mode(number: int) -> None:
+    """Check that a format's mode is known.
+
+    Raises
+    ------
+    ReservedModeError
+        It is 2 or 3.
+    """
+    if mode_number(number) >= len(MODES):
+        raise ReservedModeError(f"its mode, {mode_number(number)}, is not known to this version")
+
+
+def known_format(number: int) -> Format:
+    """Return the format of a number; the agreed one for a reserved mode, of which nothing is known."""
+    return AGREED if mode_number(number) >= len(MODES) else format_of(number)
+
+
+@lru_cache(maxsize=2)
+def words(modes: int = len(MODES)) -> NDArray[np.uint8]:
     """Return the words of all formats, from the Reed-Muller code RM(2, 4) (section 4.1).
+
+    Parameters
+    ----------
+    modes
+        How many modes' formats: the 2 known ones, or all 4.
 
     Returns
     -------
-    (1024, 16) uint8 bits 0 and 1, read-only: row by format number, column 4 row + column of the cell.
+    (512 modes, 16) uint8 bits 0 and 1, read-only: row by format number, column 4 row + column of the cell.
     """
     # w = f0 + f1 v0 + f2 v1 + f3 v2 + f4 v3 + f5 v0 v1 + f6 v0 v2 + ... + f10 v2 v3 (modulo 2)
     index = np.arange(WORD_BITS)
     v = [index >> bit & 1 for bit in range(4)]
     # 1; v0 ... v3; v0 v1, v0 v2, v0 v3, v1 v2, v1 v3, v2 v3
     rows = np.array([np.ones(WORD_BITS, int), *v, *(a * b for a, b in combinations(v, 2))])
-    numbers = np.arange(len(MODES) << 3 * RATE_BITS)
+    numbers = np.arange(modes << 3 * RATE_BITS)
     found = ((numbers[:, None] >> np.arange(BITS) & 1) @ rows % 2).astype(np.uint8)
     found.setflags(write=False)
     return found

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.signal.formats import DIMMED, words
+from heliograph.signal.formats import ALL_MODES, DIMMED, words
 from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence
 from heliograph.signal.pwm import SLOTS
 
@@ -133,7 +133,7 @@ def dimmed_leds(form: int, side: int = DEFAULT_SIDE) -> NDArray[np.bool_]:
     (side, side) bool.
     """
     block = np.ones((side // CELLS, side // CELLS), dtype=np.uint8)
-    return np.kron(words()[form].reshape(CELLS, CELLS), block) > 0
+    return np.kron(words(ALL_MODES)[form].reshape(CELLS, CELLS), block) > 0
 
 
 def all_on_levels(side: int = DEFAULT_SIDE) -> NDArray[np.uint8]:

@@ -23,7 +23,7 @@ from heliograph.receive.image import kernels
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import RIM_PX, Window, cut_out, window_around
 from heliograph.receive.timing.frame_pair import FramePair, HeaderFrames
-from heliograph.signal.formats import AGREED, DIMMED, Format, format_of, words
+from heliograph.signal.formats import AGREED, ALL_MODES, DIMMED, words
 from heliograph.signal.header import CELLS, header_cells
 
 CELL_COUNT = CELLS * CELLS
@@ -68,7 +68,7 @@ class _PairEvidence:
     def moments(self, cells: Floats) -> Floats:
         """<d, B v + o> and |B v + o|^2 of each format, (2, formats); `cells` (16,) of the header, +-1."""
         contrast, light = self.dimmed
-        v = np.where(words(), contrast * cells + light, cells)
+        v = np.where(words(ALL_MODES), contrast * cells + light, cells)
         match, norm = v @ self.matched + self.cross, np.einsum("fi,ij,fj->f", v, self.gram, v)
         return np.stack([match, norm + 2 * v @ self.offset + self.drift])
 
@@ -102,7 +102,7 @@ class _FramesEvidence:
             light[:, None] + 0.5 * alternation[:, None] * cells
             for light, alternation in zip(self.frames.light, self.frames.alternation, strict=True)
         )
-        v = np.where(words()[:, None], dimmed, full)
+        v = np.where(words(ALL_MODES)[:, None], dimmed, full)
         v -= v.mean(1, keepdims=True)
         match = np.einsum("fki,ki->f", v, self.matched)
         return np.stack([match, ((v @ self.gram) * v).sum((1, 2))])
@@ -165,8 +165,8 @@ class FormatReader:
         matched = frames.images.reshape(len(frames.images), -1) @ a.T
         self._evidence = {0: _FramesEvidence(frames, a @ a.T, matched)}
 
-    def format(self, gain: float) -> Format:
-        """Decide on the format; the agreed one where no later header pair was seen.
+    def number(self, gain: float) -> int:
+        """Decide on the format's number, 0 to 2047; the agreed one's where no later header pair was seen.
 
         Parameters
         ----------
@@ -174,15 +174,18 @@ class FormatReader:
             Gray levels of the array with all LEDs on, for a header whose first pair was not seen.
         """
         if not self._evidence:
-            return AGREED
+            return AGREED.number
         match, norm = np.sum([one.moments(self._cells) for one in self._evidence.values()], axis=0)
         # the best gain of each format: g = <d, B v + o> / |B v + o|^2
         g = np.maximum(match, 0) / np.maximum(norm, 1e-9) if 0 in self._evidence else gain
         explained = 2 * g * match - g**2 * norm
         # two words differ in LEAST_DISTANCE cells at least: where these are hidden it is the agreed format
         least = LEAST_DISTANCE * sum(one.distance for one in self._evidence.values())
-        explained[AGREED.number] += UNDECIDED * float(np.max(g)) ** 2 * least
-        return format_of(int(np.argmax(explained)))
+        margin = UNDECIDED * float(np.max(g)) ** 2 * least
+        explained[AGREED.number] += margin
+        # a mode that is not known must show as clearly: noise alone must not have a packet ignored
+        explained[len(words()) :] -= margin
+        return int(np.argmax(explained))
 
     def _of_pair(self, contrast: float, pair: FramePair, poses: tuple[Pose, Pose], led_gains: Floats) -> _PairEvidence:
         """What a pair says whose dimmed cells have a contrast in step."""

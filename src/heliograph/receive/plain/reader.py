@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.acquire.header import header_score, header_weights
 from heliograph.receive.array import ReadHeader
 from heliograph.receive.decode.codeword import Decoding, decode_packet
@@ -11,7 +12,7 @@ from heliograph.receive.plain.extract import pair_luminances
 from heliograph.receive.settings import Equaliser
 from heliograph.receive.timing.frame_pair import FramePair, MeasuredHeader
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
-from heliograph.signal.formats import AGREED, Format
+from heliograph.signal.formats import AGREED, Format, check_mode
 from heliograph.signal.packet import PacketFormat
 
 
@@ -48,15 +49,21 @@ class PlainReader:
         pairs, side = form.settings.data_pairs, form.settings.side
         self._luminances = np.zeros((pairs, side, side))
         self._seen = np.zeros(pairs, dtype=bool)
+        self._format_reader = FormatReader(identity, side)
+        self._gain = 0.0
 
     @property
     def format(self) -> Format:
         """The agreed one."""
         return AGREED
 
-    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:  # noqa: ARG002 - all are alike
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
         """Refine the pose by a header pair; see `PacketReader`."""
         track, side = tracked.track, self._form.settings.side
+        if tracked.seen:
+            poses = track.state.pose_at(pair.pattern.time_s), track.state.pose_at(pair.inverted.time_s)
+            self._format_reader.take(number, pair, poses, track.led_gains)
+            self._gain = track.data_gain
         weights = header_weights(self._identity, AGREED.number, side)
         score = header_score(pair, track.state.pose, weights * track.led_gains, track.gain)
         return ReadHeader(self._tracker.refine(track, pair, weights) if tracked.seen else track, score)
@@ -78,6 +85,7 @@ class PlainReader:
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Codewords by layer."""
+        check_mode(self._format_reader.number(self._gain))
         return decode_packet(self._luminances, self._seen, self._form, self._identity, self._options)
 
     def shown(self, packet: Packet) -> DecodeEvent:
