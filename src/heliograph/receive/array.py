@@ -283,7 +283,9 @@ class ArrayReceiver:
             layers = reader.decode()
         except (np.linalg.LinAlgError, ReservedModeError) as error:
             layers, reason = unread(PacketFormat(self._signal, reader.format), self.identity), str(error)
-            LOG.warning("array %d, packet at frame %d is not read: %s", self.identity, gathered.frames[0], reason)
+            # of a header that something hides, any mode may be read
+            level = logging.INFO if isinstance(error, ReservedModeError) else logging.WARNING
+            LOG.log(level, "array %d, packet at frame %d is not read: %s", self.identity, gathered.frames[0], reason)
         self._reader = reader.next()
         packet = replace(self._packet(gathered, layers, reader.format), reason=reason)
         # neither header nor a right codeword: no array, or out of step; it is found again by its next header
