@@ -115,12 +115,9 @@ def test_frames_are_not_written_to() -> None:
         (4, 0.004, "must follow in time"),
         (3, 0.007, "must follow in time"),
         (6, 0.005, "must follow in time"),
-        (6, 0.007, "one frame a pattern"),
-        (6, 0.0055, "one frame a pattern"),
-        (9, 0.0095, "one frame a pattern"),
     ],
 )
-def test_frames_out_of_step_are_refused(index: int, time_s: float, words: str) -> None:
+def test_frames_that_go_back_are_refused(index: int, time_s: float, words: str) -> None:
     receiver, pixels = make_receiver(SIGNAL), np.zeros((40, 40), np.uint8)
     for k in (4, 5):
         assert list(receiver.push(Frame(k, k * 1e-3, pixels))) == []

@@ -16,6 +16,13 @@ class FilmReader(ABC):
 
     Memory does not grow with the film. Use it as a context manager, or call `close`.
 
+    Parameters
+    ----------
+    path
+        The file.
+    rate_hz
+        Frames per second of the camera, above 0, where the file claims another rate; None believes the file.
+
     Attributes
     ----------
     path

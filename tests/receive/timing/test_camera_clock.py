@@ -123,7 +123,24 @@ def test_frames_that_go_back_are_refused() -> None:
 def test_a_camera_out_of_step_is_refused_by_the_plain_receivers_clock(fps: float, message: str) -> None:
     clock = SteppedClock(1e-3)
     with pytest.raises(HeliographError, match=message):
-        timed(stamped([0.0, 1 / fps]), clock)
+        timed(stamped([k / fps for k in range(40)]), clock)
+
+
+@pytest.mark.parametrize("late_s", [0.4e-3, -0.4e-3, 1e-3, 5e-3])
+def test_one_stamp_is_no_rate(late_s: float) -> None:
+    """It is late or early, or frames before it are missing though their numbers run on."""
+    clock, times = SteppedClock(1e-3), 1e-3 * np.arange(40)
+    times[20:] += late_s if late_s >= 1e-3 else 0
+    times[20] += late_s if late_s < 1e-3 else 0
+    frames = stamped(times.tolist())
+    assert timed(frames, clock) == frames
+
+
+def test_a_short_film_is_judged_at_its_end() -> None:
+    clock = SteppedClock(1e-3)
+    timed(stamped([0.0, 2e-3, 4e-3]), clock)
+    with pytest.raises(HeliographError, match=r"500\.0 frames/s"):
+        list(clock.flush())
 
 
 @pytest.mark.parametrize("fps", [981.0, 1019.0])
