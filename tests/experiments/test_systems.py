@@ -72,7 +72,7 @@ def test_ranges() -> None:
 def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experiment, "QUICK_BITS", 500)
     monkeypatch.setattr(
-        experiment, "QUICK_M", {"ook": (40, 50, 60, 65), "haar": (60,), "repeat2": (100,), "repeat4": (150,)}
+        experiment, "QUICK_M", {"ook": (40, 50, 60), "haar": (60,), "repeat2": (100,), "repeat4": (150,)}
     )
     result = experiment.run(Context())
     assert result.key == "systems"
