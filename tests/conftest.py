@@ -1,6 +1,8 @@
-"""Shared by all tests: where the real recordings are."""
+"""Shared by all tests: where the real recordings are, and logs that no test takes from the next."""
 
+import logging
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -21,3 +23,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def data() -> Path:
     """Folder of the real recordings."""
     return SHARED_DATA
+
+
+@pytest.fixture(autouse=True)
+def logs_are_kept() -> Iterator[None]:
+    """Undo what a command that ran in this process did to logging: a sweep switches it off to its end."""
+    yield
+    logging.disable(logging.NOTSET)

@@ -150,3 +150,13 @@ def test_the_plain_receiver_names_the_rate_it_cannot_read(rate_hz: float) -> Non
     else:
         with pytest.raises(HeliographError, match=rf"has {rate_hz:.1f} frames/s.*--fps"):
             list(receive_frames(frames, settings.signal, settings.receive))
+
+
+@pytest.mark.slow
+def test_a_light_of_ten_patterns_per_second_is_read_from_an_ordinary_camera() -> None:
+    settings = link(
+        "receive.receiver=soft", "signal.pattern_period_s=0.1", "signal.data_pairs=8",
+        camera={"fps": 30.0, "exposure_s": 0.02, "width": 160, "height": 120},
+    )  # fmt: skip
+    packets = list(receive_frames(film(settings, 4500), settings.signal, settings.receive))
+    assert [packet.status for packet in packets] == ["ok", "ok"]
