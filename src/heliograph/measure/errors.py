@@ -108,8 +108,8 @@ class ErrorCounter:
     def bins(self) -> dict[float, Layers]:
         """Errors by the lower edge of the distance bin and by layer, near first; missed packets counted.
 
-        A packet filmed whole and not received so far counts as missed, for now: it may still come. One cut off by the
-        end of the film is left out, whatever was read of it.
+        A packet filmed whole counts as missed until it is received. One cut off by the end of the film is left out,
+        whatever was read of it.
         """
         bins: dict[int, list[Layers]] = {}
         for array, packets in enumerate(self._sent):

@@ -148,7 +148,7 @@ class _FixedPoses:
     def statistics(self) -> Sequence[PairStatistics | None]:
         return self.observed.statistics
 
-    def refine(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:  # noqa: ARG002
+    def refine(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:  # noqa: ARG002 - the protocol's
         return False
 
 
