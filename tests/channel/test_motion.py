@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from heliograph.channel import ChannelSettings, ImuTrace, Placement, film_duration
-from heliograph.channel.motion import STEP_S, HalfCar, Travel, imu_shake, motion, road_shake
+from heliograph.channel.half_car import HalfCar
+from heliograph.channel.motion import STEP_S, Travel, imu_shake, motion, road_shake
 from heliograph.channel.road import ROUGHNESS_M3, STEP_M, RoadProfile, road_profile, roughness
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, rotation
 

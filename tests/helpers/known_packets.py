@@ -14,7 +14,8 @@ from slot_light import light_about_mean, observed
 
 from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.iterate import EqualiseEvent, GainAndNoise, decode_iteratively, ignore
+from heliograph.receive.decode.gain_and_noise import GainAndNoise
+from heliograph.receive.decode.iterate import EqualiseEvent, decode_iteratively, ignore
 from heliograph.receive.decode.soft_combining import SoftBuffer
 from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image.reference import blur_matrix

@@ -11,7 +11,8 @@ from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.acquire.header import header_score, header_weights
 from heliograph.receive.array import ReadHeader
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.iterate import GainAndNoise, decode_iteratively
+from heliograph.receive.decode.gain_and_noise import GainAndNoise
+from heliograph.receive.decode.iterate import decode_iteratively
 from heliograph.receive.decode.soft_combining import SoftBuffer
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.threads import one_thread

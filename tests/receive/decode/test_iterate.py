@@ -29,7 +29,8 @@ from scenes import SIDE, pitch_at
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import ERASED
-from heliograph.receive.decode.iterate import EqualiseEvent, GainAndNoise
+from heliograph.receive.decode.gain_and_noise import GainAndNoise
+from heliograph.receive.decode.iterate import EqualiseEvent
 from heliograph.receive.decode.soft_combining import SoftBuffer
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.equalise.threads import one_thread

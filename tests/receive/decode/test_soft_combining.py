@@ -5,7 +5,7 @@ import pytest
 from known_packets import FORM, GAIN, Words, decoded, random_blocks, right, statistics_of
 from numpy.typing import NDArray
 
-from heliograph.receive.decode.iterate import GainAndNoise
+from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer, consistent
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.signal.block import Block

@@ -22,7 +22,8 @@ from heliograph.receive.acquire.detector import Detection
 from heliograph.receive.array import PacketReader, ReadHeader
 from heliograph.receive.assemblies import soft_parts, soft_reader
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.iterate import GainAndNoise, decode_iteratively
+from heliograph.receive.decode.gain_and_noise import GainAndNoise
+from heliograph.receive.decode.iterate import decode_iteratively
 from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.events import DecodeEvent, ignore
 from heliograph.receive.observe.cutout import Cutout, take_cutout

@@ -5,9 +5,8 @@ nothing changes any more.
 """
 
 import logging
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -15,13 +14,13 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.decode.codeword import Decoding
+from heliograph.receive.decode.gain_and_noise import GainAndNoise, moments_of
 from heliograph.receive.decode.layer import HOPELESS, Layer, decode_layer
 from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer
 from heliograph.receive.equalise.expectation_propagation import ExpectationPropagation
 from heliograph.receive.equalise.llr import information
 from heliograph.receive.equalise.lmmse import Estimate, equalise
 from heliograph.receive.equalise.polarity import SymbolMapper
-from heliograph.receive.observe.noise import LEAST_NOISE
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packets import Codeword
 from heliograph.receive.settings import Feedback
@@ -69,44 +68,6 @@ class EqualiseEvent:
 
 def ignore(event: object, /) -> None:
     """Observe nothing."""
-
-
-@dataclass(frozen=True, slots=True)
-class GainAndNoise:
-    """Gain and noise of a packet.
-
-    Attributes
-    ----------
-    gain
-        Gray levels of the array with all LEDs on.
-    noise
-        Variance of a pixel of a difference.
-    full_scale
-        Largest gain that the sensor can show.
-    """
-
-    gain: float
-    noise: float
-    full_scale: float = math.inf
-
-    def updated(self, moments: Floats, combined: bool) -> "GainAndNoise":
-        """Maximise the expected likelihood (a step of expectation and maximisation).
-
-        Parameters
-        ----------
-        moments
-            (4,) sums of `_moments` over all pairs.
-        combined
-            Whether frames were combined: their sums are not even, so the noise is estimated here too.
-        """
-        match, norm, power, pixels = moments
-        # g = <d, B m + o> / E|B c + o|^2; of pairs that do not show the array it may be anything
-        gain = min(match / norm, self.full_scale) if match > 0 and norm > 0 else self.gain
-        if not combined:
-            return replace(self, gain=gain)
-        # s^2 = E|d - g (B c + o)|^2 / pixels
-        noise = (power - 2 * gain * match + gain**2 * norm) / pixels
-        return replace(self, gain=gain, noise=max(noise, LEAST_NOISE))
 
 
 class Observed(Protocol):
@@ -373,7 +334,7 @@ class _Packet:
             except np.linalg.LinAlgError as error:
                 LOG.info("array %d: pair %d is left out: %s", self.identity, number, error)
                 continue
-            moments += _moments(pair, estimate)
+            moments += moments_of(pair, estimate)
         self.channel = channel.updated(moments, self.combined)
         parts = self.mapper.bits(llr, [layer.mean() for layer in self.layers.values()])
         for layer, part in zip(self.layers.values(), parts, strict=True):
@@ -410,11 +371,3 @@ def _equalise_combined(
         combination.response, weighted / precision - leak, 1 / precision + leak_spread, mean
     )
     return llrs, estimate
-
-
-def _moments(pair: PairStatistics, estimate: Estimate) -> Floats:
-    """<d, B m + o>, E|B c + o|^2, |d|^2 and the number of pixels."""
-    m = estimate.mean
-    match = float(m @ pair.matched) + pair.cross
-    norm = float(m @ (pair.gram @ m.astype(np.float32))) + estimate.trace + 2 * float(m @ pair.offset) + pair.drift
-    return np.array([match, norm, pair.power, pair.pixels])

@@ -1,0 +1,69 @@
+"""Gain and noise of a packet by expectation and maximisation, along with its symbols."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from heliograph.base.arrays import Floats
+from heliograph.receive.equalise.lmmse import Estimate
+from heliograph.receive.observe.noise import LEAST_NOISE
+from heliograph.receive.observe.statistics import PairStatistics
+
+
+@dataclass(frozen=True, slots=True)
+class GainAndNoise:
+    """Gain and noise of a packet.
+
+    Attributes
+    ----------
+    gain
+        Gray levels of the array with all LEDs on.
+    noise
+        Variance of a pixel of a difference.
+    full_scale
+        Largest gain that the sensor can show.
+    """
+
+    gain: float
+    noise: float
+    full_scale: float = math.inf
+
+    def updated(self, moments: Floats, combined: bool) -> "GainAndNoise":
+        """Maximise the expected likelihood (a step of expectation and maximisation).
+
+        Parameters
+        ----------
+        moments
+            (4,) sums of `moments_of` over all pairs.
+        combined
+            Whether frames were combined: their sums are not even, so the noise is estimated here too.
+        """
+        match, norm, power, pixels = moments
+        # g = <d, B m + o> / E|B c + o|^2; of pairs that do not show the array it may be anything
+        gain = min(match / norm, self.full_scale) if match > 0 and norm > 0 else self.gain
+        if not combined:
+            return replace(self, gain=gain)
+        # s^2 = E|d - g (B c + o)|^2 / pixels
+        noise = (power - 2 * gain * match + gain**2 * norm) / pixels
+        return replace(self, gain=gain, noise=max(noise, LEAST_NOISE))
+
+
+def moments_of(pair: PairStatistics, estimate: Estimate) -> Floats:
+    """What a pair says of gain and noise.
+
+    Parameters
+    ----------
+    pair
+        Its statistics.
+    estimate
+        Of its symbols.
+
+    Returns
+    -------
+    (4,) <d, B m + o>, E|B c + o|^2, |d|^2 and the number of pixels.
+    """
+    m = estimate.mean
+    match = float(m @ pair.matched) + pair.cross
+    norm = float(m @ (pair.gram @ m.astype(np.float32))) + estimate.trace + 2 * float(m @ pair.offset) + pair.drift
+    return np.array([match, norm, pair.power, pair.pixels])
