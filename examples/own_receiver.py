@@ -87,7 +87,7 @@ class Threshold:
         return Packet(identity, status, first.time_s, *numbers, pose, distance_m, 1.0, 1.0, 1.0, layers)
 
 
-heliograph.register_receiver("threshold", Threshold, ThresholdSettings)
+heliograph.register_receiver("threshold", Threshold, ThresholdSettings, reads=["calibration"])
 
 
 def main(few: bool) -> None:

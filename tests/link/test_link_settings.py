@@ -120,3 +120,8 @@ def test_identities_and_arrays_must_match(identities: str) -> None:
 def test_identities_must_differ() -> None:
     with pytest.raises(SettingsError, match="must differ"):
         load_settings("two-arrays", assignments=["transmit.identities=[3, 3]"])
+
+
+def test_own_settings_that_no_part_reads_are_refused() -> None:
+    with pytest.raises(SettingsError, match=r"channel\.own\.wind_rad has no effect"):
+        load_settings("static", None, ["channel.own.wind_rad=3e-4"])

@@ -20,7 +20,7 @@ class Every:
 @pytest.fixture(autouse=True)
 def mine() -> None:
     """Register the receiver "mine", which is never made."""
-    register_receiver("mine", lambda *_: pytest.fail("no receiver is asked for"), Every)
+    register_receiver("mine", lambda *_: pytest.fail("no receiver is asked for"), Every, ["calibration"])
 
 
 @pytest.mark.parametrize(
@@ -32,6 +32,9 @@ def mine() -> None:
         ({"receiver": "soft", "plain": {"equaliser": "inverse"}}, "receive.plain.equaliser"),
         ({"receiver": "soft", "own": {"frames": 3}}, "receive.own.frames"),
         ({"receiver": "mine", "soft": {"combining": False}}, "receive.soft.combining"),
+        ({"receiver": "mine", "detect": {"score": 0.8}}, "receive.detect.score"),
+        ({"receiver": "mine", "track": {"coast_patterns": 9}}, "receive.track.coast_patterns"),
+        ({"receiver": "mine", "decode": {"algorithm": "log-map"}}, "receive.decode.algorithm"),
     ],
 )
 def test_a_key_without_effect_is_refused(settings: dict[str, Any], key: str) -> None:

@@ -344,6 +344,12 @@ class ChannelSettings:
             raise ValueError(
                 f"stop_m is below distance_m = {self.distance_m:g}, not {self.stop_m:g}; or set duration_s"
             )
+        parts = ((MOTIONS, self.shake), (BACKGROUNDS, self.background.kind), (POINT_SPREADS, self.camera.psf))
+        if self.own and all(registry.is_built_in(name) for registry, name in parts):
+            keys = ", ".join(f"channel.own.{key}" for key in self.own)
+            raise ValueError(
+                f"{keys} has no effect, as shake, background.kind and camera.psf are the package's; leave it out"
+            )
         return self
 
     @property

@@ -4,9 +4,10 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from heliograph.base.config import from_mapping
+from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
 from heliograph.receive.packets import Packet, Receiver
-from heliograph.receive.registry import RECEIVERS, ReceiverPart, part_of
+from heliograph.receive.registry import GROUPS, RECEIVERS, ReceiverPart, part_of
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
@@ -17,7 +18,7 @@ MakeReceiver = Callable[[SignalSettings, ReceiveSettings, AnyObserver], Receiver
 """Makes a receiver before its first frame, from the light's signal, the settings and an observer."""
 
 
-def register_receiver(name: str, make: MakeReceiver, settings: type | None = None) -> None:
+def register_receiver(name: str, make: MakeReceiver, settings: type | None = None, reads: Iterable[str] = ()) -> None:
     """Register a receiver of one's own.
 
     It is then chosen by its name wherever ``receive.receiver`` is: on the command line, in sweeps, in plots. Packages
@@ -34,13 +35,19 @@ def register_receiver(name: str, make: MakeReceiver, settings: type | None = Non
     settings
         A frozen dataclass of its own settings, made of ``receive.own``; the receiver gets it as
         ``own_settings(receive_settings)``.
+    reads
+        Groups of ``receive`` that it reads beside: "calibration", "detect", "track", "decode". A setting of another
+        group has no effect, and is an error.
 
     Raises
     ------
     SettingsError
-        The name is "plain" or "soft", or is no name.
+        The name is "plain" or "soft", or is no name; or there is no such group.
     """
-    RECEIVERS.register(name, ReceiverPart(make, settings))
+    groups = tuple(reads)
+    if unknown := [group for group in groups if group not in GROUPS]:
+        raise SettingsError(f"a receiver reads groups of {', '.join(GROUPS)}, not {', '.join(unknown)}")
+    RECEIVERS.register(name, ReceiverPart(make, settings, groups))
 
 
 def own_settings(settings: ReceiveSettings) -> Any:

@@ -5,6 +5,9 @@ from typing import Any, NamedTuple
 
 from heliograph.base.registry import Registry
 
+GROUPS = ("calibration", "detect", "track", "decode")
+"""Groups of settings that are not one receiver's alone."""
+
 
 class ReceiverPart(NamedTuple):
     """A receiver by name.
@@ -15,10 +18,13 @@ class ReceiverPart(NamedTuple):
         Makes it of the light's signal, the receiver's settings and an observer.
     settings
         Class of its own settings, a frozen dataclass; None where it has none.
+    reads
+        Groups of ``receive`` that it reads beside ``receive.own``, of `GROUPS`.
     """
 
     make: Callable[..., Any]
     settings: type | None = None
+    reads: tuple[str, ...] = ()
 
 
 RECEIVERS: Registry[Any] = Registry(

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG, Fraction, Positive, from_mapping
-from heliograph.receive.registry import RECEIVERS, part_of
+from heliograph.receive.registry import GROUPS, RECEIVERS, part_of
 
 Equaliser = Literal["none", "inverse"]
 """How the plain receiver reads the LEDs of a pair; see `PlainSettings`."""
@@ -185,8 +185,8 @@ class ReceiveSettings:
             raise ValueError(f"detect.min_side_px must be below detect.max_side_px, not {smallest:g} and {largest:g}")
         for key in _without_effect(self):
             raise ValueError(
-                f"receive.{key} has no effect with receive.receiver = '{self.receiver}'; leave it out, or choose the "
-                f"receiver it belongs to"
+                f"receive.{key} has no effect with receive.receiver = '{self.receiver}'; leave it out, or choose "
+                f"{_reader_of(key, self.receiver)}"
             )
         if self.own and (kind := part_of(self.receiver).settings) is not None:
             from_mapping(kind, self.own)
@@ -201,9 +201,27 @@ def _without_effect(settings: ReceiveSettings) -> list[str]:
             found += _changed(getattr(settings, room), default, f"{room}.")
     if name == "plain" and settings.calibration.exposure_s is not None:
         found.append("calibration.exposure_s")
-    if RECEIVERS.is_built_in(name) or (settings.own and part_of(name).settings is None):
-        found += [f"own.{key}" for key in settings.own]
-    return found
+    if RECEIVERS.is_built_in(name):
+        return found + [f"own.{key}" for key in settings.own]
+    part = part_of(name) if (changed := _changed_groups(settings)) or settings.own else None
+    if part is None:  # nothing is asked of it, so it need not be loaded yet
+        return found
+    found += [key for key in changed if key.partition(".")[0] not in part.reads]
+    return found + [f"own.{key}" for key in settings.own if part.settings is None]
+
+
+def _reader_of(key: str, name: str) -> str:
+    """Who a setting without effect is for."""
+    group = key.partition(".")[0]
+    if group in GROUPS and not RECEIVERS.is_built_in(name):
+        return f"a receiver that reads it (this one is registered without reads=['{group}'])"
+    return "the receiver it belongs to"
+
+
+def _changed_groups(settings: ReceiveSettings) -> list[str]:
+    """Dotted keys of the groups that are not one receiver's alone, as far as they were changed."""
+    rooms = [(group, getattr(settings, group)) for group in GROUPS]
+    return [key for group, room in rooms for key in _changed(room, type(room)(), f"{group}.")]
 
 
 def _changed(settings: Any, default: Any, prefix: str) -> list[str]:
