@@ -4,6 +4,7 @@ A decoder gets them through `KnownPoses`, which records each request to refine t
 """
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import lru_cache
 
@@ -119,7 +120,7 @@ class KnownPoses:
     statistics
         Of each pair, None where the array was not seen.
     moves
-        Refinements that say that statistics changed all the same.
+        Refinements that return another packet all the same; it shares the records with this one.
 
     Attributes
     ----------
@@ -134,12 +135,12 @@ class KnownPoses:
         self.known: list[int] = []
         self.channels: list[GainAndNoise] = []
 
-    def refine(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
+    def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "KnownPoses":
         """Record what is known; see `decode.iterate.Observed`."""
         assert mean.shape == variance.shape
         self.known.append(int((variance[0] == 0).sum()))
         self.channels.append(GainAndNoise(gain, noise))
-        return len(self.known) <= self._moves
+        return copy(self) if len(self.known) <= self._moves else self
 
 
 def decoded(

@@ -149,8 +149,8 @@ class _FixedPoses:
     def statistics(self) -> Sequence[PairStatistics | None]:
         return self.observed.statistics
 
-    def refine(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:  # noqa: ARG002 - the protocol's
-        return False
+    def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "_FixedPoses":  # noqa: ARG002 - the protocol's
+        return self
 
 
 def known_receiver(link: LinkSettings, truths: Truths) -> Receiver:

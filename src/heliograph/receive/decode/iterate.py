@@ -7,7 +7,7 @@ nothing changes any more.
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,8 +77,8 @@ class Observed(Protocol):
     def statistics(self) -> Sequence[PairStatistics | None]:
         """Statistics of each pair, in the single mode of each pattern; None where the array was not seen."""
 
-    def refine(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
-        """Refine the poses by what is known of the symbols; return whether any statistics changed.
+    def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Self:
+        """Return the packet with its poses refined by what is known of the symbols; itself where none moves.
 
         Parameters
         ----------
@@ -89,6 +89,9 @@ class Observed(Protocol):
         noise
             Variance of a pixel in gray levels squared.
         """
+
+
+ObservedT = TypeVar("ObservedT", bound=Observed)
 
 
 def decode_iteratively(
@@ -106,7 +109,7 @@ def decode_iteratively(
     Parameters
     ----------
     observed
-        The packet's pairs; their poses are refined.
+        The packet's pairs.
     channel
         First estimate of gain and noise.
     form
@@ -127,7 +130,7 @@ def decode_iteratively(
     Codewords by layer.
     """
     packet = _Packet.begin(observed.statistics, channel, form, identity, options, feedback)
-    packet.decode(observed, buffer, observe)
+    observed = packet.decode(observed, buffer, observe)
     if packet.earlier is not None and packet.open.any():
         # the earlier packet may be another one, whose light stands in the way; poses stay refined
         alone = _Packet.begin(observed.statistics, packet.channel, form, identity, options, feedback)
@@ -201,8 +204,10 @@ class _Packet:
             packet.propagation = ExpectationPropagation.begin((len(statistics), form.settings.side**2))
         return packet
 
-    def decode(self, observed: Observed, buffer: SoftBuffer | None, observe: Callable[[EqualiseEvent], None]) -> None:
-        """Iterate between equaliser and decoder."""
+    def decode(
+        self, observed: ObservedT, buffer: SoftBuffer | None, observe: Callable[[EqualiseEvent], None]
+    ) -> ObservedT:
+        """Iterate between equaliser and decoder; return the pairs as they are seen with refined poses."""
         # poses of combined pairs are not refined
         refinements = REFINEMENTS if self.feedback != "none" and not self.combined else 0
         due = moved = False
@@ -222,7 +227,8 @@ class _Packet:
             due |= decoded
             # at least once, and until they stay: a codeword may seem hopeless because of its poses
             if refinements and due and (refinements == REFINEMENTS or moved or not self.hopeless[left].all()):
-                moved = observed.refine(*self.expected(), self.channel.gain, self.channel.noise)
+                refined = observed.refined(*self.expected(), self.channel.gain, self.channel.noise)
+                moved, observed = refined is not observed, refined
                 self.replace(observed.statistics)
                 if moved:
                     self.forget_guesses()
@@ -233,6 +239,7 @@ class _Packet:
             elif not decoded and ((self.information - before)[left].max() < PROGRESS or self.hopeless[left].all()):
                 break
         self.doubt()
+        return observed
 
     @property
     def open(self) -> NDArray[np.bool_]:

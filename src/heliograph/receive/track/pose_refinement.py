@@ -11,6 +11,7 @@ processes, of the sizes that explain the packet best.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import product
 
@@ -71,7 +72,7 @@ class ObservedPacket:
         """Statistics of each pair; None where the array was not seen."""
         return self._statistics
 
-    def refine(self, mean: Floats, variance: Floats, gain: float, noise: float) -> bool:
+    def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "ObservedPacket":
         """Correct the poses by what is decoded.
 
         Parameters
@@ -85,21 +86,31 @@ class ObservedPacket:
 
         Returns
         -------
-        Whether the statistics of any pair changed.
+        The packet with corrected poses; itself where none moves.
         """
         if self._form.single:
             # these poses come from decided data already
-            return False
+            return self
         steps = self._pose_errors(mean, variance, gain, noise) - self._errors
-        moved = False
-        for k, (cutout, error) in enumerate(zip(self._cutouts, steps, strict=True)):
-            if cutout is None or not worth_moving(error):
-                continue
-            moved = True
-            self._errors[k] += error
-            cutout = self._cutouts[k] = cutout.moved(error)
-            whitened = self._whitened[k] = self._whiten(cutout)
-            self._statistics[k] = whitened.statistics()
+        moving = [
+            k
+            for k, (cutout, error) in enumerate(zip(self._cutouts, steps, strict=True))
+            if cutout is not None and worth_moving(error)
+        ]
+        return self._moved(moving, steps) if moving else self
+
+    def _moved(self, moving: Sequence[int], steps: Floats) -> "ObservedPacket":
+        """Return the packet with the poses of some pairs moved by `steps`, (pairs, 4)."""
+        moved = copy(self)
+        moved._cutouts, moved._whitened = [*self._cutouts], [*self._whitened]
+        moved._statistics, moved._errors = [*self._statistics], self._errors.copy()
+        for k in moving:
+            cutout = self._cutouts[k]
+            assert cutout is not None  # only pairs that are there move
+            cutout = moved._cutouts[k] = cutout.moved(steps[k])
+            whitened = moved._whitened[k] = self._whiten(cutout)
+            moved._statistics[k] = whitened.statistics()
+            moved._errors[k] += steps[k]
         return moved
 
     def _whiten(self, cutout: Cutout) -> WhitenedCutout:
