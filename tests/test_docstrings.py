@@ -15,6 +15,9 @@ HELD = ("base", "signal", "transmit", "channel", "media", "receive", "link", "me
 ERRORS = {"HeliographError", "SettingsError", "MediaError", "ValueError"}
 """Errors that a body raises on purpose."""
 
+FEWEST_WORDS = 4
+"""Words of which a description has at least so many: "The array's." tells neither what it is nor its unit."""
+
 PUBLIC_MAGIC = ("__call__",)
 """Magic methods that are called by hand, and so described."""
 
@@ -64,6 +67,11 @@ def listed(doc: str, title: str) -> set[str]:
     """Names of a section's items that have a text."""
     items = section(doc, title)
     return {name.strip() for line, text in items.items() if text for name in line.partition(" : ")[0].split(",")}
+
+
+def too_short(doc: str, title: str) -> list[str]:
+    """Items of a section whose text says hardly more than their names."""
+    return [name for name, text in section(doc, title).items() if 0 < len(text.split()) < FEWEST_WORDS]
 
 
 def parameters(node: Function, method: bool) -> list[str]:
@@ -117,17 +125,18 @@ def problems(name: str, node: Definition, items: dict[str, Definition]) -> Itera
         return
     if isinstance(node, ast.ClassDef):
         wanted = fields(node) if is_dataclass(node) else []
-        wanted += [p for make in constructors(node) if len(p_all := parameters(make, True)) > 1 for p in p_all]
+        wanted += [p for make in constructors(node) for p in parameters(make, True)]
         had, errors = (
             listed(doc, "Parameters") | listed(doc, "Attributes"),
             set[str]().union(*map(raised, constructors(node))),
         )
     else:
-        all_of_them = parameters(node, isinstance(items.get(name.rpartition(".")[0]), ast.ClassDef))
-        wanted = all_of_them if len(all_of_them) > 1 else []
+        wanted = parameters(node, isinstance(items.get(name.rpartition(".")[0]), ast.ClassDef))
         had, errors = listed(doc, "Parameters") | listed(protocol_doc(name, doc, items), "Parameters"), raised(node)
     if missing := [p for p in wanted if p not in had]:
         yield f"{name}: not described: {', '.join(missing)}"
+    if short := [item for title in ("Parameters", "Attributes") for item in too_short(doc, title)]:
+        yield f"{name}: says too little: {', '.join(short)}"
     if unsaid := errors - listed(doc, "Raises"):
         yield f"{name}: not under Raises: {', '.join(sorted(unsaid))}"
 
@@ -159,7 +168,13 @@ BAD = '''
 def bare(x): pass
 
 def one(x):
-    """One parameter may stand in the summary."""
+    """One parameter is described, too.
+
+    Parameters
+    ----------
+    x
+        Length of x in m.
+    """
 
 def two(x, y, *rest, **more):
     """Lack y.
@@ -167,7 +182,7 @@ def two(x, y, *rest, **more):
     Parameters
     ----------
     x
-        The first.
+        The first of both numbers.
 
     Returns
     -------
@@ -181,26 +196,35 @@ def pair(x, y):
     Parameters
     ----------
     x, y
-        Both.
+        Both of the numbers.
     """
     def inner():
         raise ValueError("of the inner one")
     raise RuntimeError("not on purpose")
 
-def wrong(x):
+def short(x):
+    """Say too little.
+
+    Parameters
+    ----------
+    x
+        The array's.
+    """
+
+def wrong():
     """Raise without saying so."""
-    if x:
+    if now:
         raise ValueError("x")
 
-def right(x):
+def right():
     """Raise.
 
     Raises
     ------
     ValueError
-        x is true.
+        It is now.
     """
-    if x:
+    if now:
         raise ValueError("x")
 
 class Made:
@@ -209,7 +233,7 @@ class Made:
     Parameters
     ----------
     a
-        The first.
+        The first of both numbers.
     """
 
     def __init__(self, a, b):
@@ -217,6 +241,9 @@ class Made:
 
     def method(self, x):
         """One parameter."""
+
+    def none(self):
+        """No parameter."""
 
     @staticmethod
     def static(x, y):
@@ -233,7 +260,7 @@ class Agreed(Protocol):
         Parameters
         ----------
         x, y
-            Both.
+            Both of the numbers.
         """
 
 class Keeping:
@@ -252,7 +279,7 @@ class Data:
     Attributes
     ----------
     size : int
-        The size.
+        Size of it in px.
     count
     """
 
@@ -266,9 +293,11 @@ def test_each_fault_is_found() -> None:
     assert all_problems(list(definitions(ast.parse(BAD).body, "m"))) == [
         "m.bare: no docstring",
         "m.two: not described: y",
+        "m.short: says too little: x",
         "m.wrong: not under Raises: ValueError",
         "m.Made: not described: b",
         "m.Made: not under Raises: SettingsError",
+        "m.Made.method: not described: x",
         "m.Made.static: not described: x, y",
         "m.Keeping.write: not described: x, y",
         "m.Data: not described: count",

@@ -45,7 +45,7 @@ def from_mapping(cls: type[T], mapping: Mapping[str, Any]) -> T:
     Parameters
     ----------
     cls
-        Settings class.
+        Settings class, or a plain dataclass, of which one is made.
     mapping
         Values by field name; a settings class within it takes a mapping of its own. Missing keys keep their defaults.
 
@@ -70,12 +70,23 @@ def from_mapping(cls: type[T], mapping: Mapping[str, Any]) -> T:
 
 
 def to_mapping(settings: Any) -> dict[str, Any]:
-    """Return settings as nested dictionaries of plain values, the inverse of `from_mapping`."""
+    """Return settings as nested dictionaries of plain values, the inverse of `from_mapping`.
+
+    Parameters
+    ----------
+    settings
+        Settings of any class; those within them become dictionaries too.
+    """
     return asdict(settings)
 
 
 def parse_toml(text: str) -> dict[str, Any]:
     """Parse TOML text to nested dictionaries.
+
+    Parameters
+    ----------
+    text
+        A whole TOML document.
 
     Raises
     ------
@@ -89,7 +100,12 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def parse_assignment(text: str) -> dict[str, Any]:
-    """Turn ``a.b=3`` into ``{"a": {"b": 3}}``; the value is read as TOML or, where it is none, as bare text.
+    """Turn ``a.b=3`` into ``{"a": {"b": 3}}``.
+
+    Parameters
+    ----------
+    text
+        Dotted key, ``=`` and value. The value is read as TOML or, where it is none, as bare text.
 
     Raises
     ------
@@ -143,7 +159,13 @@ def merge(base: Any, over: Any) -> Any:
 
 
 def keys_of(cls: type) -> Iterator[str]:
-    """Yield the dotted keys of all plain values of a settings class; a list of settings counts as its item 0."""
+    """Yield the dotted keys of all plain values of a settings class; a list of settings counts as its item 0.
+
+    Parameters
+    ----------
+    cls
+        Settings class, or a plain dataclass; keys of a class within it follow the field's name and a dot.
+    """
     for field in fields(cls):
         items = [kind for kind in get_args(field.type) if isinstance(kind, type) and is_dataclass(kind)]
         if isinstance(field.type, type) and is_dataclass(field.type):

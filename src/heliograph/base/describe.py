@@ -60,7 +60,13 @@ class KeyDescription:
 
 
 def describe(cls: type) -> list[KeyDescription]:
-    """Describe all keys of a settings class, without those of whole tables, in the order of the class."""
+    """Describe all keys of a settings class, without those of whole tables, in the order of the class.
+
+    Parameters
+    ----------
+    cls
+        Settings class whose docstring has an Attributes section.
+    """
     schema = TypeAdapter(cls).json_schema()
     return list(_keys(cls, schema, schema.get("$defs", {}), ""))
 
@@ -73,7 +79,7 @@ def commented(toml: str, cls: type) -> str:
     toml
         TOML of settings, a key per line.
     cls
-        Their class.
+        Class of these settings; its docstring says what each key means.
     """
     meanings = {re.sub(r"\.0\.", ".", one.key): one for one in describe(cls)}
     lines: list[str] = []

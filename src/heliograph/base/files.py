@@ -61,7 +61,12 @@ def write_whole(path: Path, data: bytes) -> None:
 
 @contextlib.contextmanager
 def clear_write_errors(path: Path) -> Iterator[None]:
-    """Turn an OSError raised in the block, while `path` is written, into a MediaError of one line.
+    """Turn an OSError raised in the block into a MediaError of one line.
+
+    Parameters
+    ----------
+    path
+        File or folder that the block writes; the message names it.
 
     Raises
     ------

@@ -49,7 +49,7 @@ class Registry(Generic[T]):
         name
             Its name: letters, digits, "-", "_" and ".".
         part
-            The part.
+            What ``registry[name]`` is to return.
 
         Raises
         ------
@@ -87,7 +87,12 @@ class Registry(Generic[T]):
         return found
 
     def check(self, name: str) -> str:
-        """Return the name of a part.
+        """Return the name of a part, if there is one.
+
+        Parameters
+        ----------
+        name
+            Name as the user wrote it.
 
         Raises
         ------
@@ -109,7 +114,13 @@ class Registry(Generic[T]):
         return [*self._built_in, *sorted({*self._own, *offered} - set(self._built_in))]
 
     def is_built_in(self, name: str) -> bool:
-        """Whether a part is one of the package."""
+        """Whether a part is one of the package.
+
+        Parameters
+        ----------
+        name
+            Name of the part; False if no part has it.
+        """
         return name in self._built_in
 
 
@@ -120,7 +131,7 @@ class Module:
     Attributes
     ----------
     name
-        Its name.
+        Name by which it is imported, or under which ``sys.modules`` holds it once its file was run.
     file
         Its file; None for a module that is imported by its name.
     source

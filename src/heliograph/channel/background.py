@@ -65,7 +65,7 @@ def warp(
     first
         (H, W) uint8 image; pixels beyond its edges repeat the edge.
     second
-        (H, W) uint8 image.
+        (H, W) uint8 image of the same size.
     weight
         Weight of the second image, 0 to 1: the mixture is (1 - weight) first + weight second.
     affine
@@ -186,7 +186,12 @@ class Clip:
             raise SettingsError("the footage has no frames")
 
     def at(self, time_s: float) -> tuple[Gray, Gray, float]:
-        """Return the frames before and after a time in s (0 if negative), and the weight of the second, 0 to 1.
+        """Return the frames before and after a time, and the weight of the second, 0 to 1.
+
+        Parameters
+        ----------
+        time_s
+            Time since the start of the footage in s; a negative one counts as 0.
 
         Raises
         ------
@@ -313,13 +318,26 @@ class Scenery:
 
 
 def flat_background(scenery: Scenery) -> Painter:
-    """Return the painter of an even background."""
+    """Return the painter of an even background.
+
+    Parameters
+    ----------
+    scenery
+        What the background is made for; ``settings.background.level`` is its light in full scales.
+    """
     level = scenery.settings.background.level
     return lambda light, *_: light.fill(level)
 
 
 def drawn_background(scenery: Scenery) -> Painter:
-    """Return the painter of a drawn street, which moves with the camera."""
+    """Return the painter of a drawn street, which moves with the camera.
+
+    Parameters
+    ----------
+    scenery
+        What the background is made for; its source of randomness draws the street, and ``settings.background.gain`` is
+        the light of white in full scales.
+    """
     scene, settings = draw_scene(scenery.size, scenery.rng), scenery.settings
     gain = settings.background.gain / _WHITE
     return _painter(lambda _: (scene, scene, 0.0), gain, settings.camera, scenery.size, SCENE_DEPTH_M)
@@ -327,6 +345,12 @@ def drawn_background(scenery: Scenery) -> Painter:
 
 def footage_background(scenery: Scenery) -> Painter:
     """Return the painter of recorded frames, which move with the camera's shake.
+
+    Parameters
+    ----------
+    scenery
+        What the background is made for; it has the recorded frames, and ``settings.background.gain`` is the light of
+        white in full scales.
 
     Raises
     ------
@@ -348,7 +372,7 @@ def background(settings: ChannelSettings, footage: Footage | None, rng: np.rando
     settings
         The channel; ``settings.background.kind`` names the background.
     footage
-        Recorded frames, for the kind "footage".
+        Recorded frames, for the kind "footage"; None where there are none.
     rng
         Draws the scene of the kind "synthetic".
 

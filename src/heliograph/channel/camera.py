@@ -27,7 +27,13 @@ _LENGTH_SLACK = 1e-6
 
 
 def frame_count(settings: ChannelSettings) -> int:
-    """Return the number of frames whose exposure ends within the film; dropped frames count."""
+    """Return the number of frames whose exposure ends within the film; dropped frames count.
+
+    Parameters
+    ----------
+    settings
+        The channel, of which the camera's times and the length of the film are used (see `film_duration`).
+    """
     camera = settings.camera
     room = film_duration(settings) - camera.start_s - camera.exposure_s
     return max(0, math.floor(room / camera.frame_period_s + _LENGTH_SLACK) + 1)
@@ -49,7 +55,7 @@ def film(
     Parameters
     ----------
     settings
-        The channel.
+        The whole channel: scene, vehicle, camera, emitters, sensor and background.
     lights
         For each array of the settings its patterns in the order of time, (n, n) uint8 levels 0 to 4, possibly
         endless; the array is dark before the first and after the last.
@@ -60,9 +66,9 @@ def film(
     slot_order
         Order of the PWM slots, a permutation of 0 to 3, as in the signal's settings.
     footage
-        Recorded frames for ``background.kind`` = "footage".
+        Recorded frames for ``background.kind`` = "footage"; None where there are none.
     imu
-        Recorded trace for ``shake`` = "imu".
+        Recorded trace for ``shake`` = "imu"; None where there is none.
     roi_margin_px
         None for whole frames. Else frames are windows about all arrays with this margin in pixels, at least 0, cut at
         the sensor's edges; their pixels are those of the whole frame, noise included.

@@ -58,7 +58,12 @@ class PatternFeed:
             raise ValueError(f"the lights of {name} show no pattern at all; leave the array out instead")
 
     def at(self, number: int) -> NDArray[np.uint8] | None:
-        """Return pattern `number`; None where there is none, or where it is `HELD_PATTERNS` or more before the newest.
+        """Return a pattern; None where there is none, or where it is `HELD_PATTERNS` or more before the newest.
+
+        Parameters
+        ----------
+        number
+            Number of the pattern in the order of time, 0 for the first; there is none below 0.
 
         Raises
         ------
@@ -134,7 +139,13 @@ class Lit:
         return sums[0] / (end_s - start_s), late, np.maximum(sums[2] / total - late**2, 0)
 
     def split(self, longest_s: float) -> "Lit":
-        """Return the same exposure with its pieces cut into equal parts of at most `longest_s` seconds."""
+        """Return the same exposure with each piece cut into equal parts.
+
+        Parameters
+        ----------
+        longest_s
+            Largest length of a part in s, above 0.
+        """
         count = np.maximum(np.ceil((self.end_s - self.start_s) / longest_s - _PARTS_SLACK), 1).astype(int)
         part = np.concatenate([np.arange(c) for c in count])
         length = np.repeat((self.end_s - self.start_s) / count, count)
@@ -174,7 +185,7 @@ class Faults:
         side
             LEDs in a row and in a column.
         rng
-            Draws the LEDs.
+            Draws which LEDs are dead and which are stuck.
         """
         order = rng.permutation(side * side).reshape(side, side)
         many, more = round(place.dead * side * side), round(place.stuck * side * side)
@@ -186,7 +197,13 @@ class Faults:
         return cls(order < many, (order >= many) & (order < many + more), hidden, place.off_s)
 
     def visible(self, on: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the LEDs whose light reaches the camera, of (k, n, n) LEDs that the patterns light."""
+        """Return the LEDs whose light reaches the camera, (k, n, n).
+
+        Parameters
+        ----------
+        on
+            (k, n, n) bool, LEDs that the patterns light in each of k pieces of an exposure.
+        """
         return np.asarray(((on & ~self.dead) | self.stuck) & ~self.hidden)
 
     def cut(self, begin_s: float, end_s: float) -> Iterator[tuple[float, float]]:
@@ -220,7 +237,7 @@ class Lighting:
     Attributes
     ----------
     feed
-        The patterns.
+        The array's patterns by number.
     start_s
         True time at which pattern 0 starts, in s.
     period_s

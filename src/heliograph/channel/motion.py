@@ -111,7 +111,13 @@ class ImuTrace:
         return cls(columns[0] - columns[0][0], np.stack(columns[1:4], -1), columns[4])
 
     def speed_profile(self, step_s: float = 0.5) -> tuple[tuple[float, float], ...]:
-        """Return the recorded speed, at least 0, as points (s, m/s) every `step_s` for ``channel.speed_profile``."""
+        """Return the recorded speed, at least 0, as points (s, m/s) for ``channel.speed_profile``.
+
+        Parameters
+        ----------
+        step_s
+            Time from one point to the next in s, above 0.
+        """
         times = np.arange(0, self.t_s[-1], step_s)
         speeds = np.maximum(np.interp(times, self.t_s, self.speed_m_s), 0)
         return tuple((float(t), float(v)) for t, v in zip(times, speeds, strict=True))
@@ -134,16 +140,34 @@ class Travel:
 
     @classmethod
     def of(cls, settings: ChannelSettings) -> "Travel":
-        """Return the travel of the settings' speed profile, or of their constant speed."""
+        """Return the travel of a channel's vehicle.
+
+        Parameters
+        ----------
+        settings
+            The channel; ``speed_profile`` is used, or ``speed_m_s`` where that is empty.
+        """
         points = settings.speed_profile or ((0.0, settings.speed_m_s),)
         return cls(*np.array(points, float).T)
 
     def speed(self, times_s: Floats) -> Floats:
-        """Return the speed in m/s at times in s, of any shape."""
+        """Return the speed in m/s at some times.
+
+        Parameters
+        ----------
+        times_s
+            (...) times in s, of any shape; the speed is constant before the first point and after the last.
+        """
         return np.interp(times_s, self.time_s, self.speed_m_s)
 
     def distance(self, times_s: ArrayLike) -> Floats:
-        """Return the distance in m driven since time 0, at times in s of any shape; negative before time 0."""
+        """Return the distance in m driven since time 0; negative before time 0.
+
+        Parameters
+        ----------
+        times_s
+            (...) times in s, of any shape.
+        """
         return self._since_first(np.asarray(times_s, float)) - self._since_first(np.zeros(1))[0]
 
     def _since_first(self, times_s: Floats) -> Floats:
@@ -162,7 +186,7 @@ class Travel:
         distance_m
             Distance since time 0 in m, at least 0.
         longest_s
-            Latest time in s.
+            Latest time in s that is searched, above 0.
 
         Raises
         ------
@@ -192,13 +216,24 @@ class Motion:
     shake: Shake | None
 
     def pose(self, times_s: Floats) -> CameraPose:
-        """Return the poses at times in s, of any shape."""
+        """Return the poses at some times.
+
+        Parameters
+        ----------
+        times_s
+            (...) times in s, of any shape, from the start of the film to its end.
+        """
         shake = np.zeros((*times_s.shape, 4)) if self.shake is None else self.shake(times_s)
         return CameraPose(self.travel.distance(times_s), *np.moveaxis(shake, -1, 0))
 
 
 def film_duration(settings: ChannelSettings) -> float:
     """Return the length of the film in s: as set, until ``stop_m`` is reached, or 1 s at a standstill.
+
+    Parameters
+    ----------
+    settings
+        The channel, of which ``duration_s``, ``distance_m``, ``stop_m`` and the speed are used.
 
     Raises
     ------
@@ -216,9 +251,9 @@ def road_shake(travel: Travel, road: RoadProfile, start_s: float, end_s: float, 
     Parameters
     ----------
     travel
-        Distance along the road.
+        Speed of the car and distance along the road.
     road
-        Height of the road.
+        Height of the road along it.
     start_s
         Start of the film in s.
     end_s
@@ -247,7 +282,7 @@ def imu_shake(trace: ImuTrace, trace_start_s: float, start_s: float, end_s: floa
     Parameters
     ----------
     trace
-        The recorded trace.
+        Recorded rates of the gyro, with times that count from 0, as `ImuTrace.from_columns` makes them.
     trace_start_s
         Time of the trace that is time 0 of the film, in s.
     start_s
@@ -298,12 +333,24 @@ class Drive:
 
 
 def no_motion(drive: Drive) -> None:  # noqa: ARG001 - all motions are made of a drive
-    """Return no shake."""
+    """Return no shake.
+
+    Parameters
+    ----------
+    drive
+        What the motion is made for; it is not looked at.
+    """
     return
 
 
 def road_motion(drive: Drive) -> Shake | None:
-    """Return the shake of a half-car on a random road."""
+    """Return the shake of a half-car on a random road.
+
+    Parameters
+    ----------
+    drive
+        What the motion is made for; its source of randomness draws a road of ``settings.road_class``.
+    """
     travel = drive.travel
     length = float(travel.distance(drive.end_s) - travel.distance(drive.start_s - RUN_IN_S)) + _MARGIN_M
     road = road_profile(drive.settings.road_class, length, drive.rng)
@@ -312,6 +359,12 @@ def road_motion(drive: Drive) -> Shake | None:
 
 def imu_motion(drive: Drive) -> Shake | None:
     """Return the shake of a recorded trace.
+
+    Parameters
+    ----------
+    drive
+        What the motion is made for; it has the trace, and ``settings.imu_start_s`` is the time of it in s that is time
+        0 of the film.
 
     Raises
     ------

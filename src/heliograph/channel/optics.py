@@ -195,7 +195,7 @@ def add_leds(
     drift
         (3, 3) change of the homography a second.
     eye
-        (3,) of `scene.homography` at that time.
+        (3,) position of the camera in the array's axes in m, of `scene.homography` at that time.
     moments
         Three (n, n) float64: light of each LED times the fraction of the exposure for which it is lit, in full scales;
         the centroid of its lit time in s, from the time of the homography; the variance of its lit time in s^2.
@@ -204,11 +204,11 @@ def add_leds(
     lens
         Focal length in px, blur in px.
     points
-        (k, 2) centres of `disc_cubature`.
+        (k, 2) centres of the Gaussians of `disc_cubature`, in radii of the emitter's disc.
     rest
-        Variance of `disc_cubature`.
+        Variance of each of these Gaussians along an axis, in squared radii of the disc.
     table
-        `normal_table`.
+        Samples of the normal distribution function, as `normal_table` returns them.
     """
     level, late, spread = moments
     pitch, radius, order = emitter
@@ -275,7 +275,7 @@ def cover(
     level
         Light of the panel in full scales.
     table
-        `normal_table`.
+        Samples of the normal distribution function, as `normal_table` returns them.
     """
     height, width = light.shape
     for y in range(max(box[1], corner[1]), min(box[3], corner[1] + height - 1) + 1):

@@ -47,13 +47,13 @@ class FilmScene:
     Attributes
     ----------
     settings
-        The channel.
+        The whole channel: scene, camera, emitters, sensor and background.
     lightings
         The patterns of each array, in the order of ``settings.arrays``.
     drive
-        The camera's motion.
+        The camera's pose at any time.
     paint
-        The background.
+        Writes the background into a window of the light.
     """
 
     settings: ChannelSettings
@@ -62,7 +62,13 @@ class FilmScene:
     paint: Painter
 
     def half_m(self, array: int) -> float:
-        """Return half the side of the panel of array number `array`, in m."""
+        """Return half the side of an array's panel, in m.
+
+        Parameters
+        ----------
+        array
+            Number of the array, from 0, in the order of ``settings.arrays``.
+        """
         emitter = self.settings.emitter
         return self.lightings[array].feed.side / 2 * emitter.pitch_m + emitter.panel_margin_m
 
@@ -72,7 +78,7 @@ class FilmScene:
         Parameters
         ----------
         array
-            Number of the array.
+            Number of the array, from 0, in the order of ``settings.arrays``.
         times_s
             (...) times in s.
         pose
@@ -105,7 +111,13 @@ class Canvas:
     corner: tuple[int, int]
 
     def meets(self, box: NDArray[np.int64]) -> bool:
-        """Return whether a box on the sensor, (4,) first x, first y, last x, last y, reaches into the window."""
+        """Return whether a box on the sensor reaches into the window.
+
+        Parameters
+        ----------
+        box
+            (4,) first x, first y, last x, last y of its pixels on the sensor.
+        """
         (x, y), (height, width) = self.corner, self.light.shape
         return bool(box[0] < x + width and box[1] < y + height and box[2] >= x and box[3] >= y)
 
@@ -142,7 +154,7 @@ class ArrayView:
     drift
         (b, 3, 3) mean change of the homography a second during the exposure.
     panel
-        The array's panel.
+        Where the array's panel is seen, at the middle of the exposures.
     bounds
         (b, 2, 2) least and largest (x, y) in px of the panel's image during the exposure.
     motion_px
@@ -182,7 +194,7 @@ class FrameBlock:
     pose
         Poses of the camera at these times, (b, 3).
     views
-        The view of each array.
+        The view of each array, in the order of ``channel.arrays``.
     """
 
     index: NDArray[np.int64]
@@ -252,9 +264,9 @@ def windows(block: FrameBlock, camera: CameraSettings, roi: int | None) -> NDArr
     Parameters
     ----------
     block
-        b frames.
+        Poses and views of b frames.
     camera
-        Size of the sensor.
+        Settings of the camera, of which the size of the sensor is used.
     roi
         Margin about all arrays ahead in px, at least 0; None for the whole sensor.
 
@@ -285,7 +297,7 @@ def render(scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas) -> tuple
     block
         Poses and views of frames.
     k
-        Place of the frame in the block.
+        Place of the frame in the block, from 0.
     canvas
         The window; its light is written.
 
@@ -361,7 +373,7 @@ def add_array(
     Parameters
     ----------
     settings
-        Emitters and camera.
+        The channel, of which emitter and camera are used.
     one
         (3, 3) homography, as for `optics.add_leds`.
     drift

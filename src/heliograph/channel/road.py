@@ -40,7 +40,13 @@ class RoadProfile:
     height_m: NDArray[np.float64]
 
     def at(self, distance_m: ArrayLike) -> NDArray[np.float64]:
-        """Return the height in m at distances along the road in m, by straight lines between the samples."""
+        """Return the height in m along the road, by straight lines between the samples.
+
+        Parameters
+        ----------
+        distance_m
+            (...) distances along the road in m, of any shape and sign; the profile repeats beyond its ends.
+        """
         place = np.asarray(distance_m) / STEP_M
         return np.interp(place, np.arange(self.height_m.size), self.height_m, period=self.height_m.size)
 
@@ -51,7 +57,7 @@ def roughness(road_class: str, per_m: ArrayLike) -> NDArray[np.float64]:
     Parameters
     ----------
     road_class
-        "A" to "D".
+        Class of the road by ISO 8608, "A" (smooth) to "D" (rough).
     per_m
         Spatial frequencies in cycle/m, above 0, of any shape.
 
@@ -69,11 +75,11 @@ def road_profile(road_class: str, length_m: float, rng: np.random.Generator) -> 
     Parameters
     ----------
     road_class
-        "A" to "D".
+        Class of the road by ISO 8608, "A" (smooth) to "D" (rough).
     length_m
         Length in m after which the profile may repeat.
     rng
-        Draws the phases.
+        Draws the phase of each wave.
     """
     samples = 1 << int(np.ceil(np.log2(max(length_m, SHORTEST_M) / STEP_M - _WHOLE)))
     per_m = np.fft.rfftfreq(samples, STEP_M)

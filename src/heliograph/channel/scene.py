@@ -80,9 +80,9 @@ def homography(
     placement
         Position, tilt and velocity of the array.
     distance_m
-        ``channel.distance_m``, above 0.
+        Distance in m from the camera at time 0 to the plane of arrays with ``z_offset_m`` = 0, above 0.
     camera
-        Sensor and focal length.
+        Settings of the camera, of which size of the sensor and focal length are used.
 
     Returns
     -------
@@ -135,12 +135,24 @@ def project(homographies: Floats, points_m: Floats) -> tuple[Floats, Floats]:
 
 
 def centre_scale(homographies: Floats) -> Floats:
-    """Return the Jacobian (..., 2, 2) of maps (..., 3, 3) of `homography` at the array's centre, in px/m."""
+    """Return the Jacobian of maps at the array's centre, (..., 2, 2) in px/m.
+
+    Parameters
+    ----------
+    homographies
+        (..., 3, 3) maps of `homography`.
+    """
     depth = homographies[..., 2, 2, None, None]
     centre = homographies[..., :2, 2:] / depth
     return (homographies[..., :2, :2] - centre * homographies[..., 2:, :2]) / depth
 
 
 def square(half_m: float) -> Floats:
-    """Return the corners (4, 2) in m of a square about the array's centre; `half_m` is half its side."""
+    """Return the corners of a square about the array's centre, (4, 2) in m right and down of it.
+
+    Parameters
+    ----------
+    half_m
+        Half the side of the square in m, at least 0.
+    """
     return half_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

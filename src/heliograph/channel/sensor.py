@@ -174,7 +174,7 @@ def read_out(
     light
         (h, w) float32, mean light of each pixel in full scales; what is below 0 counts as 0.
     sensor
-        The sensor's settings.
+        Settings of the sensor: full well, dark noise, bits and black level.
     seed
         Selects the noise of the film, 0 to 2^64 - 1.
     frame

@@ -307,13 +307,13 @@ class ChannelSettings:
     arrays
         Arrays in the scene.
     camera
-        The camera.
+        The camera, its lens and its clock.
     emitter
         LEDs and panel, the same for all arrays.
     sensor
-        The image sensor.
+        Noise and levels of the image sensor.
     background
-        The background.
+        What is seen behind the arrays.
     own
         Settings of registered motions, backgrounds and point-spread functions, by name.
     """

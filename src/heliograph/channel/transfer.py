@@ -27,7 +27,13 @@ class Transfer:
         self._last: Frame | None = None
 
     def __call__(self, frame: Frame) -> Frame | None:
-        """Take the next frame and return it as delivered; None where it is dropped."""
+        """Take the next frame and return it as delivered; None where it is dropped.
+
+        Parameters
+        ----------
+        frame
+            Frame as the camera made it; frames come in the order of time.
+        """
         camera = self._camera
         if not (camera.dropped or camera.repeated or camera.jitter_s):
             return frame

@@ -15,13 +15,19 @@ class NoiseModel:
     Attributes
     ----------
     sensor
-        The sensor's settings.
+        Settings of the sensor, of which full well, dark noise and bits are used.
     """
 
     sensor: SensorSettings
 
     def sigma(self, level: ArrayLike) -> NDArray[np.float64]:
-        """Return the rms noise in full scales at mean light levels in full scales, of any shape; clipping left out."""
+        """Return the rms noise in full scales, with clipping left out.
+
+        Parameters
+        ----------
+        level
+            (...) mean light in full scales, of any shape, at least 0.
+        """
         s = self.sensor
         # EMVA 1288: sigma_y^2 = K^2 (sigma_d^2 + mu_e) + 1/12 DN^2
         electrons = np.asarray(level, float) * s.full_well_e
@@ -69,13 +75,13 @@ class Truth:
     Attributes
     ----------
     index
-        Number of the frame.
+        Number of the frame, from 0; dropped frames count.
     time_s
         True start of the exposure in s (the frame itself has the time of the camera's clock).
     arrays
         The truth of each array, in the order of ``channel.arrays``.
     noise
-        The sensor's noise.
+        Noise of the sensor at any light.
     """
 
     index: int

@@ -19,9 +19,9 @@ def static_link(distance_m: float, rng: np.random.Generator, **changes: Any) -> 
     Parameters
     ----------
     distance_m
-        Distance in m.
+        Distance from camera to array in m, above 0.
     rng
-        Draws the place.
+        Draws the array's place within the pixel.
     changes
         Nested settings laid over the preset "static", by their first key.
     """
@@ -36,11 +36,11 @@ def centred_link(distance_m: float, rng: np.random.Generator, brightness: float 
     Parameters
     ----------
     distance_m
-        Distance in m.
+        Distance from camera to array in m, above 0.
     rng
-        Draws the place.
+        Draws the array's place within the pixel.
     brightness
-        Of the array, 1 for that of the reference link.
+        Brightness of the array, as a ratio to that of the reference link.
     """
     x, y = (float(rng.uniform(-0.5, 0.5)) * distance_m / FOCAL_PX for _ in range(2))
     over: dict[str, Any] = {"distance_m": distance_m, "arrays": [{"x_m": x, "y_m": y, "brightness": brightness}]}
@@ -53,7 +53,7 @@ def true_pose(truth: ArrayTruth, settings: LinkSettings) -> Pose:
     Parameters
     ----------
     truth
-        Of the array in a frame.
+        True place, pitch, roll and distance of the array in a frame.
     settings
         The link: it gives the blur of the lens and of the emitter's disc, whose variance along an axis is r^2 / 4.
     """

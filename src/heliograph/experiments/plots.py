@@ -25,7 +25,13 @@ LAYER_COLOURS = {"high": BLUE, "middle": ORANGE, "low": GREEN}
 
 
 def tidy(axes: Axes) -> None:
-    """Take the upper and the right line of the frame off, and draw a pale grid."""
+    """Take the upper and the right line of the frame off, and draw a pale grid.
+
+    Parameters
+    ----------
+    axes
+        Axes of a plot, which are changed in place.
+    """
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.25, lw=0.6)
 
@@ -36,11 +42,11 @@ def image_row(images: Sequence[NDArray[Any]], titles: Sequence[str], rows: int =
     Parameters
     ----------
     images
-        Each (height, width), 0 for black.
+        Images of (height, width) each, 0 for black.
     titles
-        One an image.
+        Title above each image, as many as images.
     rows
-        Rows to put them in.
+        Rows to put them in, 1 or more.
     largest
         Value that is drawn white.
     """
@@ -65,7 +71,7 @@ def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, titl
     x, y, half
         Centre and half the side of the square to mark and enlarge, in px.
     title
-        Of the whole frame.
+        Title of the whole frame.
     largest
         Gray level that is drawn white.
     """
@@ -92,7 +98,7 @@ def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping
     Parameters
     ----------
     times
-        (n,) in s.
+        (n,) times of the poses in s.
     found, truth
         "x" and "y" in px and "distance_m", (n,) each.
     """
@@ -118,7 +124,10 @@ def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping
 def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]]) -> Figure:
     """Bit error rate before and after the turbo code, by layer; no error counted is an arrow at its upper bound.
 
-    `bins` holds counts by the lower edge of the distance bin in m, and by layer.
+    Parameters
+    ----------
+    bins
+        Counts of errors by the lower edge of the distance bin in m, and by layer.
     """
     figure = Figure(figsize=(12, 4.2))
     for axes, kind, title in zip(figure.subplots(1, 2), ("raw", "decoded_bits"), ("before", "after"), strict=True):

@@ -38,7 +38,13 @@ class Report:
         self._parts = [f"<h1>{escape(title)}</h1>"]
 
     def heading(self, text: str) -> None:
-        """Begin a section."""
+        """Begin a section.
+
+        Parameters
+        ----------
+        text
+            Plain text of the section's heading.
+        """
         self._parts.append(f"<h2>{escape(text)}</h2>")
 
     def text(self, text: str, note: bool = False) -> None:
@@ -47,14 +53,20 @@ class Report:
         Parameters
         ----------
         text
-            Plain text.
+            Plain text of the paragraph.
         note
             Whether it is set small and gray.
         """
         self._parts.append(f"<p{' class=note' if note else ''}>{escape(text)}</p>")
 
     def code(self, text: str) -> None:
-        """Add text as it is."""
+        """Add text in a fixed-width font, with its line breaks.
+
+        Parameters
+        ----------
+        text
+            Plain text of one or more lines.
+        """
         self._parts.append(f"<pre>{escape(text)}</pre>")
 
     def figure(self, figure: "Figure", caption: str) -> None:
@@ -63,7 +75,7 @@ class Report:
         Parameters
         ----------
         figure
-            The plot.
+            Plot, stored as a PNG of 130 dots per inch.
         caption
             Plain text below it.
         """
@@ -91,9 +103,9 @@ class Report:
         Parameters
         ----------
         head
-            Heads of the columns.
+            Plain text above each column.
         rows
-            Cells, row by row.
+            Plain text of the cells, row by row.
         prose
             Whether the cells are text, whose lines may be broken.
         """
@@ -103,7 +115,13 @@ class Report:
         self._parts.append(f"<div class=wide><table{kind}><tr>{top}</tr>{body}</table></div>")
 
     def write(self, path: Path) -> None:
-        """Write the page, whole or not at all."""
+        """Write the page, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            HTML file to write; an older one is replaced.
+        """
         head = (
             f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{escape(self._title)}</title>"
         )

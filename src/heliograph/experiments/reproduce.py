@@ -47,7 +47,12 @@ IMU = Path("motion") / "car-imu.csv"
 
 
 def chosen(names: Sequence[str]) -> list[str]:
-    """Names of experiments as asked for, those of `EXPERIMENTS` where none is named.
+    """Names of the experiments that are asked for, each once.
+
+    Parameters
+    ----------
+    names
+        Names or aliases, in capitals or not; where there are none, all of `EXPERIMENTS` are chosen.
 
     Raises
     ------
@@ -64,7 +69,12 @@ def chosen(names: Sequence[str]) -> list[str]:
 
 
 def recordings_in(folder: Path | None) -> dict[str, Any]:
-    """Clips and motion trace of a folder of recordings, as fields of `Context`; none for None.
+    """Clips and motion trace of a folder of recordings, as fields of `Context`.
+
+    Parameters
+    ----------
+    folder
+        The folder, which has clips in `CLIPS` and may have a trace at `IMU`; None: no recordings.
 
     Raises
     ------
@@ -114,11 +124,11 @@ def write_report(path: Path, results: Sequence[ExperimentResult], context: Conte
     Parameters
     ----------
     path
-        The HTML file.
+        Name of the HTML file to write.
     results
-        One an experiment.
+        Results of the experiments, in the order of the page.
     context
-        As they were run.
+        Effort, seed and recordings with which they were run.
     """
     page = Report("The experiments of Nagura et al. 2010, measured")
     scene = f"footage {', '.join(context.clips)}" if context.clips else "a drawn scene"
@@ -141,9 +151,9 @@ def markdown(results: Sequence[ExperimentResult], context: Context) -> str:
     Parameters
     ----------
     results
-        One an experiment.
+        Results of the experiments, in the order of the page.
     context
-        As they were run.
+        Effort, seed and recordings with which they were run.
     """
     run = "A quick run: few trials, wide intervals." if context.quick else "The full run."
     scene = ", ".join(context.clips) or "a drawn scene"

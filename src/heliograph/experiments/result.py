@@ -25,7 +25,7 @@ class Finding:
     ours
         The measurement, with counts and interval.
     verdict
-        See `Verdict`.
+        Whether the claim "holds" or "differs", or is only "shown"; see `Verdict`.
     why
         The reason where they differ; empty where there is none to give.
     """
@@ -43,7 +43,7 @@ class Table:
     Attributes
     ----------
     title
-        Its heading.
+        Heading above the table.
     head
         Heads of the columns.
     rows
@@ -71,11 +71,11 @@ class ExperimentResult:
     text
         Describes the experiment for a reader of the report.
     findings
-        Claims and measurements.
+        Claims, each with the measurement beside it.
     pictures
         Plots, each with a caption.
     tables
-        Tables.
+        Tables of the measurements, each with its heading.
     data
         The numbers of pictures and tables as plain values, for JSON.
     """
@@ -108,7 +108,7 @@ class Context:
     quick
         Few trials: minutes in place of tens of minutes, with wide intervals.
     seed
-        Of all randomness, 0 or more.
+        Seed of all randomness, 0 or more.
     clips
         Files of real footage by name; empty: a drawn scene takes their place.
     imu
@@ -138,11 +138,11 @@ class Context:
         Parameters
         ----------
         title
-            For the progress.
+            What is being done, as the progress names it.
         job
             A function of a module, so that a worker process can find it.
         works
-            Its arguments.
+            Arguments of the job, one for each call.
         span
             Fractions of the experiment done before and after, each 0 to 1.
 

@@ -34,7 +34,13 @@ class FrameSource(Protocol):
 
 
 def silent(frames: int, /) -> None:
-    """Report no progress."""
+    """Report no progress.
+
+    Parameters
+    ----------
+    frames
+        Number of frames done; it is not looked at.
+    """
 
 
 def write_film(
@@ -53,7 +59,7 @@ def write_film(
     path
         The film; its suffix chooses the kind. Truth goes to ``path`` + ".truth.npz".
     settings, messages, seed, recordings
-        See `simulate`.
+        The link, what each array sends, the seed and real recordings, as for `simulate`.
     progress
         Called with the number of frames written.
     codec
@@ -101,7 +107,13 @@ def write_film(
 
 
 def frames_of(settings: LinkSettings) -> int:
-    """Frames a simulation will have."""
+    """Frames a simulation will have; dropped ones count.
+
+    Parameters
+    ----------
+    settings
+        The link, of which the channel's part is used.
+    """
     return frame_count(settings.channel)
 
 
@@ -113,7 +125,7 @@ def read_packets(film: FrameSource, signal: SignalSettings, receiver: Receiver) 
     Parameters
     ----------
     film
-        The film, open.
+        Frames in the order of time, such as those of an open film.
     signal
         The signal that the receiver expects.
     receiver
@@ -143,12 +155,23 @@ def is_packet(packet: Packet) -> bool:
     """Whether a receiver's result is a packet: it has a header or a right codeword.
 
     Anything else is neither counted nor logged; if it was sent, it is missed.
+
+    Parameters
+    ----------
+    packet
+        What the receiver hands out, with or without a header.
     """
     return packet.status not in ("no_header", "no_array")
 
 
 def packet_row(packet: Packet) -> Mapping[str, Any]:
-    """A packet as plain values, for the packet log."""
+    """A packet as plain values, for the packet log.
+
+    Parameters
+    ----------
+    packet
+        A packet as the receiver hands it out; times, places and scores of it are rounded.
+    """
     return {
         "id": packet.identity,
         "status": packet.status,

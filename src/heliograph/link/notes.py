@@ -23,6 +23,11 @@ RATE_TOLERANCE = 1e-3
 def noted_signal(film: FilmReader) -> dict[str, Any]:
     """Signal settings that a film notes, as nested mappings; empty where it notes none.
 
+    Parameters
+    ----------
+    film
+        An open film, of which the metadata are read.
+
     Raises
     ------
     MediaError

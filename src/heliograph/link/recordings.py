@@ -19,6 +19,11 @@ IMU_COLUMNS = ("t_s", "gyro_fwd_rad_s", "gyro_right", "gyro_down", "speed_m_s")
 def load_footage(path: Path) -> Footage:
     """Footage from any video file; it is read again from the start whenever the channel needs it.
 
+    Parameters
+    ----------
+    path
+        The video; it must stay where it is as long as the footage is used.
+
     Raises
     ------
     MediaError
@@ -37,7 +42,12 @@ def load_footage(path: Path) -> Footage:
 
 
 def load_imu(path: Path) -> ImuTrace:
-    """Motion of a car from a CSV file with the columns of `IMU_COLUMNS`, others ignored.
+    """Motion of a car from a CSV file.
+
+    Parameters
+    ----------
+    path
+        The file, whose first line names its columns: those of `IMU_COLUMNS`, others are ignored.
 
     Raises
     ------

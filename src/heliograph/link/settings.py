@@ -24,9 +24,9 @@ class LinkSettings:
     signal
         What both ends agree on.
     transmit
-        Who transmits.
+        Who transmits: the identity of each array.
     channel
-        Scene, vehicle, camera.
+        Scene, vehicle and camera of the simulation.
     receive
         The receiver. It gets nothing of `channel`.
     """
@@ -77,6 +77,11 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
 def preset(name: str) -> dict[str, Any]:
     """What a preset changes of the defaults.
 
+    Parameters
+    ----------
+    name
+        Name of the preset, one of `PRESETS`.
+
     Raises
     ------
     SettingsError
@@ -97,7 +102,7 @@ def load_settings(
     Parameters
     ----------
     name
-        Preset.
+        Name of the preset, one of `PRESETS`.
     over
         Nested mapping laid over it.
     assignments

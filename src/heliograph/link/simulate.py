@@ -22,9 +22,9 @@ class Recordings:
     Attributes
     ----------
     footage
-        Background, for channel.background.kind = "footage".
+        Background, for channel.background.kind = "footage"; None where there is none.
     imu
-        Motion of a car, for channel.shake = "imu".
+        Motion of a car, for channel.shake = "imu"; None where there is none.
     """
 
     footage: Footage | None = None
@@ -32,7 +32,13 @@ class Recordings:
 
 
 def default_messages(settings: LinkSettings) -> list[Messages]:
-    """A text by layer for each array, which names the array and the layer."""
+    """A text by layer for each array, which names the array and the layer.
+
+    Parameters
+    ----------
+    settings
+        The link, of which ``transmit.identities`` is used.
+    """
     rules = {
         "high": "Signal ahead: red for 12 s. Prepare to stop.",
         "middle": "Junction 7: right lane closed, detour by Harbour Road, 4 minutes of delay.",
@@ -86,11 +92,11 @@ def simulate(
     settings
         The link; its `receive` part is not looked at.
     messages
-        What each array sends.
+        What each array sends, in the order of the arrays.
     seed
-        Of road, scene and noise.
+        Of road, scene and noise, at least 0.
     recordings
-        Real background and motion.
+        Real background and motion; None where there are none.
     roi_margin_px
         None for whole frames; else only the arrays' surroundings, this many px wider than they.
     """

@@ -45,12 +45,24 @@ NOISE_LEVEL = 0.5
 
 
 def row_type(arrays: int) -> np.dtype[Any]:
-    """Type of a frame's row."""
+    """Type of a frame's row.
+
+    Parameters
+    ----------
+    arrays
+        Number of arrays in the film, 1 or more.
+    """
     return np.dtype([("index", "i8"), ("time_s", "f8"), ("arrays", ARRAY_FIELDS, (arrays,))])
 
 
 def truth_path(film: Path) -> Path:
-    """Name of the truth file of a film: FILM.truth.npz."""
+    """Name of the truth file of a film: FILM.truth.npz.
+
+    Parameters
+    ----------
+    film
+        Name of the film, which need not exist.
+    """
     return film.with_name(film.name + ".truth.npz")
 
 
@@ -60,9 +72,9 @@ class TruthWriter:
     Parameters
     ----------
     path
-        The .npz file.
+        The .npz file, in a folder that exists; a file of that name is replaced.
     settings, messages, seed
-        What was simulated.
+        What is simulated: the link, what each array sends in the order of the arrays, and the seed.
     film_id
         Id that the film has as well, so that film and truth are known to belong together.
 
@@ -83,7 +95,13 @@ class TruthWriter:
         self._count = 0
 
     def add(self, truth: Truth) -> None:
-        """Append a frame."""
+        """Append a frame.
+
+        Parameters
+        ----------
+        truth
+            Truth of the frame, with one entry for each array of the settings.
+        """
         row = np.zeros(1, self._type)
         row["index"], row["time_s"] = truth.index, truth.time_s
         row["arrays"][0] = [
@@ -165,9 +183,9 @@ class TruthFile:
     Attributes
     ----------
     path
-        The file.
+        The .npz file, from which rows are read when they are asked for.
     settings, messages, seed
-        What was simulated.
+        What was simulated: the link, what each array sent in the order of the arrays, and the seed.
     film_id
         Id the film has as well; empty where unknown.
     """
@@ -211,6 +229,11 @@ class TruthFile:
 
 def open_truth(path: Path) -> TruthFile:
     """Open a truth file.
+
+    Parameters
+    ----------
+    path
+        The .npz file that was written beside a film.
 
     Raises
     ------

@@ -37,9 +37,9 @@ def run_block(
         The link. Where nothing moves, the block is a film of one packet, whatever ``channel.duration_s``, with the
         arrays anywhere within a pixel of their places; else the whole drive.
     seed
-        Of messages, road, scene, noise and place.
+        Of messages, road, scene, noise and place, at least 0.
     recordings
-        Real background and motion.
+        Real background and motion; None where there are none.
     max_packets
         Cut the film after so many packets; None: as above.
 
@@ -61,7 +61,7 @@ def block_settings(settings: LinkSettings, max_packets: int | None = None) -> Li
     Parameters
     ----------
     settings
-        The link.
+        The link, of which ``channel.duration_s`` is replaced unless the film is a whole drive.
     max_packets
         Packets of a film; None: one where nothing moves, else the whole drive.
     """
@@ -79,9 +79,9 @@ def lasting(settings: LinkSettings, duration_s: float) -> LinkSettings:
     Parameters
     ----------
     settings
-        The link.
+        The link, of which ``channel.duration_s`` is replaced.
     duration_s
-        Length in s, above 0.
+        Length of the film in s, above 0.
     """
     return replace(settings, channel=replace(settings.channel, duration_s=duration_s))
 
@@ -94,9 +94,9 @@ def dithered(settings: LinkSettings, seed: int) -> LinkSettings:
     Parameters
     ----------
     settings
-        The link.
+        The link, of which the places of ``channel.arrays`` are replaced where nothing moves.
     seed
-        Of the places.
+        Of the places within a pixel, at least 0.
     """
     if not stands_still(settings):
         return settings
@@ -109,9 +109,9 @@ def placed_within_pixel(settings: LinkSettings, rng: np.random.Generator) -> Lin
     Parameters
     ----------
     settings
-        The link.
+        The link, of which the places of ``channel.arrays`` are replaced.
     rng
-        Draws the places.
+        Draws the shift of each array, to the right and down.
     """
     channel = settings.channel
     places = []
@@ -123,7 +123,13 @@ def placed_within_pixel(settings: LinkSettings, rng: np.random.Generator) -> Lin
 
 
 def stands_still(settings: LinkSettings) -> bool:
-    """Whether nothing in the scene moves, so that a film may have any length."""
+    """Whether nothing in the scene moves, so that a film may have any length.
+
+    Parameters
+    ----------
+    settings
+        The link, of which vehicle, shake and arrays of the channel are looked at.
+    """
     channel = settings.channel
     return (
         not channel.moves
@@ -140,7 +146,7 @@ def random_messages(settings: LinkSettings, seed: int) -> list[Messages]:
     settings
         The link, with the length of the film.
     seed
-        Of the bytes.
+        Of the random bytes, at least 0.
     """
     camera, named = settings.channel.camera, settings.transmit.formats or (AGREED,)
     film_s = camera.start_s + (frames_of(settings) + 1) * camera.frame_period_s
@@ -157,7 +163,13 @@ def _enough(layer: LayerFormat, packets: int) -> int:
 
 
 def window_margin_px(settings: LinkSettings) -> int:
-    """Margin in px about the arrays: half an array's side, so that most of a window is background."""
+    """Margin in px about the arrays: half an array's side, so that most of a window is background.
+
+    Parameters
+    ----------
+    settings
+        The link; the side is that of the image at the nearest distance, at most ``receive.detect.max_side_px``.
+    """
     channel = settings.channel
     nearest = min(channel.distance_m, channel.stop_m) if channel.moves else channel.distance_m
     side = settings.signal.side * channel.emitter.pitch_m * channel.camera.focal_px / nearest

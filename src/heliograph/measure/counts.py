@@ -21,7 +21,7 @@ class LayerCounts:
     codewords, codeword_errors, missed
         Codewords sent; those that are wrong; those of packets of which nothing was received, which are wrong too.
     packets
-        Packets received.
+        Received packets whose bits are in `bits`; one read in another format than it was sent in is not.
     bit_squares, raw_squares
         Sums over the packets of the squares of their `bit_errors` and `raw_errors`: they show how much errors cluster.
     """
@@ -47,7 +47,7 @@ class LayerCounts:
             Information bits after the turbo decoder and coded bits before it; no bits where the packet was read in
             another format than it was sent in.
         words
-            Its codewords.
+            Codewords that it was sent with, and those of them that are wrong.
         """
         return cls(
             bits.trials,
@@ -63,7 +63,13 @@ class LayerCounts:
 
     @classmethod
     def of_missed(cls, codewords: int) -> Self:
-        """Counts of so many codewords of which nothing was received."""
+        """Counts of a packet of which nothing was received.
+
+        Parameters
+        ----------
+        codewords
+            Number of codewords of the layer that were sent, 0 or more.
+        """
         return cls(codewords=codewords, codeword_errors=codewords, missed=codewords)
 
     def __add__(self, other: "LayerCounts") -> "LayerCounts":
@@ -113,7 +119,13 @@ def no_errors() -> dict[str, LayerCounts]:
 
 
 def pooled(parts: Iterable[Layers]) -> dict[str, LayerCounts]:
-    """Sum of several counts, by layer."""
+    """Sum of several counts, by layer.
+
+    Parameters
+    ----------
+    parts
+        Counts by layer, of packets, distance bins or films; none gives zeros.
+    """
     total = no_errors()
     for layers in parts:
         for name, counts in layers.items():
@@ -128,19 +140,19 @@ class BlockCounts:
     Attributes
     ----------
     layers
-        Counts by layer.
+        Counts of bits and codewords by layer.
     bins
         The same by the lower edge in m of the distance bin.
     payload_bits
-        Payload of the codewords read, by layer.
+        Payload of the codewords read, in bits, by layer.
     false_codewords
         Codewords accepted as right that were not sent.
     false_packets, duplicates
         Packets received that were not sent, and those received again.
     film_s
-        Length of the film in s.
+        Length of the film in s, by its frames.
     frames
-        Frames rendered.
+        Frames that the receiver took; dropped ones do not count.
     """
 
     layers: Layers = field(default_factory=no_errors)
@@ -176,7 +188,13 @@ class BlockCounts:
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Self:
-        """The inverse of `to_plain`."""
+        """Counts from plain values: the inverse of `to_plain`.
+
+        Parameters
+        ----------
+        plain
+            Plain values of `to_plain`, as they are or read from JSON.
+        """
         bins = {float(start): _layers(layers) for start, layers in plain["bins"]}
         return cls(**{**plain, "layers": _layers(plain["layers"]), "bins": bins})
 

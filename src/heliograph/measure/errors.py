@@ -40,7 +40,7 @@ class ErrorCounter:
     Parameters
     ----------
     settings
-        The link as simulated.
+        The link as it was simulated.
     messages
         What each array sent, in the order of the arrays.
 
@@ -90,7 +90,13 @@ class ErrorCounter:
                 sent.distance_m, sent.off_middle = distance, abs(place - 0.5)
 
     def received(self, packet: Packet) -> None:
-        """Take a packet; the truth up to its last frame must have been seen."""
+        """Count a packet against the truth.
+
+        Parameters
+        ----------
+        packet
+            A packet as the receiver hands it out; the truth up to its last frame must have been seen.
+        """
         if packet.identity not in self._settings.transmit.identities:
             self._count_false(packet)
             return

@@ -20,13 +20,13 @@ class LiveFilm:
     Parameters
     ----------
     settings
-        The link.
+        The link; its `receive` part is not looked at.
     messages
         What each array sends, in the order of the arrays.
     seed
-        Of road, scene and noise.
+        Of road, scene and noise, at least 0.
     recordings
-        Real background and motion.
+        Real background and motion; None where there are none.
     margin_px
         Only the arrays' surroundings are rendered, this many px wider than they are.
     """

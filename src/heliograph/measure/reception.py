@@ -41,9 +41,9 @@ class LayerTally:
     Attributes
     ----------
     ok, failed
-        Codewords read and not.
+        Numbers of codewords read and not read.
     bytes
-        Payload of the read ones; repeats count.
+        Payload of the read ones in bytes; repeats count.
     """
 
     ok: int = 0
@@ -58,11 +58,11 @@ class ArrayTally:
     Attributes
     ----------
     first_frame, last_frame
-        Of its packets.
+        Numbers of the frame in which its first packet begins and of that in which its newest ends.
     packets
-        How many.
+        Number of packets counted so far.
     layers
-        Codewords by layer.
+        Codewords read and not read, by layer.
     """
 
     first_frame: int
@@ -71,7 +71,13 @@ class ArrayTally:
     layers: dict[str, LayerTally] = field(default_factory=lambda: {name: LayerTally() for name in LAYERS})
 
     def add(self, packet: Packet) -> None:
-        """Count a packet."""
+        """Count a packet.
+
+        Parameters
+        ----------
+        packet
+            A packet of this array, after those before it.
+        """
         self.last_frame = packet.last_frame
         self.packets += 1
         for name, words in packet.layers.items():
@@ -88,14 +94,14 @@ class Reception:
     Parameters
     ----------
     truth
-        Truth of the film, if known.
+        Truth of the film; None where it is not known.
 
     Attributes
     ----------
     arrays
         Packets and codewords by identity.
     frames
-        Frames taken.
+        Number of frames taken so far.
     detections
         Times the receiver took something for an array.
     errors
@@ -111,7 +117,13 @@ class Reception:
         self._reassembler = Reassembler()
 
     def saw(self, index: int) -> None:
-        """Take the number of a frame; the truth moves on with it."""
+        """Take the number of a frame; the truth moves on with it.
+
+        Parameters
+        ----------
+        index
+            Number of the frame; frames come in the order of time, and dropped ones leave gaps.
+        """
         self.frames += 1
         if self._truths is None or self.errors is None:
             return
@@ -121,7 +133,13 @@ class Reception:
                 break
 
     def add(self, packet: Packet) -> Iterator[Message]:
-        """Count a packet, if it is one; yield the messages it completes."""
+        """Count a packet and yield the messages it completes.
+
+        Parameters
+        ----------
+        packet
+            What the receiver hands out; it is left out where it is no packet, see `is_packet`.
+        """
         if not is_packet(packet):
             return
         if self.errors is not None:
@@ -135,7 +153,13 @@ class Reception:
         return self._reassembler.unfinished()
 
     def report(self, seconds: float) -> dict[str, Any]:
-        """All counts as plain values, for JSON; `seconds` is the computing time."""
+        """All counts as plain values, for JSON.
+
+        Parameters
+        ----------
+        seconds
+            Computing time of the frames taken in s, at least 0.
+        """
         out: dict[str, Any] = {
             "frames": self.frames,
             "seconds": round(seconds, 3),
@@ -163,15 +187,15 @@ def receive_film(
     Parameters
     ----------
     film
-        The film, open.
+        Frames in the order of time, such as those of an open film.
     signal
         The signal that the receiver expects.
     settings
-        Only the receiver's part is used.
+        The link, of which only the receiver's part is used.
     reception
         Counts the packets; it holds the results so far if reading breaks off.
     observe
-        Gets the receiver's events.
+        Gets the receiver's events; None where nobody does.
     progress
         Called with the number of frames read.
 

@@ -11,7 +11,7 @@ class Count:
     Attributes
     ----------
     trials, errors
-        Counted so far.
+        Number of trials counted so far, and how many of them failed.
     """
 
     trials: int = 0
@@ -29,7 +29,13 @@ class Count:
         self.errors += int(errors)
 
     def include(self, other: Self) -> None:
-        """Count another's as well."""
+        """Count another's trials and errors as well.
+
+        Parameters
+        ----------
+        other
+            The count that is added; it stays as it is.
+        """
         self.trials += other.trials
         self.errors += other.errors
 
@@ -44,7 +50,13 @@ class Count:
         return 3 / max(self.trials, 3)
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
-        """Clopper-Pearson interval of the rate."""
+        """Clopper-Pearson interval of the rate.
+
+        Parameters
+        ----------
+        confidence
+            Coverage of the two-sided interval, a probability, 0 to 1.
+        """
         return clopper_pearson(self.errors, self.trials, confidence)
 
     def text(self) -> str:
@@ -80,7 +92,7 @@ class Clustered(Count):
         Parameters
         ----------
         trials, errors
-            Of the cluster, 0 or more.
+            Trials of the cluster, and how many of them failed, 0 or more.
         """
         self.trials += int(trials)
         self.errors += int(errors)
@@ -88,7 +100,13 @@ class Clustered(Count):
         self.squares += int(errors) ** 2
 
     def include(self, other: Self) -> None:
-        """Count another's clusters as well."""
+        """Count another's clusters as well.
+
+        Parameters
+        ----------
+        other
+            The count whose clusters are added; it stays as it is.
+        """
         self.trials += other.trials
         self.errors += other.errors
         self.clusters += other.clusters
@@ -118,6 +136,11 @@ class Clustered(Count):
 
         That is trials / `design_effect`, and less for few clusters, from which the design effect is hardly known; never
         less than the clusters.
+
+        Parameters
+        ----------
+        confidence
+            Coverage of the two-sided interval, a probability, above 0 and below 1.
         """
         if self.scattered and not self.errors:
             return clopper_pearson(0, self.trials, confidence)

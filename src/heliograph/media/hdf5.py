@@ -67,11 +67,11 @@ class Hdf5Sink:
     Parameters
     ----------
     partial
-        File to write to.
+        Hidden file beside the target, which is written to.
     target
         Final name of the film, for error messages.
     spec
-        Form of the film.
+        Form of the film: its size, rate, bits and metadata.
 
     Raises
     ------
@@ -94,7 +94,7 @@ class Hdf5Sink:
             _write_attributes(self._file.attrs, spec)
 
     def put(self, frame: Frame) -> None:
-        """Append a frame.
+        """Append a frame; see `Sink`.
 
         Raises
         ------
@@ -148,7 +148,7 @@ class Hdf5Reader(FilmReader):
     Parameters
     ----------
     path
-        The file.
+        HDF5 film to read.
     rate_hz
         Frames per second of the camera, where the file claims another.
 

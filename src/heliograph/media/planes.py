@@ -30,7 +30,13 @@ _GRAY = {8: "gray", 9: "gray9le", 10: "gray10le", 12: "gray12le", 14: "gray14le"
 
 
 def gray_format(bits: int) -> str:
-    """Return the smallest gray pixel format that holds levels of `bits` bits, 8 to 16."""
+    """Return FFmpeg's name of the smallest gray pixel format that holds gray levels.
+
+    Parameters
+    ----------
+    bits
+        Bits of a gray level, 8 to 16.
+    """
     return _GRAY[min(b for b in _GRAY if b >= bits)]
 
 
@@ -40,7 +46,7 @@ def to_video(pixels: Pixels, pixel_format: str) -> "av.VideoFrame":
     Parameters
     ----------
     pixels
-        (rows, columns) uint8 or uint16 levels.
+        (rows, columns) gray levels, uint8 or uint16.
     pixel_format
         FFmpeg's name of a format whose first plane is luma of the same depth.
     """
@@ -63,7 +69,7 @@ def to_gray(picture: "av.VideoFrame", expand_range: bool) -> tuple[Pixels, int]:
     Parameters
     ----------
     picture
-        Decoded picture.
+        Decoded picture of any pixel format.
     expand_range
         Whether to stretch the limited range 16..235 to 0..255 (in proportion for more bits); levels outside are
         clipped.
@@ -86,7 +92,13 @@ def to_gray(picture: "av.VideoFrame", expand_range: bool) -> tuple[Pixels, int]:
 
 
 def is_limited(picture: "av.VideoFrame") -> bool:
-    """Return whether black is at 16 and white at 235; YUV video that does not state its range counts as limited."""
+    """Return whether black is at 16 and white at 235; YUV video that does not state its range counts as limited.
+
+    Parameters
+    ----------
+    picture
+        Decoded picture of any pixel format.
+    """
     name = picture.format.name
     if picture.format.is_rgb or picture.format.has_palette or name.startswith(("mono", "yuvj")):
         return False

@@ -19,18 +19,18 @@ class FilmReader(ABC):
     Parameters
     ----------
     path
-        The file.
+        File of the film to read.
     rate_hz
         Frames per second of the camera, above 0, where the file claims another rate; None believes the file.
 
     Attributes
     ----------
     path
-        The file.
+        The film's file, which the errors name.
     width
-        Columns in pixels.
+        Columns of a frame in pixels.
     height
-        Rows in pixels.
+        Rows of a frame in pixels.
     bits
         Bits of a gray level, 8 to 16.
     claimed_hz

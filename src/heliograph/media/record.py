@@ -108,7 +108,13 @@ class FilmRecord:
 
     @classmethod
     def loads(cls, text: str) -> "FilmRecord | None":
-        """Return the record that a text holds, or None where it holds none."""
+        """Return the record that a text holds, or None where it holds none.
+
+        Parameters
+        ----------
+        text
+            JSON as of `dumps`, or any other text, as films from elsewhere have.
+        """
         try:
             fields = json.loads(text)
             return cls(
@@ -128,7 +134,7 @@ def to_tags(record: FilmRecord, suffix: str) -> dict[str, str]:
     Parameters
     ----------
     record
-        The record.
+        Record of the film that is written.
     suffix
         Suffix of the film, such as ".nut".
     """
@@ -140,7 +146,13 @@ def to_tags(record: FilmRecord, suffix: str) -> dict[str, str]:
 
 
 def from_tags(tags: Mapping[str, str]) -> FilmRecord | None:
-    """Return the record that a container's tags carry, or None."""
+    """Return the record that a container's tags carry, or None.
+
+    Parameters
+    ----------
+    tags
+        Texts by the names of the tags, in small or capital letters.
+    """
     tags = {name.lower(): text for name, text in tags.items()}
     parts = [tags.get(TAG) or tags.get(AVI_TAG) or ""]
     while (part := tags.get(f"{TAG}{len(parts)}")) is not None:
@@ -149,15 +161,26 @@ def from_tags(tags: Mapping[str, str]) -> FilmRecord | None:
 
 
 def rational_rate(rate_hz: float) -> Fraction:
-    """Return a rate above 0 as a fraction of small numbers, such as 30000/1001."""
+    """Return a rate as a fraction of small numbers, such as 30000/1001.
+
+    Parameters
+    ----------
+    rate_hz
+        Frames per second, above 0.
+    """
     exact = Fraction(rate_hz)
     return exact.limit_denominator(_LARGEST_TERM) or exact.limit_denominator(FINEST_TICKS)
 
 
 def fine_time_base(rate_hz: float) -> Fraction:
-    """Return a tick in s of at most 1 us that also divides the frame period of `rate_hz`, where small numbers allow it.
+    """Return a tick in s of at most 1 us that also divides the frame period, where small numbers allow it.
 
     Ticks much finer than that would overflow the 32-bit frame durations of MP4 in a gap of a few seconds.
+
+    Parameters
+    ----------
+    rate_hz
+        Frames per second, above 0 and at most 1e6.
     """
     steps = rational_rate(rate_hz).numerator
     if steps > 2 * FINEST_TICKS:
@@ -171,7 +194,7 @@ def on_grid(time_s: float, rate_hz: float, tolerance_s: float) -> float:
     Parameters
     ----------
     time_s
-        Time in s.
+        Time in s; 0 is a multiple of the frame period.
     rate_hz
         Frames per second, above 0.
     tolerance_s
@@ -187,7 +210,7 @@ def restored_time(record: FilmRecord, elapsed_s: float, tick_s: float) -> float:
     Parameters
     ----------
     record
-        The film's record.
+        Record of the film, with its rate and the time of its first frame.
     elapsed_s
         Time since the first frame in s, by the container.
     tick_s

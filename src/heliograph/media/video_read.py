@@ -36,7 +36,7 @@ class VideoReader(FilmReader):
     Parameters
     ----------
     path
-        The file.
+        Video of any kind that FFmpeg reads.
     expand_range
         Whether to stretch limited-range video to the full scale.
     rate_hz

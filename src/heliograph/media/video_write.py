@@ -108,11 +108,11 @@ def check_form(spec: FilmSpec, suffix: str, codec: str) -> None:
     Parameters
     ----------
     spec
-        Form of the film.
+        Form of the film: its size, rate, bits and metadata.
     suffix
         Suffix of the film, a key of `CODECS`.
     codec
-        Name of the codec.
+        Name of the codec: "ffv1", "h264" or "mjpeg".
 
     Raises
     ------
@@ -133,11 +133,11 @@ class VideoSink:
     Parameters
     ----------
     partial
-        File to write to.
+        Hidden file beside the target, which is written to.
     target
         Final name of the film, for its suffix and for error messages.
     spec
-        Form of the film.
+        Form of the film: its size, rate, bits and metadata.
     codec
         Coding of its pictures.
 
@@ -160,7 +160,7 @@ class VideoSink:
             self._stream = self._add_stream(codec, options)
 
     def put(self, frame: Frame) -> None:
-        """Encode a frame.
+        """Encode a frame; see `Sink`.
 
         Raises
         ------

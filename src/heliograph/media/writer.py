@@ -25,7 +25,13 @@ class Sink(Protocol):
     """A file of some kind that takes frames."""
 
     def put(self, frame: Frame) -> None:
-        """Store a frame; a MediaError where the file cannot be written."""
+        """Store a frame; a MediaError where the file cannot be written.
+
+        Parameters
+        ----------
+        frame
+            Frame of the film's form, later than the one before. Its pixels may be overwritten after the call.
+        """
 
     def close(self) -> None:
         """Finish the file; a MediaError where it cannot be written."""
@@ -40,7 +46,7 @@ class ThreadedSink:
     Parameters
     ----------
     sink
-        The sink that stores the frames.
+        Sink that stores the frames; its `put` is called in the thread.
     """
 
     def __init__(self, sink: Sink) -> None:
@@ -52,7 +58,7 @@ class ThreadedSink:
         self._thread.start()
 
     def put(self, frame: Frame) -> None:
-        """Queue a copy of a frame; an error of an earlier frame is raised here."""
+        """Queue a copy of a frame, and raise the error of an earlier one; see `Sink`."""
         self._raise_error()
         self._queue.put(dataclasses.replace(frame, pixels=frame.pixels.copy()))  # the caller may reuse its buffer
 
@@ -98,11 +104,11 @@ class FilmWriter:
     target
         Final name of the film.
     partial
-        Hidden name beside it.
+        Hidden file beside it, which the sink writes.
     spec
-        Form of the film.
+        Form of the film, which each frame must fit.
     sink
-        The file that takes the frames.
+        File that takes the frames.
 
     Attributes
     ----------
@@ -199,9 +205,9 @@ def check_pixels(frame: Frame, spec: FilmSpec) -> None:
     Parameters
     ----------
     frame
-        The frame.
+        Frame that is to be written; its time is not checked.
     spec
-        Form of the film.
+        Form of the film: its size, rate, bits and metadata.
 
     Raises
     ------
@@ -225,6 +231,11 @@ def check_pixels(frame: Frame, spec: FilmSpec) -> None:
 def partial_path(target: Path) -> Path:
     """Return a hidden, unique name beside the target, with its suffix, by which muxers choose the format.
 
+    Parameters
+    ----------
+    target
+        Final name of the film.
+
     Raises
     ------
     MediaError
@@ -243,7 +254,7 @@ def write_error(error: Exception, target: Path) -> MediaError:
     Parameters
     ----------
     error
-        The error.
+        Error that was raised while the film was written.
     target
         The film that was to be written.
     """

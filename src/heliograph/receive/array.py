@@ -66,13 +66,19 @@ class PacketReader(Protocol):
         number
             Its number in the header, from 0.
         pair
-            Its frames.
+            Frames of the header and its inverse.
         tracked
-            The array in them.
+            The array in them, as their sum shows it.
         """
 
     def end_header(self, header: MeasuredHeader) -> None:
-        """Take a whole header that a camera out of step saw: its frames combined, and one by one."""
+        """Take a whole header that a camera out of step saw.
+
+        Parameters
+        ----------
+        header
+            The gain it showed, its frames combined to one pair, and the frames one by one.
+        """
 
     def follow(self, pair: FramePair, track: Track) -> TrackedPair:
         """Find the array in a pair of data.
@@ -80,9 +86,9 @@ class PacketReader(Protocol):
         Parameters
         ----------
         pair
-            Its frames.
+            Frames of a pattern and its inverse; in the single mode of two patterns.
         track
-            The array before.
+            The array as known before the pair.
         """
 
     def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
@@ -93,7 +99,7 @@ class PacketReader(Protocol):
         place
             Its number in the packet's data, from 0.
         pair
-            Its frames.
+            Frames of a pattern and its inverse; in the single mode of two patterns.
         tracked
             The array in them, as `follow` found it.
         """
@@ -102,7 +108,13 @@ class PacketReader(Protocol):
         """Decode all that was taken: codewords by layer."""
 
     def shown(self, packet: Packet) -> DecodeEvent:
-        """What an observer of the packet gets."""
+        """What an observer of the packet gets.
+
+        Parameters
+        ----------
+        packet
+            The packet just decoded, as it will be handed out.
+        """
 
     def next(self) -> "PacketReader":
         """Give the reader of the next packet, once this one is decoded."""
@@ -127,19 +139,19 @@ class ArrayReceiver:
     detection
         Where and when its header was found.
     pairing
-        Pairs its frames.
+        Pairs the array's frames, and numbers the pairs.
     tracker
-        Follows it.
+        Follows the array from pair to pair.
     reader
-        Reads its first packet.
+        Reads its first packet, and gives the readers of the next ones.
     signal
-        The light's signal.
+        The light's signal: pattern period, and pairs of header and data in a packet.
     calibration
-        Gives its distance.
+        Lens, pixels and LEDs, by which the pitch in the image gives a distance.
     coast_s
         Seconds out of sight after which it is given up.
     observe
-        Gets its events.
+        Gets an event for each pair followed and for each packet decoded.
     """
 
     def __init__(
@@ -190,13 +202,25 @@ class ArrayReceiver:
         return self._failed or self._pairing.lost or out_of_sight
 
     def expects(self, detection: Detection) -> bool:
-        """Whether a header is its own, where one was due."""
+        """Whether a header is its own, where one was due.
+
+        Parameters
+        ----------
+        detection
+            A header that was found where this array is followed.
+        """
         packets = (detection.start_time_s - self._pairing.origin_s) / self._signal.packet_s
         off_s = abs(packets - round(packets)) * self._signal.packet_s
         return detection.identity == self.identity and off_s < 0.5 * self._signal.pattern_period_s
 
     def push(self, frame: Frame) -> Iterator[Packet]:
-        """Take the next frame; yield the packet it completes."""
+        """Take the next frame; yield the packet it completes.
+
+        Parameters
+        ----------
+        frame
+            The frame, with the time that the clock gives it.
+        """
         yield from self._take_all(self._pairing.push(frame))
 
     def flush(self) -> Iterator[Packet]:

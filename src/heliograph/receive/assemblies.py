@@ -43,11 +43,11 @@ def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: O
     Parameters
     ----------
     signal
-        The light's signal.
+        Settings of the light's signal, on which both ends agree.
     settings
-        The receiver's.
+        Settings of the receiver: camera, detection, tracking, decoder, and those of "plain".
     observe
-        Gets its events.
+        Gets the events of all stages.
     """
     return StreamReceiver(plain_parts(signal, settings, observe), observe)
 
@@ -58,11 +58,11 @@ def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Ob
     Parameters
     ----------
     signal
-        The light's signal.
+        Settings of the light's signal, on which both ends agree.
     settings
-        The receiver's.
+        Settings of the receiver: camera, detection, tracking, decoder, and those of "soft".
     observe
-        Gets its events.
+        Gets the events of all stages.
 
     Raises
     ------
@@ -78,11 +78,11 @@ def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
     Parameters
     ----------
     signal
-        The light's signal.
+        Settings of the light's signal, on which both ends agree.
     settings
-        The receiver's.
+        Settings of the receiver: camera, detection, tracking, decoder, and those of "plain".
     observe
-        Gets its events.
+        Gets the events of the arrays followed and of their readers.
     """
     form = PacketFormat(signal)
     options = Decoding(settings.decode.algorithm or "max-log", settings.decode.iterations)
@@ -106,11 +106,11 @@ def soft_parts(
     Parameters
     ----------
     signal
-        The light's signal.
+        Settings of the light's signal, on which both ends agree.
     settings
-        The receiver's.
+        Settings of the receiver: camera, detection, tracking, decoder, and those of "soft".
     observe
-        Gets its events.
+        Gets the events of the arrays followed and of their readers.
     reader
         Makes the reader of an array's first packet; None for `soft_reader`.
 
@@ -139,11 +139,11 @@ def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
     Parameters
     ----------
     signal
-        The light's signal.
+        Settings of the light's signal, on which both ends agree.
     settings
-        The receiver's.
+        Settings of the receiver, of which those of the decoder and of "soft" count.
     observe
-        Gets events.
+        Gets an `ExtractEvent` each pair and an `EqualiseEvent` each iteration.
 
     Returns
     -------
@@ -170,7 +170,7 @@ def search_parameters(
     Parameters
     ----------
     settings
-        The receiver's.
+        Settings of the receiver, of which detection and the first guess of the blur count.
     signal
         The light's signal, whose header it is.
     regularity

@@ -51,7 +51,7 @@ class TrackEvent:
     Attributes
     ----------
     identity
-        The array's.
+        Number of the array, 0 to 29.
     frame
         Number of the pair's first camera frame.
     tracked
@@ -70,7 +70,7 @@ class ExtractEvent:
     Attributes
     ----------
     identity
-        The array's.
+        Number of the array, 0 to 29.
     frames
         Pattern and inverse; in the single mode two patterns.
     poses
@@ -92,9 +92,9 @@ class DecodeEvent:
     Attributes
     ----------
     identity
-        The array's.
+        Number of the array, 0 to 29.
     packet
-        The packet.
+        The packet as the receiver hands it out.
     luminances
         (pairs, n, n) from which the plain receiver decoded it; None of the soft receiver.
     cutouts
@@ -114,7 +114,7 @@ class LostEvent:
     Attributes
     ----------
     identity
-        The array's.
+        Number of the array, 0 to 29.
     time_s
         Time in seconds of its last pose.
     """

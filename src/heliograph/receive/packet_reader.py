@@ -44,15 +44,15 @@ class SoftParts:
     form
         The agreed format of packets.
     tracker
-        Follows the array.
+        Follows the array from pair to pair.
     buffer
         What was seen of its codewords before; None combines nothing.
     options
-        The decoder's.
+        Algorithm of the channel decoder, and its most iterations.
     feedback
         What the equaliser gets back from the decoder.
     observe
-        Gets events.
+        Gets an `ExtractEvent` each pair and an `EqualiseEvent` each iteration.
     """
 
     form: PacketFormat
@@ -69,7 +69,7 @@ class SoftReader:
     Parameters
     ----------
     identity
-        The array's.
+        Number of the array, 0 to 29.
     parts
         What all its readers share.
     led_gains
@@ -111,10 +111,7 @@ class SoftReader:
         return ReadHeader(self._learn(pair, weights, tracked.before, track) if tracked.seen else track, score)
 
     def end_header(self, header: MeasuredHeader) -> None:
-        """Take a whole header out of step: its even sum for the noise, its frames for the format.
-
-        See `PacketReader`.
-        """
+        """Take a header out of step: its even sum for the noise, its frames for the format; see `PacketReader`."""
         if header.pair is None or header.frames is None:
             return
         pose = header.frames.pose
@@ -161,7 +158,7 @@ class SoftReader:
         return words
 
     def shown(self, packet: Packet) -> DecodeEvent:
-        """The packet with the cut-outs of its pairs."""
+        """The packet with the cut-outs of its pairs; see `PacketReader`."""
         return DecodeEvent(self._identity, packet, cutouts=tuple(self._cutouts))
 
     def next(self) -> "SoftReader":

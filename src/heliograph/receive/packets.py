@@ -99,7 +99,13 @@ class Receiver(Protocol):
     """What every receiver is: frames in, packets out."""
 
     def push(self, frame: Frame) -> Iterator[Packet]:
-        """Take the next frame; yield the packets it completes."""
+        """Take the next frame; yield the packets it completes.
+
+        Parameters
+        ----------
+        frame
+            A camera frame, or a window of one; frames come in the order of time.
+        """
 
     def finish(self) -> Iterator[Packet]:
         """End of the film: yield the packets in progress of which enough was seen."""

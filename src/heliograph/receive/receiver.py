@@ -20,7 +20,7 @@ class Parts:
     clock
         Gives frames their times.
     search
-        Looks for headers.
+        Looks for headers of arrays that are not followed yet.
     follow
         Makes the reception of an array that was found.
     side
@@ -39,9 +39,9 @@ class StreamReceiver:
     Parameters
     ----------
     parts
-        What it is made of.
+        Its clock, its search for headers, and what follows an array found.
     observe
-        Gets its events.
+        Gets an event for each array that is taken up or given up.
     """
 
     def __init__(self, parts: Parts, observe: Observer):
@@ -55,7 +55,7 @@ class StreamReceiver:
         return self._parts.search.candidates_fitted
 
     def push(self, frame: Frame) -> Iterator[Packet]:
-        """Take the next frame; yield the packets it completes.
+        """Take the next frame; yield the packets it completes; see `Receiver`.
 
         Raises
         ------

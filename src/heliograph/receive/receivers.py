@@ -53,6 +53,11 @@ def register_receiver(name: str, make: MakeReceiver, settings: type | None = Non
 def own_settings(settings: ReceiveSettings) -> Any:
     """A registered receiver's own settings, an object of its settings class; None where it has none.
 
+    Parameters
+    ----------
+    settings
+        Settings of the receiver, which name it and hold its own by name.
+
     Raises
     ------
     SettingsError
@@ -70,11 +75,11 @@ def make_receiver(
     Parameters
     ----------
     signal
-        The light's signal.
+        Settings of the light's signal, on which both ends agree.
     settings
-        The receiver's; the default is "plain" with all defaults.
+        Settings of the receiver; None for "plain" with all defaults.
     observe
-        Gets its events, see `heliograph.receive.events`.
+        Gets its events, see `heliograph.receive.events`; None observes nothing.
 
     Raises
     ------
@@ -99,7 +104,7 @@ def receive_frames(
     frames
         Camera frames in the order of time.
     signal, settings, observe
-        As for `make_receiver`.
+        The light's signal, the receiver's settings and an observer, as for `make_receiver`.
 
     Raises
     ------

@@ -41,6 +41,11 @@ RECEIVERS: Registry[Any] = Registry(
 def part_of(name: str) -> ReceiverPart:
     """Receiver of a name.
 
+    Parameters
+    ----------
+    name
+        Name of the receiver, such as "soft", as in the setting ``receive.receiver``.
+
     Raises
     ------
     SettingsError

@@ -87,7 +87,12 @@ class Block:
 
 
 def payload_bytes(k: int) -> int:
-    """Return the bytes of payload in a block of `k` information bits.
+    """Return the bytes of payload in a block.
+
+    Parameters
+    ----------
+    k
+        Information bits of the block: a multiple of 8, at least `MIN_BITS`.
 
     Raises
     ------
@@ -105,7 +110,7 @@ def pack(block: Block, k: int) -> NDArray[np.uint8]:
     Parameters
     ----------
     block
-        Fields and payload.
+        Block whose fields and payload the bits carry.
     k
         Information bits of the codeword: a multiple of 8, at least `MIN_BITS`.
 
@@ -138,7 +143,13 @@ def _check_fields(block: Block) -> None:
 
 
 def check(bits: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return whether the CRC-32 of each block is right: (..., k) information bits 0 and 1 -> (...) bool."""
+    """Return whether the CRC-32 of each block is right, (...) bool.
+
+    Parameters
+    ----------
+    bits
+        (..., k) uint8 information bits 0 and 1; k is a multiple of 8.
+    """
     data = np.packbits(bits, axis=-1)
     rows = data.reshape(-1, data.shape[-1])
     good = [zlib.crc32(row[:-CRC_BYTES].tobytes()) == int.from_bytes(row[-CRC_BYTES:].tobytes()) for row in rows]
@@ -146,7 +157,13 @@ def check(bits: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def unpack(bits: NDArray[np.uint8]) -> Block | None:
-    """Read a block from its (k,) uint8 information bits; None where the CRC, the version or the layer is wrong."""
+    """Read a block from its information bits; None where the CRC, the version or the layer is wrong.
+
+    Parameters
+    ----------
+    bits
+        (k,) uint8 bits 0 and 1; k is a multiple of 8, at least `MIN_BITS`.
+    """
     data = np.packbits(bits).tobytes()
     version, layer = data[0] >> 4, data[0] & 15
     if not check(bits) or version != VERSION or layer >= len(LAYERS):

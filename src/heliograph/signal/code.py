@@ -57,7 +57,13 @@ class Code(Protocol):
         """
 
     def encode(self, bits: ArrayLike) -> NDArray[np.uint8]:
-        """Encode information bits (..., k) of 0 and 1 to coded bits (..., length)."""
+        """Encode blocks to coded bits 0 and 1, (..., length).
+
+        Parameters
+        ----------
+        bits
+            (..., k) information bits 0 and 1.
+        """
 
     def decode(
         self,
@@ -93,7 +99,7 @@ class CodePlan(NamedTuple):
     codewords
         Codewords of equal length that share the layer's bits.
     code
-        The code of each.
+        Code of each codeword.
     """
 
     codewords: int

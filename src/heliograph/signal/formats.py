@@ -85,7 +85,13 @@ class Format:
         return total
 
     def rates(self, agreed: RateSettings) -> tuple[float, float, float]:
-        """Return the rates of the high, middle and low layer; `agreed` gives those that the format leaves open."""
+        """Return the rates of the high, middle and low layer in information bits per sent bit.
+
+        Parameters
+        ----------
+        agreed
+            Rates that both ends have agreed on, for the layers whose rate the format leaves open.
+        """
         high, middle, low = (getattr(self, name) or getattr(agreed, name) for name in LAYERS)
         return high, middle, low
 
@@ -95,7 +101,12 @@ AGREED = Format()
 
 
 def format_of(number: int) -> Format:
-    """Return the format of a number from 0 to 1023, the inverse of `Format.number`.
+    """Return the format of a number, the inverse of `Format.number`.
+
+    Parameters
+    ----------
+    number
+        Number of the format, 0 to 1023.
 
     Raises
     ------
@@ -110,7 +121,13 @@ def format_of(number: int) -> Format:
 
 
 def mode_number(number: int) -> int:
-    """Return the number of a format's mode, M = F div 512 (section 4.1)."""
+    """Return the number of a format's mode, M = F div 512 (section 4.1): 0 to 3.
+
+    Parameters
+    ----------
+    number
+        Number of the format, 0 to 2047.
+    """
     return number >> 3 * RATE_BITS
 
 
@@ -121,17 +138,28 @@ class ReservedModeError(ValueError):
 def check_mode(number: int) -> None:
     """Check that a format's mode is known.
 
+    Parameters
+    ----------
+    number
+        Number of the format, 0 to 2047.
+
     Raises
     ------
     ReservedModeError
-        It is 2 or 3.
+        The mode is 2 or 3.
     """
     if mode_number(number) >= len(MODES):
         raise ReservedModeError(f"its mode, {mode_number(number)}, is not known to this version")
 
 
 def known_format(number: int) -> Format:
-    """Return the format of a number; the agreed one for a reserved mode, of which nothing is known."""
+    """Return the format of a number; the agreed one for a reserved mode, of which nothing is known.
+
+    Parameters
+    ----------
+    number
+        Number of the format, 0 to 2047.
+    """
     return AGREED if mode_number(number) >= len(MODES) else format_of(number)
 
 

@@ -39,9 +39,14 @@ def encode(d: ArrayLike) -> NDArray[np.uint8]:
 
 
 def inverse_transform(d: ArrayLike) -> NDArray[np.float64]:
-    """Return x' = 1/2 H^T D H of equation (8) for matrices D of any real values, (..., n, n), n even.
+    """Return x' = 1/2 H^T D H of equation (8).
 
     H is the matrix of equation (9): sums of neighbours in its upper half, differences in its lower half.
+
+    Parameters
+    ----------
+    d
+        (..., n, n) matrices D of any real values; n even.
 
     Returns
     -------
@@ -79,7 +84,13 @@ def decode(x: ArrayLike) -> NDArray[np.float64]:
 
 
 def decide(soft: ArrayLike) -> NDArray[np.int8]:
-    """Decide soft data of any shape by a threshold at 0, as below equation (10): int8 +1 where positive, else -1."""
+    """Decide soft data by a threshold at 0, as below equation (10): int8 +1 where positive, else -1.
+
+    Parameters
+    ----------
+    soft
+        Soft data as of `decode`, of any shape and gain.
+    """
     return np.where(np.asarray(soft) > 0, 1, -1).astype(np.int8)
 
 

@@ -53,7 +53,12 @@ class Identity:
 
 
 def identity(number: int) -> Identity:
-    """Return the identity of a number from 0 to 29.
+    """Return the identity of a number.
+
+    Parameters
+    ----------
+    number
+        Number of the identity, 0 to 29.
 
     Raises
     ------
@@ -66,7 +71,13 @@ def identity(number: int) -> Identity:
 
 
 def header_cells(number: int) -> NDArray[np.int8]:
-    """Return the header cells of identity `number` (0 to 29), (4, 4) int8: +1 lit, -1 dark; their sum is 0."""
+    """Return the header cells of an identity, (4, 4) int8: +1 lit, -1 dark; their sum is 0.
+
+    Parameters
+    ----------
+    number
+        Number of the identity, 0 to 29.
+    """
     who = identity(number)
     chips = np.roll(m_sequence(who.polynomial), -who.phase)
     cells = np.append(chips, 0)[PATH]
@@ -137,7 +148,13 @@ def dimmed_leds(form: int, side: int = DEFAULT_SIDE) -> NDArray[np.bool_]:
 
 
 def all_on_levels(side: int = DEFAULT_SIDE) -> NDArray[np.uint8]:
-    """Return the header pattern without an identity, for comparison: (side, side) uint8, every LED at level 4."""
+    """Return the header pattern without an identity, for comparison: (side, side) uint8, every LED at level 4.
+
+    Parameters
+    ----------
+    side
+        LEDs in a row and in a column.
+    """
     return np.full((side, side), SLOTS, dtype=np.uint8)
 
 

@@ -38,7 +38,7 @@ def segments(message: Message, room: int) -> list[Block]:
     Parameters
     ----------
     message
-        The message.
+        Message to cut; its identity, layer and stream go into each block.
     room
         Bytes of payload in a block, at least 1.
 
@@ -87,7 +87,13 @@ class Carousel:
         self._blocks = [block for blocks in parts for block in blocks]
 
     def block(self, number: int) -> Block:
-        """Return block `number`, counted from 0 at the start of the transmission."""
+        """Return a block of the transmission.
+
+        Parameters
+        ----------
+        number
+            Number of the block in its layer, from 0 at the start of the transmission.
+        """
         return self._blocks[number % len(self._blocks)]
 
 

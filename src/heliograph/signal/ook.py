@@ -30,8 +30,13 @@ def encode(d: ArrayLike) -> NDArray[np.uint8]:
 
 
 def decode(x: ArrayLike) -> NDArray[np.float64]:
-    """Turn received luminances x' = level - 2, of any shape, into soft data x' / 2: -1 or +1 without noise.
+    """Turn received luminances into soft data x' / 2: -1 or +1 without noise.
 
     A gain on the luminances is a gain on the result. Positive means d = +1, that is bit 0.
+
+    Parameters
+    ----------
+    x
+        Luminances x' = level - 2, times any gain, of any shape.
     """
     return 0.5 * np.asarray(x, dtype=np.float64)

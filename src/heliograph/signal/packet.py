@@ -66,7 +66,13 @@ class LayerFormat:
         return pair * self.symbols + (j // self.pairs + SYMBOL_STEP * pair) % self.symbols
 
     def encode(self, blocks: Sequence[Block]) -> NDArray[np.uint8]:
-        """Return the layer's bits 0 and 1 of a packet, (pairs, symbols) uint8, for one block per codeword."""
+        """Return the layer's bits 0 and 1 of a packet, (pairs, symbols) uint8.
+
+        Parameters
+        ----------
+        blocks
+            One block per codeword, in the order of the codewords.
+        """
         info = np.stack([pack(block, self.code.k) for block in blocks])
         return self.interleave(self.code.encode(info) ^ self.chips)
 
@@ -76,13 +82,25 @@ class LayerFormat:
         return np.stack([whitening(self.code.length, self.name, i) for i in range(self.codewords)])
 
     def interleave(self, coded: NDArray[Value]) -> NDArray[Value]:
-        """Return coded bits (codewords, E), or any values by coded bit, by symbol: (pairs, symbols)."""
+        """Return values of coded bits by symbol: (pairs, symbols).
+
+        Parameters
+        ----------
+        coded
+            (codewords, E) coded bits, or any other value of each.
+        """
         out = np.empty(self.pairs * self.symbols, dtype=coded.dtype)
         out[self.places] = coded.reshape(-1)
         return out.reshape(self.pairs, self.symbols)
 
     def deinterleave(self, soft: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return soft values (pairs, symbols), positive for bit 0, by coded bit before whitening: (codewords, E)."""
+        """Return soft values by coded bit before whitening: (codewords, E).
+
+        Parameters
+        ----------
+        soft
+            (pairs, symbols) soft values, such as LLRs, of the bits as they were sent; positive for bit 0.
+        """
         return soft.reshape(-1)[self.places].reshape(self.codewords, -1) * (1.0 - 2.0 * self.chips)
 
 
@@ -93,7 +111,7 @@ class PacketFormat:
     Attributes
     ----------
     settings
-        The signal's settings.
+        Settings of the signal, as both ends have agreed on them.
     format
         Format that the packet's header signals; format 0 for what both ends have agreed on.
 
@@ -201,24 +219,48 @@ class PacketFormat:
         return signalling_levels(identity, self.format.number, side) if pair else header_levels(identity, side)
 
     def soft_data(self, x: ArrayLike) -> NDArray[np.float64]:
-        """Return soft D of received luminances x' = level - 2 (times any gain), (..., n, n), by the modulation."""
+        """Return soft data of received luminances by the modulation, (..., n, n); positive for bit 0.
+
+        Parameters
+        ----------
+        x
+            (..., n, n) luminances x' = level - 2, times any gain.
+        """
         return haar.decode(x) if self.settings.modulation == "haar" else ook.decode(x)
 
     def join(self, symbols: NDArray[np.int8]) -> NDArray[np.int8]:
-        """Return the matrices D, (pairs, n, n), of (pairs, n * n) data in the order high, middle, low (section 5)."""
+        """Return the data matrices D, (pairs, n, n).
+
+        Parameters
+        ----------
+        symbols
+            (pairs, n * n) elements of D, -1 to 1, in the order high, middle, low (section 5).
+        """
         h = self.settings.side // 2
         d11, d12, d21, d22 = (q.reshape(-1, h, h) for q in np.split(symbols, 4, axis=1))
         return np.block([[d11, d12], [d21, d22]])
 
     def split(self, d: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Return the data of each layer, (pairs, symbols), of matrices D (pairs, n, n); the inverse of `join`."""
+        """Return the data of each layer, (pairs, symbols); the inverse of `join`.
+
+        Parameters
+        ----------
+        d
+            (pairs, n, n) data matrices D, soft or decided.
+        """
         h = self.settings.side // 2
         q = [part.reshape(len(d), -1) for part in (d[:, :h, :h], d[:, :h, h:], d[:, h:, :h], d[:, h:, h:])]
         return {"high": q[0], "middle": np.concatenate(q[1:3], axis=1), "low": q[3]}
 
 
 def with_inverses(patterns: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return patterns (k, n, n), each followed by its inverse: (2 k, n, n)."""
+    """Return patterns, each followed by its inverse: (2 k, n, n).
+
+    Parameters
+    ----------
+    patterns
+        (k, n, n) uint8 levels 0 to 4, in the order of time.
+    """
     return np.stack([patterns, pwm.invert(patterns)], axis=1).reshape(-1, *patterns.shape[1:])
 
 

@@ -45,7 +45,13 @@ def balance(data: Signs, ahead: int = 0) -> Signs:
 
 
 def unbalance(d11: Signs) -> Signs:
-    """Return the data of matrices D11 (..., h, h) of -1 and +1, the inverse of `balance`: (..., h, h - 1)."""
+    """Return the data that matrices D11 carry, the inverse of `balance`: (..., h, h - 1).
+
+    Parameters
+    ----------
+    d11
+        (..., h, h) int8 of -1 and +1, the polarities in column 0.
+    """
     polarity = d11[..., :1].copy()
     polarity[..., 0, :] = 1
     return np.asarray(d11[..., 1:] * polarity)

@@ -15,7 +15,13 @@ SLOT_ORDER = tuple(range(SLOTS))
 
 
 def invert(levels: ArrayLike) -> NDArray[np.uint8]:
-    """Return the inverted patterns 1 - x of levels 0 to 4, of any shape: level k becomes 4 - k, uint8."""
+    """Return the inverted patterns 1 - x: level k becomes 4 - k, uint8.
+
+    Parameters
+    ----------
+    levels
+        Levels 0 to 4 of patterns, of any shape.
+    """
     return (SLOTS - np.asarray(levels, dtype=np.uint8)).astype(np.uint8)
 
 
@@ -55,7 +61,7 @@ def waveform(levels: ArrayLike, order: Sequence[int] = SLOT_ORDER) -> NDArray[np
     levels
         (patterns, n, n) levels 0 to 4 in the order of time.
     order
-        As for `lit_slots`.
+        The slots, 0 to 3, in the order in which they are lit, as for `lit_slots`.
 
     Returns
     -------
@@ -72,7 +78,7 @@ def light_centroids(order: Sequence[int] = SLOT_ORDER) -> tuple[float, float]:
     Parameters
     ----------
     order
-        As for `lit_slots`.
+        The slots, 0 to 3, in the order in which they are lit, as for `lit_slots`.
 
     Returns
     -------

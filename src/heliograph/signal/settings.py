@@ -22,7 +22,13 @@ closest fractions, 3/5 and 2/3, lie 0.067 apart, so up to 0.03 no rate would be 
 
 
 def as_number(value: Any) -> Any:
-    """Return the number that a text such as '1/3' or '0.5' states; anything else is returned as it is."""
+    """Return the number that a text states; anything else is returned as it is.
+
+    Parameters
+    ----------
+    value
+        Value of a setting; text such as '1/3' or '0.5' is a number.
+    """
     try:
         return float(Fraction(value)) if isinstance(value, str) else value
     except (ValueError, ArithmeticError):

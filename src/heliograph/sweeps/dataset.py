@@ -72,7 +72,13 @@ def need_xarray() -> None:
 
 
 def unit(key: str) -> str:
-    """Unit of a setting by its name, "1" where it has none."""
+    """Unit of a setting by its name, "1" where it has none.
+
+    Parameters
+    ----------
+    key
+        Dotted key of the setting, such as "channel.distance_m", whose end tells the unit.
+    """
     return next((name for end, name in UNITS.items() if key.endswith(end)), "1")
 
 
@@ -82,9 +88,9 @@ def to_dataset(vary: Mapping[str, Sequence[Any]], tallies: Sequence[PointTally])
     Parameters
     ----------
     vary
-        Values by key.
+        Values of each varied key, as `listed` returns them.
     tallies
-        One a point, in the order of the grid, the last key fastest.
+        One a point, 1 or more, in the order of the grid, the last key fastest.
     """
     import xarray
 

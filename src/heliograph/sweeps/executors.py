@@ -46,7 +46,7 @@ class Workers(Protocol):
         job
             A function of a module, so that a worker can find it.
         work
-            Its argument.
+            The job's only argument; it can be pickled, as it may go to another process.
         """
 
     def restart(self) -> None:
@@ -138,9 +138,9 @@ class Here:
         Parameters
         ----------
         job
-            A function of a module.
+            A function of a module; it is called at once.
         work
-            Its argument.
+            The job's only argument.
         """
         future: Future[Result] = Future()
         try:
@@ -162,7 +162,7 @@ class Pool:
     Parameters
     ----------
     count
-        How many.
+        Number of worker processes, 1 or more.
     """
 
     def __init__(self, count: int):
@@ -175,9 +175,9 @@ class Pool:
         Parameters
         ----------
         job
-            A function of a module.
+            A function of a module, so that a worker can find it.
         work
-            Its argument.
+            The job's only argument; it can be pickled.
         """
         try:
             with _worker_environment():
@@ -212,7 +212,7 @@ class Cluster:
     Parameters
     ----------
     address
-        Of the scheduler, such as tcp://127.0.0.1:8786.
+        Address of the scheduler, such as tcp://127.0.0.1:8786.
 
     Raises
     ------
@@ -257,9 +257,9 @@ class Cluster:
         Parameters
         ----------
         job
-            A function of a module.
+            A function of a module, so that a worker can find it.
         work
-            Its argument.
+            The job's only argument; it can be pickled.
         """
         return self._executor.submit(_limited, self._parts, job, work)
 

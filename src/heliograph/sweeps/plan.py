@@ -33,7 +33,7 @@ def plan(
     seed
         Of all that is random, 0 to 2^63 - 1, which the store can hold.
     background, imu
-        Recordings, which are then used.
+        Files of footage and of motion, which points use unless a setting says otherwise; None where there are none.
 
     Raises
     ------
@@ -52,7 +52,13 @@ def plan(
 
 
 def laid_over(changes: Mapping[str, Any] | Sequence[str]) -> Mapping[str, Any]:
-    """Changes by dotted key or by text as one nested mapping."""
+    """Changes of settings as one nested mapping.
+
+    Parameters
+    ----------
+    changes
+        Values by dotted key, or texts such as "channel.distance_m=60"; a later one wins.
+    """
     if isinstance(changes, str):
         changes = [changes]
     if isinstance(changes, Mapping):

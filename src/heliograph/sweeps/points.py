@@ -29,9 +29,9 @@ class Recorded:
     Attributes
     ----------
     path
-        The file.
+        Absolute name of the file.
     digest
-        Of its content, in hexadecimal digits.
+        First 32 hexadecimal digits of the SHA-256 of its content.
     """
 
     path: str
@@ -40,6 +40,11 @@ class Recorded:
     @classmethod
     def of(cls, path: Path) -> "Recorded":
         """Return the recording in a file, as it is now.
+
+        Parameters
+        ----------
+        path
+            The file, which is read whole.
 
         Raises
         ------
@@ -62,11 +67,11 @@ class Point:
     choice
         What varies, by key as it was given.
     settings
-        The whole link.
+        The whole link at this point.
     seed
-        Of the sweep.
+        Seed of the sweep, 0 to 2^63 - 1, the same at all points.
     recordings
-        "footage" and "imu", where there are any.
+        Recordings by kind, "footage" and "imu"; empty where there are none.
     """
 
     choice: Mapping[str, Any]
@@ -81,13 +86,25 @@ class Point:
         return _digest([*about, {name: one.digest for name, one in sorted(self.recordings.items())}])
 
     def block_seed(self, block: int) -> int:
-        """Seed of a block. It does not depend on the receiver: all receivers get the same films."""
+        """Seed of a block. It does not depend on the receiver: all receivers get the same films.
+
+        Parameters
+        ----------
+        block
+            Number of the block at this point, from 0.
+        """
         scene = {k: v for k, v in to_mapping(self.settings).items() if k != "receive"}
         sequence = np.random.SeedSequence([self.seed, int(_digest(scene), 16)], spawn_key=(block,))
         return int(sequence.generate_state(1, np.uint64)[0])
 
     def job(self, block: int) -> dict[str, Any]:
-        """A block's work as plain values, for a worker anywhere."""
+        """A block's work as plain values, for a worker anywhere.
+
+        Parameters
+        ----------
+        block
+            Number of the block at this point, from 0.
+        """
         recordings = {name: asdict(one) for name, one in self.recordings.items()}
         return {"settings": to_mapping(self.settings), "seed": self.block_seed(block), "recordings": recordings}
 
@@ -111,7 +128,12 @@ def _code_digest() -> str:
 
 
 def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
-    """Do the work of `Point.job`: a block's counts as plain values, its computing time, and by which version.
+    """Compute a block: its counts as plain values, its computing time in s, and the version that did it.
+
+    Parameters
+    ----------
+    work
+        Plain values of `Point.job`: settings of the link, the block's seed, and recordings by path and digest.
 
     Raises
     ------

@@ -18,7 +18,13 @@ Progress = Callable[[Sequence[PointTally]], None]
 
 
 def silent(tallies: Sequence[PointTally], /) -> None:
-    """Report no progress."""
+    """Report no progress.
+
+    Parameters
+    ----------
+    tallies
+        Counts of all points; they are not looked at.
+    """
 
 
 def run(tallies: Sequence[PointTally], store: Store, workers: Workers, progress: Progress = silent) -> None:
@@ -27,11 +33,11 @@ def run(tallies: Sequence[PointTally], store: Store, workers: Workers, progress:
     Parameters
     ----------
     tallies
-        One a point.
+        One a point; the blocks are counted in them.
     store
         Blocks in it are not computed again, and all that are computed go there.
     workers
-        Compute.
+        Compute the blocks that the store lacks.
     progress
         Called with the tallies after each block.
 

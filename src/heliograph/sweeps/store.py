@@ -87,7 +87,13 @@ class Store:
         self._db.close()
 
     def note(self, point: Point) -> None:
-        """Keep the settings of a point."""
+        """Keep the settings of a point.
+
+        Parameters
+        ----------
+        point
+            Point of the sweep; one that is kept already stays as it is.
+        """
         about = (
             point.key,
             build(),
@@ -105,11 +111,11 @@ class Store:
         Parameters
         ----------
         point
-            Point of the block.
+            Point that the block belongs to.
         block
-            Number of the block.
+            Number of the block at its point, from 0.
         counts
-            Its counts.
+            What was counted in the block.
         seconds
             Its computing time in s.
 
@@ -128,9 +134,9 @@ class Store:
         Parameters
         ----------
         point
-            The point.
+            Point whose blocks are wanted.
         first
-            The least number that is wanted.
+            Least number of a block that is wanted, from 0.
 
         Raises
         ------

@@ -53,9 +53,9 @@ def sweep(
     output
         Folder of the store that makes the sweep resumable; None keeps nothing.
     min_errors, max_codewords, max_seconds
-        See `StopRule`.
+        When a point has enough: wrong codewords, codewords and computing time in s, as of `StopRule`.
     background, imu
-        Recordings for the channel.
+        Files of footage and of motion for the channel; None where there are none.
 
     Returns
     -------
@@ -89,11 +89,11 @@ def count(
     Parameters
     ----------
     tallies, progress
-        See `run`.
+        One tally a point, and what is called with them after each block, as for `run`.
     output
         Folder of the store; None keeps nothing.
     workers, scheduler
-        See `open_workers`.
+        Number of worker processes, or address of a Dask scheduler, as for `open_workers`.
     """
     with Store(output) as store:
         crew = open_workers(workers, scheduler)
@@ -111,9 +111,9 @@ def write_results(folder: Path, tallies: Sequence[PointTally]) -> None:
     Parameters
     ----------
     folder
-        Gets both files.
+        An existing folder, which gets both files.
     tallies
-        One a point, 1 or more.
+        One a point, 1 or more; they have what was counted so far.
 
     Raises
     ------

@@ -52,9 +52,9 @@ class PointTally:
     Parameters
     ----------
     point
-        The point.
+        Point whose blocks are counted.
     rule
-        Ends it.
+        Says when the point has enough.
 
     Attributes
     ----------
@@ -79,9 +79,9 @@ class PointTally:
         Parameters
         ----------
         block
-            Its number, from 0.
+            Number of the block at its point, from 0.
         counts
-            Its counts.
+            What was counted in the block.
         seconds
             Its computing time in s.
         """
@@ -94,7 +94,13 @@ class PointTally:
             self.blocks += 1
 
     def has(self, block: int) -> bool:
-        """Whether the block of a number was taken."""
+        """Whether a block was taken.
+
+        Parameters
+        ----------
+        block
+            Number of the block at its point, from 0.
+        """
         return block < self.blocks or block in self._waiting
 
     @property
@@ -162,6 +168,11 @@ def layer_report(counts: LayerCounts) -> dict[str, Any]:
     Intervals are Clopper-Pearson's, of the bit error rate at the effective number of bits, since bits of a packet fail
     together (see `Clustered`). "ber_is_bound" and "fer_is_bound" mark where no error was met: the rate 0 then means no
     more than that it is below the interval's upper end.
+
+    Parameters
+    ----------
+    counts
+        What was counted of the layer, at a whole point or in a distance bin.
     """
     out: dict[str, Any] = asdict(counts)
     for name, count in (("ber", counts.decoded), ("fer", counts.words)):

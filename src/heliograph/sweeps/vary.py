@@ -23,7 +23,12 @@ _RANGE = re.compile(rf"\s*({_NUMBER})\s*:\s*({_NUMBER})(?:\s*:\s*({_NUMBER}))?\s
 
 
 def parse_vary(text: str) -> tuple[str, list[Any]]:
-    """Turn ``key=value,value,...`` into key and values; a value may be a range first:last:step.
+    """Turn ``key=value,value,...`` into key and values.
+
+    Parameters
+    ----------
+    text
+        A dotted key and its values, such as "channel.distance_m=10,25:120:5"; a value may be a range first:last:step.
 
     Raises
     ------
@@ -39,6 +44,11 @@ def parse_vary(text: str) -> tuple[str, list[Any]]:
 def grid(vary: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
     """All combinations of the values of each key, the last key fastest; one empty one where nothing varies.
 
+    Parameters
+    ----------
+    vary
+        Values by dotted key, each once, at least one a key; "receiver" is short for "receive.receiver".
+
     Raises
     ------
     SettingsError
@@ -52,6 +62,11 @@ def grid(vary: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
 
 def listed(vary: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
     """Values of each key as a list, those of NumPy as Python's, which settings and JSON accept.
+
+    Parameters
+    ----------
+    vary
+        Values by dotted key, each once, at least one a key; "receiver" is short for "receive.receiver".
 
     Raises
     ------
@@ -94,9 +109,9 @@ def nested(key: str, value: Any) -> Any:
     Parameters
     ----------
     key
-        Such as "channel.distance_m".
+        Dotted key of a setting, such as "channel.distance_m".
     value
-        Its value.
+        What the setting is to be, of any type.
 
     Raises
     ------

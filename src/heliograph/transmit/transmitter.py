@@ -70,7 +70,7 @@ class Transmitter:
     Parameters
     ----------
     settings
-        The signal's settings.
+        Settings of the signal, as both ends have agreed on them.
     identity
         Number of the array, 0 to 29.
     messages
@@ -119,11 +119,23 @@ class Transmitter:
         return self.formats[0]
 
     def format_of(self, packet: int) -> PacketFormat:
-        """Return the layout of packet number `packet`, from 0."""
+        """Return the layout of a packet.
+
+        Parameters
+        ----------
+        packet
+            Number of the packet, from 0 at the start of the transmission.
+        """
         return self.formats[packet % len(self.formats)]
 
     def blocks(self, packet: int) -> dict[str, list[Block]]:
-        """Return the blocks in packet number `packet` by layer, one per codeword."""
+        """Return the blocks in a packet by layer, one per codeword.
+
+        Parameters
+        ----------
+        packet
+            Number of the packet, from 0 at the start of the transmission.
+        """
         return {
             name: [
                 self._carousels[name, layer.payload_bytes].block(self._sent_before(packet, name) + i)

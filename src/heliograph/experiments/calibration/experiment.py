@@ -55,7 +55,13 @@ class Calibration:
 
     @classmethod
     def of(cls, records: Iterable[CalibrationRecord]) -> "Calibration":
-        """All records together."""
+        """All records together.
+
+        Parameters
+        ----------
+        records
+            Records of films; those of a case are put together.
+        """
         reliability = {name: ReliabilityCounts() for name in (FIRST, LAST)}
         rows: dict[str, list[Floats]] = {}
         for one in records:
@@ -73,7 +79,13 @@ class Calibration:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Receive packets by distance; compare predictions and distances with the truth."""
+    """Receive packets by distance; compare predictions and distances with the truth.
+
+    Parameters
+    ----------
+    context
+        Says whether few packets or many are received; gives seed, workers and progress.
+    """
     measured = Calibration.of(context.each("the soft receiver", record, films(context)))
     bins = {name: counts.bins() for name, counts in measured.reliability.items()}
     errors = by_distance(measured.distances)
@@ -93,7 +105,13 @@ def run(context: Context) -> ExperimentResult:
 
 
 def films(context: Context) -> list[CalibrationFilm]:
-    """Films to be received; far ones, which take longest, first."""
+    """Films to be received; far ones, which take longest, first.
+
+    Parameters
+    ----------
+    context
+        Its `quick` says how many distances and films, its `seed` where the films' seeds begin.
+    """
     out = []
     for z in sorted(QUICK_M if context.quick else FULL_M, reverse=True):
         for case, preset, packets, count in ((STATIC, "static", 1, 24), (DRIVING, "paper", 3, 8)):

@@ -81,16 +81,22 @@ class KnownReader:
         Parameters
         ----------
         number
-            Its number in the header.
+            Number of the pair in the header, from 0.
         pair
-            Its frames.
+            Camera frames of the header and its inverse.
         tracked
-            The array in them.
+            The array in them, as the tracker followed it.
         """
         return self._blind.read_header(number, pair, tracked)
 
     def end_header(self, header: MeasuredHeader) -> None:
-        """Nothing: the camera is in step."""
+        """Nothing: the camera is in step.
+
+        Parameters
+        ----------
+        header
+            Header as a camera out of step saw it; ignored.
+        """
 
     def follow(self, pair: FramePair, track: Track) -> TrackedPair:
         """Follow the array blind; see `PacketReader`.
@@ -98,9 +104,9 @@ class KnownReader:
         Parameters
         ----------
         pair
-            Its frames.
+            Camera frames of a pair of data.
         track
-            The array before.
+            The array as it was before this pair.
         """
         return self._blind.follow(pair, track)
 
@@ -110,11 +116,11 @@ class KnownReader:
         Parameters
         ----------
         place
-            Number of the pair in its packet's data.
+            Number of the pair in its packet's data, from 0.
         pair
-            Its frames.
+            Camera frames of the pair; their numbers name the truths.
         tracked
-            The array in them, as it was followed.
+            The array in them, as it was followed; ignored, for the truth is known.
         """
         first, second = (self._truths[frame.index] for frame in (pair.pattern, pair.inverted))
         poses = true_pose(first, self._link), true_pose(second, self._link)
@@ -131,7 +137,13 @@ class KnownReader:
         return decode_iteratively(_FixedPoses(observed), channel, self._form, identity, decoding, None)
 
     def shown(self, packet: Packet) -> DecodeEvent:
-        """The packet with the cut-outs of its pairs."""
+        """The packet with the cut-outs of its pairs.
+
+        Parameters
+        ----------
+        packet
+            The packet that was just decoded.
+        """
         return DecodeEvent(packet.identity, packet, cutouts=tuple(self._cutouts))
 
     def next(self) -> "KnownReader":
@@ -177,7 +189,7 @@ def true_gain(truth: ArrayTruth, link: LinkSettings) -> float:
     Parameters
     ----------
     truth
-        Of the array in a frame.
+        Truth of the array in a frame; only its distance is used.
     link
         The link as simulated, with one array.
     """
@@ -193,7 +205,7 @@ def true_noise(gain: float, link: LinkSettings) -> Noise:
     Parameters
     ----------
     gain
-        See `true_gain`.
+        Gray levels of a wide array with all LEDs on, as `true_gain` gives them.
     link
         The link as simulated.
     """
@@ -212,11 +224,11 @@ class KnownChannelTask:
     Attributes
     ----------
     link
-        The link.
+        The link as simulated, with one array at rest.
     layer
         The layer that is counted.
     seeds
-        One a packet.
+        Seeds of messages, place and noise, one for each packet.
     known
         Whether the receiver gets the true channel.
     """
@@ -238,13 +250,13 @@ def tasks(distance_m: float, layer: str, brightness: Sequence[float], packets: i
     Parameters
     ----------
     distance_m
-        Distance in m.
+        Distance of the array in m, above 0.
     layer
         The layer that is counted.
     brightness
-        Of the array, 1 for that of the reference link.
+        Brightnesses of the array, 1 for that of the reference link.
     packets
-        Packets of each.
+        Packets of each task; their seeds count from 0.
     """
     out = []
     for one in brightness:
@@ -255,7 +267,13 @@ def tasks(distance_m: float, layer: str, brightness: Sequence[float], packets: i
 
 
 def measure(task: KnownChannelTask) -> Count:
-    """Codewords wrong of all packets."""
+    """Codewords wrong of all packets.
+
+    Parameters
+    ----------
+    task
+        The link, the layer that is counted, the seeds, and whether the channel is known.
+    """
     total = Count()
     for seed in task.seeds:
         total.include(count_packet(task.link, seed, task.known)[task.layer])
@@ -297,7 +315,13 @@ def _wrong(name: str, packets: Sequence[Packet], blocks: Sequence[Block]) -> Cou
 
 
 def run(context: Context) -> ExperimentResult:
-    """Count codewords blind and with the channel known."""
+    """Count codewords blind and with the channel known.
+
+    Parameters
+    ----------
+    context
+        Says whether few packets or many are counted; gives workers and progress. Its seed is not used.
+    """
     brightness = QUICK_BRIGHTNESS if context.quick else FULL_BRIGHTNESS
     todo = tasks(DISTANCE_M, LAYER, brightness, QUICK_PACKETS if context.quick else FULL_PACKETS)
     counts = context.each("known channel", measure, todo)

@@ -55,7 +55,13 @@ class ReliabilityCounts:
         self.table = np.concatenate([self.table, [row]])
 
     def include(self, other: "ReliabilityCounts") -> None:
-        """Count the packets of `other` as well."""
+        """Count another's packets as well.
+
+        Parameters
+        ----------
+        other
+            Counts of other packets; they stay as they are.
+        """
         self.table = np.concatenate([self.table, other.table])
 
     def bins(self) -> list["ReliabilityBin"]:
@@ -139,7 +145,7 @@ class CalibrationRecord:
     Attributes
     ----------
     case
-        The film's.
+        Name under which the film is counted.
     reliability
         Bits by `FIRST` and `LAST`.
     distances
@@ -155,7 +161,13 @@ class CalibrationRecord:
 
 
 def record(film: CalibrationFilm) -> CalibrationRecord:
-    """Simulate a film and receive it blind; each packet is then compared with the truth."""
+    """Simulate a film and receive it blind; each packet is then compared with the truth.
+
+    Parameters
+    ----------
+    film
+        The link, the case, the seed and the length of the film.
+    """
     settings = dithered(block_settings(film.settings, film.packets), film.seed)
     messages = random_messages(settings, film.seed)
     (sender,) = transmitters(settings, messages)
@@ -197,7 +209,13 @@ class LlrRecorder:
         self._iterations: list[dict[str, Floats]] = []
 
     def __call__(self, event: Event) -> None:
-        """Keep the LLRs that the equaliser hands out."""
+        """Keep the LLRs that the equaliser hands out.
+
+        Parameters
+        ----------
+        event
+            Any event of the receiver; only an `EqualiseEvent` has LLRs, others are ignored.
+        """
         if isinstance(event, EqualiseEvent):
             self._iterations.append({name: llr.copy() for name, llr in event.llr.items()})
 

@@ -44,7 +44,13 @@ class DistanceErrors:
 
 
 def judged(bins: Sequence[ReliabilityBin]) -> list[ReliabilityBin]:
-    """The bins with enough errors to be judged."""
+    """The bins with enough errors to be judged.
+
+    Parameters
+    ----------
+    bins
+        Bits by bin; from `ENOUGH` errors on, expected or observed, a bin is judged.
+    """
     return [one for one in bins if max(one.count.errors, one.expected) >= ENOUGH]
 
 
@@ -73,7 +79,13 @@ def calibrated(name: str, bins: Sequence[ReliabilityBin]) -> Finding:
 
 
 def by_distance(distances: Mapping[str, Floats]) -> list[DistanceErrors]:
-    """Errors by case and distance, first packets apart; `distances` are rows of `CalibrationRecord.distances`."""
+    """Errors by case and distance, first packets apart.
+
+    Parameters
+    ----------
+    distances
+        (packets, 3) rows of `CalibrationRecord.distances` by case; packets without a distance (NaN) are left out.
+    """
     out = []
     for case, rows in distances.items():
         for name, chosen in (("first packet", rows[:, 2] == 0), ("later packets", rows[:, 2] > 0)):
@@ -85,7 +97,13 @@ def by_distance(distances: Mapping[str, Floats]) -> list[DistanceErrors]:
 
 
 def rms_m(errors_m: Floats) -> tuple[float, float, float]:
-    """Rms of errors (n,) and its 95 % interval, in the same unit."""
+    """Rms of errors in m, and the ends of its 95 % interval.
+
+    Parameters
+    ----------
+    errors_m
+        (n,) errors in m, n above 0; they are taken as independent and normal, with mean 0.
+    """
     from scipy.special import chdtri
 
     total, n = float((errors_m**2).sum()), len(errors_m)
@@ -94,7 +112,14 @@ def rms_m(errors_m: Floats) -> tuple[float, float, float]:
 
 
 def accurate(errors: Sequence[DistanceErrors]) -> Finding:
-    """Whether distances are as accurate as asked."""
+    """Whether distances are as accurate as asked.
+
+    Parameters
+    ----------
+    errors
+        Errors by case and bin of distance; bins that end at `GOOD_TO_M` + 2.5 m or nearer are judged, and there must be
+        one.
+    """
     near = [one for one in errors if one.to_m <= GOOD_TO_M + 2.5]
     worst = max(near, key=lambda one: rms_m(one.errors_m)[0])
     rms, low, high = rms_m(worst.errors_m)

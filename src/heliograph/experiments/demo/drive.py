@@ -30,7 +30,13 @@ Bar = Callable[[str, int | None], AbstractContextManager[Callable[[int], None]]]
 
 
 def demo_messages(settings: LinkSettings) -> list[Messages]:
-    """A warning, a description and a picture, by priority."""
+    """A warning, a description and a picture, by priority.
+
+    Parameters
+    ----------
+    settings
+        The link; each of its arrays sends the same messages.
+    """
     warning = "Signal ahead: red for 12 s. Prepare to stop."
     details = (
         "Junction 7, northbound. Right lane closed for works until 18:00. Pedestrians on the east crossing. "
@@ -47,7 +53,7 @@ class Demonstration:
     Attributes
     ----------
     counts
-        See `Reception.report`.
+        All counts as plain values, see `Reception.report`.
     ending
         The error or interruption that broke the reception off; None: it came to its end. The page shows the results
         so far.
@@ -65,9 +71,9 @@ def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings,
     folder
         Gets drive.mp4, its truth, the messages and report.html.
     settings, seed, recordings
-        See `simulate`.
+        The link, the seed of road, scene and noise, and the real background and motion; see `simulate`.
     bar
-        Shows the progress.
+        Makes the progress bars, one of the simulation and one of the reception.
 
     Raises
     ------
@@ -97,7 +103,13 @@ def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings,
 
 
 def message_name(message: Message) -> str:
-    """File name of a message, by its array, layer and kind."""
+    """File name of a message, by its array, layer, stream and kind.
+
+    Parameters
+    ----------
+    message
+        A whole message; its data make it a picture (.png) if they begin as PNG does, else a text (.txt).
+    """
     suffix = "png" if message.data.startswith(b"\x89PNG") else "txt"
     return f"array-{message.identity}-{message.layer}-{message.stream}.{suffix}"
 

@@ -35,7 +35,7 @@ def write_page(
     Parameters
     ----------
     path
-        The HTML file.
+        Name of the HTML file to write.
     truth
         Truth of the film, with its settings.
     recorder
@@ -45,7 +45,7 @@ def write_page(
     counts
         Its report, see `Reception.report`.
     messages
-        Messages received whole.
+        Messages received whole, in the order of their arrival.
 
     Raises
     ------

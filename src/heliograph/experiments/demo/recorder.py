@@ -20,7 +20,7 @@ class TrackRecorder:
     cuts
         Number of the first frame, pose and both frames of the pairs kept.
     identity
-        The array's; None before it is found.
+        Number of that array, 0 to 29; None before it is found.
     """
 
     moments: list[int]
@@ -29,7 +29,13 @@ class TrackRecorder:
     identity: int | None = None
 
     def __call__(self, event: Event) -> None:
-        """Take an event."""
+        """Take an event.
+
+        Parameters
+        ----------
+        event
+            Any event of the receiver; detections, tracked pairs and pairs of data count, others are ignored.
+        """
         if isinstance(event, DetectEvent) and self.identity is None:
             self.identity = event.detection.identity
         if isinstance(event, TrackEvent) and event.identity == self.identity:

@@ -61,11 +61,11 @@ class Candidate:
     Attributes
     ----------
     score
-        Correlation of the pixels with the fitted header, up to 1.
+        Correlation of the pixels with the fitted header, 0 to 1.
     pose
-        Its pose.
+        Pose of the fitted header in the image.
     identity
-        Its identity.
+        Identity whose header it shows, 0 to 29; 0 where only a lit array is looked for.
     """
 
     score: float
@@ -92,7 +92,13 @@ class VariantDetector:
         self._bands = np.array_split(self._parameters.sides(), BANDS)
 
     def candidates(self, film: ClutterFilm) -> list[Candidate]:
-        """Candidates in the header's frames of a film; where there is an array, those at its place only."""
+        """Candidates in the header's frames of a film; where there is an array, those at its place only.
+
+        Parameters
+        ----------
+        film
+            Film whose header's first frames are searched.
+        """
         window = film.frames[film.first : film.first + self._frames_used]
         change, first = alternation_of(window), window[0]
         busy = busy_blocks(change, first, (), self._side, self._parameters.min_contrast)
@@ -139,7 +145,13 @@ class DetectionScores:
         return np.array([score for scores in self.false.values() for score in scores])
 
     def all_true(self, distance_m: float) -> NDArray[np.float64]:
-        """Scores of all films with an array at a distance in m, (n,)."""
+        """Scores of all films with an array at a distance, (n,).
+
+        Parameters
+        ----------
+        distance_m
+            Distance in m; only films of just this distance count.
+        """
         return np.array([s for (_, z), scores in self.true.items() if z == distance_m for s in scores])
 
 
@@ -151,7 +163,13 @@ def _around(truth: Pose, blocks: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def best_false(found: Sequence[Candidate]) -> Candidate | None:
-    """The candidate with the highest score; None where there is none."""
+    """The candidate with the highest score; None where there is none.
+
+    Parameters
+    ----------
+    found
+        Candidates in a film without an array.
+    """
     return max(found, key=lambda one: one.score, default=None)
 
 
@@ -161,11 +179,11 @@ def score_of_array(found: Sequence[Candidate], truth: Pose, identity: int | None
     Parameters
     ----------
     found
-        Candidates.
+        Candidates in a film with an array, at any place and of any size.
     truth
         Pose of the array.
     identity
-        The array's; None: a candidate of any identity counts.
+        Identity of the array, 0 to 29; None: a candidate of any identity counts.
     """
     return max((c.score for c in found if same(c.pose, truth) and identity in (None, c.identity)), default=0.0)
 
@@ -192,7 +210,7 @@ def threshold_for_false(false: NDArray[np.float64], fraction: float) -> float:
     false
         (n,) scores of films without an array.
     fraction
-        The fraction, 0 to 1.
+        Largest fraction of false alarms, 0 to 1.
     """
     allowed = int(fraction * false.size)
     return float(np.sort(false)[::-1][allowed]) if false.size > allowed else 0.0
@@ -206,7 +224,7 @@ def threshold_for_found(true: NDArray[np.float64], fraction: float) -> float:
     true
         (n,) scores of arrays.
     fraction
-        The fraction, 0 to 1.
+        Least fraction of arrays found, 0 to 1.
     """
     needed = int(np.ceil(fraction * true.size))
     return float(np.nextafter(np.sort(true)[::-1][needed - 1], -1)) if needed else 1.0
@@ -226,7 +244,13 @@ def curve(false: NDArray[np.float64], true: NDArray[np.float64]) -> tuple[list[f
 
 
 def plain(scores: Mapping[str, DetectionScores]) -> dict[str, dict[str, dict[str, list[float]]]]:
-    """Scores by variant as plain values, rounded to 4 digits."""
+    """Scores by variant as plain values, rounded to 4 digits.
+
+    Parameters
+    ----------
+    scores
+        Best scores by the variant's name.
+    """
     return {
         name: {
             "false": {scene: [round(s, 4) for s in found] for scene, found in one.false.items()},

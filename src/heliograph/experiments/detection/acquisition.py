@@ -43,11 +43,11 @@ class AcquisitionTrial:
     Attributes
     ----------
     seed
-        Of everything that is random.
+        Seed of everything that is random, 0 or more.
     within
-        Most patterns before a header at which the array is switched on.
+        Most patterns before a header at which the array is switched on, 0 or more; cut to one less than a packet has.
     changes
-        Texts ``key=value`` laid over the preset.
+        Texts ``key=value`` laid over the preset "paper".
     """
 
     seed: int
@@ -77,7 +77,7 @@ def measure(trials: Sequence[AcquisitionTrial], context: Context) -> list[Acquir
     Parameters
     ----------
     trials
-        The trials.
+        Trials to make, each with a seed of its own.
     context
         Gives workers and progress.
     """
@@ -85,7 +85,13 @@ def measure(trials: Sequence[AcquisitionTrial], context: Context) -> list[Acquir
 
 
 def acquire(trial: AcquisitionTrial) -> Acquired:
-    """Film and receive until the array is found."""
+    """Film and receive until the array is found.
+
+    Parameters
+    ----------
+    trial
+        Seed, lead before the header and changed settings.
+    """
     settings, first_s = _trial_settings(trial)
     detected: list[Detection] = []
     found: list[Detection] = []
@@ -131,7 +137,13 @@ def _trial_settings(trial: AcquisitionTrial) -> tuple[LinkSettings, float]:
 
 
 def outcomes_text(outcomes: Sequence[Acquired]) -> str:
-    """Outcomes in a line, with the 95 % interval of the rate of missed arrays."""
+    """Outcomes in a line, with the 95 % interval of the rate of missed arrays.
+
+    Parameters
+    ----------
+    outcomes
+        Outcome of each trial, in any order.
+    """
     by_header = [sum(one.headers == headers for one in outcomes) for headers in range(3)]
     low, high = Count(len(outcomes), by_header[0]).interval()
     return (
@@ -141,7 +153,13 @@ def outcomes_text(outcomes: Sequence[Acquired]) -> str:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Switch an array on, again and again."""
+    """Switch an array on, again and again.
+
+    Parameters
+    ----------
+    context
+        Seed of the first trial, effort, workers and progress.
+    """
     count = QUICK_TRIALS if context.quick else FULL_TRIALS
     outcomes = measure([AcquisitionTrial(context.seed + k, WITHIN) for k in range(count)], context)
     missed, wrong = sum(not one.headers for one in outcomes), sum(one.wrong for one in outcomes)

@@ -47,11 +47,11 @@ class ClutterFilm:
     Attributes
     ----------
     frames
-        Its frames.
+        Frames in the order of time, from before the header on.
     first
         Number of the frame in which the first array's header begins, or would begin.
     truths
-        Pose of each array.
+        Pose of each array in the frame after that in which its header begins.
     """
 
     frames: list[Frame]
@@ -94,7 +94,13 @@ class ClipBackdrop:
     reach: int
 
     def __call__(self, rng: np.random.Generator) -> Moment:
-        """Draw a moment."""
+        """Draw a moment.
+
+        Parameters
+        ----------
+        rng
+            Draws the two frames, and when between them the film begins.
+        """
         rate_hz, pairs = _clip_pairs(ClipVersion.of(self.path), self.reach)
         one, other = pairs[int(rng.integers(len(pairs)))]
         room = max(1 / rate_hz - FRAMES / RATE_HZ, 0.0)
@@ -108,9 +114,9 @@ class ClipVersion:
     Attributes
     ----------
     path
-        The file.
+        File of the clip.
     changed_ns, size_bytes
-        When it was last changed, and its size.
+        When it was last changed, in ns since 1970, and its size in bytes.
     """
 
     path: Path
@@ -120,6 +126,11 @@ class ClipVersion:
     @classmethod
     def of(cls, path: Path) -> Self:
         """Return the clip in a file.
+
+        Parameters
+        ----------
+        path
+            File of the clip.
 
         Raises
         ------
@@ -167,9 +178,11 @@ def film_moment(
     imu
         Recorded motion; None: a road of class C.
     distance_m
-        Of the arrays that show the end of a packet, a header, and data again; None: no array.
-    header, identities
-        Their headers.
+        Distance in m of the arrays, which show the end of a packet, a header, and data again; None: no array.
+    header
+        Kind of the arrays' headers: M-sequences, or the lit array.
+    identities
+        Identity of each array, 0 to 29; at least one, also where there is no array.
     over
         Channel in place of the reference link's, with a place for each array.
     """

@@ -44,11 +44,11 @@ class Separation:
     Attributes
     ----------
     distance_m
-        Distance in m.
+        Distance from camera to array in m.
     pitch_px
         Pitch of the LEDs in px.
     correlation, magnitude
-        Largest correlation of two headers, and largest magnitude of one.
+        Largest correlation of two headers, -1 to 1, and largest magnitude of one, 0 to 1.
     closest
         The two identities with the least distance.
     headers, formats
@@ -95,7 +95,7 @@ def cell_overlaps(shifts_px: Floats, pitch_px: float) -> Floats:
     Parameters
     ----------
     shifts_px
-        (shifts,) in px.
+        (shifts,) distances in px by which cell b is moved.
     pitch_px
         Pitch of the LEDs in px.
 
@@ -138,9 +138,9 @@ def separation(distance_m: float, steps: int = 60) -> Separation:
     Parameters
     ----------
     distance_m
-        Distance in m.
+        Distance from camera to array in m, above 0.
     steps
-        Shifts that are tried to either side, along each axis.
+        Shifts that are tried to either side along each axis, 1 or more.
     """
     pitch_px = PITCH_PX_M / distance_m
     shifts = np.linspace(-1, 1, 2 * steps + 1) * REACH_CELLS * SIDE / CELLS * pitch_px
@@ -157,7 +157,13 @@ def separation(distance_m: float, steps: int = 60) -> Separation:
 
 
 def format_separation(pitch_px: float) -> float:
-    """Distance in noises of the two formats most alike, of all identities; one pair, array and pose known."""
+    """Distance in noises of the two formats most alike, of all identities; one pair, array and pose known.
+
+    Parameters
+    ----------
+    pitch_px
+        Pitch of the LEDs in px, above 0.
+    """
     axis = cell_overlaps(np.zeros(1), pitch_px)[0]
     gram = (AMPLITUDE * pitch_px**2) ** 2 * np.kron(axis, axis)
     contrast = np.where(words(), DIMMED, 1.0)
@@ -178,7 +184,13 @@ def _noises(squared: Floats) -> float:
 
 
 def tables(found: Sequence[Separation]) -> list[Table]:
-    """The headers and the formats by distance."""
+    """The headers and the formats by distance.
+
+    Parameters
+    ----------
+    found
+        Likeness of the headers at each distance, in the order of the rows.
+    """
     rows = [
         (
             f"{one.distance_m:g}",
@@ -197,7 +209,13 @@ def tables(found: Sequence[Separation]) -> list[Table]:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Compare all headers and formats."""
+    """Compare all headers and formats.
+
+    Parameters
+    ----------
+    context
+        Whether the run is quick, which takes every fourth distance only.
+    """
     found = [separation(z) for z in (DISTANCES_M[::4] if context.quick else DISTANCES_M)]
     far = found[-1]
     return ExperimentResult(

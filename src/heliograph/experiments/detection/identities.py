@@ -63,19 +63,19 @@ class IdentityFilms:
     Attributes
     ----------
     distance_m
-        Distance in m.
+        Distance from camera to arrays in m.
     shown
-        The identity.
+        Identity that is filmed, 0 to 29.
     beside
         Whether an array of another identity stands in the same view.
     repeats
-        Number of films.
+        Number of films, 0 or more.
     scenes
-        The scenes.
+        Scenes behind the array; the identity's number says which comes first.
     imu
-        Recorded motion; None: a road.
+        Recorded motion; None: a road of class C.
     seed
-        Of all films.
+        Seed of all films, 0 or more.
     """
 
     distance_m: float
@@ -103,19 +103,19 @@ def confusion(
     Parameters
     ----------
     distances
-        In m.
+        Distances from camera to arrays in m.
     scenes
-        The arrays stand before each in turn.
+        Scenes by name; the arrays stand before each in turn.
     repeats
         Films of each identity at each distance.
     imu
-        Recorded motion; None: a road.
+        Recorded motion; None: a road of class C.
     context
         Gives seed, workers and progress.
     span
-        Fractions of the experiment done before and after.
+        Fractions of the experiment done before and after, each 0 to 1.
     identities
-        Those that are filmed.
+        Identities that are filmed, each 0 to 29.
     beside
         Whether another array, of any other identity, stands in the same view; both are counted then.
 
@@ -136,7 +136,13 @@ def confusion(
 
 
 def film_identity(batch: IdentityFilms) -> list[tuple[int, int]]:
-    """Identity shown and identity found of each array in the films."""
+    """Identity shown and identity found, 30 for none, of each array in the films.
+
+    Parameters
+    ----------
+    batch
+        Identity, distance, scenes and seed of the films.
+    """
     pairs: list[tuple[int, int]] = []
     for repeat in range(batch.repeats):
         kind = [1] if batch.beside else []
@@ -158,13 +164,25 @@ def _side_by_side(rng: np.random.Generator) -> list[Placement]:
 
 
 def small_camera(places: Sequence[Placement]) -> ChannelSettings:
-    """The reference link at rest, with a part of its sensor about the arrays."""
+    """The reference link at rest, with a part of its sensor about the arrays.
+
+    Parameters
+    ----------
+    places
+        Place of each array in m beside and below the optical axis.
+    """
     channel = load_settings("paper", {"channel": {"speed_m_s": 0.0, "camera": {"width": 256, "height": 192}}}).channel
     return replace(channel, arrays=tuple(places))
 
 
 def identities_seen(film: ClutterFilm) -> list[int]:
-    """Identity that the detector gives each of the film's arrays; 30 where it misses one."""
+    """Identity that the detector gives each of the film's arrays; 30 where it misses one.
+
+    Parameters
+    ----------
+    film
+        Film of one or more arrays whose true poses it holds.
+    """
     every = detections(film, SMALLEST_PX)
     near = ([one for one in every if same(one.fit.pose, truth)] for truth in film.truths)
     return [max(found, key=lambda one: one.score).identity if found else IDENTITIES for found in near]
@@ -176,7 +194,7 @@ def detections(film: ClutterFilm, smallest_px: float | None = None) -> list[Dete
     Parameters
     ----------
     film
-        The film.
+        Film of which all frames are searched.
     smallest_px
         Least side in px that is searched for; None: the receiver's default.
     """

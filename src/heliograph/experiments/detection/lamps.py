@@ -42,7 +42,13 @@ Backdrop = Callable[[np.random.Generator], Moment]
 
 
 def drawn_backdrop(rng: np.random.Generator) -> Moment:
-    """A drawn street; only the camera moves."""
+    """A drawn street; only the camera moves.
+
+    Parameters
+    ----------
+    rng
+        Draws what stands in the street.
+    """
     from heliograph.channel.background import draw_scene
 
     street = draw_scene(SIZE, rng)
@@ -62,7 +68,7 @@ class Lamp:
     speed
         (x, y) in px/s.
     light
-        Light of 0 to 1 at times in s, for a matrix sign by its rows.
+        Takes times in s, gives the light at each, 0 to 1; of a matrix sign (rows, times).
     picture
         Picture of a matrix sign, (rows, columns) of 0 and 1; None for a plain lamp.
     """
@@ -76,7 +82,13 @@ class Lamp:
 
 
 def lamp_backdrop(rng: np.random.Generator) -> Moment:
-    """A drawn street with lamps that move, flicker, blink and turn."""
+    """A drawn street with lamps that move, flicker, blink and turn.
+
+    Parameters
+    ----------
+    rng
+        Draws the street, and kind, place, size, speed and light of each lamp.
+    """
     import cv2
 
     street = next(iter(drawn_backdrop(rng).footage.frames()))

@@ -26,9 +26,9 @@ def pictures(
     Parameters
     ----------
     measured
-        Scores and counts.
+        Scores of the variants, counts of the receiver, and the worst false alarm, if any.
     alone, beside
-        Identities by distance in m, of arrays alone and of two in one view.
+        Confusion of identities by distance in m, of arrays alone and of two in one view.
     """
     shown = [
         (_roc(measured), "Arrays found against false alarms as the threshold falls, all scenes together; left: none."),

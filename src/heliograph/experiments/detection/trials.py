@@ -42,7 +42,7 @@ class Effort:
     without, with_array
         Films of each scene without an array, and with one at each distance.
     reach
-        Frames of a clip that are used.
+        Frames of a clip that are used, from the first on.
     repeats
         Films of an identity at each distance.
     step
@@ -63,11 +63,11 @@ class DetectionTrials:
     Attributes
     ----------
     scores
-        By variant.
+        Best scores in each film, by the variant's name.
     receiver_false
-        Films without an array in which the receiver finds one, by scene.
+        Films without an array by scene; those in which the receiver finds one count as errors.
     receiver_found
-        Films with an array that the receiver finds, by scene and distance in m.
+        Films with an array by scene and distance in m; those in which the receiver finds it count as errors.
     example
         The worst false alarm of the first variant: score, film and pose.
     """
@@ -80,7 +80,13 @@ class DetectionTrials:
     example: tuple[float, ClutterFilm, Pose] | None = None
 
     def add(self, more: "DetectionTrials") -> None:
-        """Count the films of another batch as well."""
+        """Count the films of another batch as well.
+
+        Parameters
+        ----------
+        more
+            Scores and counts of that batch.
+        """
         for name, scores in more.scores.items():
             for scene, false in scores.false.items():
                 self.scores[name].false.setdefault(scene, []).extend(false)
@@ -94,7 +100,13 @@ class DetectionTrials:
             self.example = more.example
 
     def set_false(self, scenes: Collection[str] | None = None) -> Count:
-        """False alarms of the receiver as it is set, in some scenes; None: in all."""
+        """False alarms of the receiver as it is set.
+
+        Parameters
+        ----------
+        scenes
+            Names of the scenes to count; None: all.
+        """
         return together(count for scene, count in self.receiver_false.items() if scenes is None or scene in scenes)
 
     def set_found(self, distance_m: float, scenes: Collection[str] | None = None) -> Count:
@@ -103,9 +115,9 @@ class DetectionTrials:
         Parameters
         ----------
         distance_m
-            Their distance in m.
+            Distance of the arrays in m.
         scenes
-            The scenes to count; None: all.
+            Names of the scenes to count; None: all.
         """
         return together(
             count
@@ -125,11 +137,11 @@ class SceneFilms:
     distance_m
         Distance of the array in m; None: there is none.
     trials
-        Numbers of the films.
+        Numbers of the films among those of their scene and distance, each 0 or more.
     imu
-        Recorded motion; None: a road.
+        Recorded motion; None: a road of class C.
     seed
-        Of all films.
+        Seed of all films, 0 or more.
     """
 
     scene: str
@@ -147,11 +159,11 @@ def measure(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None
     Parameters
     ----------
     scenes
-        By name.
+        Scenes by name; the place of a scene among them goes into the seeds of its films.
     effort
-        How many films.
+        Number of films of each scene with an array and without.
     imu
-        Recorded motion; None: a road.
+        Recorded motion; None: a road of class C.
     context
         Gives seed, workers and progress.
     """
@@ -171,7 +183,13 @@ def _batches(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | Non
 
 
 def film_scene(batch: SceneFilms) -> DetectionTrials:
-    """Film and search."""
+    """Film a scene, and search each film by all variants and by the receiver.
+
+    Parameters
+    ----------
+    batch
+        Scene, distance, numbers and seed of the films.
+    """
     out, detectors = DetectionTrials(), {variant.name: VariantDetector(variant) for variant in VARIANTS}
     for trial in batch.trials:
         if batch.distance_m is None:
@@ -221,7 +239,13 @@ def _with(
 
 
 def together(counts: Iterable[Count]) -> Count:
-    """The sum of counts."""
+    """The sum of counts.
+
+    Parameters
+    ----------
+    counts
+        Counts whose trials and errors are added up.
+    """
     every = list(counts)
     return Count(sum(c.trials for c in every), sum(c.errors for c in every))
 
@@ -232,11 +256,11 @@ def false_alarms(scores: DetectionScores, threshold: float = SCORE, scenes: Coll
     Parameters
     ----------
     scores
-        Of a variant.
+        Best scores of a variant in each film.
     threshold
-        Score to exceed.
+        Score to be exceeded, 0 to 1.
     scenes
-        The scenes to count; None: all.
+        Names of the scenes to count; None: all.
     """
     false = [s for scene, found in scores.false.items() if scenes is None or scene in scenes for s in found]
     return Count(len(false), sum(s > threshold for s in false))
@@ -248,18 +272,24 @@ def found_above(scores: DetectionScores, threshold: float = SCORE, scenes: Colle
     Parameters
     ----------
     scores
-        Of a variant.
+        Best scores of a variant in each film.
     threshold
-        Score to exceed.
+        Score to be exceeded, 0 to 1.
     scenes
-        The scenes to count; None: all.
+        Names of the scenes to count; None: all.
     """
     true = [s for (scene, _), found in scores.true.items() if scenes is None or scene in scenes for s in found]
     return Count(len(true), sum(s > threshold for s in true))
 
 
 def threshold_of(scores: DetectionScores) -> float:
-    """The threshold that `FOUND` of the arrays exceed, all distances together."""
+    """The threshold that `FOUND` of the arrays exceed, all distances together.
+
+    Parameters
+    ----------
+    scores
+        Best scores of a variant in each film.
+    """
     return ablation.threshold_for_found(np.concatenate([scores.all_true(z) for z in DISTANCES]), FOUND)
 
 
@@ -269,11 +299,11 @@ def found_at(scores: DetectionScores, distance: float, fraction: float) -> Count
     Parameters
     ----------
     scores
-        Of a variant.
+        Best scores of a variant in each film.
     distance
         Distance of the arrays in m.
     fraction
-        The fraction, 0 to 1.
+        Largest fraction of false alarms, 0 to 1.
     """
     true = scores.all_true(distance)
     return Count(true.size, int((true > ablation.threshold_for_false(scores.all_false(), fraction)).sum()))
@@ -285,7 +315,7 @@ def is_lower(a: Count, b: Count) -> bool | None:
     Parameters
     ----------
     a, b
-        Counts of the one and of the other.
+        Errors and trials of the one and of the other.
     """
     if a.interval()[1] < b.interval()[0]:
         return True

@@ -23,7 +23,13 @@ FAR_M = 150.0
 
 
 def compared(measured: DetectionTrials) -> list[Finding]:
-    """The paper's two claims about false detections at the receiver's own threshold, each by kind of scene."""
+    """The paper's two claims about false detections at the receiver's own threshold, each by kind of scene.
+
+    Parameters
+    ----------
+    measured
+        Best scores of the variants by scene.
+    """
     groups = kinds(measured)
     return [
         *(_taken(measured, kind, scenes) for kind, scenes in groups.items()),
@@ -32,7 +38,13 @@ def compared(measured: DetectionTrials) -> list[Finding]:
 
 
 def kinds(measured: DetectionTrials) -> dict[str, list[str]]:
-    """Scenes by kind: those filmed or drawn at rest, and the drawn lamps, which are made to deceive."""
+    """Scenes by kind: those filmed or drawn at rest, and the drawn lamps, which are made to deceive.
+
+    Parameters
+    ----------
+    measured
+        Scores, from which the scenes' names are taken.
+    """
     names = list(measured.scores[VARIANTS[0].name].false)
     groups = {
         "footage and a street at rest": [name for name in names if name != LAMPS],
@@ -91,7 +103,7 @@ def identities_found(confusions: Mapping[float, Confusion], *, beside: bool = Fa
     Parameters
     ----------
     confusions
-        By distance in m.
+        Confusion of identities by distance in m, `FAR_M` among them.
     beside
         Whether two arrays were in one view; else each alone.
     """
@@ -109,7 +121,13 @@ def identities_found(confusions: Mapping[float, Confusion], *, beside: bool = Fa
 
 
 def ingredients(measured: DetectionTrials) -> Finding:
-    """The effect of the header and of the number of frames."""
+    """The effect of the header and of the number of frames.
+
+    Parameters
+    ----------
+    measured
+        Best scores of the variants by scene.
+    """
     parts = []
     for variant in VARIANTS:
         scores = measured.scores[variant.name]
@@ -122,7 +140,13 @@ def ingredients(measured: DetectionTrials) -> Finding:
 
 
 def as_set(measured: DetectionTrials) -> Finding:
-    """The receiver's detector with its own thresholds."""
+    """The receiver's detector with its own thresholds.
+
+    Parameters
+    ----------
+    measured
+        Counts of the receiver as it is set, by scene.
+    """
     parts = []
     for kind, scenes in kinds(measured).items():
         false = ", ".join(f"{scene} {counted(measured.set_false([scene]))}" for scene in scenes)
@@ -141,5 +165,11 @@ def _range(count: Count) -> str:
 
 
 def counted(count: Count) -> str:
-    """A count with its interval, as text."""
+    """A count with its 95 % interval, as text.
+
+    Parameters
+    ----------
+    count
+        Errors, or things found, among trials.
+    """
     return f"{_of(count)} ({_range(count)})"

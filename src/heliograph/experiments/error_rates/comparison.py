@@ -36,11 +36,11 @@ class Comparison:
     pairs
         Packets of the drives, each with one at rest at the same distance.
     driving, static
-        Raw error rates.
+        Means of the packets' raw error rates, of the drives and at rest, 0 to 1.
     ratio, low, high
         Driving over static, with a 95 % interval over packets or drives, whichever is wider.
     p
-        Of equality, adjusted by Holm.
+        The p value of the test that both are equal, adjusted by Holm, 0 to 1.
     verdict
         "alike": the interval lies within the margin; "apart": they differ, and by more than it; "open": neither.
     """
@@ -77,11 +77,11 @@ def compare(
     Parameters
     ----------
     driving, static
-        Packets in pairs of equal distance.
+        Packets of the drives, and as many at rest; the k-th of both have the same distance.
     rng
-        Of the resampling.
+        Draws the packets or drives of the bootstrap, and the signs that are turned.
     margin
-        Factor up to which they count as alike.
+        Ratio of the rates up to which they count as alike, above 1.
     drives
         Number of the drive of each packet; none given: all of one drive, and the bootstrap is over pairs only.
 
@@ -145,7 +145,13 @@ def _paired(a: Floats, b: Floats, drives: NDArray[np.int_], rng: np.random.Gener
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Adjusted p values of Holm 1979: the k-th smallest of m times m - k, never falling, at most 1."""
+    """Adjusted p values of Holm 1979: the k-th smallest of m times m - k, never falling, at most 1.
+
+    Parameters
+    ----------
+    p
+        The p values of m tests, 0 to 1, in any order; the result has the same order.
+    """
     order, out, worst = np.argsort(p), [0.0] * len(p), 0.0
     for k, i in enumerate(order):
         worst = max(worst, min(1.0, (len(p) - k) * p[int(i)]))

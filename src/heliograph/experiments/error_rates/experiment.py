@@ -32,9 +32,9 @@ class Effort:
     places_m
         Distances at rest in m.
     films
-        Films of one packet at each.
+        Films of one packet at each distance.
     drives
-        Drives.
+        Whole drives from 80 m to 25 m.
     """
 
     places_m: Sequence[float]
@@ -130,7 +130,13 @@ def measure(context: Context, effort: Effort) -> ErrorRates:
 
 
 def judge(rates: ErrorRates) -> list[Finding]:
-    """All claims on error rates."""
+    """All claims on error rates.
+
+    Parameters
+    ----------
+    rates
+        Counts of all films, and driving beside static.
+    """
     return [
         alike(rates.found, rates.lost["driving"], rates.lost["static"]),
         *error_free(rates.driving),

@@ -29,7 +29,7 @@ class PacketRecord:
     distance_m
         True distance in m at its middle.
     layers
-        Counts by layer.
+        Bits, codewords and their errors, by layer.
     """
 
     distance_m: float
@@ -43,7 +43,7 @@ class FilmCounts:
     Attributes
     ----------
     packets
-        Packets received.
+        Packets received, each with its own counts.
     missed
         Codewords of packets of which nothing was received, by the lower edge of the distance bin in m and by layer.
     lost
@@ -67,7 +67,7 @@ class FilmTask:
     distance_m
         Distance at rest in m; None: a drive from 80 m to 25 m at 30 km/h.
     modulation
-        See `SignalSettings`.
+        "haar", the hierarchical code, or "ook", on-off keying of each LED.
     seed
         Of messages, place, motion and noise.
     imu
@@ -81,7 +81,13 @@ class FilmTask:
 
 
 def count_film(task: FilmTask) -> FilmCounts:
-    """Film, receive, count."""
+    """Film, receive, count.
+
+    Parameters
+    ----------
+    task
+        Distance or drive, modulation, seed and recorded motion.
+    """
     rng = np.random.default_rng(task.seed)
     signal = {"modulation": task.modulation}
     if task.distance_m is not None:
@@ -103,7 +109,7 @@ def film_packets(settings: LinkSettings, rng: np.random.Generator, recordings: R
     rng
         Draws the seed of messages, motion and noise.
     recordings
-        Real motion.
+        Recorded motion, which channel.shake = "imu" needs; None: the settings need none.
     """
     seed = int(rng.integers(2**31))
     messages = random_messages(settings, seed)
@@ -157,9 +163,9 @@ class CountsByDistance:
         Parameters
         ----------
         place
-            Distance in m.
+            Distance in m under which the packet is counted.
         record
-            The packet.
+            The packet; of its distance nothing is used.
         """
         self.places[place] = pooled([self.places.get(place, {}), record.layers])
 
@@ -169,27 +175,45 @@ class CountsByDistance:
         Parameters
         ----------
         place
-            Distance in m.
+            Distance in m under which they are counted.
         layer
-            Their layer.
+            Their layer, "high", "middle" or "low".
         codewords
-            How many.
+            Number of codewords that were not received.
         """
         self.places[place] = pooled([self.places.get(place, {}), {layer: LayerCounts.of_missed(codewords)}])
 
 
 def bin_of(distance_m: float) -> float:
-    """Middle in m of the distance bin."""
+    """Middle in m of the distance bin, which is `BIN_M` wide.
+
+    Parameters
+    ----------
+    distance_m
+        Distance in m of the array from the camera.
+    """
     return float(distance_m // BIN_M * BIN_M + BIN_M / 2)
 
 
 def lost_packets(films: Sequence[FilmCounts]) -> Count:
-    """Packets filmed whole, and those of them of which nothing was received."""
+    """Packets filmed whole, and those of them of which nothing was received.
+
+    Parameters
+    ----------
+    films
+        Counts of each film: its `packets` were received, its `lost` were not.
+    """
     return Count(sum(len(one.packets) + len(one.lost) for one in films), sum(len(one.lost) for one in films))
 
 
 def all_layers(layers: Layers) -> Clustered:
-    """Raw errors of all layers, by packet."""
+    """Raw errors of all layers, by packet.
+
+    Parameters
+    ----------
+    layers
+        Counts of the same packets by layer, one layer or more.
+    """
     parts = [counts.raw for counts in layers.values()]
     # squares of packets' sums are not kept: at most this by Minkowski, if layers fail in step
     squares = round(sum(np.sqrt(part.squares) for part in parts) ** 2)

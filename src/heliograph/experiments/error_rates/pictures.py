@@ -25,9 +25,9 @@ def pictures(
     Parameters
     ----------
     static, driving, keyed
-        Counts at rest, driving, and of on-off keying at rest.
+        Counts by distance at rest, driving, and of on-off keying at rest.
     found
-        Driving against static.
+        Driving against static, by layer and bin of distance.
     """
     rates = (
         "Bit error rate before and after the turbo code: static (lines), driving (open squares), on-off keying before "

@@ -67,7 +67,7 @@ class DriveCounts:
     Attributes
     ----------
     frames
-        Frames of it.
+        Number of frames in the film.
     errors
         Its errors, by distance and layer.
     """
@@ -111,7 +111,7 @@ class EmptyCounts:
     detections, packets, right
         Frames, and detections, packets, and packets with a right codeword among them.
     words
-        Right codewords.
+        Codewords taken for right, of all packets.
     without_header
         Results that are no packets.
     """
@@ -185,9 +185,9 @@ def native_frames(clip: Path, settings: LinkSettings) -> Iterator[Frame]:
     Parameters
     ----------
     clip
-        File of the clip.
+        File of the footage.
     settings
-        The link.
+        The link; it gives the size of the camera's frame in px and the pattern period.
     """
     import cv2
 
@@ -203,9 +203,9 @@ def encode_again(source: Path, target: Path) -> None:
     Parameters
     ----------
     source
-        The film.
+        File of the film, which stays as it is.
     target
-        The film to write.
+        File to write, another than the source.
 
     Raises
     ------
@@ -239,9 +239,9 @@ def receive_again(film: Path, truth: TruthFile) -> Reception:
     Parameters
     ----------
     film
-        The film.
+        File of the film that was encoded again.
     truth
-        Truth of the film as it was simulated.
+        Truth of the film as it was simulated; its settings are the receiver's as well.
 
     Raises
     ------
@@ -255,7 +255,13 @@ def receive_again(film: Path, truth: TruthFile) -> Reception:
 
 
 def error_lines(errors: ErrorCounter) -> Iterable[str]:
-    """Codewords wrong of sent, by distance and in all, line by line."""
+    """Codewords wrong of sent, by distance and in all, line by line.
+
+    Parameters
+    ----------
+    errors
+        Errors of a film that was received to its end.
+    """
     for start, layers in errors.bins().items():
         row = ", ".join(f"{name} {e.codeword_errors}/{e.codewords}" for name, e in layers.items())
         yield f"{start:g}-{start + BIN_M:g} m: {row}"
@@ -265,7 +271,13 @@ def error_lines(errors: ErrorCounter) -> Iterable[str]:
 
 
 def counted_text(count: Count) -> str:
-    """Errors of trials with their 95 % interval, or the bound 3 / n where there was none."""
+    """Errors of trials with their 95 % interval, or the bound 3 / n where there was none.
+
+    Parameters
+    ----------
+    count
+        Errors among trials, such as wrong codewords of those sent, or detections by frames.
+    """
     if count.errors:
         low, high = count.interval()
         return f"{count.errors}/{count.trials} [{low:.1e}, {high:.1e}]"

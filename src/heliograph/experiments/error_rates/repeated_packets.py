@@ -84,7 +84,7 @@ def measure(settings: LinkSettings, layer: str, receptions: int, films: int, con
     films
         Films, with the seeds 0, 1, ....
     context
-        Gives the workers.
+        Gives the workers that receive the films, and the progress.
     """
     todo = [RepeatedPacket(settings, layer, receptions, seed) for seed in range(films)]
     wrong = np.sum(context.each("repeated packets", wrong_codewords, todo), axis=0)
@@ -93,7 +93,13 @@ def measure(settings: LinkSettings, layer: str, receptions: int, films: int, con
 
 
 def wrong_codewords(film: RepeatedPacket) -> NDArray[np.int64]:
-    """Codewords of a layer that were not read in each packet of a film, (receptions,)."""
+    """Codewords of a layer that were not read in each packet of a film, (receptions,).
+
+    Parameters
+    ----------
+    film
+        The link, the layer that is counted, the number of packets and the seed.
+    """
     settings = film.settings
     receiver, packets = make_receiver(settings.signal, settings.receive), list[Packet]()
     messages = _one_packet(settings, film.seed)
@@ -116,7 +122,13 @@ def _one_packet(settings: LinkSettings, seed: int) -> Messages:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Count repeated packets where a single reception is not enough."""
+    """Count repeated packets where a single reception is not enough.
+
+    Parameters
+    ----------
+    context
+        Says whether few films or many are received; gives workers and progress. Its seed is not used.
+    """
     films, found = QUICK_FILMS if context.quick else FULL_FILMS, {}
     for layer, z in PLACES:
         found[f"{layer}, {z:g} m"] = measure(film_settings(z, RECEPTIONS), layer, RECEPTIONS, films, context)

@@ -85,13 +85,13 @@ class SceneTask:
     Attributes
     ----------
     scene
-        One of `SCENES`.
+        Name of the scene, one of `SCENES`.
     distance_m
-        Distance in m.
+        Distance in m to the plane of the arrays at the start of the film, above 0.
     seed
-        Of the block.
+        Seed of messages, road, noise and place.
     receiver
-        Name of the receiver.
+        Name of the receiver, such as "soft".
     """
 
     scene: str
@@ -106,11 +106,11 @@ def scene_settings(scene: str, distance_m: float, receiver: str = "soft") -> Lin
     Parameters
     ----------
     scene
-        One of `SCENES`.
+        Name of the scene, one of `SCENES`.
     distance_m
-        Distance in m.
+        Distance in m to the plane of the arrays at the start of the film, above 0.
     receiver
-        Name of the receiver.
+        Name of the receiver, such as "soft".
 
     Raises
     ------
@@ -130,15 +130,15 @@ def measure(
     Parameters
     ----------
     scenes
-        Of `SCENES`.
+        Names of the scenes, each one of `SCENES`.
     distances_m
-        Distances in m.
+        Distances in m at which each scene is filmed, above 0.
     seeds
-        One a block.
+        Seeds of the blocks of each scene and distance.
     receiver
-        Name of the receiver.
+        Name of the receiver, such as "soft".
     context
-        Gives workers and progress.
+        Gives the workers that receive the blocks, and the progress.
     """
     todo = [SceneTask(scene, z, seed, receiver) for scene in scenes for z in distances_m for seed in seeds]
     total: dict[tuple[str, float], BlockCounts] = {}
@@ -149,12 +149,24 @@ def measure(
 
 
 def count_block(task: SceneTask) -> BlockCounts:
-    """Counts of one block."""
+    """Counts of one block.
+
+    Parameters
+    ----------
+    task
+        Scene, distance, seed and receiver of the block.
+    """
     return run_block(scene_settings(task.scene, task.distance_m, task.receiver), task.seed)
 
 
 def counts_text(counts: BlockCounts) -> str:
-    """Counts in a line: codewords wrong, missed, sent, and what was accepted that was not sent."""
+    """Counts in a line: codewords wrong, missed, sent, and what was accepted that was not sent.
+
+    Parameters
+    ----------
+    counts
+        Counts of a block, or the sum of several.
+    """
     layers = []
     for name, layer in counts.layers.items():
         low, high = layer.words.interval()
@@ -165,7 +177,13 @@ def counts_text(counts: BlockCounts) -> str:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Count all scenes at all distances."""
+    """Count all scenes at all distances.
+
+    Parameters
+    ----------
+    context
+        Says whether few blocks or many are counted; gives the first seed, workers and progress.
+    """
     seeds = range(context.seed, context.seed + (QUICK_BLOCKS if context.quick else FULL_BLOCKS))
     total = measure(SCENES, DISTANCES_M, seeds, "soft", context)
     return ExperimentResult(

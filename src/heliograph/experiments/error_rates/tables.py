@@ -18,7 +18,7 @@ def rates_table(static: CountsByDistance, driving: CountsByDistance, keyed: Coun
     Parameters
     ----------
     static, driving, keyed
-        Counts at rest, driving, and of on-off keying at rest.
+        Counts by distance at rest, driving, and of on-off keying at rest.
     """
     head = ["distance"]
     head += [f"{n}: {what}" for n in LAYERS for what in ("raw", "decoded", "codewords wrong")] + ["on-off keying: raw"]
@@ -40,7 +40,13 @@ def _rates_row(name: str, layers: Layers, keyed: Layers | None) -> list[str]:
 
 
 def comparison_table(found: Sequence[Comparison]) -> Table:
-    """Driving against static, a row a comparison."""
+    """Driving against static, a row a comparison.
+
+    Parameters
+    ----------
+    found
+        Comparisons by layer and bin of distance, and by layer with all bins together.
+    """
     head = ("layer", "distance", "packets", "driving", "static", "ratio", "95 % interval", "p (Holm)", "verdict")
     rows = [
         (
@@ -67,9 +73,9 @@ def plain_values(
     Parameters
     ----------
     static, driving, keyed
-        Counts at rest, driving, and of on-off keying at rest.
+        Counts by distance at rest, driving, and of on-off keying at rest.
     found
-        Driving against static.
+        Driving against static, by layer and bin of distance.
     """
 
     def plain(sums: CountsByDistance) -> list[dict[str, Any]]:

@@ -76,7 +76,13 @@ def _judged(single: Sequence[Comparison], pooled: Sequence[Comparison], loss: st
 
 
 def error_free(driving: CountsByDistance) -> Iterator[Finding]:
-    """Whether the drive from 80 m to 25 m with a code of rate one-third is free of error, for each layer."""
+    """Whether the drive from 80 m to 25 m with a code of rate one-third is free of error, for each layer.
+
+    Parameters
+    ----------
+    driving
+        Counts of the drives, by the middle in m of the distance bin.
+    """
     for name in LAYERS:
         words, missed = Count(), 0
         first: tuple[float, Count] | None = None

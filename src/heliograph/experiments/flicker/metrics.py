@@ -54,9 +54,9 @@ class Flicker:
     slow_limit_share
         The same below 90 Hz alone.
     svm
-        Stroboscopic visibility measure.
+        Stroboscopic visibility measure; 1 is just visible.
     period_s
-        Flickering time period.
+        Flickering time period in s; 0 for a steady light.
     """
 
     percent: float
@@ -118,14 +118,26 @@ def spectrum(flux: ArrayLike, slot_s: float, top_hz: float = SVM_TOP_HZ) -> Spec
 
 
 def percent_flicker(flux: ArrayLike) -> float:
-    """Largest less least flux (slots,) by their sum, in percent: 0 for a steady light, 100 for one that goes out."""
+    """Largest less least flux by their sum, in percent: 0 for a steady light, 100 for one that goes out.
+
+    Parameters
+    ----------
+    flux
+        (slots,) light of each slot, 0 or more.
+    """
     f = np.asarray(flux, float)
     low, high = float(f.min()), float(f.max())
     return 100 * (high - low) / max(high + low, 1e-12)
 
 
 def low_risk_limit(hz: ArrayLike) -> Floats:
-    """Largest modulation of low risk (IEEE 1789-2015), 1 for 100 %, by frequency in Hz; infinite where none is set."""
+    """Largest modulation of low risk (IEEE 1789-2015), 1 for 100 %; infinite where none is set.
+
+    Parameters
+    ----------
+    hz
+        Frequencies in Hz, 0 or more, of any shape; the limits have the same shape.
+    """
     f = np.asarray(hz, float)
     # 0.025 f % below 90 Hz (and never above 5 %), 0.08 f % up to 1250 Hz
     limit = np.where(f < 90, np.minimum(0.025 * f, 5.0), 0.08 * f) / 100
@@ -133,14 +145,26 @@ def low_risk_limit(hz: ArrayLike) -> Floats:
 
 
 def visibility_threshold(hz: ArrayLike) -> Floats:
-    """Modulation of a sine of a frequency in Hz that half of the observers see (Perz et al. 2018, CIE TN 006)."""
+    """Modulation of a sine that half of the observers see (Perz et al. 2018, CIE TN 006), 1 for 100 %.
+
+    Parameters
+    ----------
+    hz
+        Frequencies of the sine in Hz, 0 or more, of any shape; the modulations have the same shape.
+    """
     f = np.asarray(hz, float)
     # T(f) = 1 / (1 + exp(-0.00518 (f - 306.6))) + 20 exp(-f / 10)
     return 1 / (1 + np.exp(-0.00518 * (f - 306.6))) + 20 * np.exp(-f / 10)
 
 
 def svm(lines: Spectrum) -> float:
-    """Stroboscopic visibility measure: 1 is just visible."""
+    """Stroboscopic visibility measure: 1 is just visible.
+
+    Parameters
+    ----------
+    lines
+        Modulation by frequency, up to `SVM_TOP_HZ`.
+    """
     # SVM = (sum (C_m / T_m)^3.7)^(1 / 3.7)
     ratio = lines.modulation / visibility_threshold(lines.hz)
     return float((ratio**SVM_EXPONENT).sum() ** (1 / SVM_EXPONENT))

@@ -37,17 +37,29 @@ class SignalFlicker:
     Attributes
     ----------
     every
-        One a stretch.
+        Measures of each stretch, in the order of time.
     """
 
     every: list[Flicker]
 
     def values(self, name: str) -> Floats:
-        """A measure of `Flicker` by stretch, (stretches,)."""
+        """A measure by stretch, (stretches,).
+
+        Parameters
+        ----------
+        name
+            Name of the measure, an attribute of `Flicker`.
+        """
         return np.array([getattr(one, name) for one in self.every])
 
     def range(self, name: str) -> tuple[float, float, float]:
-        """5 % quantile, median and 95 % quantile of a measure."""
+        """5 % quantile, median and 95 % quantile of a measure.
+
+        Parameters
+        ----------
+        name
+            Name of the measure, an attribute of `Flicker`.
+        """
         low, middle, high = np.quantile(self.values(name), (0.05, 0.5, 0.95))
         return float(low), float(middle), float(high)
 
@@ -57,9 +69,9 @@ class SignalFlicker:
         Parameters
         ----------
         name
-            The measure.
+            Name of the measure, an attribute of `Flicker`.
         form
-            Format of a number.
+            Format of a number, such as ".2f".
         scale
             Factor to multiply the measure by.
         """
@@ -82,7 +94,7 @@ def measured(flux: Floats, slot_s: float) -> SignalFlicker:
     Parameters
     ----------
     flux
-        (slots,) whole stretches.
+        (slots,) light of each slot, 0 or more, over a whole number of stretches.
     slot_s
         Length of a slot in s.
     """
@@ -95,11 +107,11 @@ def wave(name: str, seconds: float, seed: int = 0) -> Floats:
     Parameters
     ----------
     name
-        One of `SIGNALS`.
+        Name of the signal, one of `SIGNALS`.
     seconds
-        Length in s.
+        Length of the signal in s, rounded to whole patterns.
     seed
-        Of the data.
+        Seed of the random data, 0 or more.
 
     Returns
     -------
@@ -133,5 +145,11 @@ def wave(name: str, seconds: float, seed: int = 0) -> Floats:
 
 
 def pair_means(flux: Floats) -> Floats:
-    """Mean light of each pair of patterns, (pairs,), of a flux (slots,)."""
+    """Mean light of each pair of patterns, (pairs,).
+
+    Parameters
+    ----------
+    flux
+        (slots,) light of each slot, over whole pairs.
+    """
     return np.asarray(flux.reshape(-1, 2 * pwm.SLOTS).mean(1))

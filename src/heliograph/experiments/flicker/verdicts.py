@@ -32,7 +32,7 @@ def findings(found: Mapping[str, SignalFlicker], waves: Mapping[str, Floats], sl
     Parameters
     ----------
     found
-        Measures by signal.
+        Measures of each of `SIGNALS`, by name.
     waves
         Flux (slots,) by signal.
     slot_s
@@ -145,5 +145,11 @@ def _all(one: SignalFlicker) -> str:
 
 
 def ms_text(one: SignalFlicker) -> str:
-    """Flickering time period as text."""
+    """Flickering time period as text: median and range in ms.
+
+    Parameters
+    ----------
+    one
+        Measures of a signal, stretch by stretch.
+    """
     return f"{one.text('period_s', '.3g', 1e3)} ms"

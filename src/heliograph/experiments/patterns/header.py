@@ -20,7 +20,13 @@ TEXT = (
 
 
 def run(context: Context) -> ExperimentResult:
-    """Film headers and read their cells."""
+    """Film headers and read their cells.
+
+    Parameters
+    ----------
+    context
+        Seed, and whether the run is quick, which takes every third identity only.
+    """
     wrong = measure(range(0, IDENTITIES, 3 if context.quick else 1), context.seed)
     pictures = [
         header_levels(0) * 63,
@@ -52,9 +58,9 @@ def measure(identities: range, seed: int) -> dict[float, Count]:
     Parameters
     ----------
     identities
-        Those whose header is filmed, once at each distance.
+        Identities whose header is filmed, once at each distance, each 0 to 29.
     seed
-        Of place and noise.
+        Seed of place and noise, 0 or more.
     """
     return {z: _wrong_cells(z, identities, seed) for z in DISTANCES}
 

@@ -48,7 +48,13 @@ class Spreads:
 
 
 def run(context: Context) -> ExperimentResult:
-    """Film pairs near and far."""
+    """Film pairs near and far.
+
+    Parameters
+    ----------
+    context
+        Seed, and whether the run is quick, which takes 4 pairs at each distance in place of 40.
+    """
     spreads = measure(4 if context.quick else 40, context.seed)
     shots = [_filmed(z, context.seed) for z in (25.0, 50.0)]
     images = [image for first, second, _ in shots for image in (first, second, (first + second) / 2)]
@@ -76,9 +82,9 @@ def measure(pairs: int, seed: int) -> Spreads:
     Parameters
     ----------
     pairs
-        Pairs filmed at each distance, bright and dim.
+        Pairs filmed at each distance, bright and dim, 1 or more.
     seed
-        Of the first pair; the others follow.
+        Seed of the first pair, 0 or more; those of the others follow.
     """
     bright, dim = (
         {z: np.array([_spreads(z, seed + k, light) for k in range(pairs)]).mean(0) for z in DISTANCES}
@@ -88,7 +94,13 @@ def measure(pairs: int, seed: int) -> Spreads:
 
 
 def judge(spreads: Spreads) -> Finding:
-    """Whether the sum is about as uniform as an array with all LEDs on."""
+    """Whether the sum is about as uniform as an array with all LEDs on.
+
+    Parameters
+    ----------
+    spreads
+        Mean spreads at each of `DISTANCES`, bright and dim.
+    """
     rest, rest_dim = (
         {z: float((s[1] - s[2]) / s[0]) for z, s in part.items()} for part in (spreads.bright, spreads.dim)
     )

@@ -21,13 +21,13 @@ class Parameter:
     Attributes
     ----------
     name
-        Its name.
+        Name of the parameter in the tables.
     paper
-        The paper's value.
+        The paper's value in `unit`; a text is compared as it is.
     unit
         Unit of the value; empty where it has none.
     of
-        Takes the value from the settings.
+        Takes the value, in the same unit, from the settings.
     """
 
     name: str
@@ -36,18 +36,36 @@ class Parameter:
     of: Callable[[LinkSettings], float | str]
 
     def ours(self, link: LinkSettings) -> float | str:
-        """The preset's value."""
+        """The preset's value.
+
+        Parameters
+        ----------
+        link
+            Settings from which the preset's value is taken.
+        """
         return self.of(link)
 
     def equal(self, link: LinkSettings) -> bool:
-        """Whether they agree, numbers to 0.1 %."""
+        """Whether they agree, numbers to 0.1 %.
+
+        Parameters
+        ----------
+        link
+            Settings from which the preset's value is taken.
+        """
         ours = self.ours(link)
         if isinstance(ours, str) or isinstance(self.paper, str):
             return ours == self.paper
         return abs(ours - self.paper) <= 1e-3 * abs(self.paper)
 
     def cells(self, link: LinkSettings) -> list[str]:
-        """Name, both values, and whether they agree."""
+        """Name, both values, and whether they agree.
+
+        Parameters
+        ----------
+        link
+            Settings from which the preset's value is taken.
+        """
         values = [
             f"{v if isinstance(v, str) else f'{v:.6g}'} {self.unit}".strip() for v in (self.paper, self.ours(link))
         ]
@@ -90,7 +108,13 @@ STATIC_KB_S, DRIVING_KB_S = 128.0, 16.0
 
 
 def run(context: Context) -> ExperimentResult:  # noqa: ARG001 - every experiment takes a context
-    """Compare."""
+    """Compare.
+
+    Parameters
+    ----------
+    context
+        Not used: nothing here is random.
+    """
     link, by_tracking = load_settings("paper"), rates()
     return ExperimentResult(
         key="tables",
@@ -118,7 +142,13 @@ def run(context: Context) -> ExperimentResult:  # noqa: ARG001 - every experimen
 
 
 def judge(link: LinkSettings) -> list[Finding]:
-    """Whether parameters and data rates of a link are the paper's."""
+    """Whether parameters and data rates are the paper's.
+
+    Parameters
+    ----------
+    link
+        Settings of the link that is judged.
+    """
     rate = net_kb_s(link)
     return [
         _agreement("Table I: the camera.", CAMERA, link),
@@ -140,7 +170,13 @@ def judge(link: LinkSettings) -> list[Finding]:
 
 
 def net_kb_s(link: LinkSettings) -> float:
-    """Bits of the data pairs by time, headers and code left out."""
+    """Bits of the data pairs by time in kb/s, headers and code left out.
+
+    Parameters
+    ----------
+    link
+        Settings that give the LEDs in a row and the pattern period.
+    """
     return link.signal.side**2 * _pairs_a_second(link) / 1000
 
 

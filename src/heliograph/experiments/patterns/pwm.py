@@ -35,7 +35,13 @@ Luminances = Mapping[float, NDArray[np.float64]]
 
 
 def run(context: Context) -> ExperimentResult:
-    """Draw the waveforms and film each level."""
+    """Draw the waveforms and film each level.
+
+    Parameters
+    ----------
+    context
+        Seed, and whether the run is quick, which takes 4 films of each exposure in place of 40.
+    """
     light = measure(range(context.seed, context.seed + (4 if context.quick else 40)))
     return ExperimentResult(
         key="fig4",
@@ -51,12 +57,24 @@ def run(context: Context) -> ExperimentResult:
 
 
 def measure(seeds: Sequence[int]) -> Luminances:
-    """Film each level, a film a seed and exposure."""
+    """Film each level with each exposure.
+
+    Parameters
+    ----------
+    seeds
+        Seeds of the films of an exposure, one each, 0 or more.
+    """
     return {tau: np.array([filmed(tau, seed) for seed in seeds]) for tau in EXPOSURES_S}
 
 
 def judge(light: Luminances) -> list[Finding]:
-    """Whether the light grows with the level, with an exposure of T_b and with half of it."""
+    """Whether the light grows with the level, with an exposure of T_b and with half of it.
+
+    Parameters
+    ----------
+    light
+        Light by level of each film, at all of `EXPOSURES_S`.
+    """
     whole, half = (light[tau] for tau in EXPOSURES_S)
     off = np.abs(whole.mean(0) - LEVELS / 4).max()
     lost = _lost_steps(half.mean(0))
@@ -88,9 +106,9 @@ def filmed(exposure_s: float, seed: int) -> NDArray[np.float64]:
     Parameters
     ----------
     exposure_s
-        Exposure in s.
+        Exposure of each frame in s.
     seed
-        Of place and noise.
+        Seed of place and noise, 0 or more.
 
     Returns
     -------

@@ -33,7 +33,13 @@ Contrasts = Mapping[float, Sequence[float]]
 
 
 def run(context: Context) -> ExperimentResult:
-    """Film the array from near to far."""
+    """Film the array from near to far.
+
+    Parameters
+    ----------
+    context
+        Seed of the data that are shown, and whether the run is quick, which takes 2 frames of 20 at each distance.
+    """
     contrasts = measure(range(2 if context.quick else 20))
     return ExperimentResult(
         key="fig3",
@@ -46,13 +52,25 @@ def run(context: Context) -> ExperimentResult:
 
 
 def measure(seeds: Sequence[int]) -> Contrasts:
-    """Contrast of single LEDs in a frame a seed, by distance in m."""
+    """Contrast of single LEDs in each frame, by distance in m.
+
+    Parameters
+    ----------
+    seeds
+        Seeds of place and noise of the frames at a distance, one each, 0 or more.
+    """
     on = np.full((16, 16), 4, np.uint8)
     return {z: [contrast(*static_frame(z, on, seed)) for seed in seeds] for z in SWEEP_M}
 
 
 def judge(contrasts: Contrasts) -> Finding:
-    """Whether single LEDs are resolved near in all frames and far in none."""
+    """Whether single LEDs are resolved near in all frames and far in none.
+
+    Parameters
+    ----------
+    contrasts
+        Contrast of each frame by distance in m, `NEAR_M` and `FAR_M` among them.
+    """
     near, far = (np.array(contrasts[z]) for z in (NEAR_M, FAR_M))
     holds = bool((near > RESOLVED).all() and (far < RESOLVED).all())
     return Finding(
@@ -69,9 +87,9 @@ def draw(contrasts: Contrasts, seed: int) -> list[tuple[Figure, str]]:
     Parameters
     ----------
     contrasts
-        See `measure`.
+        Contrast of each frame, -1 to 1, by distance in m.
     seed
-        Of the data that are shown.
+        Seed of the data that are shown, 0 or more.
     """
     data = haar.encode(np.random.default_rng(seed).choice([-1, 1], (16, 16)))
     images = [static_frame(z, levels, 0)[0].pixels for z in (NEAR_M, FAR_M) for levels in (data, np.full_like(data, 4))]
@@ -88,11 +106,11 @@ def static_frame(distance_m: float, levels: NDArray[np.uint8], seed: int) -> tup
     Parameters
     ----------
     distance_m
-        Distance in m.
+        Distance from camera to array in m, above 0.
     levels
         (16, 16) levels 0 to 4.
     seed
-        Of place and noise.
+        Seed of place and noise, 0 or more.
     """
     settings = centred_link(distance_m, np.random.default_rng([seed, round(distance_m)]))
     channel = replace(settings.channel, duration_s=1e-3)
@@ -109,7 +127,7 @@ def luminance_at(frame: Frame, points: NDArray[np.float64]) -> NDArray[np.float6
     frame
         The frame, or a window of it.
     points
-        (..., 2) x and y in px.
+        (..., 2) x and y on the sensor in px.
 
     Returns
     -------
@@ -124,7 +142,13 @@ def luminance_at(frame: Frame, points: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def led_points(truth: ArrayTruth) -> NDArray[np.float64]:
-    """True image points of the LEDs, (16, 16, 2) x and y in px."""
+    """True image points of the LEDs, (16, 16, 2) x and y in px.
+
+    Parameters
+    ----------
+    truth
+        True place, pitch and roll of the array in the frame.
+    """
     return Pose(truth.x, truth.y, truth.pitch_px, truth.roll_rad).leds(16)
 
 
@@ -134,9 +158,9 @@ def contrast(frame: Frame, truth: ArrayTruth) -> float:
     Parameters
     ----------
     frame
-        A frame of it.
+        Frame that shows the array with all LEDs on, or a window of it.
     truth
-        Where it is.
+        True place, pitch and roll of the array in the frame.
     """
     points = led_points(truth)
     midway = 0.5 * (points[:, 1:] + points[:, :-1])

@@ -34,11 +34,11 @@ class TimingLoss:
     Attributes
     ----------
     rate
-        Frames a pattern.
+        Frames a pattern, 1 or more.
     exposure, phase
-        In T_b.
+        Exposure, and start of the first one after that of a pattern, in T_b.
     slope
-        Slope over the levels, by that of a camera in step.
+        Mean slope over the levels, as a ratio to that of a camera in step.
     noise
         Standard deviation of the noise, by that of the difference of two frames.
     loss_db
@@ -82,7 +82,7 @@ def timing_loss(rate: float, exposure: float, phase: float) -> TimingLoss:
     rate
         Frames a pattern, 1 or more.
     exposure
-        Exposure in T_b.
+        Exposure of each frame in T_b, above 0.
     phase
         Start of the first exposure after that of a pattern, in T_b.
     """
@@ -127,7 +127,13 @@ def _header(rate: float, exposure: float, phase: float) -> float:
 
 
 def table(losses: Iterable[TimingLoss]) -> Table:
-    """A row a case and phase."""
+    """A row a case and phase.
+
+    Parameters
+    ----------
+    losses
+        Losses by rate, exposure and phase, in the order of the rows.
+    """
     head = ("rate", "exposure", "phase", "slope", "noise", "loss (dB)", "around", "rest", "bits", "header")
     return Table("The best combination for a pair", head, [_cells(one) for one in losses])
 
@@ -138,7 +144,13 @@ def _cells(one: TimingLoss) -> Sequence[str]:
 
 
 def run(context: Context) -> ExperimentResult:  # noqa: ARG001 - every experiment takes a context
-    """Compute all cases."""
+    """Compute all cases.
+
+    Parameters
+    ----------
+    context
+        Not used: there is one effort, and nothing random.
+    """
     losses = measure()
     in_step = [one for one in losses if one.rate == 1 and one.exposure == 1]
     worst = max(in_step, key=lambda one: one.loss_db)

@@ -54,7 +54,13 @@ Points = Sequence[tuple[float, Count]]
 
 
 def error_free_m(points: Points) -> tuple[float, Count] | None:
-    """Largest distance in m with no error there and nearer, and the bits counted; None: not even the first."""
+    """Largest distance in m with no error there and nearer, and the bits counted; None: not even the first.
+
+    Parameters
+    ----------
+    points
+        Bits and errors by distance in m, near first.
+    """
     total, last = Count(), None
     for z, count in points:
         if not count.trials or count.errors:
@@ -72,9 +78,9 @@ def range_m(points: Points, rate: float) -> float | None:
     Parameters
     ----------
     points
-        Bits and errors by distance.
+        Bits and errors by distance in m, near first.
     rate
-        Bit error rate, above 0.
+        Bit error rate, above 0 and below 1.
     """
     before: tuple[float, float] | None = None
     for z, count in points:

@@ -17,7 +17,13 @@ CAPTION = (
 
 
 def error_rates(points: Mapping[str, Points]) -> Figure:
-    """On-off keying and repetition left, the hierarchical code right; `points` are by name of the system."""
+    """On-off keying and repetition left, the hierarchical code right.
+
+    Parameters
+    ----------
+    points
+        Bits and errors by distance, by name of the system, for each of `CURVES`.
+    """
     figure = Figure(figsize=(12, 5))
     left, right = figure.subplots(1, 2, sharey=True)
     for curve in CURVES:

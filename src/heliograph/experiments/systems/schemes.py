@@ -64,7 +64,13 @@ class Scheme:
         return int(self.key.removeprefix("repeat")) if self.key.startswith("repeat") else 1
 
     def encode(self, bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Patterns (pairs, 16, 16) of levels 0 to 4 that show bits (pairs, bits)."""
+        """Patterns (pairs, 16, 16) of levels 0 to 4 that show bits.
+
+        Parameters
+        ----------
+        bits
+            (pairs, bits) bits, 0 or 1; as many in a row as a pattern has.
+        """
         d = 1 - 2 * bits.astype(np.int8)
         if self.key == "haar":
             return haar.encode(_form().join(d))
@@ -72,7 +78,13 @@ class Scheme:
         return ook.encode(np.kron(small, np.ones((1, self.square, self.square), np.int8)))
 
     def decode(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Soft bits (bits,), positive for 0, of a pair's luminances (16, 16); those of one bit are added."""
+        """Soft bits (bits,), positive for 0; the luminances of one bit are added.
+
+        Parameters
+        ----------
+        x
+            (16, 16) luminances of a pair, x' = level - 2 times any gain.
+        """
         if self.key == "haar":
             return np.concatenate([part[0] for part in _form().split(haar.decode(x)[None]).values()])
         n = SIDE // self.square
@@ -101,7 +113,7 @@ class BitCounts:
     Attributes
     ----------
     counts
-        By method and part, clustered by film.
+        Bits and errors by method and part, clustered by film.
     films, found
         Films, and those in which the array was found.
     """
@@ -123,7 +135,13 @@ class BitCounts:
         self.counts.setdefault((method, part), Clustered(scattered=True)).add(trials, errors)
 
     def settled(self, target: int) -> bool:
-        """Whether every count has `target` bits, or `ENOUGH` errors, or the array is out of reach."""
+        """Whether every count has bits or errors enough, or the array is out of reach.
+
+        Parameters
+        ----------
+        target
+            Bits that are enough for a count; `ENOUGH` errors are as well.
+        """
         if self.films >= SILENT and not self.found:
             return True
         return bool(self.counts) and all(c.trials >= target or c.errors >= ENOUGH for c in self.counts.values())
@@ -139,7 +157,7 @@ def count_bits(scheme: Scheme, methods: Sequence[ReadMethod], distance_m: float,
     methods
         How the LEDs are read.
     distance_m
-        Distance in m.
+        Distance of the array in m, above 0.
     target
         Bits of each part, less where `ENOUGH` errors come first.
     seed

@@ -11,7 +11,13 @@ KASASHIMA_M = {"plain": 40.0, "inverse": 60.0}
 
 
 def findings(points: Mapping[str, Points]) -> list[Finding]:
-    """All claims; `points` are by name of the system."""
+    """All claims.
+
+    Parameters
+    ----------
+    points
+        Bits and errors by distance, by name of the system, for each of `CURVES`.
+    """
     plain, inverse, known = (points[curve.name] for curve in CURVES[:3])
     return [
         field_trial(

@@ -29,9 +29,9 @@ class Follower(Protocol):
         Parameters
         ----------
         found
-            The detection.
+            Detection that gives pose, identity and time of the header.
         pattern, inverted
-            A pair of its header.
+            Frames of the last pair of its header.
         """
         ...
 
@@ -41,7 +41,7 @@ class Follower(Protocol):
         Parameters
         ----------
         pattern, inverted
-            The pair's frames.
+            Frames of the next pair, in the order of time.
         """
         ...
 
@@ -52,25 +52,11 @@ class NoTracking:
     sized = False
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
-        """Keep the pose.
-
-        Parameters
-        ----------
-        found
-            The detection.
-        pattern, inverted
-            A pair of its header.
-        """
+        """Keep the pose; see `Follower`."""
         self._pose = found.fit.pose
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:  # noqa: ARG002 - as all trackers
-        """The pose kept.
-
-        Parameters
-        ----------
-        pattern, inverted
-            The pair's frames.
-        """
+        """The pose kept; see `Follower`."""
         return self._pose
 
 
@@ -80,7 +66,7 @@ class InvertedSignals:
     Parameters
     ----------
     settings
-        The link's; its headers refine pitch and blur, as in the receiver.
+        Settings of the link; its headers refine pitch and blur, as in the receiver.
     """
 
     sized = True
@@ -91,28 +77,14 @@ class InvertedSignals:
         self._tracker = Tracker(settings.signal.side, model)
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
-        """Start the receiver's tracker.
-
-        Parameters
-        ----------
-        found
-            The detection.
-        pattern, inverted
-            A pair of its header.
-        """
+        """Start the receiver's tracker; see `Follower`."""
         side = self._settings.signal.side
         self._weights = header_levels(found.identity, side) / 2.0 - 1.0
         self._track = self._tracker.start(found)
         self._start_s = found.start_time_s
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Follow a pair; a header's pair refines the pose for the next.
-
-        Parameters
-        ----------
-        pattern, inverted
-            The pair's frames.
-        """
+        """Follow a pair; a header's pair refines the pose for the next; see `Follower`."""
         header = in_header(self._settings, pattern.time_s - self._start_s)
         pair = FramePair(pattern, inverted, 0.0 if header else sum_late_s(self._settings.signal))
         tracked = self._tracker.follow(self._track, pair)
@@ -128,7 +100,7 @@ def in_header(settings: LinkSettings, since_s: float) -> bool:
     Parameters
     ----------
     settings
-        The link.
+        Settings that give pattern period, packet and header.
     since_s
         Time in s since the start of the first header.
     """

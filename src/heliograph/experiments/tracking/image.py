@@ -33,27 +33,13 @@ class BackgroundMotion:
     _way: tuple[float, float]
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Choose features around the array.
-
-        Parameters
-        ----------
-        found
-            The detection.
-        pattern, inverted
-            A pair of its header.
-        """
+        """Choose features around the array; see `Follower`."""
         self._pose: Pose = found.fit.pose
         self._side = 16 * self._pose.pitch
         self._renew(_sum(pattern, inverted))
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Move with the background.
-
-        Parameters
-        ----------
-        pattern, inverted
-            The pair's frames.
-        """
+        """Move with the background; see `Follower`."""
         both = _sum(pattern, inverted)
         self._age += 1
         if len(self._old):
@@ -99,15 +85,7 @@ class MultipleInstance:
     sized = False
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Learn the array.
-
-        Parameters
-        ----------
-        found
-            The detection.
-        pattern, inverted
-            A pair of its header.
-        """
+        """Learn the array; see `Follower`."""
         opencv: Any = cv2  # its stubs leave this tracker out
         params = opencv.TrackerMIL_Params()
         params.samplerSearchWinSize = float(REACH_PX)
@@ -122,13 +100,7 @@ class MultipleInstance:
         self._corner = corner
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Ask OpenCV for the box; where it has none the last one stays.
-
-        Parameters
-        ----------
-        pattern, inverted
-            The pair's frames.
-        """
+        """Ask OpenCV for the box; where it has none the last one stays; see `Follower`."""
         view, _ = self._view(pattern, inverted)
         found, (left, top, _, _) = self._tracker.update(view)
         if found:
@@ -151,26 +123,12 @@ class TemplateMatch:
     sized = False
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
-        """Cut the template out.
-
-        Parameters
-        ----------
-        found
-            The detection.
-        pattern, inverted
-            A pair of its header.
-        """
+        """Cut the template out; see `Follower`."""
         self._pose, self._side = found.fit.pose, 2 * round(16 * found.fit.pose.pitch) + 1
         self._template = self._patch(_sum(pattern, inverted), self._side)
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Move to the best match.
-
-        Parameters
-        ----------
-        pattern, inverted
-            The pair's frames.
-        """
+        """Move to the best match; see `Follower`."""
         both = _sum(pattern, inverted)
         area = self._patch(both, self._side + 2 * REACH_PX)
         match = np.asarray(cv2.matchTemplate(area, self._template, cv2.TM_CCOEFF_NORMED), np.float32)

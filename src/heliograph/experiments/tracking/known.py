@@ -37,7 +37,13 @@ KNOWN_STEPS = 3
 
 
 def known_leds(side: int) -> NDArray[np.bool_]:
-    """Which LEDs are known, (side, side)."""
+    """Which LEDs are known, (side, side).
+
+    Parameters
+    ----------
+    side
+        LEDs in a row.
+    """
     near = (np.arange(side) < KNOWN_BLOCK_PX) | (np.arange(side) >= side - KNOWN_BLOCK_PX)
     return near[:, None] & near
 
@@ -48,11 +54,11 @@ def known_light(settings: LinkSettings, identity: int, seed: int) -> Iterator[ND
     Parameters
     ----------
     settings
-        The link.
+        Settings that give the LEDs in a row, packet and header.
     identity
-        Of the headers.
+        Identity that the headers show, 0 to 29.
     seed
-        Of the data.
+        Seed of the random data, 0 or more.
 
     Yields
     ------
@@ -78,7 +84,7 @@ class KnownPattern:
     Parameters
     ----------
     settings
-        The link's; the receiver's motion model is used as for the inverted signals.
+        Settings of the link; the receiver's motion model is used as for the inverted signals.
     """
 
     sized = True
@@ -89,15 +95,7 @@ class KnownPattern:
         self._model = MotionModel(settings.signal.pattern_period_s, settings.receive.track.acceleration_px)
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
-        """Begin at the detection.
-
-        Parameters
-        ----------
-        found
-            The detection.
-        pattern, inverted
-            A pair of its header.
-        """
+        """Begin at the detection; see `Follower`."""
         wider = widened(found.fit.covariance)[:SHOWN, :SHOWN]
         self._state = PoseState.start(found.time_s, found.fit.vector[:SHOWN], wider, self._model)
         self._start_s, self._gain = found.start_time_s, found.fit.gain
@@ -107,13 +105,7 @@ class KnownPattern:
         self._expected = [(header, none), (1 - header, none), (np.where(known, 1.0, 0.5), np.where(known, 0.0, 1.0))]
 
     def update(self, pattern: Frame, inverted: Frame) -> Pose:
-        """Fit both frames by themselves: there is no inverse.
-
-        Parameters
-        ----------
-        pattern, inverted
-            The pair's frames.
-        """
+        """Fit both frames by themselves: there is no inverse; see `Follower`."""
         first, second = self._frame_pose(pattern), self._frame_pose(inverted)
         return Pose.from_vector(0.5 * (first + second))
 

@@ -53,11 +53,11 @@ class TrackingFilm:
     Attributes
     ----------
     name
-        Its name in tables.
+        Name of the film in tables.
     settings
-        The link.
+        Settings of the link that is filmed.
     seed
-        Of road, scene and noise.
+        Seed of road, scene and noise, 0 or more.
     clip, imu
         Files of recorded footage and motion; None: as the settings draw them.
     """
@@ -76,7 +76,7 @@ class TrackingRun:
     Attributes
     ----------
     name
-        The film's.
+        Name of the film in tables.
     times_s, distance_m, side_px
         (n,) time of the pair since the film's start in s; true distance in m and side of the array in px.
     packet
@@ -98,6 +98,11 @@ class TrackingRun:
 
 def run_trackers(job: TrackingFilm) -> TrackingRun:
     """Run all trackers on a film.
+
+    Parameters
+    ----------
+    job
+        Settings, seed and recordings of the film.
 
     Raises
     ------

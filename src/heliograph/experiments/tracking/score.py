@@ -51,7 +51,13 @@ ScoreTable = Mapping[str, Mapping[str, TrackingScore]]
 
 
 def scores(runs: Sequence[TrackingRun]) -> dict[str, dict[str, TrackingScore]]:
-    """All trackers in all films."""
+    """Scores of all trackers, by film and tracker.
+
+    Parameters
+    ----------
+    runs
+        Errors of the trackers in each film.
+    """
     return {run.name: {name: score(run, errors) for name, errors in run.errors.items()} for run in runs}
 
 
@@ -61,9 +67,9 @@ def score(run: TrackingRun, errors: Floats) -> TrackingScore:
     Parameters
     ----------
     run
-        The film.
+        Film that gives the pairs' times and packets, and the side of the array.
     errors
-        (n, 3) as in `TrackingRun.errors`.
+        (n, 3) errors of the tracker by pair, as in `TrackingRun.errors`.
     """
     off = np.hypot(errors[:, 0], errors[:, 1])
     widest = np.abs(errors[:, :2]).max(1)

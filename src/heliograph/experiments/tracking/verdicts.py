@@ -26,9 +26,9 @@ class TrackingRate:
     Attributes
     ----------
     method
-        The tracking method.
+        Name of the tracking method in tables.
     bits
-        Data bits per pattern.
+        Data bits per pattern, 0 to 256.
     inverse
         Whether each pattern is followed by its inverse.
     """
@@ -49,7 +49,13 @@ class TrackingRate:
 
 
 def rates(lost: int | None = None) -> list[TrackingRate]:
-    """Data rates by method; the known pattern takes `lost` bits per pattern, None: as many as it has LEDs."""
+    """Data rates by method.
+
+    Parameters
+    ----------
+    lost
+        Bits per pattern that the known pattern takes, 0 to 256; None: as many as it has LEDs.
+    """
     every = SIDE * SIDE
     left = every - (int(known_leds(SIDE).sum()) if lost is None else lost)
     return [
@@ -161,7 +167,13 @@ def _left_over(s: TrackingScore) -> str:
 
 
 def rate_finding(table: list[TrackingRate]) -> Finding:
-    """IV.B.1: the known pattern costs data rate, inverted signals improve on it."""
+    """IV.B.1: the known pattern costs data rate, inverted signals improve on it.
+
+    Parameters
+    ----------
+    table
+        Data rates by method, "inverted signals" and both of "known pattern" among them.
+    """
     by = {rate.method: rate for rate in table}
     ours, known = by["inverted signals"], by["known pattern"]
     both = by["known pattern, inverses sent all the same"]

@@ -44,9 +44,9 @@ def cell_weights(cells: NDArray[np.float64], side: int) -> Floats:
     Parameters
     ----------
     cells
-        (16,) row by row.
+        (16,) values of the cells, row by row: +-1 of a header, or 0 and 1.
     side
-        LEDs in a row.
+        LEDs in a row, a multiple of 4.
 
     Returns
     -------
@@ -68,11 +68,11 @@ def fit_near(
     Parameters
     ----------
     change
-        (rows, columns) what alternates.
+        (rows, columns) gray levels of what alternates.
     origin
         (x, y) on the sensor of its first pixel.
     start
-        Pose expected.
+        Pose expected, from which the fit starts.
     weights
         (n, n) of the header, +-1, 0 where it is hidden.
     tilt
@@ -109,11 +109,11 @@ def lit_cells(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, 
     Parameters
     ----------
     change
-        (rows, columns) what alternates.
+        (rows, columns) gray levels of what alternates.
     origin
         (x, y) on the sensor of its first pixel.
     pose
-        The array's.
+        Pose of the array's image on the sensor.
     weights
         (n, n) of the header, +-1.
 

@@ -121,7 +121,7 @@ def busy_blocks(
     Parameters
     ----------
     change
-        (rows, columns) what alternates.
+        (rows, columns) gray levels of what alternates.
     frame
         The first of its frames, for place and full scale.
     taken
@@ -129,7 +129,7 @@ def busy_blocks(
     side
         LEDs in a row.
     min_contrast
-        See `SearchParameters`.
+        Least luminance of a lit cell, as a fraction of full scale, 0 to 1.
 
     Returns
     -------
@@ -161,17 +161,17 @@ def coarse_candidates(
     Parameters
     ----------
     change
-        (rows, columns) what alternates.
+        (rows, columns) gray levels of what alternates.
     busy
-        Blocks in which an array may have its centre.
+        (blocks down, blocks across), whether an array may have its centre there.
     frame
         The first of the frames, for place and full scale.
     parameters
         What is looked for.
     cells
-        (identities, 16) of its `SearchParameters.templates`.
+        (identities, 16) cells of the headers, of `SearchParameters.templates`.
     sides
-        (sizes,) of its `SearchParameters.sides`.
+        (sizes,) sides of arrays in px, of `SearchParameters.sides`.
 
     Returns
     -------

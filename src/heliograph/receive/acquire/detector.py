@@ -106,7 +106,13 @@ class HeaderSearch(Protocol):
     """Looks for headers in a stream of frames."""
 
     def start(self, period_s: float) -> None:
-        """Begin to search frames of a known period in seconds."""
+        """Begin to search frames; it comes before the first of them.
+
+        Parameters
+        ----------
+        period_s
+            Frame period in seconds, above 0.
+        """
 
     @property
     def candidates_fitted(self) -> int:
@@ -122,7 +128,7 @@ class HeaderSearch(Protocol):
         Parameters
         ----------
         frame
-            The frame.
+            Next frame of the camera, in the order of time.
         taken
             Poses of arrays already followed; no array is looked for where they are.
 
@@ -156,7 +162,7 @@ class Detector:
         self._fitted = 0
 
     def start(self, period_s: float) -> None:
-        """Begin; the frames are taken to come one per pattern."""
+        """Begin; the frames are taken to come one per pattern, whatever the period; see `HeaderSearch`."""
 
     @property
     def candidates_fitted(self) -> int:
@@ -174,7 +180,7 @@ class Detector:
         Parameters
         ----------
         frame
-            The frame.
+            Next frame, one per pattern; a gap in their numbers begins the search anew.
         taken
             Poses of arrays already followed.
         """
@@ -285,13 +291,13 @@ def plausible(fit: Fit, parameters: SearchParameters, side: int, full_scale: int
     Parameters
     ----------
     fit
-        Of a candidate.
+        Fit of a candidate to its header.
     parameters
         What is looked for.
     side
         LEDs in a row.
     full_scale
-        Largest gray level.
+        Largest gray level of the camera.
     """
     size, half_step = side * fit.pose.pitch, SIDE_STEP**0.5
     bright = fit.gain >= parameters.min_contrast * full_scale
@@ -306,7 +312,7 @@ def apart(a: Pose, b: Pose, side: int) -> bool:
     Parameters
     ----------
     a, b
-        Their poses.
+        Poses of the two arrays on the sensor.
     side
         LEDs in a row.
     """

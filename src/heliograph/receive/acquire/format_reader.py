@@ -114,9 +114,9 @@ class FormatReader:
     Parameters
     ----------
     identity
-        The array's, 0 to 29.
+        Number of the array, 0 to 29.
     side
-        LEDs in a row.
+        LEDs in a row, a multiple of 4.
     """
 
     def __init__(self, identity: int, side: int):
@@ -136,11 +136,11 @@ class FormatReader:
         number
             Its number in the header; pair 0 has no dimmed cells and gives the gain.
         pair
-            Its frames.
+            Frames of the header pair, combined or as the camera took them.
         poses
             The array's pose in each.
         led_gains
-            (n, n) gains of its LEDs: hidden cells are not dimmed ones.
+            (n, n) gains of its LEDs, 0 to 1: hidden cells are not dimmed ones.
         """
         if number == 0:
             self._first = pair, poses
@@ -156,9 +156,9 @@ class FormatReader:
         Parameters
         ----------
         frames
-            Its frames.
+            Frames of the header, and what each shows of its cells.
         led_gains
-            (n, n) gains of the LEDs.
+            (n, n) gains of the LEDs, 0 to 1.
         """
         rows, cols = frames.images.shape[1:]
         a = self._images(frames.pose, led_gains, (*frames.corner, cols, rows))

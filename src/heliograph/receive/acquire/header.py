@@ -16,11 +16,11 @@ def header_weights(identity: int, form: int, side: int, combination: Combination
     Parameters
     ----------
     identity
-        The array's.
+        Number of the array, 0 to 29.
     form
-        Number of the format that the pair signals; 0 dims nothing.
+        Number of the format that the pair signals, 0 to 1023; 0 dims nothing.
     side
-        LEDs in a row.
+        LEDs in a row, a multiple of 4.
     combination
         How the pair was combined; combined frames show dimmed cells otherwise than a pattern and its inverse do.
     """
@@ -39,7 +39,7 @@ def header_score(pair: FramePair, pose: Pose, weights: Floats, gain: float) -> f
     pair
         The header and its inverse.
     pose
-        The array's.
+        Pose of the array's image on the sensor.
     weights
         (n, n) of `header_weights`, times the LEDs' gains.
     gain

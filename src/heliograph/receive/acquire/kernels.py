@@ -13,7 +13,7 @@ def alternation(f0, f1, f2, f3, out):
     Parameters
     ----------
     f0, f1, f2, f3
-        (rows, columns) uint8 or uint16, in the order of time.
+        (rows, columns) uint8 or uint16 gray levels, in the order of time.
     out
         (rows, columns) float32, overwritten.
     """
@@ -92,9 +92,9 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, ring_w
     block
         Pixels of a block's side.
     cells
-        (identities, 16) of +-1.
+        (identities, 16) cells of the headers, +-1.
     sides
-        (sizes,) in px.
+        (sizes,) sides of arrays looked for, in px.
     contrast
         Least rms alternation in gray levels.
     threshold

@@ -29,7 +29,7 @@ class PhasedSearch:
     parameters
         What the detectors take for an array.
     signal
-        The light's signal.
+        The light's signal: its pattern period, header pairs and side of the array.
     """
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings):
@@ -48,7 +48,7 @@ class PhasedSearch:
         return sum(stream.detector.candidates_fitted for stream in self._streams)
 
     def start(self, period_s: float) -> None:
-        """Begin to search frames of a known period in seconds.
+        """Begin to search frames of a camera as fast as the light or faster; see `HeaderSearch`.
 
         Raises
         ------
@@ -79,7 +79,7 @@ class PhasedSearch:
         Parameters
         ----------
         frame
-            The frame; `start` comes before the first.
+            Next frame of the camera, at any phase; `start` comes before the first.
         taken
             Poses of arrays already followed.
         """

@@ -22,7 +22,7 @@ class Grid:
     Attributes
     ----------
     sides
-        (sizes,) in px.
+        (sizes,) sides of arrays looked for, in px.
     contrast
         Least rms alternation in gray levels.
     threshold
@@ -32,7 +32,7 @@ class Grid:
     step
         Step of the places as a fraction of the side.
     count
-        Most candidates kept.
+        Largest number of candidates that are kept.
     """
 
     sides: Floats
@@ -75,13 +75,13 @@ def search(image: Floats, busy: NDArray[np.bool_], block: int, cells: Floats, gr
     Parameters
     ----------
     image
-        (rows, columns) what alternates.
+        (rows, columns) gray levels of what alternates.
     busy
         (blocks down, blocks across) where a candidate may have its centre.
     block
         Pixels of a block's side.
     cells
-        (identities, 16) of +-1.
+        (identities, 16) cells of the headers, +-1.
     grid
         What is looked for and where.
     """

@@ -44,9 +44,9 @@ class DecodedBlock:
     Attributes
     ----------
     bits
-        (K,) uint8 decisions.
+        (K,) uint8 decisions on the information bits.
     iterations
-        Iterations used.
+        Iterations that the decoder used.
     margin
         Mean magnitude of the LLRs of the information bits.
     """
@@ -68,11 +68,11 @@ def decode_packet(
     seen
         (pairs,) pairs in which the array was seen; the others are erased.
     form
-        The packet's format.
+        Format of the packet: its layers and their codes.
     identity
-        The array's; a block of another array is a mismatch.
+        Number of the array, 0 to 29; a block of another array is a mismatch.
     options
-        The decoder's; None for its defaults.
+        Algorithm of the channel decoder, and its most iterations; None for the defaults.
 
     Returns
     -------
@@ -95,9 +95,9 @@ def unread(form: PacketFormat, identity: int) -> dict[str, tuple[Codeword, ...]]
     Parameters
     ----------
     form
-        Its format.
+        Format in which it would have been read.
     identity
-        The array's.
+        Number of the array, 0 to 29.
     """
     pairs, side = form.layers["high"].pairs, form.settings.side
     return decode_packet(np.zeros((pairs, side, side)), np.zeros(pairs, bool), form, identity, Decoding(iterations=1))
@@ -109,9 +109,9 @@ def soft_to_llr(soft: Floats, seen: NDArray[np.bool_]) -> Floats:
     Parameters
     ----------
     soft
-        (pairs, symbols), of any scale.
+        (pairs, symbols) soft values of any scale, positive for bit 0.
     seen
-        (pairs,); the LLRs of the others are 0.
+        (pairs,) pairs in which the array was seen; the LLRs of the others are 0.
 
     Returns
     -------
@@ -136,11 +136,11 @@ def codeword_of(decoded: DecodedBlock, llr: Floats, identity: int, layer: str) -
     decoded
         Its block as the decoder left it.
     llr
-        (E,) LLRs it was decoded from.
+        (E,) LLRs from which it was decoded.
     identity
-        The array's.
+        Number of the array, 0 to 29; a block of another array is a mismatch.
     layer
-        The layer's name.
+        Name of the layer, "high", "middle" or "low"; a block of another one is a mismatch.
     """
     block, raw = unpack(decoded.bits), hard(llr)
     if block is None:
@@ -151,7 +151,13 @@ def codeword_of(decoded: DecodedBlock, llr: Floats, identity: int, layer: str) -
 
 
 def hard(llr: Floats) -> NDArray[np.uint8]:
-    """Decisions on LLRs of any shape, `ERASED` where an LLR is 0."""
+    """Decisions on LLRs, `ERASED` where an LLR is 0.
+
+    Parameters
+    ----------
+    llr
+        LLRs ln P(b=0)/P(b=1) of any shape.
+    """
     return np.where(llr == 0, ERASED, llr < 0).astype(np.uint8)
 
 

@@ -20,9 +20,9 @@ class GainAndNoise:
     gain
         Gray levels of the array with all LEDs on.
     noise
-        Variance of a pixel of a difference.
+        Variance of a pixel of a difference in squared gray levels.
     full_scale
-        Largest gain that the sensor can show.
+        Largest gain that the sensor can show, in gray levels.
     """
 
     gain: float
@@ -55,9 +55,9 @@ def moments_of(pair: PairStatistics, estimate: Estimate) -> Floats:
     Parameters
     ----------
     pair
-        Its statistics.
+        Sufficient statistics of the pair for its symbols.
     estimate
-        Of its symbols.
+        Its symbols as the equaliser estimated them.
 
     Returns
     -------

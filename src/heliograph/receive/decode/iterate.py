@@ -54,7 +54,7 @@ class EqualiseEvent:
     Attributes
     ----------
     identity
-        The array's.
+        Number of the array, 0 to 29.
     iteration
         Number of the iteration, from 0.
     llr
@@ -67,7 +67,13 @@ class EqualiseEvent:
 
 
 def ignore(event: object, /) -> None:
-    """Observe nothing."""
+    """Observe nothing.
+
+    Parameters
+    ----------
+    event
+        Any event of a receiver; it is dropped.
+    """
 
 
 class Observed(Protocol):
@@ -83,11 +89,11 @@ class Observed(Protocol):
         Parameters
         ----------
         mean, variance
-            (pairs, n^2) float32, of the symbols, -1 to 1 and 0 to 1.
+            (pairs, n^2) mean, -1 to 1, and variance, 0 to 1, of each symbol; in the single mode by pattern.
         gain
-            Of the light, in gray levels.
+            Gray levels of the array with all LEDs on.
         noise
-            Variance of a pixel in gray levels squared.
+            Variance of a pixel of a difference in squared gray levels.
         """
 
 
@@ -113,11 +119,11 @@ def decode_iteratively(
     channel
         First estimate of gain and noise.
     form
-        The packet's format.
+        Format of the packet: its mode, its layers and their codes.
     identity
-        The array's; a block of another array is a mismatch.
+        Number of the array, 0 to 29; a block of another array is a mismatch.
     options
-        The decoder's.
+        Algorithm of the channel decoder, and its most iterations.
     buffer
         What was seen of this array's codewords before; what cannot be decoded is kept there. None combines nothing.
     feedback

@@ -38,7 +38,7 @@ class Layer:
     Attributes
     ----------
     form
-        Its format.
+        How the layer fills its packet: code, codewords and interleaver.
     llr
         (codewords, E) LLRs by the last equalisation, whitening undone.
     soft
@@ -63,7 +63,13 @@ class Layer:
 
     @classmethod
     def unknown(cls, form: LayerFormat) -> "Layer":
-        """A layer of which nothing is known."""
+        """A layer of which nothing is known.
+
+        Parameters
+        ----------
+        form
+            How the layer fills its packet.
+        """
         shape = form.codewords, form.code.length
         return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), np.zeros(shape), np.zeros(shape), [])
 
@@ -73,11 +79,23 @@ class Layer:
         return [i for i in range(len(self.llr)) if not self.words or self.words[i].status == "crc_fail"]
 
     def take(self, sent: Floats) -> None:
-        """Take the LLRs (pairs, symbols) of the bits as they were sent, by a new equalisation."""
+        """Take the LLRs of a new equalisation.
+
+        Parameters
+        ----------
+        sent
+            (pairs, symbols) LLRs of the bits as they were sent, that is whitened.
+        """
         self.llr = self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR))
 
     def combine(self, earlier: Floats) -> None:
-        """Take the LLRs (codewords, E) of earlier packets with the same codewords."""
+        """Take the LLRs of earlier packets with the same codewords.
+
+        Parameters
+        ----------
+        earlier
+            (codewords, E) sums of their LLRs, whitening undone; 0 where a codeword was not seen before.
+        """
         self.combined = earlier
 
     def remember_own(self) -> None:
@@ -91,7 +109,13 @@ class Layer:
                 self.words[i] = replace(word, status="crc_fail", block=None)
 
     def unsure(self, number: int) -> bool:
-        """Whether a codeword is not decoded, or only with the help of earlier packets."""
+        """Whether a codeword is not decoded, or only with the help of earlier packets.
+
+        Parameters
+        ----------
+        number
+            Number of the codeword in the layer, from 0.
+        """
         return self.words[number].status == "crc_fail" or bool(self.combined[number].any())
 
     def known_llrs(self) -> list[Floats]:
@@ -122,11 +146,11 @@ def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feed
     layer
         The layer; its words, means and variances are brought up to date.
     name
-        Its name.
+        Name of the layer: "high", "middle" or "low".
     identity
-        The array's.
+        Number of the array, 0 to 29; a block of another array is a mismatch.
     options
-        The decoder's.
+        Algorithm of the channel decoder, and its most iterations.
     feedback
         Whether soft values of failed codewords are fed back.
     """
@@ -149,9 +173,9 @@ def coded_signs(code: Code, word: Codeword) -> Floats:
     Parameters
     ----------
     code
-        Its code.
+        Code by which it is encoded again.
     word
-        The codeword.
+        The codeword, of which the information bits count.
     """
     return np.asarray(1.0 - 2.0 * code.encode(word.bits))
 

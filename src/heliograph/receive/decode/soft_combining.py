@@ -55,7 +55,7 @@ class BufferedPacket:
     Attributes
     ----------
     format
-        Its format.
+        Its mode and code rates.
     llrs
         (E,) of each codeword, layer by layer; those of decoded ones are the largest there are.
     statistics
@@ -63,7 +63,7 @@ class BufferedPacket:
     gain
         Gray levels of the array with all LEDs on, in whose unit the statistics are.
     noise
-        Variance of a pixel of a difference, likewise.
+        Variance of a pixel of a difference in squared gray levels, likewise.
     """
 
     format: Format
@@ -80,9 +80,9 @@ class BufferedPacket:
         Parameters
         ----------
         statistics
-            Of each pair.
+            Of each pair as seen again; None for a pair not seen.
         gain, noise
-            Their units.
+            Their units: gray levels of the array with all LEDs on, and variance of a pixel in squared gray levels.
 
         Returns
         -------
@@ -94,7 +94,13 @@ class BufferedPacket:
         return [a.plus(b) if a and b else a or b for a, b in zip(statistics, kept, strict=True)]
 
     def likeness(self, llrs: Sequence[Floats]) -> float:
-        """Agreement in standard deviations with the codewords (E,) of another packet; 0 where they contradict."""
+        """Agreement in standard deviations with the codewords of another packet; 0 where they contradict.
+
+        Parameters
+        ----------
+        llrs
+            (E,) LLRs of each of its codewords, layer by layer, as many as of this packet.
+        """
         found, expected = np.array([agreement(a, b) for a, b in zip(llrs, self.llrs, strict=True)]).T
         # packets of a carousel may share a codeword that is decoded: then the others must agree
         open_ = np.array([bool((np.abs(llr) < LARGEST_LLR).any()) for llr in self.llrs])
@@ -118,7 +124,13 @@ class SoftBuffer:
         return other
 
     def become(self, other: "SoftBuffer") -> None:
-        """Take over the content of another buffer, in place of one's own."""
+        """Take over the content of another buffer, in place of one's own.
+
+        Parameters
+        ----------
+        other
+            The buffer whose content is copied; it stays as it is.
+        """
         self._packets = other._packets.copy()
         self._kept.clear()
         self._kept.update({kind: kept.copy() for kind, kept in other._kept.items()})
@@ -147,18 +159,24 @@ class SoftBuffer:
         return found
 
     def keep_packet(self, packet: BufferedPacket) -> None:
-        """Keep a packet, in place of the oldest."""
+        """Keep a packet, in place of the oldest.
+
+        Parameters
+        ----------
+        packet
+            A packet not decoded as a whole, its statistics summed over all times it was seen.
+        """
         self._packets.append(packet)
 
     def codeword(self, kind: Kind, llr: Floats) -> Floats:
-        """Sum of the LLRs (E,) of earlier times the codeword with `llr` (E,) was seen; zeros where there are none.
+        """Sum of the LLRs (E,) of earlier times a codeword was seen; zeros where there are none.
 
         Parameters
         ----------
         kind
-            Its layer and code.
+            Layer and code of the codeword.
         llr
-            Its LLRs, 0 but for distinguishing bits.
+            (E,) its LLRs as seen now, 0 but for distinguishing bits.
         """
         kept = self._kept[kind]
         agreements = [agreement(llr, other)[0] for other in kept]
@@ -173,7 +191,7 @@ class SoftBuffer:
         Parameters
         ----------
         kind
-            Its layer and code.
+            Layer and code of the codeword.
         llr
             (E,) this packet's LLRs.
         earlier
@@ -186,12 +204,12 @@ class SoftBuffer:
 
 
 def agreement(a: Floats, b: Floats) -> tuple[float, float]:
-    """Agreement of two sets of LLRs (E,).
+    """Agreement of two sets of LLRs.
 
     Parameters
     ----------
     a, b
-        The LLRs.
+        (E,) LLRs of two codewords of one code; bits whose LLR is 0 in one do not count.
 
     Returns
     -------
@@ -214,7 +232,7 @@ def consistent(llr: Floats, signs: Floats) -> bool:
     Parameters
     ----------
     llr
-        (E,).
+        (E,) LLRs of this packet alone; bits whose LLR is 0 do not count.
     signs
         (E,) the codeword's bits, 1 for 0 and -1 for 1.
     """

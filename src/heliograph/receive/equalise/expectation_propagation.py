@@ -44,7 +44,13 @@ class ExpectationPropagation:
 
     @classmethod
     def begin(cls, shape: tuple[int, int]) -> "ExpectationPropagation":
-        """Sites of a shape (patterns, symbols) with the mean 0 and the variance 1."""
+        """Sites with the mean 0 and the variance 1, before anything is equalised.
+
+        Parameters
+        ----------
+        shape
+            Pairs of the packet, in the single mode patterns, and symbols of each.
+        """
         return cls(np.ones(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape))
 
     def forget(self) -> None:
@@ -57,9 +63,9 @@ class ExpectationPropagation:
         Parameters
         ----------
         mean
-            (patterns, symbols) the turbo decoder's.
+            (patterns, symbols) means by the turbo decoder, -1 to 1.
         variance
-            (patterns, symbols) the turbo decoder's; decoded symbols have 0.
+            (patterns, symbols) variances by the turbo decoder, 0 to 1; decoded symbols have 0.
 
         Returns
         -------
@@ -83,9 +89,9 @@ class ExpectationPropagation:
         Parameters
         ----------
         number
-            The pair's place in the packet.
+            The pair's place in the packet, from 0.
         estimate
-            Its estimate.
+            What the equaliser found of its symbols with these sites as priors.
 
         Returns
         -------

@@ -29,17 +29,17 @@ def precision(gram, unknown, scale, inverse, floor, size):
     Parameters
     ----------
     gram
-        G, (symbols, symbols) float32.
+        G, (symbols, symbols) float32; only its upper triangle is read.
     unknown
         (unknown,) numbers of the unknown symbols, rising; one at least.
     scale
-        g^2 / s^2.
+        g^2 / s^2, ratio of the squared gain to the noise variance.
     inverse
-        (unknown,) diagonal of V^-1.
+        (unknown,) diagonal of V^-1: one over the symbols' prior variances.
     floor
-        Added to all elements.
+        Small number that is added to all elements of scale G.
     size
-        Rows of the result; those beyond the unknown symbols are a unit matrix.
+        Rows of the result, as many as unknown symbols or more; those beyond are of a unit matrix.
 
     Returns
     -------
@@ -71,9 +71,9 @@ def mirror(upper, out):
     Parameters
     ----------
     upper
-        (m, m) whose upper triangle counts.
+        (m, m), m at least n; only its upper triangle is read.
     out
-        (n, n), overwritten with its first n rows and columns.
+        (n, n), overwritten with the first n rows and columns of the symmetric matrix.
     """
     for i in range(out.shape[0]):
         for j in range(i):
@@ -97,11 +97,11 @@ def extrinsic(covariance, posterior, mean, variance, out):
     Parameters
     ----------
     covariance
-        S, (n, n) float32.
+        S, (n, n) float32 posterior covariance of the symbols.
     posterior
-        m, (n,).
+        m, (n,) posterior mean of each symbol.
     mean, variance
-        c_0 and v, (n,).
+        c_0 and v, (n,) prior mean and variance of each symbol, the variance above 0.
     out
         (n,) ln P(c=+1)/P(c=-1), overwritten.
     """

@@ -72,7 +72,7 @@ class LedGains:
     Attributes
     ----------
     values
-        (n, n), 0 to 1.
+        (n, n) gains, 0 to 1; 0 of an LED that is dead, stuck or hidden.
     seen
         Statistics of the headers so far, the gains times the header in place of the data; None before the first.
     """
@@ -82,7 +82,13 @@ class LedGains:
 
     @classmethod
     def sound(cls, side: int) -> "LedGains":
-        """All of `side` by `side` LEDs give their light."""
+        """Gains of an array whose LEDs all give their light.
+
+        Parameters
+        ----------
+        side
+            LEDs in a row.
+        """
         return cls(np.ones((side, side)))
 
     def faded(self) -> "LedGains":
@@ -95,9 +101,9 @@ class LedGains:
         Parameters
         ----------
         cutout
-            The pair.
+            The header and its inverse about the array.
         header
-            (n, n) of +-1.
+            (n, n) luminances of the header less its inverse, +-1.
         gain
             Gray levels of the array with all LEDs on, as if all had the same gain.
         """
@@ -127,7 +133,7 @@ class LearntGains:
     Attributes
     ----------
     led_gains
-        The gains by now.
+        Gains of the LEDs after this header.
     gain
         Gray levels of the array with all LEDs on, by the LEDs that give their light.
     changed

@@ -10,7 +10,13 @@ LARGEST_LLR = 50.0
 
 
 def information(llr: Floats) -> Floats:
-    """Mean information in LLRs (..., E) about their bits if they are calibrated, in bit per bit, (...,)."""
+    """Mean information in LLRs about their bits if they are calibrated, in bit per bit, (...,).
+
+    Parameters
+    ----------
+    llr
+        (..., E) LLRs, of either sign; only their magnitudes count.
+    """
     # I = 1 - h2(P(wrong)), P(wrong) = 1 / (1 + exp |L|)
     wrong = expit(-np.abs(llr))
     return np.asarray(1 - (entr(wrong) + entr(1 - wrong)).mean(-1) / np.log(2))

@@ -34,11 +34,11 @@ class Estimate:
     Attributes
     ----------
     prior
-        (symbols,) prior mean.
+        (symbols,) prior mean of each symbol.
     variance
-        (symbols,) prior variance.
+        (symbols,) prior variance of each symbol.
     mean
-        (symbols,) posterior mean.
+        (symbols,) posterior mean of each; of known symbols the prior mean.
     unknown
         (unknown,) numbers of the symbols that were estimated.
     spread
@@ -92,13 +92,13 @@ def equalise(pair: PairStatistics, gain: float, noise: float, mean: Floats, vari
     Parameters
     ----------
     pair
-        Its statistics.
+        Sufficient statistics of the pair for its symbols.
     gain
         g, gray levels of the array with all LEDs on.
     noise
-        s^2, variance of a pixel of the difference of the two frames, above 0.
+        s^2, variance of a pixel of the difference of the two frames in squared gray levels, above 0.
     mean
-        (symbols,) prior means, -1 to 1.
+        (symbols,) prior means: -1 to 1 of bits; sites, observed symbols and gains of LEDs may lie beyond.
     variance
         (symbols,) prior variances; one below `KNOWN_VARIANCE` takes the symbol for known.
 
@@ -134,15 +134,15 @@ def products(
     Parameters
     ----------
     whitened
-        The pair's cut-out.
+        Cut-out of the pair, divided by its noise.
     pair
-        Its statistics.
+        Sufficient statistics of that cut-out.
     images
-        (k, rows, columns), times W^(1/2).
+        (k, rows, columns) images A on the cut-out's pixels, times W^(1/2).
     unknown
-        (unknown,) numbers of the unknown symbols.
+        (unknown,) numbers of the unknown symbols, rising; there may be none.
     scale
-        g^2 / s^2.
+        g^2 / s^2, ratio of the squared gain to the noise variance.
 
     Returns
     -------

@@ -27,7 +27,7 @@ class SymbolMapper:
     Parameters
     ----------
     form
-        The packet's format.
+        Format of the packet: its mode, its layers and the side of the array.
     """
 
     def __init__(self, form: PacketFormat):
@@ -42,9 +42,9 @@ class SymbolMapper:
         Parameters
         ----------
         means
-            Of each layer's bits, (patterns, bits) a layer, -1 to 1.
+            Means of each layer's bits, (patterns, bits) a layer, -1 to 1.
         variances
-            Of each layer's bits, likewise.
+            Variances of each layer's bits, (patterns, bits) a layer, 0 to 1.
 
         Returns
         -------
@@ -73,7 +73,7 @@ class SymbolMapper:
         llr
             (patterns, n n) of the symbols, ln P(c=+1)/P(c=-1).
         means
-            Of each layer's bits, as in `expected`.
+            Means of each layer's bits, as in `expected`.
 
         Returns
         -------

@@ -18,9 +18,9 @@ class Posterior:
     Attributes
     ----------
     mean
-        (symbols,).
+        (symbols,) posterior mean of each symbol.
     covariance
-        (symbols, symbols).
+        (symbols, symbols) posterior covariance of the symbols.
     extrinsic
         (symbols,) LLR = ln P(c=+1)/P(c=-1) of each without its own prior.
     """
@@ -54,13 +54,13 @@ def lmmse(b: Floats, d: Floats, noise: Floats, mean: Floats, variance: Floats, d
     Parameters
     ----------
     b
-        (pixels, symbols).
+        B, (pixels, symbols): the image of each symbol in gray levels.
     d
-        (pixels,).
+        (pixels,) difference of the two frames in gray levels, less its offset.
     noise
-        (pixels,) variance of each.
+        (pixels,) variance of each in squared gray levels, above 0.
     mean, variance
-        (symbols,) the prior.
+        (symbols,) prior mean, -1 to 1, and prior variance of each symbol.
     drawn
         How the extrinsic LLRs are worked out.
     """

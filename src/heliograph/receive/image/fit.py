@@ -97,7 +97,7 @@ class Prior:
     covariance
         Its covariance, (5, 5) or (7, 7); with (5, 5) the tilt is held.
     gain
-        Expected gain, or 0 where it is unknown.
+        Expected gain in gray levels, or 0 where it is unknown.
     """
 
     vector: Floats
@@ -122,9 +122,9 @@ def fit_array(
     image
         (rows, columns) gray levels: gain * array(pose) + a plane of background + noise.
     corner
-        (x, y) on the sensor of ``image[0, 0]``.
+        (x, y) on the sensor of ``image[0, 0]``, in px.
     prior
-        What is expected.
+        Pose expected, with its covariance, and the gain expected.
     weights
         (n, n) luminance of each LED: 1 for all on, +-1 for a header less its inverse.
     iterations
@@ -259,11 +259,11 @@ def header_amplitude(frame: Pixels, pose: Pose, weights: Floats) -> float:
     Parameters
     ----------
     frame
-        The frame.
+        Frame in which the array is; what lies beyond it repeats its border.
     pose
-        The array's.
+        Pose of the array's image on the sensor.
     weights
-        (n, n) of the pattern, +-1 with mean 0; 0 for LEDs that are left out.
+        (n, n) luminances of the pattern less its inverse, +-1 with mean 0; 0 for LEDs that are left out.
 
     Returns
     -------

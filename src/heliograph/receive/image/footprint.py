@@ -33,13 +33,25 @@ class Footprints(NamedTuple):
     first: NDArray[np.int64]
 
     def scaled(self, led_gains: Floats | None) -> "Footprints":
-        """Footprints of LEDs of gains (n, n), 0 to 1; None for 1 each."""
+        """Footprints times the LEDs' gains.
+
+        Parameters
+        ----------
+        led_gains
+            (n, n) gains of the LEDs, 0 to 1; None for 1 each.
+        """
         if led_gains is None:
             return self
         return Footprints(self.across * by_squares(led_gains)[:, None], self.down, self.first)
 
     def dense(self, shape: tuple[int, int]) -> tuple[Floats, Floats]:
-        """Light by column (n n, columns) and by row (n n, rows) over a whole window of a shape (rows, columns)."""
+        """Light by column (n n, columns) and by row (n n, rows) over a whole window.
+
+        Parameters
+        ----------
+        shape
+            Rows and columns of the window in px.
+        """
         parts = []
         for narrow, first, count in (
             (self.across, self.first[:, 0], shape[1]),
@@ -54,20 +66,38 @@ class Footprints(NamedTuple):
         return parts[0], parts[1]
 
     def all_on(self, shape: tuple[int, int]) -> Floats:
-        """A 1, the image with all LEDs on, of a window of a shape (rows, columns)."""
+        """A 1, the image with all LEDs on, (rows, columns).
+
+        Parameters
+        ----------
+        shape
+            Rows and columns of the window in px.
+        """
         image = np.zeros(shape)
         kernels.add_image(np.ones(len(self.across)), *self, image)
         return image
 
 
 def by_squares(grid: Floats) -> Floats:
-    """Values of LEDs (n, n) in the order of `footprints`, square by square of 2 x 2, (n n,)."""
+    """Put values of LEDs in the order of `footprints`, square by square of 2 x 2, (n n,).
+
+    Parameters
+    ----------
+    grid
+        (n, n) values of LEDs at their places, n even.
+    """
     half = len(grid) // 2
     return np.ascontiguousarray(grid.reshape(half, 2, half, 2).transpose(0, 2, 1, 3)).ravel()
 
 
 def to_grid(values: Floats) -> Floats:
-    """Values of LEDs in the order of `footprints`, (n n,), at their places, (n, n)."""
+    """Put values of LEDs at their places, (n, n); the inverse of `by_squares`.
+
+    Parameters
+    ----------
+    values
+        (n n,) values of LEDs in the order of `footprints`, n even.
+    """
     half = round(len(values) ** 0.5) // 2
     return np.ascontiguousarray(values.reshape(half, half, 2, 2).transpose(0, 2, 1, 3)).reshape(2 * half, 2 * half)
 
@@ -78,13 +108,13 @@ def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[i
     Parameters
     ----------
     levels
-        (n, n) of the LEDs.
+        (n, n) luminances of the LEDs, or their gains, 0 to 1.
     pose
-        The array's.
+        Pose of the array's image on the sensor.
     corner
-        (x, y) on the sensor of the first pixel.
+        (x, y) on the sensor of the window's first pixel.
     shape
-        Rows and columns.
+        Rows and columns of the window in px.
 
     Returns
     -------
@@ -104,13 +134,13 @@ def footprints(
     Parameters
     ----------
     pose
-        The array's.
+        Pose of the array's image on the sensor.
     corner
         (x, y) on the sensor of the window's first pixel.
     shape
         Its rows and columns.
     side
-        LEDs in a row.
+        LEDs in a row, an even number.
     motion
         Standard deviation in px of a motion along x and y, added to the blur's.
 

@@ -74,9 +74,9 @@ def render(pose, weights, x0, y0, out):
     pose
         (5,) or (7,) float64: x, y in px, ln pitch, roll in rad, ln blur, stretch, shear.
     weights
-        (n, n) float64, the LEDs' luminances.
+        (n, n) float64, the LEDs' luminances; of a header less its inverse +-1.
     x0, y0
-        Place on the sensor of the window's first pixel.
+        Column and row on the sensor of the window's first pixel, in px.
     out
         (6 or 8, rows, columns) float64, overwritten: the image, then its derivatives by the pose vector; with 6 those
         by the tilt are left out.
@@ -158,7 +158,7 @@ def render_box(pose, half_leds, x0, y0, out):
     half_leds
         Half of the square's width in pitches.
     x0, y0
-        Place on the sensor of the window's first pixel.
+        Column and row on the sensor of the window's first pixel, in px.
     out
         (6 or 8, rows, columns) as in `render`, overwritten.
     """
@@ -206,15 +206,15 @@ def normal_equations(image, shapes, plane, linear, rough, matrix, vector):
     Parameters
     ----------
     image
-        (rows, columns) float64 pixels.
+        (rows, columns) float64 gray levels.
     shapes
         (m, 1 + p, rows, columns): m images, each with its derivatives by p parameters of the pose.
     plane
         (3, rows, columns): constant and slopes of the background.
     linear
-        (m + 3,) coefficients of the images and of the plane.
+        (m + 3,) coefficients of the images and of the plane, in gray levels.
     rough
-        Residual from which on a pixel has the weight 0.
+        Residual in gray levels, above 0, from which on a pixel has the weight 0.
     matrix
         (p + m + 3, p + m + 3), overwritten: sum of w J J^T.
     vector
@@ -267,10 +267,14 @@ def residuals(image, shapes, plane, linear, out):
 
     Parameters
     ----------
-    image, shapes, plane, linear
-        As in `normal_equations`.
+    image
+        (rows, columns) float64 gray levels.
+    shapes, plane
+        Images with their derivatives, and images of the background, as in `normal_equations`.
+    linear
+        (m + 3,) coefficients of the images and of the plane, in gray levels.
     out
-        (rows, columns), overwritten.
+        (rows, columns) float64 residuals in gray levels, overwritten.
     """
     for i in range(image.shape[0]):
         for j in range(image.shape[1]):
@@ -289,7 +293,13 @@ def _residual(image, shapes, plane, linear, i, j):
 
 
 def footprint_width(sigma: float) -> int:
-    """Width in pixels of the footprint of an LED whose blur is `sigma` px."""
+    """Width of an LED's footprint in px, an odd number.
+
+    Parameters
+    ----------
+    sigma
+        Standard deviation of the LED's image in px, its motion included.
+    """
     return 2 * math.ceil(FOOTPRINT_REACH * sigma + 0.5) + 1
 
 
@@ -305,7 +315,7 @@ def footprints(pose, rows, cols, across, down, first):
         (9,) px: x, y in the window; the steps from one LED to the next, dx along a row and along a column, dy along a
         row and along a column; pitch; blur along x and along y.
     rows, cols
-        Size of the window.
+        Size of the window in px.
     across, down
         (n n, width), overwritten: light by column and by row; their product is the light on a pixel.
     first
@@ -346,9 +356,9 @@ def add_image(leds, across, down, first, out):
     leds
         (n n,) luminances in the order of `footprints`.
     across, down, first
-        As of `footprints`.
+        Footprints of the LEDs, as of `footprints`.
     out
-        (rows, columns), added to.
+        (rows, columns) image to which the light is added.
     """
     width = across.shape[1]
     rows, cols = out.shape

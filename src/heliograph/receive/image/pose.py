@@ -61,7 +61,13 @@ class Pose:
 
     @staticmethod
     def from_vector(vector: NDArray[np.float64]) -> "Pose":
-        """Make the pose of a vector (5,) or (7,); see `full_vector`."""
+        """Make the pose of a vector; the inverse of `vector` and `full_vector`.
+
+        Parameters
+        ----------
+        vector
+            (5,) or (7,): x and y in px, ln pitch, roll in rad, ln blur, and stretch and shear, else 0.
+        """
         x, y, log_pitch, roll, log_blur, *tilt = vector.tolist()
         return Pose(x, y, math.exp(log_pitch), roll, math.exp(log_blur), *tilt)
 
@@ -111,6 +117,6 @@ class Pose:
         Parameters
         ----------
         dx, dy
-            Shift in px.
+            Shift in px, to the right and down.
         """
         return replace(self, x=self.x + dx, y=self.y + dy)

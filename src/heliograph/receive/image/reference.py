@@ -26,11 +26,11 @@ def render(vector: Floats, weights: Floats, corner: Corner, shape: tuple[int, in
     Parameters
     ----------
     vector
-        Pose vector, (5,) or (7,).
+        Pose vector, (5,) or, with the tilt, (7,).
     weights
-        (n, n) luminances.
+        (n, n) luminances of the LEDs; of a header less its inverse +-1.
     corner
-        Place of the window's first pixel.
+        (x, y) on the sensor of the window's first pixel, in px.
     shape
         Its rows and columns.
 
@@ -47,7 +47,7 @@ def array_image(vector: Floats, weights: Floats, corner: Corner, shape: tuple[in
     Parameters
     ----------
     vector, weights, corner, shape
-        As in `render`.
+        Pose vector, luminances, and corner and size of the window, as in `render`.
     """
     x, y, log_pitch, roll, log_blur = vector[:5]
     stretch, shear = vector[5:] if len(vector) == 7 else (0.0, 0.0)
@@ -70,7 +70,7 @@ def render_box(vector: Floats, half_leds: float, corner: Corner, shape: tuple[in
     Parameters
     ----------
     vector, corner, shape
-        As in `render`.
+        Pose vector, and corner and size of the window, as in `render`.
     half_leds
         Half of the square's width in pitches.
     """
@@ -85,9 +85,9 @@ def box_image(vector: Floats, half_leds: float, corner: Corner, shape: tuple[int
     Parameters
     ----------
     vector, corner, shape
-        As in `render`.
+        Pose vector, and corner and size of the window, as in `render`.
     half_leds
-        Half of its width in pitches.
+        Half of the square's width in pitches.
     """
     half, roll = half_leds * np.exp(vector[2]), vector[3]
     # a pixel's box has the variance 1/12
@@ -115,11 +115,11 @@ def pixel_light(pixels: NDArray[Any], centres: Floats, sigma: float) -> Floats:
     Parameters
     ----------
     pixels
-        (pixels,) their places.
+        (pixels,) places of the pixels' centres in px.
     centres
-        (centres,) where Gaussians are.
+        (centres,) places of the Gaussians in px.
     sigma
-        Their standard deviation in px.
+        Standard deviation of the Gaussians in px, above 0.
 
     Returns
     -------
@@ -138,7 +138,7 @@ def blur_matrix(
     Parameters
     ----------
     pose
-        The array's.
+        Pose of the array's image on the sensor.
     side
         LEDs in a row.
     corner

@@ -6,7 +6,13 @@ from heliograph.base.arrays import Floats
 
 
 def robust_std(values: Floats) -> float:
-    """Standard deviation about 0 of values of any shape, by their median magnitude."""
+    """Standard deviation of values about 0, by their median magnitude.
+
+    Parameters
+    ----------
+    values
+        Values of any shape, one at least.
+    """
     # NumPy's own median takes many times as long
     middle = [(values.size - 1) // 2, values.size // 2]
     low, high = np.partition(np.abs(values).ravel(), middle)[middle]

@@ -37,7 +37,7 @@ def window_around(pose: Pose, side: int, margin: float) -> Window:
     Parameters
     ----------
     pose
-        The array's.
+        Pose of the array's image on the sensor.
     side
         LEDs in a row.
     margin
@@ -60,7 +60,7 @@ def cut_out(frame: Pixels, window: Window) -> Floats:
     frame
         A frame of one pixel at least.
     window
-        Corner, columns and rows; it may lie anywhere.
+        Corner (x, y) on the sensor, columns and rows; it may lie anywhere.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def covered(frames: Sequence[Pixels], corner: tuple[int, int], shape: tuple[int,
     Parameters
     ----------
     frames
-        One at least.
+        Frames, each with its place on the sensor; one at least.
     corner
         (x, y) on the sensor of the window's first pixel.
     shape
@@ -102,7 +102,13 @@ def covered(frames: Sequence[Pixels], corner: tuple[int, int], shape: tuple[int,
 
 
 def common(frames: Sequence[Frame]) -> list[Frame]:
-    """Cut frames to the part of the sensor that all of them show; a camera's window may follow the array."""
+    """Cut frames to the part of the sensor that all of them show; a camera's window may follow the array.
+
+    Parameters
+    ----------
+    frames
+        Frames of one sensor, one at least.
+    """
     if all(f.origin == frames[0].origin and f.pixels.shape == frames[0].pixels.shape for f in frames):
         return list(frames)
     left, top = (max(f.origin[k] for f in frames) for k in (0, 1))
@@ -122,7 +128,7 @@ def plane(rows: int, cols: int) -> Floats:
     Parameters
     ----------
     rows, cols
-        Size of the window.
+        Size of the window in px.
 
     Returns
     -------

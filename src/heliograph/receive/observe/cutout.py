@@ -61,7 +61,13 @@ class Cutout:
         return rows, cols
 
     def slopes(self, levels: Floats) -> Floats:
-        """Derivatives of the image of LEDs of levels (n, n) by x, y, ln pitch and roll, (4, rows, columns)."""
+        """Derivatives of the image of LEDs by x, y, ln pitch and roll, (4, rows, columns).
+
+        Parameters
+        ----------
+        levels
+            (n, n) luminances 2 x - 1 of the LEDs, -1 to 1, times their gains where these are known.
+        """
         image = np.empty((6, *self.shape))
         image_kernels.render(self.middle.full_vector(), levels, float(self.corner[0]), float(self.corner[1]), image)
         return image[1:5]
@@ -74,7 +80,7 @@ class Cutout:
         gain
             Gray levels of the sum of a pair with all LEDs on.
         led_gains
-            (n, n) gains of the LEDs.
+            (n, n) gains of the LEDs, 0 to 1.
 
         Returns
         -------
@@ -92,7 +98,13 @@ class Cutout:
         return replace(self, difference=steady)
 
     def moved(self, error: Floats) -> "Cutout":
-        """Correct its poses by an error (4,) in x, y, ln pitch and roll."""
+        """Correct its poses by an error that all of them have.
+
+        Parameters
+        ----------
+        error
+            (4,) added to each pose vector: x and y in px, ln pitch, and roll in rad.
+        """
         step = np.append(error, np.zeros(3))
         return replace(self, poses=tuple(Pose.from_vector(pose.full_vector() + step) for pose in self.poses))
 
@@ -103,7 +115,7 @@ def take_cutout(pair: FramePair, poses: tuple[Pose, Pose], side: int) -> Cutout:
     Parameters
     ----------
     pair
-        The frames.
+        Frames of a pattern and its inverse, combined or in step.
     poses
         Where the data's light was in each.
     side

@@ -24,11 +24,11 @@ def weight_roots(light, first, lit, dark, ring, out):
     first
         (n n,) first column or row of each.
     lit, dark
-        Noise variances inside and beside the array, above 0.
+        Noise variances inside and beside the array in squared gray levels, above 0.
     ring
-        Outer pixels of the window, which weigh 0.
+        Outer pixels of the window, which weigh 0; 0 or more.
     out
-        (pixels,), overwritten.
+        (pixels,) roots of the weights, overwritten.
     """
     out[:] = 0.0
     for k in range(light.shape[0]):
@@ -48,9 +48,9 @@ def weighted(light, first, root, out):
     Parameters
     ----------
     light, first
-        As in `weight_roots`.
+        Light of the LEDs and where it begins, as in `weight_roots`.
     root
-        (pixels,) of `weight_roots`.
+        (pixels,) roots of the weights, of `weight_roots`.
     out
         (n n, width), overwritten; 0 beyond the window.
     """
@@ -74,11 +74,11 @@ def correlate(image, across, down, first, out):
     Parameters
     ----------
     image
-        (rows, columns).
+        (rows, columns) image of the window.
     across, down, first
-        Footprints of the LEDs.
+        Footprints of the LEDs, as of `image.kernels.footprints`.
     out
-        (symbols,), overwritten.
+        (symbols,) correlations with the image, overwritten.
     """
     squares, width = across.shape[0] // 4, across.shape[1]
     rows, cols = image.shape
@@ -103,11 +103,11 @@ def correlate_all(images, across, down, first, out):
     Parameters
     ----------
     images
-        (rows, columns, k).
+        (rows, columns, k), k images of the window.
     across, down, first
-        Footprints of the LEDs.
+        Footprints of the LEDs, as of `image.kernels.footprints`.
     out
-        (symbols, k), overwritten.
+        (symbols, k) correlations with each image, overwritten.
     """
     squares, width = across.shape[0] // 4, across.shape[1]
     rows, cols, count = images.shape
@@ -131,7 +131,13 @@ def correlate_all(images, across, down, first, out):
 
 @njit(cache=True, nogil=True)
 def leds_of(symbols):
-    """Levels of LEDs about their mean, (n n,), t = 1/4 H^T D H, of symbols (n n,)."""
+    """Levels of LEDs about their mean, (n n,): t = 1/4 H^T D H.
+
+    Parameters
+    ----------
+    symbols
+        (n n,) symbols, +-1, or their means, -1 to 1.
+    """
     squares = symbols.shape[0] // 4
     out = np.empty(4 * squares)
     for q in range(squares):
@@ -142,7 +148,13 @@ def leds_of(symbols):
 
 @njit(cache=True, nogil=True)
 def symbols_of(leds):
-    """Symbols (n n,) of LEDs' levels (n n,), the inverse of `leds_of`: D = H t H^T."""
+    """Symbols of LEDs, (n n,), the inverse of `leds_of`: D = H t H^T.
+
+    Parameters
+    ----------
+    leds
+        (n n,) levels t = 2 x - 1 of the LEDs about their mean.
+    """
     squares = leds.shape[0] // 4
     out = np.empty(4 * squares)
     for q in range(squares):
@@ -158,7 +170,7 @@ def spread(light, first, out):
     Parameters
     ----------
     light, first
-        As in `weight_roots`.
+        Light of the LEDs and where it begins, as in `weight_roots`.
     out
         (n n, pixels) float32, overwritten; row q + k n n / 4 is LED k of square q.
     """
@@ -200,7 +212,7 @@ def add_light(across, down, first, out):
     Parameters
     ----------
     across, down, first
-        Footprints of the LEDs.
+        Footprints of the LEDs, as of `image.kernels.footprints`.
     out
         (rows, columns, symbols) float32, added to.
     """
@@ -226,15 +238,15 @@ def motion_compensated(difference, total, lit, gain, x, y, out):
     Parameters
     ----------
     difference, total
-        (rows, columns) of the pair.
+        (rows, columns) difference and sum of the pair in gray levels.
     lit
-        (rows, columns) images of all LEDs in both frames together.
+        (rows, columns) sum of the images of the first and the second frame with all LEDs on, 0 to about 2.
     gain
-        Gray levels of a frame with all LEDs on.
+        Half of the gray levels of the array with all LEDs on: the mean light of a frame.
     x, y
-        Motion between the frames in px.
+        Motion from the first frame to the second in px.
     out
-        (rows, columns), overwritten.
+        (rows, columns) difference without the background's part, overwritten.
     """
     rows, cols = out.shape
     for i in range(rows):

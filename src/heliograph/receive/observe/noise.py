@@ -60,7 +60,7 @@ def measure_noise(cutouts: Sequence[Cutout], gain: float, side: int, led_gains: 
     side
         LEDs in a row.
     led_gains
-        (n, n) gains of the LEDs; None for 1 each.
+        (n, n) gains of the LEDs, 0 to 1; None for 1 each.
     """
     if not cutouts:
         return Noise(LEAST_NOISE, LEAST_NOISE)
@@ -85,7 +85,7 @@ def noise_beside(cutouts: Sequence[Cutout], side: int) -> float:
     Parameters
     ----------
     cutouts
-        Single frames.
+        Cut-outs of single frames, any number.
     side
         LEDs in a row.
     """

@@ -10,7 +10,13 @@ from heliograph.signal import haar
 
 
 def transform(side: int) -> Floats:
-    """T, (n n LEDs row by row, n n symbols), of `side` LEDs in a row: 2 x - 1 = T c."""
+    """T, (n n LEDs row by row, n n symbols): 2 x - 1 = T c.
+
+    Parameters
+    ----------
+    side
+        LEDs in a row, an even number.
+    """
     half = side // 2
     # symbols: the quarters D11, D12, D21, D22 of the data matrix, each row by row
     quarters = np.eye(side * side).reshape(-1, 2, 2, half, half)
@@ -27,7 +33,7 @@ def pair_model(a_1: Floats, a_2: Floats, t: Floats) -> tuple[Floats, Floats]:
     a_1, a_2
         (pixels, LEDs) blur matrices of its two frames.
     t
-        T.
+        (LEDs, symbols), the T of `transform`.
 
     Returns
     -------
@@ -43,15 +49,15 @@ def weights(a: Floats, pitch: float, lit: float, dark: float, ring: int, shape: 
     Parameters
     ----------
     a
-        (pixels, LEDs) A of the pair's middle.
+        (pixels, LEDs) blur matrix at the pair's middle.
     pitch
-        Its pixels between LEDs.
+        Distance of neighbouring LEDs in px.
     lit, dark
-        Noise variances inside and beside the array.
+        Noise variances inside and beside the array in squared gray levels, above 0.
     ring
         Outer pixels of the window, which weigh 0.
     shape
-        Rows and columns.
+        Rows and columns of the window in px.
     """
     side = round(np.sqrt(a.shape[1]))
     image = a.sum(1).reshape(shape)

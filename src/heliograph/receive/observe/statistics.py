@@ -38,13 +38,13 @@ class PairStatistics:
     matched
         B^T W d, the matched filter's output, (symbols,) in gray levels.
     offset
-        B^T W o, (symbols,).
+        B^T W o, the offset's correlation with the symbols' images, (symbols,).
     cross
-        d^T W o.
+        d^T W o, the correlation of difference and offset, in gray levels.
     drift
-        o^T W o.
+        o^T W o, the offset's weighted sum of squares.
     power
-        d^T W d.
+        d^T W d, the difference's weighted sum of squares, in squared gray levels.
     pixels
         Number of pixels of weight above 0.
     combination
@@ -82,7 +82,13 @@ class PairStatistics:
         )
 
     def plus(self, other: "PairStatistics") -> "PairStatistics":
-        """Statistics of two observations of one pattern, in the same units."""
+        """Statistics of two observations of one pattern together.
+
+        Parameters
+        ----------
+        other
+            Statistics of the other observation, in the same units.
+        """
         return PairStatistics(
             self.gram + other.gram,
             self.matched + other.matched,
@@ -102,7 +108,7 @@ class WhitenedCutout:
     Attributes
     ----------
     root
-        W^(1/2), (rows, columns).
+        W^(1/2), the roots of the pixels' weights, (rows, columns).
     difference
         W^(1/2) d, (rows, columns).
     offset
@@ -147,14 +153,26 @@ class WhitenedCutout:
         return self._statistics((b.T @ b - c @ part[:, :-2]).astype(np.float32), d, o)
 
     def correlated(self, image: Floats) -> Floats:
-        """B^T W^(1/2) of an image (rows, columns), (symbols,)."""
+        """B^T W^(1/2) of an image, (symbols,).
+
+        Parameters
+        ----------
+        image
+            (rows, columns) image, itself times W^(1/2).
+        """
         parts = np.empty((len(self.frames), len(self.frames[0].across)))
         for frame, part in zip(self.frames, parts, strict=True):
             kernels.correlate(image, *frame, part)
         return parts[0] if len(parts) == 1 else np.asarray(0.5 * (parts[0] + parts[1]))
 
     def all_correlated(self, images: Floats) -> Floats:
-        """`correlated` of images (k, rows, columns), (symbols, k); faster where k is more than four."""
+        """`correlated` of many images, (symbols, k); faster where k is more than four.
+
+        Parameters
+        ----------
+        images
+            (k, rows, columns) images, themselves times W^(1/2).
+        """
         stack = np.ascontiguousarray(np.moveaxis(images, 0, -1))
         parts = np.empty((len(self.frames), len(self.frames[0].across), len(images)))
         for frame, part in zip(self.frames, parts, strict=True):
@@ -215,11 +233,11 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
     cutout
         The pair, or single frame.
     noise
-        Variances inside and beside the array.
+        Variances inside and beside the array, in squared gray levels.
     side
         LEDs in a row.
     led_gains
-        (n, n) gains of the LEDs; None for 1 each.
+        (n, n) gains of the LEDs, 0 to 1; None for 1 each.
     """
     shape, corner = cutout.shape, cutout.corner
     # B^T W B is taken at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2

@@ -20,7 +20,7 @@ def pair_luminances(
     Parameters
     ----------
     frames
-        Pattern and inverse.
+        Frames of the pattern and of its inverse.
     poses
         The array's pose in each.
     gain
@@ -49,9 +49,9 @@ def luminances(frame: Pixels, pose: Pose, side: int) -> NDArray[np.float64]:
     Parameters
     ----------
     frame
-        A frame.
+        Frame in which the array is; what lies beyond it repeats its border.
     pose
-        The array's pose in it.
+        The array's pose in that frame.
     side
         LEDs in a row.
 

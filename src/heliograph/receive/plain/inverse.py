@@ -44,7 +44,7 @@ def unblurred(
     Parameters
     ----------
     frames
-        Pattern and inverse.
+        Frames of the pattern and of its inverse.
     poses
         The array's pose in each.
     gain
@@ -52,7 +52,7 @@ def unblurred(
     side
         LEDs in a row.
     loading
-        lambda, above 0.
+        lambda, the loading of the diagonal of M^T M, a ratio above 0.
 
     Returns
     -------

@@ -13,11 +13,11 @@ def sample_cubic(image, points, out):
     Parameters
     ----------
     image
-        (rows, columns) float64.
+        (rows, columns) float64 gray levels.
     points
         (n, 2) of (x, y) in px of the image.
     out
-        (n,), overwritten.
+        (n,) gray levels at the points, overwritten.
     """
     rows, cols = image.shape
     wx, wy = np.empty(4), np.empty(4)

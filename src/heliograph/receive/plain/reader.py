@@ -22,15 +22,15 @@ class PlainReader:
     Parameters
     ----------
     identity
-        The array's.
+        Number of the array, 0 to 29.
     form
         The agreed format of packets; the plain receiver reads no other.
     tracker
-        Follows the array.
+        Follows the array from pair to pair.
     equaliser
-        How the LEDs are read.
+        How the LEDs are read, as in `pair_luminances`.
     options
-        The decoder's.
+        How codewords are decoded: algorithm and iterations.
     observe
         Gets an `ExtractEvent` each pair.
     """
@@ -69,7 +69,7 @@ class PlainReader:
         return ReadHeader(self._tracker.refine(track, pair, weights) if tracked.seen else track, score)
 
     def end_header(self, header: MeasuredHeader) -> None:
-        """Nothing is read of a header as a whole."""
+        """Nothing is read of a header as a whole; see `PacketReader`."""
 
     def follow(self, pair: FramePair, track: Track) -> TrackedPair:
         """Find the array by the sum; see `PacketReader`."""
@@ -89,7 +89,7 @@ class PlainReader:
         return decode_packet(self._luminances, self._seen, self._form, self._identity, self._options)
 
     def shown(self, packet: Packet) -> DecodeEvent:
-        """The packet with its luminances."""
+        """The packet with its luminances; see `PacketReader`."""
         return DecodeEvent(self._identity, packet, luminances=self._luminances)
 
     def next(self) -> "PlainReader":

@@ -14,7 +14,7 @@ def sample_cubic(image: Floats, points: Floats) -> Floats:
     Parameters
     ----------
     image
-        (rows, columns).
+        (rows, columns) gray levels of the image.
     points
         (n, 2) of (x, y) in px of the image.
     """

@@ -40,7 +40,13 @@ class FrameClock(Protocol):
     period_s: float
 
     def push(self, frame: Frame) -> Iterator[Frame]:
-        """Take the next frame; yield those whose times are known by now."""
+        """Take the next frame; yield those whose times are known by now.
+
+        Parameters
+        ----------
+        frame
+            Next frame of the film, with the time that the camera stamped on it.
+        """
 
     def flush(self) -> Iterator[Frame]:
         """Yield the frames held back, as there will be no more."""
@@ -52,12 +58,12 @@ class SteppedClock:
     Parameters
     ----------
     pattern_period_s
-        T_b in seconds.
+        T_b, the light's pattern period, in seconds.
 
     Attributes
     ----------
     period_s
-        T_b.
+        Frame period in seconds, the light's T_b.
     """
 
     def __init__(self, pattern_period_s: float):
@@ -66,7 +72,7 @@ class SteppedClock:
         self._gaps: list[float] = []
 
     def push(self, frame: Frame) -> Iterator[Frame]:
-        """Check and pass on the next frame.
+        """Check and pass on the next frame; see `FrameClock`.
 
         Raises
         ------
@@ -129,7 +135,7 @@ class CameraClock:
         self._last: Frame | None = None
 
     def push(self, frame: Frame) -> Iterator[Frame]:
-        """Take the next frame; yield those whose times are known by now.
+        """Take the next frame; yield those whose times are known by now; see `FrameClock`.
 
         Raises
         ------

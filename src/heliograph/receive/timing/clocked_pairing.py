@@ -60,17 +60,17 @@ class ClockedPairing:
     start_s
         When the header began, in seconds, as the detection has it.
     time_s
-        Time of the detection's pose.
+        Time of the detection's pose in seconds.
     pose
-        That pose.
+        Pose of the array at that time.
     identity
-        The array's.
+        Number of the array, 0 to 29.
     led_gains
-        (n, n) gains of its LEDs, 0 in cells that were hidden at the detection.
+        (n, n) gains of its LEDs, 0 to 1; 0 in cells that were hidden at the detection.
     signal
-        The light's signal.
+        The light's signal: side of the array, pattern period, order of slots, and patterns of a packet and its header.
     exposure_s
-        The camera's exposure where it is known, else None.
+        The camera's exposure in seconds where it is known, else None.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class ClockedPairing:
         return self._clock.time_s(place) - place * self._signal.pattern_period_s
 
     def push(self, frame: Frame) -> Iterator[int]:
-        """Take the next frame; yield the numbers of the pairs that can be read by now."""
+        """Take the next frame; yield the numbers of the pairs that can be read by now; see `Pairing`."""
         self._frames.append(frame)
         if self._clock is None:
             awaited = self._header + PATTERNS_AROUND + 1

@@ -175,7 +175,7 @@ def combine_pair(starts: Floats, exposure: float, light: SlotLight) -> Combinati
     exposure
         Their length in T_b, above 0.
     light
-        The slots.
+        Light in the slots of a pattern, in the order of time.
 
     Returns
     -------
@@ -214,8 +214,10 @@ def combine_header(starts: Floats, exposure: float, shown: Floats, dimmed: tuple
 
     Parameters
     ----------
-    starts, exposure
-        As in `combine_pair`.
+    starts
+        (frames,) starts of the exposures in T_b from the start of the header.
+    exposure
+        Their length in T_b, above 0.
     shown
         (frames,) how much of the header less its inverse each frame shows, -1 to 1.
     dimmed

@@ -56,9 +56,9 @@ class FramePair:
     Attributes
     ----------
     pattern
-        The first frame.
+        First of the two, which shows the pattern.
     inverted
-        The second one.
+        Second of the two, which shows the inverse, or the next pattern of data without inverses.
     late_s
         Seconds by which the mean light of their sum comes after the middle of the exposures.
     combination
@@ -83,11 +83,11 @@ class HeaderFrames:
     Attributes
     ----------
     images
-        (frames, rows, columns) about the array.
+        (frames, rows, columns) gray levels about the array.
     corner
         (x, y) on the sensor of the first pixel.
     pose
-        The array's.
+        Pose of the array in the middle of the header.
     alternation
         (2, frames) amplitude of the header less its inverse, -1 to 1: of whole cells, and of dimmed ones.
     light
@@ -143,7 +143,13 @@ class Pairing(Protocol):
         """Start in seconds of pair 0 by the last pair read, patterns taken to be T_b long since."""
 
     def push(self, frame: Frame) -> Iterator[int]:
-        """Take the next frame; yield the numbers of the pairs that can be read by now."""
+        """Take the next frame; yield the numbers of the pairs that can be read by now.
+
+        Parameters
+        ----------
+        frame
+            Next frame of the camera, its time by the camera's clock.
+        """
 
     def flush(self) -> Iterator[int]:
         """Yield the numbers of the pairs that can still be read, as there will be no more frames."""
@@ -156,13 +162,13 @@ class Pairing(Protocol):
         Parameters
         ----------
         pair
-            The first pair of data.
+            Number of the first pair of data after the header.
         poses
             The array's poses in the pairs around the header, by number.
         pose_at
-            Its pose at any time.
+            Its pose at any time in seconds.
         led_gains
-            (n, n) gains of its LEDs.
+            (n, n) gains of its LEDs, 0 to 1.
 
         Returns
         -------
@@ -175,9 +181,9 @@ class Pairing(Protocol):
         Parameters
         ----------
         number
-            The pair's.
+            Number of the pair, counted from the header of the detection.
         pose_at
-            The array's pose at any time.
+            The array's pose at any time in seconds.
         single
             Whether the packet's data come without inverses.
 
@@ -193,9 +199,9 @@ def is_data(number: int, signal: SignalSettings) -> bool:
     Parameters
     ----------
     number
-        The pair's, counted from a header's first.
+        Number of the pair, counted from a header's first.
     signal
-        The light's signal.
+        The light's signal: patterns of a packet, and pairs of its header.
     """
     return number % (signal.packet_patterns // 2) >= signal.header_pairs
 
@@ -204,6 +210,11 @@ def sum_late_s(signal: SignalSettings) -> float:
     """Seconds by which the mean light of a data pair's sum comes after the middle of the exposures.
 
     PWM lights the first slots of a pattern more than the last.
+
+    Parameters
+    ----------
+    signal
+        The light's signal: its pattern period, and the order of a pattern's slots.
     """
     mean, _ = light_centroids(signal.slot_order)
     return (mean - 0.5) * signal.pattern_period_s

@@ -113,20 +113,20 @@ class LightClock:
     Parameters
     ----------
     start_s
-        When a header began, within `FIRST_REACH` patterns.
+        When a header began in seconds, within `FIRST_REACH` patterns.
     period_s
-        The camera's frame period.
+        The camera's frame period in seconds.
     signal
-        The light's signal.
+        The light's signal: its pattern period, header pairs and order of slots.
     identity
-        The array's, 0 to 29; it decides which words of formats are possible.
+        Number of the array, 0 to 29; it decides which words of formats are possible.
     exposure_s
-        The camera's exposure where it is known, else None.
+        The camera's exposure in seconds where it is known, else None.
 
     Attributes
     ----------
     start_s
-        Start of the last header that was due: as measured or, where the header was not seen, as predicted.
+        Start in seconds of the last header that was due: as measured or, where the header was not seen, as predicted.
     rate
         By which fraction the pattern period is longer than the nominal one.
     gain
@@ -175,11 +175,23 @@ class LightClock:
         return float(chance @ self._exposures / chance.sum())
 
     def time_s(self, pattern: float) -> float:
-        """Start in seconds of a pattern, counted from the header of the detection."""
+        """Start of a pattern in seconds, by the camera's clock.
+
+        Parameters
+        ----------
+        pattern
+            Number of the pattern, counted from the header of the detection; a fraction is a time within it.
+        """
         return self.start_s + (pattern - self._pattern) * self.period_s
 
     def pattern_at(self, time_s: float | Floats) -> Floats:
-        """Patterns from the start of the detection's header to times in seconds, of any shape."""
+        """Patterns from the start of the detection's header to times, of their shape.
+
+        Parameters
+        ----------
+        time_s
+            Times in seconds by the camera's clock, of any shape.
+        """
         return np.asarray(self._pattern + (np.asarray(time_s) - self.start_s) / self.period_s)
 
     def header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
@@ -329,7 +341,7 @@ def view_header(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderVi
     poses
         The array's pose in each.
     lit
-        (n, n) the header, +-1, times the LEDs' gains.
+        (n, n) the header, +-1, times the LEDs' gains, 0 to 1.
     """
     shown = np.array([_shown(frame, pose, lit) for frame, pose in zip(frames, poses, strict=True)])
     return HeaderView(np.array([f.time_s for f in frames]), shown[:, 0], shown[:, 1], shown[:, 2].max() > CLIPPED)

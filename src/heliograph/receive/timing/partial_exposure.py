@@ -56,7 +56,7 @@ def response_of_levels(weights: Floats, lit: NDArray[np.bool_]) -> Floats:
     Parameters
     ----------
     weights
-        (4,) w_r.
+        (4,) w_r, the weight of each slot, as of `response`.
     lit
         (n, n) LEDs that are lit.
 
@@ -99,13 +99,13 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
     Parameters
     ----------
     table
-        (16, 4) response.
+        (16, 4) their `response` to all values of a square's symbols.
     observed
         (symbols,) estimates of the observed symbols.
     variance
-        (symbols,) their variances.
+        (symbols,) variances of these estimates, above 0.
     mean
-        (symbols,) prior mean of the true symbols.
+        (symbols,) prior mean of the true symbols, -1 to 1.
 
     Returns
     -------

@@ -19,9 +19,9 @@ class SteppedPairing:
     start_s
         Start of the header's first frame in seconds.
     time_s
-        Time of the detection's pose.
+        Time of the detection's pose in seconds.
     signal
-        The light's signal.
+        The light's signal: pattern period, order of slots, and patterns of a packet and its header.
     """
 
     def __init__(self, start_s: float, time_s: float, signal: SignalSettings):
@@ -43,7 +43,7 @@ class SteppedPairing:
         return self._origin_s
 
     def push(self, frame: Frame) -> Iterator[int]:
-        """Take the next frame; yield the numbers of the pairs that can be read by now."""
+        """Take the next frame; yield the numbers of the pairs that can be read by now; see `Pairing`."""
         self._now_s = max(self._now_s, frame.time_s)
         number = round((frame.time_s - self._origin_s) / self._signal.pattern_period_s)
         if number < 0:

@@ -36,9 +36,9 @@ class SeenHeader:
     Attributes
     ----------
     pair
-        The frames.
+        Frames of the header and its inverse.
     poses
-        The poses.
+        The array's pose in each of them.
     """
 
     pair: FramePair
@@ -70,9 +70,9 @@ def surroundings(frame: Pixels, pose: Pose, side: int) -> tuple[tuple[int, int],
     Parameters
     ----------
     frame
-        A frame.
+        Frame from which the window is cut; beyond the frame its border is repeated.
     pose
-        The array's.
+        Pose of the array in the frame.
     side
         LEDs in a row.
     """
@@ -86,13 +86,13 @@ def background_images(pose: Pose, corner: tuple[int, int], shape: tuple[int, int
     Parameters
     ----------
     pose
-        The array's.
+        Pose of the array, in which the panel has its middle.
     corner
         (x, y) on the sensor of the window's first pixel.
     shape
-        Its rows and columns.
+        Rows and columns of the window.
     half
-        Half of the panel's side, in pitches.
+        Half of the panel's side, in pitches of the LEDs.
 
     Returns
     -------
@@ -113,11 +113,11 @@ def fit_background(headers: list[SeenHeader], gain: float, led_gains: Floats) ->
     Parameters
     ----------
     headers
-        One pair at least.
+        Header pairs with the array's poses, one at least.
     gain
         g, gray levels of the array with all LEDs on.
     led_gains
-        (n, n) gains of the LEDs.
+        (n, n) gains of the LEDs, 0 to 1.
     """
     views = [_view(header, gain, led_gains) for header in headers]
 

@@ -66,7 +66,7 @@ class DecidedPair:
     Attributes
     ----------
     tracked
-        The array in them.
+        The array as the second of them shows it.
     cutouts
         The two frames less their background.
     """
@@ -81,7 +81,7 @@ class DecisionDirectedTracker:
     Parameters
     ----------
     tracker
-        The array's tracker.
+        Predicts the array's state, and tells whether it is in sight.
     late_s
         Seconds by which the light of the levels' mean, and that of the data, comes after the middle of an exposure.
     headers
@@ -89,7 +89,7 @@ class DecisionDirectedTracker:
     gain
         Gray levels of the array with all LEDs on.
     led_gains
-        (n, n) gains of the LEDs.
+        (n, n) gains of the LEDs, 0 to 1.
 
     Attributes
     ----------
@@ -117,9 +117,9 @@ class DecisionDirectedTracker:
         Parameters
         ----------
         track
-            The array.
+            The array as known before the two frames.
         pair
-            The two frames.
+            Frames of two successive data patterns.
         """
         background = self._background
         # fitting the first frame too would take as long again, and as many bits are wrong with it as without

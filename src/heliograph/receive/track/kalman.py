@@ -60,7 +60,7 @@ class MotionModel:
     Attributes
     ----------
     period_s
-        T_b in seconds.
+        Pattern period T_b in seconds.
     acceleration_px
         Standard deviation of the image's acceleration by shake, in px per pattern squared.
     """
@@ -69,9 +69,14 @@ class MotionModel:
     acceleration_px: float
 
     def process_noise(self, dt: float) -> Floats:
-        """Q, (10, 10), of a time in seconds.
+        """Q, (10, 10): what the motion adds to the state's covariance as time goes by.
 
         White accelerations of density q = 2 a^2 tau give q [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]].
+
+        Parameters
+        ----------
+        dt
+            Time that goes by, in seconds, at least 0.
         """
         a = np.array([self.acceleration_px, self.acceleration_px, EXPANSION]) / self.period_s**2
         q = 2 * ACCELERATION_PATTERNS * self.period_s * a**2
@@ -85,7 +90,13 @@ class MotionModel:
         return noise
 
     def walked(self, dt: float) -> float:
-        """A time in seconds in units of `WALK_PATTERNS`."""
+        """A time in units of `WALK_PATTERNS`.
+
+        Parameters
+        ----------
+        dt
+            The time in seconds, at least 0.
+        """
         return dt / (WALK_PATTERNS * self.period_s)
 
     @property
@@ -111,7 +122,13 @@ class Observation:
 
 
 def sum_observation(late_s: float) -> Observation:
-    """What the sum of a pattern and its inverse shows, its light `late_s` seconds after the state's time on average."""
+    """What the sum of a pattern and its inverse shows.
+
+    Parameters
+    ----------
+    late_s
+        Seconds by which its mean light comes after the state's time; negative where it comes before.
+    """
     matrix = np.eye(SHOWN, STATES)
     matrix[:3, RATES] = late_s * np.eye(3)
     matrix[2, 8] = matrix[4, 9] = 1.0
@@ -135,9 +152,9 @@ class Tilt:
     Attributes
     ----------
     mean
-        (2,).
+        (2,) stretch and shear.
     covariance
-        (2, 2).
+        (2, 2) covariance of stretch and shear.
     """
 
     mean: Floats = field(default_factory=partial(np.zeros, 2))
@@ -149,7 +166,7 @@ class Tilt:
         Parameters
         ----------
         dt
-            Seconds.
+            Seconds from now to that time, at least 0.
         model
             How the array may move.
         """
@@ -165,11 +182,11 @@ class PoseState:
     time_s
         Its time in seconds.
     mean
-        (10,) pose vector, rates a second, errors of sums.
+        (10,) pose vector, rates a second of its first three, errors of ln pitch and ln blur in sums.
     covariance
-        (10, 10).
+        (10, 10) covariance of `mean`.
     tilt
-        Stretch and shear.
+        Stretch and shear of the image.
     """
 
     time_s: float
@@ -184,9 +201,9 @@ class PoseState:
         Parameters
         ----------
         time_s
-            Time of the pose.
+            Time of the pose in seconds.
         vector
-            Pose vector, (5,) or (7,).
+            Pose vector, (5,) or, with the tilt, (7,).
         covariance
             Its covariance, (5, 5) or (7, 7).
         model
@@ -204,7 +221,7 @@ class PoseState:
         Parameters
         ----------
         time_s
-            That time.
+            The later time in seconds.
         model
             How the array may move.
         """
@@ -215,7 +232,13 @@ class PoseState:
         return PoseState(time_s, f @ self.mean, covariance, self.tilt.later(dt, model))
 
     def expected(self, observation: Observation) -> tuple[Floats, Floats]:
-        """Mean (5,) and covariance (5, 5) of an observation: H x, H P H^T + R."""
+        """Mean (5,) and covariance (5, 5) of what a fit will show: H x, H P H^T + R.
+
+        Parameters
+        ----------
+        observation
+            Which part of the state the fit observes, and its errors.
+        """
         h = observation.matrix
         return h @ self.mean, h @ self.covariance @ h.T + np.diag(observation.variances)
 
@@ -232,7 +255,7 @@ class PoseState:
         covariance
             (5, 5) its posterior covariance.
         observation
-            What the fit showed.
+            Which part of the state the fit observed.
         """
         # S = H P H^T + R, G = P H^T S^-1; x += G (z - H x); P += G (C - S) G^T
         mean, shown = self.expected(observation)
@@ -246,7 +269,13 @@ class PoseState:
         return Pose.from_vector(np.append(self.mean[:SHOWN], self.tilt.mean))
 
     def pose_at(self, time_s: float) -> Pose:
-        """The pose a little earlier or later, at constant rates."""
+        """The pose a little earlier or later, at constant rates.
+
+        Parameters
+        ----------
+        time_s
+            Time of the pose in seconds, before or after the state's own.
+        """
         vector = self.mean[:SHOWN].copy()
         vector[:3] += (time_s - self.time_s) * self.mean[RATES]
         return Pose.from_vector(np.append(vector, self.tilt.mean))

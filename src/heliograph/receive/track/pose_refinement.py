@@ -54,11 +54,11 @@ class ObservedPacket:
     cutouts
         One per pair, in the single mode one per pattern; None where the array was not seen.
     noise
-        Variances inside and beside the array.
+        Variances inside and beside the array in squared gray levels.
     form
-        The packet's format.
+        Format of the packet; in its single mode no pose is refined.
     led_gains
-        (n, n) gains of the LEDs.
+        (n, n) gains of the LEDs, 0 to 1.
     """
 
     def __init__(self, cutouts: Sequence[Cutout | None], noise: Noise, form: PacketFormat, led_gains: Floats):
@@ -78,11 +78,11 @@ class ObservedPacket:
         Parameters
         ----------
         mean, variance
-            (pairs, symbols) of the symbols; those of a variance near 0 are decoded.
+            (pairs, symbols) mean, -1 to 1, and variance of each symbol; those of a variance near 0 are decoded.
         gain
             Gray levels of the array with all LEDs on.
         noise
-            Variance of a pixel of a difference.
+            Variance of a pixel of a difference in squared gray levels.
 
         Returns
         -------
@@ -145,9 +145,9 @@ class PoseEvidence:
     Attributes
     ----------
     information
-        Fisher information J, (4, 4), of x, y, ln pitch and roll.
+        Fisher information J, (4, 4), of x, y (px), ln pitch and roll (rad).
     score
-        s, (4,).
+        s, (4,): slope of the log likelihood by these errors at e = 0.
     """
 
     information: Floats
@@ -155,7 +155,13 @@ class PoseEvidence:
 
 
 def worth_moving(error: Floats) -> bool:
-    """Whether a pose's error (4,) in x, y, ln pitch and roll is worth new statistics."""
+    """Whether a pose's error is worth new statistics.
+
+    Parameters
+    ----------
+    error
+        (4,) error in x, y (px), ln pitch and roll (rad), of either sign.
+    """
     x, y, ln_pitch, roll = np.abs(error)
     return bool(max(x, y) + HALF_SIDE_PX * max(ln_pitch, roll) > LEAST_PX)
 
@@ -166,7 +172,7 @@ def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats
     Parameters
     ----------
     evidence
-        By number of the pair; of poses already corrected by `before`.
+        What some pairs say, by number of the pair; of poses already corrected by `before`.
     before
         (pairs, 4) corrections so far; the prior holds for the whole of an error.
 

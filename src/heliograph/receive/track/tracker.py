@@ -62,7 +62,7 @@ class Track:
     Attributes
     ----------
     state
-        Pose and rates.
+        Pose and rates, with their covariance.
     gain
         Gray levels of a pair's sum with all LEDs on.
     data_gain
@@ -122,7 +122,13 @@ class Tracker:
         self._side, self._model = side, model
 
     def start(self, detection: Detection) -> Track:
-        """Begin to follow an array that was found."""
+        """Begin to follow an array that was found.
+
+        Parameters
+        ----------
+        detection
+            Where and when its header was found.
+        """
         fit = detection.fit
         state = PoseState.start(detection.time_s, fit.vector, widened(fit.covariance), self._model)
         return Track(state, fit.gain, fit.gain, detection.led_gains, detection.time_s)
@@ -133,9 +139,9 @@ class Tracker:
         Parameters
         ----------
         track
-            The array.
+            The array as known before the pair.
         pair
-            The two frames.
+            Frames of a pattern and its inverse.
         """
         predicted = self.predict(track, pair.time_s)
         corner, up, down = self._cut(pair, predicted.pose)
@@ -163,11 +169,11 @@ class Tracker:
         Parameters
         ----------
         track
-            The array.
+            The array as `follow` found it in the header's sum.
         pair
-            The header and its inverse.
+            Frames of the header and its inverse.
         weights
-            (n, n) the header less its inverse, -1 to 1.
+            (n, n) luminances of the header less its inverse, -1 to 1, as if all LEDs were sound.
         """
         state, tilt = track.state, track.state.tilt
         corner, up, down = self._cut(pair, state.pose)
@@ -188,24 +194,24 @@ class Tracker:
         Parameters
         ----------
         track
-            The array.
+            The array, whose pose says which pixels are looked at, and whose gain how much must change.
         pair
-            The frames.
+            Frames of the two patterns.
         fit
-            Where it should be.
+            Fit whose pose says where the array should be.
         """
         corner, up, down = self._cut(pair, track.state.pose)
         return _inside(fit, pair.pattern) and self._active(up - down, fit.pose, corner, track.gain)
 
     def predict(self, track: Track, time_s: float) -> PoseState:
-        """State at a time in seconds; before the track's own time the state is taken as it is.
+        """State at a time; before the track's own time the state is taken as it is.
 
         Parameters
         ----------
         track
-            The array.
+            The array as it was last known.
         time_s
-            The time.
+            Time of the prediction in seconds.
         """
         if time_s <= track.state.time_s:
             return replace(track.state, time_s=time_s)
@@ -254,14 +260,26 @@ class Tracker:
 
 
 def contrast(pose: Pose) -> float:
-    """Fraction of the contrast of squares of 2 x 2 LEDs that blur and pixels leave, 0 to 1."""
+    """Fraction of the contrast of squares of 2 x 2 LEDs that blur and pixels leave, 0 to 1.
+
+    Parameters
+    ----------
+    pose
+        Pose of the array, of which pitch and blur count.
+    """
     # along x and y alike: int (box * Gaussian)^2 / w = erf u - (1 - exp(-u^2)) / (sqrt(pi) u), u = w / 2 s
     u = pose.pitch / float(np.hypot(pose.blur, PIXEL))
     return erf(u) - (1 - exp(-(u**2))) / (sqrt(pi) * u)
 
 
 def widened(covariance: Floats) -> Floats:
-    """A detection's covariance (5, 5) or (7, 7) with room for the motion since its middle."""
+    """A detection's covariance with room for the motion since its middle.
+
+    Parameters
+    ----------
+    covariance
+        Covariance of the detection's pose vector, (5, 5) or, with the tilt, (7, 7).
+    """
     wider = covariance.copy()
     wider[np.arange(5), np.arange(5)] += FOUND_SPREAD
     return wider

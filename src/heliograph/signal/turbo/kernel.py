@@ -53,7 +53,13 @@ _Q3, _Q4, _Q5 = np.float32(0.0022492933), np.float32(-0.00021102457), np.float32
 
 
 def work_size(k: int) -> int:
-    """Return the number of float32 values of working memory for blocks of `k` information bits."""
+    """Return the number of float32 values of working memory that a tile needs.
+
+    Parameters
+    ----------
+    k : int
+        Information bits of each block, K.
+    """
     return (k + 1) * _ROW
 
 
@@ -261,9 +267,9 @@ def mother_posterior(mother: Any, passed: Any, app: Any, order: Any, scale: Any,
     order : int64 (K,)
         Interleaver, ``x_itl = x_nat[order]``.
     scale : float32
-        Factor on extrinsic LLRs.
+        Factor on extrinsic LLRs, above 0 and at most 1.
     out : float32 (tiles, 3 K + 12, 16)
-        Written.
+        Written: a-posteriori LLRs of each mother codeword, in the order of `mother`.
     exact : True or None
         True for log-MAP, None for max-log.
     """

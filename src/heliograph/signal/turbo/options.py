@@ -80,13 +80,13 @@ class TurboResult:
     Attributes
     ----------
     bits : ndarray of uint8, shape (..., K)
-        Hard decisions.
+        Decisions on the information bits, 0 or 1.
     llr : ndarray of float32, shape (..., K)
         A-posteriori LLRs of the information bits.
     extrinsic : ndarray of float32, shape (..., K)
         What the code adds: `llr` less the channel's LLRs of the same bits, less the a-priori LLRs.
     iterations : ndarray of int32, shape (...)
-        Full iterations used.
+        Full iterations that each block took, at least 1.
     stopped : ndarray of bool, shape (...)
         Whether the stopping rule was met; False everywhere for ``stop="none"``.
     coded_llr : ndarray of float32, shape (..., E), or None
@@ -104,7 +104,13 @@ class TurboResult:
     coded_extrinsic: NDArray[np.float32] | None = None
 
     def mapped(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> "TurboResult":
-        """Return the result with `change` applied to each of its arrays."""
+        """Return the result with each of its arrays changed.
+
+        Parameters
+        ----------
+        change : callable
+            Takes an array and returns the one in its place; not called where an array is None.
+        """
         arrays = {field.name: getattr(self, field.name) for field in fields(self)}
         changed: dict[str, Any] = {name: None if array is None else change(array) for name, array in arrays.items()}
         return TurboResult(**changed)

@@ -45,7 +45,12 @@ _COEFFICIENTS = dict(
 
 
 def coefficients(k: int) -> tuple[int, int]:
-    """Return the coefficients f1 and f2 of size `k` (TS 36.212, table 5.1.3-3).
+    """Return the coefficients f1 and f2 of a block size (TS 36.212, table 5.1.3-3).
+
+    Parameters
+    ----------
+    k : int
+        Block size in information bits, one of `QPP_SIZES`.
 
     Raises
     ------

@@ -45,7 +45,7 @@ class ReferenceResult(NamedTuple):
     mother_llr : ndarray of float64, shape (B, 3 K + 12)
         A-posteriori LLRs of the mother codeword.
     iterations : ndarray of int32, shape (B,)
-        Full iterations used.
+        Full iterations that each block took, at least 1.
     stopped : ndarray of bool, shape (B,)
         Whether the stopping rule was met.
     """

@@ -32,7 +32,7 @@ def zeros(blocks: int, rows: int) -> NDArray[np.float32]:
     blocks
         Number of blocks, B.
     rows
-        Values a block.
+        Values of each block: K for information bits, 3 K + 12 for a mother codeword.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def agree(app_1: Any, app_2: Any, out: Any) -> None:
     app_1, app_2
         (tiles, K, 16) float32 a-posteriori LLRs after each half iteration, in the same order.
     out
-        (tiles, 16) bool, written.
+        (tiles, 16) bool, written: True for the lanes of these blocks.
     """
     differ = np.empty(LANES, dtype=np.int32)
     for t in range(app_1.shape[0]):
@@ -72,11 +72,11 @@ def pack(llr: Any, positions: Any, mother: Any) -> None:
     Parameters
     ----------
     llr
-        (B, E) float32, clipped to +-`LLR_LIMIT`.
+        (B, E) float32 received LLRs, clipped to +-`LLR_LIMIT` as they are added.
     positions
-        (E,) int64 row of each.
+        (E,) int64 position of each LLR in the mother codeword: the row of its tile.
     mother
-        (tiles, rows, 16) float32, changed.
+        (tiles, rows, 16) float32 LLRs of mother codewords, changed.
     """
     for t in range(mother.shape[0]):
         blocks = llr[t * LANES : (t + 1) * LANES]
@@ -95,13 +95,13 @@ def unpack(tiles: Any, lanes: Any, positions: Any, out: Any) -> None:
     Parameters
     ----------
     tiles
-        (tiles, rows, 16) float32.
+        (tiles, rows, 16) float32 values of blocks, such as LLRs.
     lanes
         (n,) int64 lanes to read.
     positions
         (E,) int64 rows to read.
     out
-        (n, E) float32, written.
+        (n, E) float32, written: the values of each lane.
     """
     for n in range(lanes.size):
         t, lane = lanes[n] // LANES, lanes[n] % LANES
@@ -148,7 +148,7 @@ def move(source: Any, lanes: Any, target: Any) -> None:
     Parameters
     ----------
     source
-        (tiles, rows, 16) float32.
+        (tiles, rows, 16) float32 values to copy from.
     lanes
         (n,) int64 lanes to copy.
     target
