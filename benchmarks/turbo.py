@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
+from heliograph.signal.code import Algorithm
 from heliograph.signal.turbo import DecoderOptions, TurboCode, reference
-from heliograph.signal.turbo.options import Algorithm, Stop
+from heliograph.signal.turbo.options import Stop
 from heliograph.signal.turbo.qpp import interleaver
 
 ITERATIONS = 8

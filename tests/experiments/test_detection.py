@@ -16,7 +16,7 @@ from heliograph.experiments.detection.ablation import VARIANTS, DetectionScores,
 from heliograph.experiments.detection.clutter import ClipBackdrop, backdrops, film_moment
 from heliograph.experiments.detection.identities import confusion, identities_seen, small_camera
 from heliograph.experiments.detection.lamps import FRAMES, SIZE, drawn_backdrop, lamp_backdrop
-from heliograph.experiments.detection.trials import DetectionTrials, Effort
+from heliograph.experiments.detection.trials import DetectionEffort, DetectionTrials
 from heliograph.experiments.detection.verdicts import compared, ingredients
 from heliograph.experiments.result import Context, ExperimentResult
 from heliograph.measure.statistics import Count
@@ -53,7 +53,7 @@ def test_less_needs_intervals_apart() -> None:
 @pytest.fixture(scope="module")
 def measured() -> DetectionTrials:
     scenes = {"lamps": lamp_backdrop, "drawn scene": drawn_backdrop}
-    return trials.measure(scenes, Effort(2, 1, 4, 1), None, Context(seed=3))
+    return trials.measure(scenes, DetectionEffort(2, 1, 4, 1), None, Context(seed=3))
 
 
 def test_m_sequence_dominates_at_equal_false_alarms(measured: DetectionTrials) -> None:
@@ -78,7 +78,7 @@ def test_films_are_counted_once_by_each_way(measured: DetectionTrials) -> None:
 
 
 def test_results_do_not_depend_on_how_films_are_handed_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    scenes, effort = {"drawn scene": drawn_backdrop}, Effort(2, 0, 4, 1)
+    scenes, effort = {"drawn scene": drawn_backdrop}, DetectionEffort(2, 0, 4, 1)
     whole = trials.measure(scenes, effort, None, Context())
     monkeypatch.setattr(trials, "BATCH", 1)
     assert trials.measure(scenes, effort, None, Context(workers=2)).scores == whole.scores
@@ -155,7 +155,7 @@ def test_best_of_nothing() -> None:
 
 
 def test_the_result_has_counts() -> None:
-    done: ExperimentResult = detection.run(Context(), Effort(1, 1, 4, 1, 15))
+    done: ExperimentResult = detection.run(Context(), DetectionEffort(1, 1, 4, 1, 15))
     assert done.key == "fig6"
     assert all(" of " in finding.ours for finding in done.findings)
     assert [finding.verdict for finding in done.findings[-2:]] == ["shown", "shown"]

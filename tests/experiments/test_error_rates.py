@@ -193,7 +193,7 @@ def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(films, "load_settings", lambda *_: short)
     done: list[float] = []
     context = Context(progress=lambda _, share: done.append(share))
-    result = experiment.run(context, experiment.Effort([30.0, 60.0], films=1, drives=1))
+    result = experiment.run(context, experiment.ErrorRateEffort([30.0, 60.0], films=1, drives=1))
     assert result.key == "fig13"
     assert done == sorted(done)
     assert done[-1] == pytest.approx(1)

@@ -12,10 +12,11 @@ from scipy.special import logsumexp
 from scipy.stats import binom
 
 from heliograph.base.errors import SettingsError
+from heliograph.signal.code import Algorithm
 from heliograph.signal.turbo import DecoderOptions, TurboCode, reference
 from heliograph.signal.turbo.decoder import decode_blocks
 from heliograph.signal.turbo.encoder import encode_constituent, encode_mother
-from heliograph.signal.turbo.options import Algorithm, Stop
+from heliograph.signal.turbo.options import Stop
 from heliograph.signal.turbo.qpp import interleaver
 
 ALGORITHMS: list[Algorithm] = ["max-log", "log-map"]

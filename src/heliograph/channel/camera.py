@@ -137,8 +137,9 @@ def _shoot(
 ) -> Iterator[tuple[Frame, Truth]]:
     # the kernels are imported with the first frame: Numba takes half a second
     from heliograph.channel.background import background
-    from heliograph.channel.render import Canvas, FilmScene, frame_block, render, windows
+    from heliograph.channel.render import Canvas, render
     from heliograph.channel.sensor import read_out
+    from heliograph.channel.views import FilmScene, frame_block, windows
 
     camera, noise = settings.camera, NoiseModel(settings.sensor)
     scene = FilmScene(settings, arrays, drive, background(settings, footage, np.random.default_rng(scene_seed)))

@@ -44,7 +44,7 @@ def simulate(
     settings: options.SettingsFile = None,
     assignments: options.Assignments = None,
     seed: options.Seed = 0,
-    background: options.Background = None,
+    background: options.BackgroundOption = None,
     imu: options.Imu = None,
     high: High = None,
     middle: Middle = None,
@@ -131,7 +131,7 @@ def demo(
     preset: options.Preset = "paper",
     settings: options.SettingsFile = None,
     assignments: options.Assignments = None,
-    background: options.Background = None,
+    background: options.BackgroundOption = None,
     imu: options.Imu = None,
 ) -> None:
     """Simulate the paper's drive, receive it, and show what arrived in report.html."""
@@ -172,14 +172,14 @@ def sweep(
         float | None,
         typer.Option(help="Most computing time of a point in s, summed over the workers.", show_default=False),
     ] = None,
-    workers: options.Workers = None,
+    workers: options.WorkersOption = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
             metavar="ADDRESS", help="Dask scheduler whose workers compute, in place of --workers.", show_default=False
         ),
     ] = None,
-    background: options.Background = None,
+    background: options.BackgroundOption = None,
     imu: options.Imu = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON list and nothing else.")] = False,
 ) -> None:
@@ -216,7 +216,7 @@ def reproduce(
         ),
     ] = None,
     seed: options.Seed = 0,
-    workers: options.Workers = None,
+    workers: options.WorkersOption = None,
 ) -> None:
     """Run the paper's experiments, and compare its claims with what was measured."""
     from heliograph.cli.reproduce import run_reproduce

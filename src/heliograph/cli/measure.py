@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 app = typer.Typer(rich_markup_mode=None)
 
 Clips = Annotated[list[Path], typer.Argument(metavar="CLIP...", help="Recorded footage.")]
-Motion = Annotated[Path, typer.Option("--imu", metavar="CSV", help="Recorded car motion.")]
+ImuOption = Annotated[Path, typer.Option("--imu", metavar="CSV", help="Recorded car motion.")]
 First = Annotated[int, typer.Option(min=0, help="Seed of the first; the others follow.")]
-Layer = Annotated[str, typer.Option(help="Layer to count: high, middle or low.")]
+LayerOption = Annotated[str, typer.Option(help="Layer to count: high, middle or low.")]
 
 
 @app.callback(invoke_without_command=True)
@@ -33,7 +33,7 @@ def scenes(
     packets: Annotated[int, typer.Option(min=1, help="Blocks: packets of arrays at rest, or films.")] = 20,
     first: First = 0,
     receiver: Annotated[str, typer.Option(help="Receiver to use.")] = "soft",
-    workers: options.Workers = None,
+    workers: options.WorkersOption = None,
 ) -> None:
     """Error rates in hard scenes: tilted, hidden, failed LEDs, night, sun, six arrays."""
     from heliograph.experiments.error_rates.scenes import SCENES, counts_text, measure
@@ -54,7 +54,7 @@ def acquisition(
     first: First = 0,
     within: Annotated[int, typer.Option(min=0, help="Most patterns before a header to switch on at.")] = 100,
     assignments: options.Assignments = None,
-    workers: options.Workers = None,
+    workers: options.WorkersOption = None,
 ) -> None:
     """How surely and how soon an array is found after it is switched on."""
     from heliograph.experiments.detection.acquisition import AcquisitionTrial, measure, outcomes_text
@@ -72,11 +72,11 @@ def acquisition(
 @app.command()
 def repeated_packets(
     distance: Annotated[float, typer.Option(help="Distance in m in the middle of a film.")] = 160.0,
-    layer: Layer = "middle",
+    layer: LayerOption = "middle",
     receptions: Annotated[int, typer.Option(min=1, help="Packets of a film.")] = 5,
     films: Annotated[int, typer.Option(min=1, help="Films.")] = 20,
     assignments: options.Assignments = None,
-    workers: options.Workers = None,
+    workers: options.WorkersOption = None,
 ) -> None:
     """Codewords wrong in the first, second, ... reception of a packet that is sent over and over."""
     from heliograph.experiments.error_rates.repeated_packets import film_settings, measure
@@ -91,10 +91,10 @@ def repeated_packets(
 @app.command()
 def known_channel(
     distance: Annotated[float, typer.Option(help="Distance in m.")] = 110.0,
-    layer: Layer = "low",
+    layer: LayerOption = "low",
     brightness: Annotated[str, typer.Option(metavar="X,X", help="Brightness of the array.")] = "0.7,0.8,0.9,1",
     packets: Annotated[int, typer.Option(min=1, help="Packets at each brightness.")] = 100,
-    workers: options.Workers = None,
+    workers: options.WorkersOption = None,
 ) -> None:
     """What the soft receiver loses by estimating pose, blur, gain and noise."""
     from heliograph.experiments.calibration.known_channel import measure, tasks
@@ -113,7 +113,7 @@ def known_channel(
 @app.command()
 def drives(
     clips: Clips,
-    imu: Motion,
+    imu: ImuOption,
     seed: options.Seed = 1,
     assignments: options.Assignments = None,
     margin: Annotated[
@@ -134,7 +134,7 @@ def drives(
 @app.command()
 def empty(
     clips: Clips,
-    imu: Motion,
+    imu: ImuOption,
     seed: options.Seed = 3,
     assignments: options.Assignments = None,
     native: Annotated[bool, typer.Option("--native", help="The clip's own frames, one per pattern period.")] = False,

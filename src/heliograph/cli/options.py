@@ -31,7 +31,7 @@ Imu = Annotated[
     Path | None,
     typer.Option("--imu", metavar="CSV", help="Recorded motion of a car; sets channel.shake=imu.", show_default=False),
 ]
-Background = Annotated[
+BackgroundOption = Annotated[
     Path | None,
     typer.Option(
         "--background",
@@ -41,7 +41,7 @@ Background = Annotated[
     ),
 ]
 
-Workers = Annotated[
+WorkersOption = Annotated[
     int | None,
     typer.Option("--workers", min=1, help="Worker processes; one for each core if left out.", show_default=False),
 ]

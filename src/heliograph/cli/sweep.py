@@ -14,7 +14,7 @@ from heliograph.cli import console, options
 
 if TYPE_CHECKING:
     from heliograph.measure.statistics import Count
-    from heliograph.sweeps.runner import Progress
+    from heliograph.sweeps.runner import PointProgress
     from heliograph.sweeps.tally import PointTally
 
 SCALE = 1000
@@ -92,7 +92,7 @@ def _over(file: Path | None, assignments: list[str] | None) -> Any:
 
 
 @contextlib.contextmanager
-def _progress(points: int) -> "Iterator[Progress]":
+def _progress(points: int) -> "Iterator[PointProgress]":
     """A bar with the time left on a terminal, a line now and then in a log."""
     if not sys.stderr.isatty():
         lines = console.Lines("sweeping, points", points)

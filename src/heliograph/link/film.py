@@ -19,7 +19,7 @@ from heliograph.media import create_film
 from heliograph.receive import Packet, Receiver
 from heliograph.signal.settings import SignalSettings
 
-Progress = Callable[[int], None]
+FrameProgress = Callable[[int], None]
 """Called with the number of frames done."""
 
 
@@ -49,7 +49,7 @@ def write_film(
     messages: Sequence[Messages],
     seed: int,
     recordings: Recordings | None = None,
-    progress: Progress = silent,
+    progress: FrameProgress = silent,
     **codec: Any,
 ) -> int:
     """Simulate a drive into a film and its truth file.

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from heliograph.base.frames import Frame
-from heliograph.link.film import FrameSource, Progress, is_packet, read_packets, silent
+from heliograph.link.film import FrameProgress, FrameSource, is_packet, read_packets, silent
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages
 from heliograph.link.truth import FrameTruth
@@ -180,7 +180,7 @@ def receive_film(
     settings: LinkSettings,
     reception: Reception,
     observe: AnyObserver | None = None,
-    progress: Progress = silent,
+    progress: FrameProgress = silent,
 ) -> Iterator[tuple[Packet, list[Message]]]:
     """Packets of a film, each with the messages it completes, as soon as they are read; all are counted.
 
@@ -221,7 +221,7 @@ class _Counted:
 
     film: FrameSource
     reception: Reception
-    progress: Progress
+    progress: FrameProgress
 
     @property
     def path(self) -> Path | str:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.base.registry import Registry
 
 Algorithm = Literal["max-log", "log-map"]
+"""How the metrics of the paths through a trellis state are added: by their maximum, or by ln sum exp."""
 
 Check = Callable[[NDArray[np.uint8]], NDArray[np.bool_]]
 """Takes decisions, uint8 of shape (n, k); returns True for each of the n blocks that is right."""

@@ -15,7 +15,7 @@ from heliograph.sweeps.tally import PointTally
 if TYPE_CHECKING:
     import xarray
 
-UNITS = {
+KEY_UNITS = {
     "_px_s2": "px/s2",
     "_rad_s": "rad/s",
     "_m_s": "m/s",
@@ -46,12 +46,12 @@ COUNTS = {
     "raw_squares": "sum of the squares of the raw errors of a packet",
 }
 
-RATES = {
+ERROR_RATES = {
     "ber": "bit error rate after the turbo decoder",
     "fer": "codeword error rate",
 }
 
-METHODS = {
+INTERVAL_METHODS = {
     "ber": "Clopper-Pearson at the effective number of bits, as bits of a packet fail together",
     "fer": "Clopper-Pearson",
 }
@@ -79,7 +79,7 @@ def unit(key: str) -> str:
     key
         Dotted key of the setting, such as "channel.distance_m", whose end tells the unit.
     """
-    return next((name for end, name in UNITS.items() if key.endswith(end)), "1")
+    return next((name for end, name in KEY_UNITS.items() if key.endswith(end)), "1")
 
 
 def to_dataset(vary: Mapping[str, Sequence[Any]], tallies: Sequence[PointTally]) -> "xarray.Dataset":
@@ -126,12 +126,14 @@ def _by_layer(rows: Sequence[Sequence[Mapping[str, Any]]]) -> list[tuple[str, An
         return np.array([[pick(layer) for layer in row] for row in rows])
 
     found = [(name, table(lambda r, n=name: r[n]), "1", text) for name, text in COUNTS.items()]
-    for name, text in RATES.items():
+    for name, text in ERROR_RATES.items():
         rate = table(lambda r, n=name: np.nan if r[n] is None else r[n])
         found.append((name, rate, "1", text))
         for place, end in enumerate(("low", "high")):
             bound = table(lambda r, n=name, p=place: r[f"{n}_ci"][p])
-            found.append((f"{name}_{end}", bound, "1", f"{text}, {end} end of its 95 % interval ({METHODS[name]})"))
+            found.append(
+                (f"{name}_{end}", bound, "1", f"{text}, {end} end of its 95 % interval ({INTERVAL_METHODS[name]})")
+            )
         no_error = f"whether no error was met, so that {name}_high is an upper bound"
         found.append((f"{name}_is_bound", table(lambda r, n=name: r[f"{n}_is_bound"]), "1", no_error))
     return found

@@ -14,7 +14,7 @@ from heliograph.sweeps.tally import PointTally
 LOSSES = 4
 """Times in a row that workers may be lost without a block done in between."""
 
-Progress = Callable[[Sequence[PointTally]], None]
+PointProgress = Callable[[Sequence[PointTally]], None]
 
 
 def silent(tallies: Sequence[PointTally], /) -> None:
@@ -27,7 +27,7 @@ def silent(tallies: Sequence[PointTally], /) -> None:
     """
 
 
-def run(tallies: Sequence[PointTally], store: Store, workers: Workers, progress: Progress = silent) -> None:
+def run(tallies: Sequence[PointTally], store: Store, workers: Workers, progress: PointProgress = silent) -> None:
     """Count until all points have enough; the tallies hold the results so far at any time.
 
     Parameters

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from heliograph.base.files import write_whole
 from heliograph.sweeps.executors import open_workers
 from heliograph.sweeps.plan import laid_over, plan
-from heliograph.sweeps.runner import Progress, run, silent
+from heliograph.sweeps.runner import PointProgress, run, silent
 from heliograph.sweeps.store import Store
 from heliograph.sweeps.tally import PointTally, StopRule
 from heliograph.sweeps.vary import listed
@@ -82,7 +82,7 @@ def count(
     output: Path | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
-    progress: Progress = silent,
+    progress: PointProgress = silent,
 ) -> None:
     """Open store and workers, `run`, and write the results so far however it ends.
 

@@ -6,7 +6,15 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 
-from heliograph.receive.track.kalman import HEADER, POSE, MotionModel, Observation, PoseState, Tilt, sum_observation
+from heliograph.receive.track.kalman import (
+    HEADER_OBSERVATION,
+    POSE,
+    MotionModel,
+    Observation,
+    PoseState,
+    Tilt,
+    sum_observation,
+)
 
 Floats = NDArray[np.float64]
 
@@ -51,7 +59,7 @@ def fitted(state: PoseState, z: Floats, noise: Floats, observation: Observation)
     return covariance @ (prior @ mean + np.linalg.solve(noise, z)), covariance
 
 
-@pytest.mark.parametrize("observation", [POSE, sum_observation(-2e-4), HEADER])
+@pytest.mark.parametrize("observation", [POSE, sum_observation(-2e-4), HEADER_OBSERVATION])
 def test_same_as_filterpy(observation: Observation) -> None:
     rng = np.random.default_rng(1)
     state = PoseState.start(0.0, rng.normal(size=5), random_covariance(rng), MODEL)
@@ -142,7 +150,7 @@ def test_a_sum_shows_the_pose_late_and_with_errors_of_its_own() -> None:
     shown, _ = moving.expected(sum_observation(2e-4))
     assert shown == pytest.approx([50.06, 39.97, 0.1 + 8e-5 + 0.03, 0.02, -0.6 + 0.2])
     # a header is free of them
-    assert moving.expected(HEADER)[0] == pytest.approx(mean[:5])
+    assert moving.expected(HEADER_OBSERVATION)[0] == pytest.approx(mean[:5])
 
 
 def test_the_tilt_is_kept_apart_and_grows_uncertain() -> None:

@@ -55,7 +55,7 @@ VARIANTS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class HeaderCandidate:
     """A place in the image that looks like a header.
 
     Attributes
@@ -91,7 +91,7 @@ class VariantDetector:
         self._cells = self._parameters.templates()
         self._bands = np.array_split(self._parameters.sides(), BANDS)
 
-    def candidates(self, film: ClutterFilm) -> list[Candidate]:
+    def candidates(self, film: ClutterFilm) -> list[HeaderCandidate]:
         """Candidates in the header's frames of a film; where there is an array, those at its place only.
 
         Parameters
@@ -111,7 +111,7 @@ class VariantDetector:
         found = [self._fitted(change, row, first.full_scale) for row in np.concatenate(rows)]
         return [one for one in found if one is not None]
 
-    def _fitted(self, change: NDArray[np.float32], row: NDArray[np.float64], full_scale: int) -> Candidate | None:
+    def _fitted(self, change: NDArray[np.float32], row: NDArray[np.float64], full_scale: int) -> HeaderCandidate | None:
         """A candidate's pose as the detector fits it: first under a blur that hides single LEDs, then as it is."""
         number, blur = int(row[4]), self._parameters.blur_px
         weights = float(np.sign(row[0])) * cell_weights(self._cells[number], self._side)
@@ -122,7 +122,7 @@ class VariantDetector:
         fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, UPRIGHT)
         if fit is None or fit.score < 0 or not plausible(fit, self._parameters, self._side, full_scale):
             return None
-        return Candidate(fit.score, fit.pose, number)
+        return HeaderCandidate(fit.score, fit.pose, number)
 
 
 @dataclass(slots=True)
@@ -162,7 +162,7 @@ def _around(truth: Pose, blocks: tuple[int, ...]) -> NDArray[np.bool_]:
     return np.asarray((abs(y - truth.y) < reach)[:, None] & (abs(x - truth.x) < reach))
 
 
-def best_false(found: Sequence[Candidate]) -> Candidate | None:
+def best_false(found: Sequence[HeaderCandidate]) -> HeaderCandidate | None:
     """The candidate with the highest score; None where there is none.
 
     Parameters
@@ -173,7 +173,7 @@ def best_false(found: Sequence[Candidate]) -> Candidate | None:
     return max(found, key=lambda one: one.score, default=None)
 
 
-def score_of_array(found: Sequence[Candidate], truth: Pose, identity: int | None) -> float:
+def score_of_array(found: Sequence[HeaderCandidate], truth: Pose, identity: int | None) -> float:
     """Score of the candidate that is the array, 0 if none is.
 
     Parameters

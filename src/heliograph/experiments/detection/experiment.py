@@ -12,8 +12,8 @@ from heliograph.experiments.detection.trials import (
     DISTANCES,
     FOUND,
     SCORE,
+    DetectionEffort,
     DetectionTrials,
-    Effort,
     found_at,
     measure,
     threshold_of,
@@ -48,10 +48,10 @@ TEXT = (
 )
 
 
-QUICK, FULL = Effort(6, 3, 16, 1), Effort(75, 20, 220, 10)
+QUICK, FULL = DetectionEffort(6, 3, 16, 1), DetectionEffort(75, 20, 220, 10)
 
 
-def run(context: Context, effort: Effort | None = None) -> ExperimentResult:
+def run(context: Context, effort: DetectionEffort | None = None) -> ExperimentResult:
     """Film, search, compare.
 
     Parameters

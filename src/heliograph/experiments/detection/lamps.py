@@ -49,7 +49,7 @@ def drawn_backdrop(rng: np.random.Generator) -> Moment:
     rng
         Draws what stands in the street.
     """
-    from heliograph.channel.background import draw_scene
+    from heliograph.channel.drawn_street import draw_scene
 
     street = draw_scene(SIZE, rng)
     return Moment(Footage(lambda: iter([street, street]), RATE_HZ / FRAMES), 0.0)

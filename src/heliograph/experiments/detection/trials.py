@@ -34,7 +34,7 @@ LAMP_FILMS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
+class DetectionEffort:
     """How many films are taken.
 
     Attributes
@@ -153,7 +153,9 @@ class SceneFilms:
     seed: int
 
 
-def measure(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None, context: Context) -> DetectionTrials:
+def measure(
+    scenes: Mapping[str, Backdrop], effort: DetectionEffort, imu: ImuTrace | None, context: Context
+) -> DetectionTrials:
     """Scores of all variants in all films.
 
     Parameters
@@ -173,7 +175,9 @@ def measure(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None
     return out
 
 
-def _batches(scenes: Mapping[str, Backdrop], effort: Effort, imu: ImuTrace | None, seed: int) -> Iterator[SceneFilms]:
+def _batches(
+    scenes: Mapping[str, Backdrop], effort: DetectionEffort, imu: ImuTrace | None, seed: int
+) -> Iterator[SceneFilms]:
     for place, (name, scene) in enumerate(scenes.items()):
         for distance in (None, *DISTANCES):
             bare = effort.without * (LAMP_FILMS if name == LAMPS else 1)

@@ -24,7 +24,7 @@ from heliograph.measure.statistics import Count
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
+class ErrorRateEffort:
     """How much is filmed.
 
     Attributes
@@ -42,8 +42,8 @@ class Effort:
     drives: int
 
 
-QUICK = Effort((25.0, 35.0, 45.0, 50.0, 55.0, 60.0, 70.0, 80.0), films=3, drives=1)
-FULL = Effort(tuple(float(z) for z in range(25, 85, 5)), films=16, drives=16)
+QUICK = ErrorRateEffort((25.0, 35.0, 45.0, 50.0, 55.0, 60.0, 70.0, 80.0), films=3, drives=1)
+FULL = ErrorRateEffort(tuple(float(z) for z in range(25, 85, 5)), films=16, drives=16)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class ErrorRates:
     false_codewords: int
 
 
-def run(context: Context, effort: Effort | None = None) -> ExperimentResult:
+def run(context: Context, effort: ErrorRateEffort | None = None) -> ExperimentResult:
     """Fig. 13: static points, drives, on-off keying; is driving like static?
 
     Parameters
@@ -98,7 +98,7 @@ def run(context: Context, effort: Effort | None = None) -> ExperimentResult:
     )
 
 
-def measure(context: Context, effort: Effort) -> ErrorRates:
+def measure(context: Context, effort: ErrorRateEffort) -> ErrorRates:
     """Film, receive and count all; compare each packet of the drives with a packet at rest at the same distance.
 
     Parameters
@@ -155,7 +155,7 @@ def _twins(context: Context, distances: Sequence[float]) -> list[FilmTask]:
 
 
 def _static(
-    context: Context, effort: Effort, modulation: Literal["haar", "ook"], span: tuple[float, float]
+    context: Context, effort: ErrorRateEffort, modulation: Literal["haar", "ook"], span: tuple[float, float]
 ) -> CountsByDistance:
     todo = [
         FilmTask(z, modulation, (context.seed, 3, len(modulation), k, round(z)))
@@ -185,7 +185,7 @@ def _binned(driven: Sequence[FilmCounts]) -> CountsByDistance:
     return sums
 
 
-def _text(effort: Effort, context: Context) -> str:
+def _text(effort: ErrorRateEffort, context: Context) -> str:
     shake = (
         "a road of class B and a recorded trace in turn" if context.imu and effort.drives > 1 else "a road of class B"
     )

@@ -156,7 +156,7 @@ def judge(link: LinkSettings) -> list[Finding]:
         Finding(
             "Table II: 128 kb/s in the static experiment.",
             f"{link.signal.side**2} bits a pair, {_pairs_a_second(link):g} pairs a second: {rate:g} kb/s; with the "
-            f"headers {rate * _data_share(link):.1f} kb/s, of information bits {_information_kb_s(link):.1f} kb/s.",
+            f"headers {rate * _data_fraction(link):.1f} kb/s, of information bits {_information_kb_s(link):.1f} kb/s.",
             "holds" if abs(rate - STATIC_KB_S) < 0.5 else "differs",
         ),
         Finding(
@@ -184,13 +184,13 @@ def _pairs_a_second(link: LinkSettings) -> float:
     return 0.5 / link.signal.pattern_period_s
 
 
-def _data_share(link: LinkSettings) -> float:
+def _data_fraction(link: LinkSettings) -> float:
     return 2 * link.signal.data_pairs / link.signal.packet_patterns
 
 
 def _information_kb_s(link: LinkSettings) -> float:
     rate = link.signal.rate
-    return net_kb_s(link) * _data_share(link) * (rate.high + 2 * rate.middle + rate.low) / 4
+    return net_kb_s(link) * _data_fraction(link) * (rate.high + 2 * rate.middle + rate.low) / 4
 
 
 def _fits(link: LinkSettings) -> bool:

@@ -17,7 +17,7 @@ from heliograph.receive import Pose
 from heliograph.receive.acquire.detector import Detection
 from heliograph.receive.image.fit import PANEL_MARGINS
 from heliograph.receive.image.window import cut_out, window_around
-from heliograph.receive.track.kalman import POSE, SHOWN, MotionModel, PoseState
+from heliograph.receive.track.kalman import POSE, POSE_SIZE, MotionModel, PoseState
 from heliograph.receive.track.tracker import widened
 from heliograph.signal import haar
 from heliograph.signal.header import header_levels
@@ -96,8 +96,8 @@ class KnownPattern:
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:  # noqa: ARG002 - as all trackers
         """Begin at the detection; see `Follower`."""
-        wider = widened(found.fit.covariance)[:SHOWN, :SHOWN]
-        self._state = PoseState.start(found.time_s, found.fit.vector[:SHOWN], wider, self._model)
+        wider = widened(found.fit.covariance)[:POSE_SIZE, :POSE_SIZE]
+        self._state = PoseState.start(found.time_s, found.fit.vector[:POSE_SIZE], wider, self._model)
         self._start_s, self._gain = found.start_time_s, found.fit.gain
         self._pitch, self._lost = found.fit.pose.pitch, False
         known, header = known_leds(self._side), header_levels(found.identity, self._side) / SLOTS

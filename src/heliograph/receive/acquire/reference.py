@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 
-Candidate = tuple[float, float, float, float, int]
+ScoredSquare = tuple[float, float, float, float, int]
 """Score, x, y, side, identity."""
 
 
@@ -69,7 +69,7 @@ def block_means(image: Floats, size: int) -> Floats:
     return np.asarray(np.abs(image).reshape(rows // size, size, cols // size, size).mean(axis=(1, 3)))
 
 
-def search(image: Floats, busy: NDArray[np.bool_], block: int, cells: Floats, grid: Grid) -> list[Candidate]:
+def search(image: Floats, busy: NDArray[np.bool_], block: int, cells: Floats, grid: Grid) -> list[ScoredSquare]:
     """Best candidates over scale and position, best first.
 
     Parameters
@@ -85,7 +85,7 @@ def search(image: Floats, busy: NDArray[np.bool_], block: int, cells: Floats, gr
     grid
         What is looked for and where.
     """
-    kept: list[Candidate] = []
+    kept: list[ScoredSquare] = []
     for side in map(float, grid.sides):
         for x, y in _places(image.shape, busy, block, side, grid):
             for number, score in _scores(image, cells, x, y, side, grid):
@@ -127,7 +127,7 @@ def _overlap(start: float, size: float, count: int) -> Floats:
     return np.clip(np.minimum(start + size, first + 1) - np.maximum(start, first), 0, 1)
 
 
-def _merge(kept: list[Candidate], new: Candidate, count: int) -> list[Candidate]:
+def _merge(kept: list[ScoredSquare], new: ScoredSquare, count: int) -> list[ScoredSquare]:
     """Take a candidate in unless a better one overlaps it; it replaces worse ones that do."""
     near = [old for old in kept if max(abs(old[1] - new[1]), abs(old[2] - new[2])) < 0.5 * max(new[3], old[3])]
     if any(abs(old[0]) >= abs(new[0]) for old in near):

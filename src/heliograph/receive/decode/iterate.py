@@ -115,7 +115,7 @@ def decode_iteratively(
     Parameters
     ----------
     observed
-        The packet's pairs.
+        The packet's pairs as they were observed.
     channel
         First estimate of gain and noise.
     form

@@ -7,7 +7,7 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.robust import correlation, robust_std
-from heliograph.receive.image.window import Pixels, cut_out, plane, window_around
+from heliograph.receive.image.window import PlacedPixels, cut_out, plane, window_around
 
 BIWEIGHT = 4.685
 """Standard deviations from which on a residual has no weight: Tukey's biweight of 95 % efficiency."""
@@ -253,7 +253,7 @@ def _rim_px(step: Floats, vector: Floats, side: int) -> float:
     return float(np.abs(step[:2]).max() + half * np.abs(step[[2, 3, *range(5, len(step))]]).max())
 
 
-def header_amplitude(frame: Pixels, pose: Pose, weights: Floats) -> float:
+def header_amplitude(frame: PlacedPixels, pose: Pose, weights: Floats) -> float:
     """Amplitude with which a frame shows a pattern.
 
     Parameters

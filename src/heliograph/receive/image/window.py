@@ -19,7 +19,7 @@ RIM_PX = 2.0
 """Pixels beyond the array on which LEDs of its rim shine: 4 standard deviations of the reference link's blur."""
 
 
-class Pixels(Protocol):
+class PlacedPixels(Protocol):
     """Pixels with their place on the sensor: a `Frame`, or frames combined."""
 
     @property
@@ -52,7 +52,7 @@ def window_around(pose: Pose, side: int, margin: float) -> Window:
     return x0, y0, int(np.ceil(pose.x + across)) - x0 + 1, int(np.ceil(pose.y + down)) - y0 + 1
 
 
-def cut_out(frame: Pixels, window: Window) -> Floats:
+def cut_out(frame: PlacedPixels, window: Window) -> Floats:
     """Pixels of a window; what lies beyond the frame repeats its border.
 
     Parameters
@@ -76,7 +76,9 @@ def cut_out(frame: Pixels, window: Window) -> Floats:
     return frame.pixels[np.ix_(i, j)].astype(np.float64)
 
 
-def covered(frames: Sequence[Pixels], corner: tuple[int, int], shape: tuple[int, int]) -> tuple[Floats, Floats] | None:
+def covered(
+    frames: Sequence[PlacedPixels], corner: tuple[int, int], shape: tuple[int, int]
+) -> tuple[Floats, Floats] | None:
     """Columns and rows of a window that all frames have.
 
     Parameters

@@ -4,12 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import RIM_PX, Pixels, cut_out, window_around
+from heliograph.receive.image.window import RIM_PX, PlacedPixels, cut_out, window_around
 from heliograph.receive.settings import Equaliser
 
 
 def pair_luminances(
-    frames: tuple[Pixels, Pixels],
+    frames: tuple[PlacedPixels, PlacedPixels],
     poses: tuple[Pose, Pose],
     gain: float,
     side: int,
@@ -43,7 +43,7 @@ def pair_luminances(
     return 2 * (up - down) / max(gain, 1e-6)
 
 
-def luminances(frame: Pixels, pose: Pose, side: int) -> NDArray[np.float64]:
+def luminances(frame: PlacedPixels, pose: Pose, side: int) -> NDArray[np.float64]:
     """Gray level at each LED's image position, by cubic interpolation.
 
     Parameters

@@ -11,7 +11,7 @@ from scipy.linalg import lapack
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.footprint import footprints, image_of, to_grid
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import Pixels, cut_out, window_around
+from heliograph.receive.image.window import PlacedPixels, cut_out, window_around
 
 ZERO_FORCING_LOADING = 1e-4
 """lambda: loading of the diagonal of A^T A, in units in which a wide array with all LEDs on has the image 1.
@@ -26,7 +26,7 @@ INVERSE_MARGIN_PX = 2.5
 
 
 def unblurred(
-    frames: tuple[Pixels, Pixels],
+    frames: tuple[PlacedPixels, PlacedPixels],
     poses: tuple[Pose, Pose],
     gain: float,
     side: int,

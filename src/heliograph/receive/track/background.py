@@ -14,7 +14,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels
 from heliograph.receive.image.footprint import image_of
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import RIM_PX, Pixels, cut_out, plane, window_around
+from heliograph.receive.image.window import RIM_PX, PlacedPixels, cut_out, plane, window_around
 from heliograph.receive.observe.cutout import RING_PX
 from heliograph.receive.observe.noise import BESIDE
 from heliograph.receive.timing.frame_pair import FramePair
@@ -64,7 +64,7 @@ class Background:
     variance: float
 
 
-def surroundings(frame: Pixels, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:
+def surroundings(frame: PlacedPixels, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:
     """Window about an array: its corner (x, y), and its pixels (rows, columns) in gray levels.
 
     Parameters
@@ -119,7 +119,7 @@ def fit_background(headers: list[SeenHeader], gain: float, led_gains: Floats) ->
     led_gains
         (n, n) gains of the LEDs, 0 to 1.
     """
-    views = [_view(header, gain, led_gains) for header in headers]
+    views = [_behind(header, gain, led_gains) for header in headers]
 
     def loss(half: float) -> float:
         return sum(float(_fitted(view, half)[1].sum()) for view in views)
@@ -136,7 +136,7 @@ def fit_background(headers: list[SeenHeader], gain: float, led_gains: Floats) ->
 
 
 @dataclass(frozen=True, slots=True)
-class _View:
+class _Behind:
     """A header pair less the array's light: (rows, columns), the pose, the corner, and which pixels are beside it."""
 
     background: Floats
@@ -145,17 +145,17 @@ class _View:
     beside: NDArray[np.bool_]
 
 
-def _view(header: SeenHeader, gain: float, led_gains: Floats) -> _View:
+def _behind(header: SeenHeader, gain: float, led_gains: Floats) -> _Behind:
     middle, side = Pose.midway(*header.poses), len(led_gains)
     corner, up = surroundings(header.pair.pattern, middle, side)
     _, down = surroundings(header.pair.inverted, middle, side)
     rows, cols = up.shape
     lit = sum((image_of(led_gains, pose, corner, (rows, cols)) for pose in header.poses), np.zeros(up.shape))
     beside = image_of(np.ones((side, side)), middle, corner, (rows, cols)) < BESIDE
-    return _View(0.5 * (up + down - 0.5 * gain * lit), middle, corner, beside)
+    return _Behind(0.5 * (up + down - 0.5 * gain * lit), middle, corner, beside)
 
 
-def _fitted(view: _View, half: float) -> tuple[Floats, Floats]:
+def _fitted(view: _Behind, half: float) -> tuple[Floats, Floats]:
     """Least squares coefficients of the images, and the squared residuals (rows, columns)."""
     rows, cols = view.background.shape
     columns = background_images(view.pose, view.corner, (rows, cols), half)[:, 0].reshape(IMAGE_COUNT, -1).T

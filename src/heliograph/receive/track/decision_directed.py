@@ -31,10 +31,10 @@ from heliograph.receive.track.background import (
     fit_background,
     surroundings,
 )
-from heliograph.receive.track.kalman import RATES, SHOWN, STATES, Observation, PoseState
+from heliograph.receive.track.kalman import POSE_SIZE, RATE_STATES, STATE_SIZE, Observation, PoseState
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 
-DECIDED = Observation(np.eye(SHOWN, STATES), np.array([0.01, 0.01, 0.002, 0.001, 0.02]) ** 2)
+DECIDED = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.array([0.01, 0.01, 0.002, 0.001, 0.02]) ** 2)
 """What a frame of decided data shows; the variances are those of the images' model.
 
 Chosen: 0.01 px, and of ln pitch and ln blur what sums have (`SUM_SPREAD`).
@@ -140,7 +140,7 @@ class DecisionDirectedTracker:
         """Find the array in a frame; the state given it."""
         state = self._tracker.predict(track, frame.time_s)
         fit = self._fit(frame, state)
-        return fit, state.condition(fit.vector[:SHOWN], fit.covariance, DECIDED)
+        return fit, state.condition(fit.vector[:POSE_SIZE], fit.covariance, DECIDED)
 
     def _cutout(self, frame: AnyFrame, state: PoseState) -> Cutout:
         """A frame less its background, the array where `state` has it."""
@@ -162,15 +162,15 @@ class DecisionDirectedTracker:
         expected, covariance = state.expected(DECIDED)
         start = np.concatenate([expected, [self._gain], self._background])
         precision = np.zeros((start.size, start.size))
-        precision[:SHOWN, :SHOWN] = np.linalg.inv(covariance)
+        precision[:POSE_SIZE, :POSE_SIZE] = np.linalg.inv(covariance)
         spreads = np.append(FRAME_GAIN_SPREAD * self._gain, np.full(IMAGE_COUNT, BACKGROUND_SPREAD))
-        precision[range(SHOWN, start.size), range(SHOWN, start.size)] = spreads**-2
+        precision[range(POSE_SIZE, start.size), range(POSE_SIZE, start.size)] = spreads**-2
         matrix, rhs, score = self._equations(frame, state, start)
         found = start + np.linalg.solve(matrix + precision, rhs)
-        self._background = self._background + FRESH * (found[SHOWN + 1 :] - self._background)
-        after = np.asarray(np.linalg.inv(matrix + precision)[:SHOWN, :SHOWN], np.float64)
-        vector = np.append(found[:SHOWN], state.tilt.mean)
-        return Fit(vector, after, float(found[SHOWN]), score)
+        self._background = self._background + FRESH * (found[POSE_SIZE + 1 :] - self._background)
+        after = np.asarray(np.linalg.inv(matrix + precision)[:POSE_SIZE, :POSE_SIZE], np.float64)
+        vector = np.append(found[:POSE_SIZE], state.tilt.mean)
+        return Fit(vector, after, float(found[POSE_SIZE]), score)
 
     def _equations(self, frame: AnyFrame, state: PoseState, at: Floats) -> tuple[Floats, Floats, float]:
         """D^T C^-1 D, D^T C^-1 e and the correlation of frame and image; `state` gives rates and tilt, which are held.
@@ -178,18 +178,18 @@ class DecisionDirectedTracker:
         e is twice the frame less the image of everything known, D the image's derivatives and C = g^2 B B^T + s^2 the
         noise, to which the light of the undecided symbols belongs.
         """
-        middle, gain = Pose.from_vector(np.append(at[:SHOWN], state.tilt.mean)), float(at[SHOWN])
-        mean_light, data = (middle.moved(*(late_s * state.mean[RATES][:2])) for late_s in self._late_s)
+        middle, gain = Pose.from_vector(np.append(at[:POSE_SIZE], state.tilt.mean)), float(at[POSE_SIZE])
+        mean_light, data = (middle.moved(*(late_s * state.mean[RATE_STATES][:2])) for late_s in self._late_s)
         corner, image = surroundings(frame, middle, self._side)
         rows, cols = image.shape
         background = background_images(middle, corner, (rows, cols), self._half)
-        above = image - np.tensordot(at[SHOWN + 1 :], background[:, 0], 1)
+        above = image - np.tensordot(at[POSE_SIZE + 1 :], background[:, 0], 1)
         cutout = _single_cutout(frame, above, corner, data, mean_light)
         whitened = whiten(cutout, self.noise, self._side, self._led_gains)
         pair = whitened.statistics()
         known, unknown = self._decided(pair, gain)
         lit = self._images(known, mean_light, data, corner, (rows, cols))
-        slopes = gain * lit[1:] + np.tensordot(at[SHOWN + 1 :], background[:, 1:], 1)
+        slopes = gain * lit[1:] + np.tensordot(at[POSE_SIZE + 1 :], background[:, 1:], 1)
         left = whitened.difference - 2 * gain * whitened.root * lit[0]
         columns = 2 * whitened.root * np.concatenate([slopes, lit[:1], background[:, 0]])
         every = np.concatenate([columns, left[None]])

@@ -12,7 +12,7 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
 
-SHOWN, RATES, STATES = 5, slice(5, 8), 10
+POSE_SIZE, RATE_STATES, STATE_SIZE = 5, slice(5, 8), 10
 """Parts of the state: the pose vector (x, y, ln pitch, roll, ln blur); the rates a second of its first three; and the
 systematic errors of ln pitch and ln blur in sums, where the panel's rim looks like another size of the array."""
 
@@ -81,7 +81,7 @@ class MotionModel:
         a = np.array([self.acceleration_px, self.acceleration_px, EXPANSION]) / self.period_s**2
         q = 2 * ACCELERATION_PATTERNS * self.period_s * a**2
         walked = self.walked(dt)
-        noise = np.zeros((STATES, STATES))
+        noise = np.zeros((STATE_SIZE, STATE_SIZE))
         noise[[0, 1, 2], [0, 1, 2]] = q * dt**3 / 3
         noise[[0, 1, 2], [5, 6, 7]] = noise[[5, 6, 7], [0, 1, 2]] = q * dt**2 / 2
         noise[[5, 6, 7], [5, 6, 7]] = q * dt
@@ -129,19 +129,19 @@ def sum_observation(late_s: float) -> Observation:
     late_s
         Seconds by which its mean light comes after the state's time; negative where it comes before.
     """
-    matrix = np.eye(SHOWN, STATES)
-    matrix[:3, RATES] = late_s * np.eye(3)
+    matrix = np.eye(POSE_SIZE, STATE_SIZE)
+    matrix[:3, RATE_STATES] = late_s * np.eye(3)
     matrix[2, 8] = matrix[4, 9] = 1.0
     return Observation(matrix, SUM_SPREAD**2)
 
 
-HEADER = Observation(np.eye(SHOWN, STATES), np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2)
+HEADER_OBSERVATION = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.array([0.5, 0.5, 0.0, 0.0, 0.0]) ** 2)
 """A header less its inverse: the background cancels, but the array moves between the two, hence x and y.
 
 0.5 px is about half of what hard shake moves it from one pattern to the next (`START_RATES`).
 """
 
-POSE = Observation(np.eye(SHOWN, STATES), np.zeros(SHOWN))
+POSE = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.zeros(POSE_SIZE))
 """The pose itself."""
 
 
@@ -209,10 +209,12 @@ class PoseState:
         model
             How the array may move.
         """
-        mean, full = np.zeros(STATES), np.zeros((STATES, STATES))
-        mean[:SHOWN], full[:SHOWN, :SHOWN] = vector[:SHOWN], covariance[:SHOWN, :SHOWN]
-        full[SHOWN:, SHOWN:] = np.diag(np.concatenate([model.start_rates, SUM_ERROR]) ** 2)
-        tilt = Tilt(vector[SHOWN:], covariance[SHOWN:, SHOWN:]) if len(covariance) > SHOWN else Tilt()
+        mean, full = np.zeros(STATE_SIZE), np.zeros((STATE_SIZE, STATE_SIZE))
+        mean[:POSE_SIZE] = vector[:POSE_SIZE]
+        full[:POSE_SIZE, :POSE_SIZE] = covariance[:POSE_SIZE, :POSE_SIZE]
+        full[POSE_SIZE:, POSE_SIZE:] = np.diag(np.concatenate([model.start_rates, SUM_ERROR]) ** 2)
+        tilted = len(covariance) > POSE_SIZE
+        tilt = Tilt(vector[POSE_SIZE:], covariance[POSE_SIZE:, POSE_SIZE:]) if tilted else Tilt()
         return PoseState(time_s, mean, full, tilt)
 
     def predict(self, time_s: float, model: MotionModel) -> "PoseState":
@@ -226,8 +228,8 @@ class PoseState:
             How the array may move.
         """
         dt = time_s - self.time_s
-        f = np.eye(STATES)
-        f[:3, RATES] = dt * np.eye(3)
+        f = np.eye(STATE_SIZE)
+        f[:3, RATE_STATES] = dt * np.eye(3)
         covariance = f @ self.covariance @ f.T + model.process_noise(dt)
         return PoseState(time_s, f @ self.mean, covariance, self.tilt.later(dt, model))
 
@@ -266,7 +268,7 @@ class PoseState:
     @property
     def pose(self) -> Pose:
         """The pose alone."""
-        return Pose.from_vector(np.append(self.mean[:SHOWN], self.tilt.mean))
+        return Pose.from_vector(np.append(self.mean[:POSE_SIZE], self.tilt.mean))
 
     def pose_at(self, time_s: float) -> Pose:
         """The pose a little earlier or later, at constant rates.
@@ -276,6 +278,6 @@ class PoseState:
         time_s
             Time of the pose in seconds, before or after the state's own.
         """
-        vector = self.mean[:SHOWN].copy()
-        vector[:3] += (time_s - self.time_s) * self.mean[RATES]
+        vector = self.mean[:POSE_SIZE].copy()
+        vector[:3] += (time_s - self.time_s) * self.mean[RATE_STATES]
         return Pose.from_vector(np.append(vector, self.tilt.mean))

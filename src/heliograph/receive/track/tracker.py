@@ -13,7 +13,14 @@ from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.robust import robust_std
 from heliograph.receive.image.window import cut_out, window_around
 from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
-from heliograph.receive.track.kalman import HEADER, SHOWN, MotionModel, PoseState, Tilt, sum_observation
+from heliograph.receive.track.kalman import (
+    HEADER_OBSERVATION,
+    POSE_SIZE,
+    MotionModel,
+    PoseState,
+    Tilt,
+    sum_observation,
+)
 
 WINDOW_MARGIN_PITCHES, WINDOW_MARGIN_PX = 1.5, 1.5
 """Width of the surroundings that are fitted with the array: they hold its edge, the panel's and the background."""
@@ -156,7 +163,7 @@ class Tracker:
         fit = fit_array(total, corner, prior, track.led_gains, steps, panel=True, start=start)
         seen = _inside(fit, pair.pattern) and self._active(up - down, fit.pose, corner, track.gain)
         if seen:
-            state = predicted.condition(fit.vector[:SHOWN], fit.covariance, observation)
+            state = predicted.condition(fit.vector[:POSE_SIZE], fit.covariance, observation)
             gain = track.gain + GAIN_RATE * (fit.gain - track.gain)
             after = replace(track, state=state, last_seen_s=predicted.time_s, gain=gain)
         else:
@@ -177,15 +184,15 @@ class Tracker:
         """
         state, tilt = track.state, track.state.tilt
         corner, up, down = self._cut(pair, state.pose)
-        mean, covariance = state.expected(HEADER)
-        both = np.zeros((SHOWN + 2, SHOWN + 2))
-        both[:SHOWN, :SHOWN], both[SHOWN:, SHOWN:] = covariance, tilt.covariance
+        mean, covariance = state.expected(HEADER_OBSERVATION)
+        both = np.zeros((POSE_SIZE + 2, POSE_SIZE + 2))
+        both[:POSE_SIZE, :POSE_SIZE], both[POSE_SIZE:, POSE_SIZE:] = covariance, tilt.covariance
         prior = Prior(np.append(mean, tilt.mean), both)
         fit = fit_array(up - down, corner, prior, weights * track.led_gains, PAIR_STEPS)
         if fit.score < HEADER_SCORE:
             return track
-        state = state.condition(fit.vector[:SHOWN], fit.covariance[:SHOWN, :SHOWN], HEADER)
-        state = replace(state, tilt=Tilt(fit.vector[SHOWN:], fit.covariance[SHOWN:, SHOWN:]))
+        state = state.condition(fit.vector[:POSE_SIZE], fit.covariance[:POSE_SIZE, :POSE_SIZE], HEADER_OBSERVATION)
+        state = replace(state, tilt=Tilt(fit.vector[POSE_SIZE:], fit.covariance[POSE_SIZE:, POSE_SIZE:]))
         return replace(track, state=state, data_gain=fit.gain)
 
     def sees(self, track: Track, pair: FramePair, fit: Fit) -> bool:

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.base.errors import SettingsError
+from heliograph.signal.code import Algorithm, Check
 from heliograph.signal.turbo import decoder
 from heliograph.signal.turbo.encoder import TERMINATION, encode_mother
-from heliograph.signal.turbo.options import LLR_LIMIT, Algorithm, Check, DecoderOptions, Stop, TurboResult
+from heliograph.signal.turbo.options import LLR_LIMIT, DecoderOptions, Stop, TurboResult
 from heliograph.signal.turbo.qpp import coefficients, interleaver
 from heliograph.signal.turbo.rate_match import STREAMS, selection
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.signal.code import Check
 from heliograph.signal.turbo.encoder import TERMINATION
-from heliograph.signal.turbo.options import LLR_LIMIT, Check, DecoderOptions, TurboResult
+from heliograph.signal.turbo.options import LLR_LIMIT, DecoderOptions, TurboResult
 
 _CHUNK_BITS = 2**17
 """Information bits decoded at once; their tiles take about 3 MB. Chosen: half and twice the value, here and in the two

@@ -8,15 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.errors import SettingsError
-
-Algorithm = Literal["max-log", "log-map"]
-"""How the metrics of the paths through a state are added: by their maximum, or by ln sum exp."""
+from heliograph.signal.code import Algorithm
 
 Stop = Literal["none", "agreement", "crc"]
 """When a block stops before its last iteration."""
-
-Check = Callable[[NDArray[np.uint8]], NDArray[np.bool_]]
-"""Takes decisions, uint8 of shape (n, K); returns bool of shape (n,), True for each block that is right."""
 
 LLR_LIMIT = 1e4
 """Magnitude to which input LLRs are clipped: far above that of any channel, and small enough that float32 resolves

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
-from heliograph.signal.turbo.options import Algorithm, Check, DecoderOptions
+from heliograph.signal.code import Algorithm, Check
+from heliograph.signal.turbo.options import DecoderOptions
 from heliograph.signal.turbo.trellis import NEXT_STATE, PARITY, STATES, TAIL, TAIL_BITS
 
 _INTO = np.argsort(NEXT_STATE.ravel(), kind="stable").reshape(STATES, 2)
