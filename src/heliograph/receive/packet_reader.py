@@ -46,7 +46,7 @@ class SoftParts:
     tracker
         Follows the array from pair to pair.
     buffer
-        What was seen of its codewords before; None combines nothing.
+        What was seen of its codewords before; None adds nothing.
     options
         Algorithm of the channel decoder, and its most iterations.
     feedback
@@ -204,7 +204,7 @@ class SoftReader:
     ) -> dict[str, tuple[Codeword, ...]]:
         """Decode all that was kept, LEDs having given gains (n, n)."""
         parts, noise = self._parts, self._noise(led_gains)
-        observed = ObservedPacket(self._cutouts, noise, form, led_gains)
+        observed = ObservedPacket.of(self._cutouts, noise, form, led_gains)
         channel = GainAndNoise(min(self._gain, self._full_scale), noise.lit, self._full_scale)
         return decode_iteratively(
             observed, channel, form, self._identity, parts.options, buffer, parts.feedback, parts.observe

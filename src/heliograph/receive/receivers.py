@@ -36,7 +36,7 @@ def register_receiver(name: str, make: MakeReceiver, settings: type | None = Non
         A frozen dataclass of its own settings, made of ``receive.own``; the receiver gets it as
         ``own_settings(receive_settings)``.
     reads
-        Groups of ``receive`` that it reads beside: "calibration", "detect", "track", "decode". A setting of another
+        Groups of ``receive`` that it reads as well: "calibration", "detect", "track", "decode". A setting of another
         group has no effect, and is an error.
 
     Raises

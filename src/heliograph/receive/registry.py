@@ -19,7 +19,7 @@ class ReceiverPart(NamedTuple):
     settings
         Class of its own settings, a frozen dataclass; None where it has none.
     reads
-        Groups of ``receive`` that it reads beside ``receive.own``, of `GROUPS`.
+        Groups of ``receive`` that it reads as well as ``receive.own``, of `GROUPS`.
     """
 
     make: Callable[..., Any]

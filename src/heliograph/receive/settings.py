@@ -109,7 +109,7 @@ class DecodeSettings:
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class PlainSettings:
-    """What the receiver "plain" has beside.
+    """Settings of the receiver "plain" alone.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class PlainSettings:
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class SoftSettings:
-    """What the receiver "soft" has beside.
+    """Settings of the receiver "soft" alone.
 
     Attributes
     ----------
@@ -155,9 +155,9 @@ class ReceiveSettings:
     decode
         The decoder of the channel code.
     plain
-        What "plain" has beside.
+        Settings of the receiver "plain" alone.
     soft
-        What "soft" has beside.
+        Settings of the receiver "soft" alone.
     own
         Settings of a registered receiver, by name.
     """

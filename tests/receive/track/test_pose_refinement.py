@@ -69,7 +69,7 @@ class Packet:
                 )
             )
         with one_thread():
-            self.observed = ObservedPacket(cutouts, NOISE, FORM, ALL_ON)
+            self.observed = ObservedPacket.of(cutouts, NOISE, FORM, ALL_ON)
 
     def refine(self, known: int) -> bool:
         """Refine the poses by the first symbols of each pair, so many of them; return whether any moved."""
@@ -170,7 +170,7 @@ def test_of_nothing_decoded_nothing_is_found() -> None:
 def test_poses_of_the_single_mode_stay() -> None:
     """They come from decided data already."""
     single = PacketFormat(SignalSettings(data_pairs=24), Format(mode="single"))
-    observed = ObservedPacket([None] * 48, NOISE, single, ALL_ON)
+    observed = ObservedPacket.of([None] * 48, NOISE, single, ALL_ON)
     assert observed.refined(np.ones((48, 256)), np.zeros((48, 256)), GAIN, NOISE.lit) is observed
 
 

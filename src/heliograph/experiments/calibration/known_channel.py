@@ -131,7 +131,7 @@ class KnownReader:
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Codewords by layer."""
         noise, side, receive = true_noise(self._gain, self._link), self._link.signal.side, self._link.receive
-        observed = ObservedPacket(self._cutouts, noise, self._form, np.ones((side, side)))
+        observed = ObservedPacket.of(self._cutouts, noise, self._form, np.ones((side, side)))
         channel, decoding = GainAndNoise(self._gain, noise.lit), Decoding("log-map", receive.decode.iterations)
         identity = self._link.transmit.identities[0]
         return decode_iteratively(_FixedPoses(observed), channel, self._form, identity, decoding, None)

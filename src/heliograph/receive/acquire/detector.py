@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import TINY
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.candidate import HIDING_BLUR, TILTED, UPRIGHT, cell_weights, fit_near, lit_cells
 from heliograph.receive.acquire.coarse import (
@@ -61,6 +62,9 @@ what half and twice of it cost.
 
 OVERLAP = 0.1
 """Fraction of their sides by which two arrays may seem to overlap: a candidate's place and size err by half of it."""
+
+FAR_PAST_S = 1e9
+"""Seconds between frames that stand for those before the film: 30 years, so that no clock takes them for frames."""
 
 SLACK = 2
 """Frames by which the start of the header may differ from the window searched, either way: every second is searched."""
@@ -241,7 +245,7 @@ class Detector:
             # it may begin later still, and a pair of data like it stand for its first: the next search has more of it
             return None
         change = -np.diff(seen[start : start + self._header]) * sign[:-1]
-        regularity = float(change.min() / max(change.mean(), 1e-9))
+        regularity = float(change.min() / max(change.mean(), TINY))
         header = frames[start : start + self._span]
         fit, led_gains = self._fit_header(header, pose, weights, tilt, regularity)
         if fit is None or not self._convincing(fit, regularity, header[0].full_scale):
@@ -327,7 +331,7 @@ def _follows(last: Frame, frame: Frame) -> bool:
 
 def _before(frame: Frame, count: int) -> list[Frame]:
     """`count` copies of a frame with earlier, negative times and numbers."""
-    return [replace(frame, index=frame.index - k, time_s=frame.time_s - 1e9 * k) for k in range(count, 0, -1)]
+    return [replace(frame, index=frame.index - k, time_s=frame.time_s - FAR_PAST_S * k) for k in range(count, 0, -1)]
 
 
 def _distinct(detections: list[Detection], side: int) -> list[Detection]:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.image import kernels
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import RIM_PX, Window, cut_out, window_around
@@ -177,7 +177,7 @@ class FormatReader:
             return AGREED.number
         match, norm = np.sum([one.moments(self._cells) for one in self._evidence.values()], axis=0)
         # the best gain of each format: g = <d, B v + o> / |B v + o|^2
-        g = np.maximum(match, 0) / np.maximum(norm, 1e-9) if 0 in self._evidence else gain
+        g = np.maximum(match, 0) / np.maximum(norm, TINY) if 0 in self._evidence else gain
         explained = 2 * g * match - g**2 * norm
         # two words differ in LEAST_DISTANCE cells at least: where these are hidden it is the agreed format
         least = LEAST_DISTANCE * sum(one.distance for one in self._evidence.values())

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.image.fit import header_amplitude
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.timing.combination import Combination
@@ -46,4 +46,4 @@ def header_score(pair: FramePair, pose: Pose, weights: Floats, gain: float) -> f
         Gray levels of the sum of a pair with all LEDs on.
     """
     change = header_amplitude(pair.pattern, pose, weights) - header_amplitude(pair.inverted, pose, weights)
-    return change / max(gain, 1e-6)
+    return change / max(gain, TINY)

@@ -5,6 +5,8 @@ import math
 import numpy as np
 from numba import njit
 
+from heliograph.base.arrays import TINY
+
 
 @njit(cache=True, nogil=True)
 def alternation(f0, f1, f2, f3, out):
@@ -76,7 +78,7 @@ def _box(integral, y, x, height, width):
 @njit(cache=True, nogil=True)
 def _to_grid(start, step):
     """How far the next multiple of a step is from a start."""
-    return math.ceil(start / step - 1e-9) * step - start
+    return math.ceil(start / step - TINY) * step - start
 
 
 @njit(cache=True, nogil=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.equalise.llr import LARGEST_LLR
 from heliograph.receive.packets import Codeword
 from heliograph.signal.block import check, unpack
@@ -124,7 +124,7 @@ def soft_to_llr(soft: Floats, seen: NDArray[np.bool_]) -> Floats:
     m2, m4 = float(np.mean(known**2)), float(np.mean(known**4))
     a2 = min(np.sqrt(max((3 * m2**2 - m4) / 2, LEAST_POWER * m2**2)), MOST_POWER * m2)
     # LLR = 2 a y / s^2
-    llr = 2 * np.sqrt(a2) / max(m2 - a2, 1e-12) * soft
+    llr = 2 * np.sqrt(a2) / max(m2 - a2, TINY) * soft
     return np.clip(np.where(seen[:, None], llr, 0.0), -LARGEST_LLR, LARGEST_LLR)
 
 

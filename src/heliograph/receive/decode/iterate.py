@@ -17,7 +17,7 @@ from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise, moments_of
 from heliograph.receive.decode.layer import HOPELESS, Layer, decode_layer
 from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer
-from heliograph.receive.equalise.expectation_propagation import ExpectationPropagation
+from heliograph.receive.equalise.expectation_propagation import LEAST_PRECISION, ExpectationPropagation
 from heliograph.receive.equalise.llr import information
 from heliograph.receive.equalise.lmmse import Estimate, equalise
 from heliograph.receive.equalise.polarity import SymbolMapper
@@ -125,7 +125,7 @@ def decode_iteratively(
     options
         Algorithm of the channel decoder, and its most iterations.
     buffer
-        What was seen of this array's codewords before; what cannot be decoded is kept there. None combines nothing.
+        What was seen of this array's codewords before; what cannot be decoded is kept there. None adds nothing.
     feedback
         What the equaliser gets back from the decoder; see `SoftSettings`. Propagation is for pairs in step.
     observe
@@ -221,12 +221,12 @@ class _Packet:
             before, open_ = self.information, self.open
             self.equalise()
             if number == 0 and buffer is not None:
-                self.combine(buffer)
+                self.add_earlier(buffer)
             observe(EqualiseEvent(self.identity, number, {name: layer.llr for name, layer in self.layers.items()}))
             for name, layer in self.layers.items():
                 decode_layer(layer, name, self.identity, self.options, self.feedback in ("soft", "propagation"))
             left = self.open
-            self.information = np.concatenate([information(one.llr + one.combined) for one in self.layers.values()])
+            self.information = np.concatenate([information(one.llr + one.earlier_llr) for one in self.layers.values()])
             if not left.any() or self.feedback == "none":
                 break
             decoded = left.sum() < open_.sum()
@@ -281,7 +281,7 @@ class _Packet:
         if self.propagation:
             self.propagation.forget()
 
-    def combine(self, buffer: SoftBuffer) -> None:
+    def add_earlier(self, buffer: SoftBuffer) -> None:
         """Add what was seen earlier: of the packet as a whole, or else of each of its codewords."""
         for layer in self.layers.values():
             layer.remember_own()
@@ -295,7 +295,7 @@ class _Packet:
             self.equalise()
             return
         for name, layer in self.layers.items():
-            layer.combine(np.stack([buffer.codeword((name, layer.form.code), own) for own in layer.own]))
+            layer.add_earlier(np.stack([buffer.codeword((name, layer.form.code), own) for own in layer.own]))
 
     def doubt(self) -> None:
         """Take nothing for decoded that only earlier packets support: they may be others."""
@@ -325,7 +325,7 @@ class _Packet:
         for name, layer in self.layers.items():
             for i in range(len(layer.words)):
                 if layer.unsure(i):
-                    buffer.keep_codeword((name, layer.form.code), layer.llr[i], layer.combined[i])
+                    buffer.keep_codeword((name, layer.form.code), layer.llr[i], layer.earlier_llr[i])
 
     def equalise(self) -> None:
         """Equalise every pair with what is known now, then estimate the gain again."""
@@ -379,7 +379,7 @@ def _equalise_combined(
         leak, leak_spread = leak + part, leak_spread + more
     estimate = equalise(pair, channel.gain, channel.noise, observed + leak, spread + leak_spread)
     precision, weighted = estimate.extrinsic
-    precision = np.maximum(precision, 1e-6)
+    precision = np.maximum(precision, LEAST_PRECISION)
     llrs = partial_exposure.symbol_llrs(
         combination.response, weighted / precision - leak, 1 / precision + leak_spread, mean
     )

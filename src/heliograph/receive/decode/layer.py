@@ -47,7 +47,7 @@ class Layer:
         (codewords, E) variance of each.
     own
         (codewords, E) LLRs of this packet alone, by which codewords are told apart: 0 but for distinguishing bits.
-    combined
+    earlier_llr
         (codewords, E) LLRs of earlier packets with the same codeword.
     words
         The codewords as last decoded; empty before the first decoding.
@@ -58,7 +58,7 @@ class Layer:
     soft: Floats
     variance: Floats
     own: Floats
-    combined: Floats
+    earlier_llr: Floats
     words: list[Codeword]
 
     @classmethod
@@ -88,7 +88,7 @@ class Layer:
         """
         self.llr = self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR))
 
-    def combine(self, earlier: Floats) -> None:
+    def add_earlier(self, earlier: Floats) -> None:
         """Take the LLRs of earlier packets with the same codewords.
 
         Parameters
@@ -96,7 +96,7 @@ class Layer:
         earlier
             (codewords, E) sums of their LLRs, whitening undone; 0 where a codeword was not seen before.
         """
-        self.combined = earlier
+        self.earlier_llr = earlier
 
     def remember_own(self) -> None:
         """Keep the LLRs of the first equalisation, by which codewords are told apart."""
@@ -116,7 +116,7 @@ class Layer:
         number
             Number of the codeword in the layer, from 0.
         """
-        return self.words[number].status == "crc_fail" or bool(self.combined[number].any())
+        return self.words[number].status == "crc_fail" or bool(self.earlier_llr[number].any())
 
     def known_llrs(self) -> list[Floats]:
         """LLRs (E,) of each codeword; those of a decoded one are the largest there are."""
@@ -187,19 +187,19 @@ Attempt = tuple[Codeword, Floats]
 def _decoded(layer: Layer, name: str, identity: int, options: Decoding) -> dict[int, Attempt]:
     """Attempts at the open codewords, by number."""
     code, open_ = layer.form.code, layer.open
-    tried = _decode(code, (layer.llr + layer.combined)[open_], identity, name, options)
+    tried = _decode(code, (layer.llr + layer.earlier_llr)[open_], identity, name, options)
     found = dict(zip(open_, tried, strict=True))
     doubtful = [i for i, (word, _) in found.items() if _doubtful(layer, i, word)]
     for i, (word, extrinsic) in zip(doubtful, _decode(code, layer.llr[doubtful], identity, name, options), strict=True):
         # the earlier packets' codeword may be another one than this
         if found[i][0].status != "crc_fail" or word.status != "crc_fail":
-            layer.combined[i], found[i] = 0.0, (word, extrinsic)
+            layer.earlier_llr[i], found[i] = 0.0, (word, extrinsic)
     return found
 
 
 def _doubtful(layer: Layer, number: int, word: Codeword) -> bool:
-    """Whether earlier packets' LLRs were combined, and did not help or decide alone."""
-    if not layer.combined[number].any():
+    """Whether earlier packets' LLRs were added, and did not help or decide alone."""
+    if not layer.earlier_llr[number].any():
         return False
     return word.status == "crc_fail" or not consistent(layer.own[number], coded_signs(layer.form.code, word))
 

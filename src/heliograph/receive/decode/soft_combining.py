@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.equalise.llr import LARGEST_LLR
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.signal.code import Code
@@ -221,7 +221,7 @@ def agreement(a: Floats, b: Floats) -> tuple[float, float]:
     # sum of E[bit | a] E[bit | b]; its mean is 0 for bits that have nothing to do with each other
     product = np.tanh(a / 2) * np.tanh(b / 2)
     spread = float(np.sqrt((product**2).sum()))
-    return float(product.sum()) / max(spread, 1e-12), spread
+    return float(product.sum()) / max(spread, TINY), spread
 
 
 def consistent(llr: Floats, signs: Floats) -> bool:
@@ -245,4 +245,4 @@ def consistent(llr: Floats, signs: Floats) -> bool:
 
 def _along(found: Floats, expected: Floats) -> float:
     """Agreement of codewords together, weighted by what is expected of each."""
-    return float(found @ expected / np.sqrt(max(float(expected @ expected), 1e-24)))
+    return float(found @ expected / np.sqrt(max(float(expected @ expected), TINY)))

@@ -5,6 +5,8 @@ import math
 import numpy as np
 from numba import njit
 
+from heliograph.base.arrays import TINY
+
 FEW, MANY = 2, 6
 """Disturbing symbols that are drawn from -1 and +1: at first, and in a second evaluation.
 
@@ -146,12 +148,12 @@ def _mixture(u, k, power, row, drawn, mean, variance, states):
     for j in drawn:
         weight = row[j] / variance[j]
         noise -= weight * weight * variance[j]
-        likely, unlikely = math.log(max(1.0 + mean[j], 1e-12)), math.log(max(1.0 - mean[j], 1e-12))
+        likely, unlikely = math.log(max(1.0 + mean[j], TINY)), math.log(max(1.0 - mean[j], TINY))
         for w in range(number):
             rest[number + w], chance[number + w] = rest[w] + weight * (1.0 - mean[j]), chance[w] + likely
             rest[w], chance[w] = rest[w] - weight * (1.0 + mean[j]), chance[w] + unlikely
         number *= 2
-    noise = max(noise, LEAST_REST * power, 1e-12)
+    noise = max(noise, LEAST_REST * power, TINY)
     # ln sum P exp(-(x -+ k)^2 / 2 r), less k^2 that both weight, by their largest exponents
     top, below = -np.inf, -np.inf
     for w in range(number):

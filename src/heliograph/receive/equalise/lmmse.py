@@ -6,17 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.equalise import kernels
 from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout
 
 KNOWN_VARIANCE = 1e-3
 """Variance of a symbol below which it counts as known: its light is subtracted with 30 dB of rest."""
 
-PADDING = 4
-"""Rows added to a matrix of a multiple of 64 rows.
+CACHE_ROWS, PADDING = 64, 4
+"""A matrix of a multiple of so many rows gets so many rows more.
 
-Rows a power of two apart fall on each other in the processor's cache.
+Its columns would lie a multiple of 256 bytes apart and fall on each other in the processor's cache.
 """
 
 FLOOR = 1e-9
@@ -122,7 +122,7 @@ def equalise(pair: PairStatistics, gain: float, noise: float, mean: Floats, vari
     m[unknown] += root @ (rhs.astype(np.float32) @ root)
     spread = np.einsum("ij,ij->i", root, root).astype(np.float64)
     # B^T B S g^2 / s^2 = I - V^-1 S
-    trace = float((1.0 - spread / v).sum()) / max(ratio * gain, 1e-12)
+    trace = float((1.0 - spread / v).sum()) / max(ratio * gain, TINY)
     return Estimate(mean, variance, m, unknown, spread, root, trace)
 
 
@@ -162,7 +162,7 @@ def products(
 
 def _factor(pair: PairStatistics, unknown: NDArray[np.intp], scale: float, inverse: Floats) -> NDArray[np.float32]:
     """L, lower triangular, of scale B^T B + V^-1 = L L^T of the unknown symbols, V^-1 the diagonal `inverse`."""
-    size = unknown.size + (PADDING if unknown.size % 64 == 0 else 0)
+    size = unknown.size + (PADDING if unknown.size % CACHE_ROWS == 0 else 0)
     matrix = kernels.precision(pair.gram, unknown, scale, inverse, FLOOR, size)
     # transposed it is as LAPACK wants it, and nothing is copied
     factor, failed = lapack.spotrf(matrix.T, lower=1, clean=0, overwrite_a=1)

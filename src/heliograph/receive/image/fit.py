@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.robust import correlation, robust_std
 from heliograph.receive.image.window import PlacedPixels, cut_out, plane, window_around
@@ -276,4 +276,4 @@ def header_amplitude(frame: PlacedPixels, pose: Pose, weights: Floats) -> float:
     model = np.empty((6, *cut.shape))
     kernels.render(pose.full_vector(), weights, float(window[0]), float(window[1]), model)
     shape = model[0] - model[0].mean()
-    return float((cut * shape).sum() / max((shape * shape).sum(), 1e-9))
+    return float((cut * shape).sum() / max((shape * shape).sum(), TINY))

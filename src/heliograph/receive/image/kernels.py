@@ -16,6 +16,11 @@ FOOTPRINT_REACH = 3.7
 """The same of `footprints`, whose arrays the equaliser multiplies: 2e-4 of the light lies beyond."""
 
 _FARTHEST, _NODES = 8, 64
+"""Standard deviations to which the table of the normal distribution goes, where 6e-16 is left, and its nodes in each.
+
+Three terms of the series err by h^4 / 24 times the fourth derivative, 0.55 at most: 9e-11 half a node away.
+"""
+
 _Z = np.arange(-_FARTHEST * _NODES, _FARTHEST * _NODES + 1) / _NODES
 _CDF, _PDF = ndtr(_Z), np.exp(-0.5 * _Z**2) / math.sqrt(2.0 * math.pi)
 

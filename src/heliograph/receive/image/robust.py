@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 
 
 def robust_std(values: Floats) -> float:
@@ -33,4 +33,4 @@ def correlation(a: Floats, b: Floats) -> float:
     -1 to 1; 0 where one of them is even.
     """
     x, y = (a - a.mean()).ravel(), (b - b.mean()).ravel()
-    return float(x @ y / np.sqrt(max((x @ x) * (y @ y), 1e-12)))
+    return float(x @ y / np.sqrt(max((x @ x) * (y @ y), TINY)))

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import RCOND, Floats
 from heliograph.receive.image import kernels
 from heliograph.receive.image.footprint import footprints, image_of
 from heliograph.receive.image.robust import robust_std
@@ -122,7 +122,7 @@ def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None
     inside = whole > INSIDE * whole.max()
     y, x = np.nonzero(inside)
     columns = np.stack([lit[inside], np.ones(len(x)), x - x.mean(), y - y.mean()], axis=1)
-    fitted = columns @ np.linalg.lstsq(columns, cutout.total[inside], rcond=1e-6)[0]
+    fitted = columns @ np.linalg.lstsq(columns, cutout.total[inside], rcond=RCOND)[0]
     residual = np.full(cutout.total.shape, np.nan)
     residual[inside] = (cutout.total[inside] - fitted) * np.sqrt(len(x) / max(len(x) - columns.shape[1], 1))
     # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import TINY
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import RIM_PX, PlacedPixels, cut_out, window_around
 from heliograph.receive.settings import Equaliser
@@ -40,7 +41,7 @@ def pair_luminances(
         return unblurred(frames, poses, gain, side)
     up, down = (luminances(frame, pose, side) for frame, pose in zip(frames, poses, strict=True))
     # r - r_inverted = gain (x - (1 - x)) = gain (2 x - 1) = gain x' / 2
-    return 2 * (up - down) / max(gain, 1e-6)
+    return 2 * (up - down) / max(gain, TINY)
 
 
 def luminances(frame: PlacedPixels, pose: Pose, side: int) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ whatever the roll, so A^T A is the product of two small Gram matrices, element b
 import numpy as np
 from scipy.linalg import lapack
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.image.footprint import footprints, image_of, to_grid
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import PlacedPixels, cut_out, window_around
@@ -62,7 +62,7 @@ def unblurred(
     motion = 0.5 * (poses[1].x - poses[0].x), 0.5 * (poses[1].y - poses[0].y)
     window = window_around(middle, side, INVERSE_MARGIN_PX + max(abs(motion[0]), abs(motion[1])))
     corner, shape = (window[0], window[1]), (window[3], window[2])
-    change = (cut_out(frames[0], window) - cut_out(frames[1], window)) / max(gain, 1e-6)
+    change = (cut_out(frames[0], window) - cut_out(frames[1], window)) / max(gain, TINY)
     ones = np.ones((side, side))
     change -= 0.5 * (image_of(ones, poses[0], corner, shape) - image_of(ones, poses[1], corner, shape))
     across, down = footprints(middle, corner, shape, side, motion).dense(shape)

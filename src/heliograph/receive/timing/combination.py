@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.timing import partial_exposure
 from heliograph.signal.formats import DIMMED
 from heliograph.signal.pwm import SLOTS
@@ -262,7 +262,7 @@ def _difference(shown: Floats, slope: Floats) -> Floats:
         alpha = a - b * (a.sum() / b.sum())
         strong = np.abs(alpha) >= LEAST_WEIGHT * np.abs(alpha).max()
         if strong.all():
-            weights[used] = alpha / max(alpha[alpha > 0].sum(), 1e-12)
+            weights[used] = alpha / max(alpha[alpha > 0].sum(), TINY)
             break
         used = used[strong]
     return weights
@@ -285,4 +285,4 @@ def _total(shown: Floats, light: Floats) -> Floats:
 
 def _centroid(weights: Floats, light: Floats, middle: Floats) -> float:
     """Mean time of the light (frames, slots) of weighted frames."""
-    return float((weights @ (light * middle)).sum() / max((weights @ light).sum(), 1e-9))
+    return float((weights @ (light * middle)).sum() / max((weights @ light).sum(), TINY))

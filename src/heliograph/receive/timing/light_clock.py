@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import cut_out, window_around
@@ -270,7 +270,7 @@ class LightClock:
             return
         prior = self._covariance[0, 0]
         # the likelihood held the prior: x += P H^T S^-1 (posterior - prior), P += G (C - S) G^T
-        gain = self._covariance[:, 0] / max(prior, 1e-30)
+        gain = self._covariance[:, 0] / prior
         self.start_s += error_s
         self.rate += float(gain[1]) * error_s
         self._covariance = self._covariance + np.outer(gain, gain) * (min(variance, prior) - prior)
@@ -289,15 +289,15 @@ class LightClock:
         energy, left, gain = float((shown**2).sum()), np.full(match.shape[1:], np.inf), np.zeros(match.shape[1:])
         for part, lit in self._dimmed:
             v = np.array([1.0, part, lit])
-            m, n = np.maximum(np.tensordot(v, match, 1), 0), np.maximum(np.einsum("a,b,abeo->eo", v, v, norm), 1e-9)
+            m, n = np.maximum(np.tensordot(v, match, 1), 0), np.maximum(np.einsum("a,b,abeo->eo", v, v, norm), TINY)
             better = energy - m**2 / n < left
             left[better], gain[better] = (energy - m**2 / n)[better], (m / n)[better]
         best = np.unravel_index(np.argmin(left), left.shape)
         # whatever the model does not explain counts as noise
         freedom = max(len(shown) - 4, 1)
         self.gain = float(gain[best])
-        self.explained = 1 - float(left[best]) / max(energy, 1e-9)
-        variance = max((DEVIATION * self.gain) ** 2, float(left[best]) / freedom, 1e-9)
+        self.explained = 1 - float(left[best]) / max(energy, TINY)
+        variance = max((DEVIATION * self.gain) ** 2, float(left[best]) / freedom, TINY)
         return np.asarray(0.5 * left / variance)
 
     def _model(self, starts: Floats, part: float, lit: float) -> Floats:
@@ -320,7 +320,7 @@ class LightClock:
         count = 2 * self._signal.header_pairs
         first, patterns = -PATTERNS_AROUND - 2, count + 2 * PATTERNS_AROUND + 4
         edges = first + np.arange(patterns * SLOTS + 1) / SLOTS
-        number = np.floor(edges[:-1] + 1e-9).astype(int)
+        number = np.floor(edges[:-1] + TINY).astype(int)
         inside, later = (number >= 0) & (number < count), (number >= 2) & (number < count)
         contrast, light = (np.tile(values, patterns) for values in self._light.dimmed)
         wave = np.where(inside, np.where(number % 2, -1.0, 1.0), 0.0)
@@ -364,7 +364,7 @@ def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
     inside = model[1, 0] >= 0.5 * model[1, 0].max()
     clipped = (cut[inside] >= frame.full_scale).mean()
     # where only lit LEDs or only dark ones are left, the two images are one: the pseudo-inverse decides
-    return np.append(np.linalg.lstsq(columns, cut.ravel(), rcond=1e-6)[0][:2], clipped)
+    return np.append(np.linalg.lstsq(columns, cut.ravel(), rcond=RCOND)[0][:2], clipped)
 
 
 def _mean_over(starts: Floats, exposure: Floats | float, edges: Floats, values: Floats) -> Floats:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.signal.pwm import SLOTS
 
 SIGNS = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1], [1, -1, -1, 1]], np.float64)
@@ -136,4 +136,4 @@ def _llr(score: Floats, symbol: int) -> Floats:
 def _log_chances(mean: Floats) -> Floats:
     """(squares, 16, 4) ln P of each symbol's part in each value of its square."""
     m = mean.reshape(4, -1).T[:, None, :]
-    return np.asarray(np.log(np.maximum(0.5 * (1 + VALUES * m), 1e-12)))
+    return np.asarray(np.log(np.maximum(0.5 * (1 + VALUES * m), TINY)))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import RCOND, Floats
 from heliograph.receive.image import kernels
 from heliograph.receive.image.footprint import image_of
 from heliograph.receive.image.pose import Pose
@@ -159,5 +159,5 @@ def _fitted(view: _Behind, half: float) -> tuple[Floats, Floats]:
     """Least squares coefficients of the images, and the squared residuals (rows, columns)."""
     rows, cols = view.background.shape
     columns = background_images(view.pose, view.corner, (rows, cols), half)[:, 0].reshape(IMAGE_COUNT, -1).T
-    coefficients = np.asarray(np.linalg.lstsq(columns, view.background.ravel(), rcond=1e-6)[0], np.float64)
+    coefficients = np.asarray(np.linalg.lstsq(columns, view.background.ravel(), rcond=RCOND)[0], np.float64)
     return coefficients, (view.background - (columns @ coefficients).reshape(rows, cols)) ** 2

@@ -16,6 +16,9 @@ POSE_SIZE, RATE_STATES, STATE_SIZE = 5, slice(5, 8), 10
 """Parts of the state: the pose vector (x, y, ln pitch, roll, ln blur); the rates a second of its first three; and the
 systematic errors of ln pitch and ln blur in sums, where the panel's rim looks like another size of the array."""
 
+UNFITTED_TILT = 1e-3
+"""Standard deviation of stretch and shear that were not fitted: 0 of an upright array, 1e-3 at 2.6 degrees of yaw."""
+
 ACCELERATION_PATTERNS = 4.0
 """Patterns over which an acceleration of the image keeps its sign: half a period of shake at 125 Hz."""
 
@@ -158,7 +161,7 @@ class Tilt:
     """
 
     mean: Floats = field(default_factory=partial(np.zeros, 2))
-    covariance: Floats = field(default_factory=lambda: 1e-6 * np.eye(2))
+    covariance: Floats = field(default_factory=lambda: UNFITTED_TILT**2 * np.eye(2))
 
     def later(self, dt: float, model: MotionModel) -> "Tilt":
         """The tilt at a later time.

@@ -11,8 +11,7 @@ processes, of the sizes that explain the packet best.
 """
 
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -46,12 +45,35 @@ HALF_SIDE_PX = 4.0
 """Half the side of a far array in px: at 116 m in the reference link."""
 
 
-class ObservedPacket:
-    """Cut-outs of a packet's pairs, their statistics, and the poses on which both depend.
+@dataclass(frozen=True, slots=True)
+class ObservedPair:
+    """A pair's cut-out and what follows from it and its poses.
 
-    Parameters
+    Attributes
     ----------
-    cutouts
+    cutout
+        Pixels about the array, and the poses at which it is.
+    whitened
+        The cut-out with noise of one variance.
+    statistics
+        Sufficient statistics of its symbols.
+    error
+        (4,) corrections so far of x, y (px), ln pitch and roll (rad).
+    """
+
+    cutout: Cutout
+    whitened: WhitenedCutout
+    statistics: PairStatistics
+    error: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class ObservedPacket:
+    """A packet's pairs as they were observed, with the poses on which their statistics depend.
+
+    Attributes
+    ----------
+    pairs
         One per pair, in the single mode one per pattern; None where the array was not seen.
     noise
         Variances inside and beside the array in squared gray levels.
@@ -61,16 +83,36 @@ class ObservedPacket:
         (n, n) gains of the LEDs, 0 to 1.
     """
 
-    def __init__(self, cutouts: Sequence[Cutout | None], noise: Noise, form: PacketFormat, led_gains: Floats):
-        self._cutouts, self._noise, self._form, self._led_gains = [*cutouts], noise, form, led_gains
-        self._whitened = [None if cutout is None else self._whiten(cutout) for cutout in cutouts]
-        self._statistics = [None if whitened is None else whitened.statistics() for whitened in self._whitened]
-        self._errors = np.zeros((len(cutouts), 4))
+    pairs: Sequence[ObservedPair | None]
+    noise: Noise
+    form: PacketFormat
+    led_gains: Floats
+
+    @classmethod
+    def of(
+        cls, cutouts: Sequence[Cutout | None], noise: Noise, form: PacketFormat, led_gains: Floats
+    ) -> "ObservedPacket":
+        """Observe cut-outs at the poses that they have.
+
+        Parameters
+        ----------
+        cutouts
+            One per pair, in the single mode one per pattern; None where the array was not seen.
+        noise
+            Variances inside and beside the array in squared gray levels.
+        form
+            Format of the packet.
+        led_gains
+            (n, n) gains of the LEDs, 0 to 1.
+        """
+        empty = cls([None] * len(cutouts), noise, form, led_gains)
+        seen = [None if cutout is None else empty._observe(cutout, np.zeros(4)) for cutout in cutouts]
+        return replace(empty, pairs=seen)
 
     @property
     def statistics(self) -> Sequence[PairStatistics | None]:
         """Statistics of each pair; None where the array was not seen."""
-        return self._statistics
+        return [None if pair is None else pair.statistics for pair in self.pairs]
 
     def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "ObservedPacket":
         """Correct the poses by what is decoded.
@@ -88,54 +130,43 @@ class ObservedPacket:
         -------
         The packet with corrected poses; itself where none moves.
         """
-        if self._form.single:
+        if self.form.single:
             # these poses come from decided data already
             return self
-        steps = self._pose_errors(mean, variance, gain, noise) - self._errors
-        moving = [
-            k
-            for k, (cutout, error) in enumerate(zip(self._cutouts, steps, strict=True))
-            if cutout is not None and worth_moving(error)
+        errors = self._pose_errors(mean, variance, gain, noise)
+        pairs = [
+            None if pair is None else self._corrected(pair, error)
+            for pair, error in zip(self.pairs, errors, strict=True)
         ]
-        return self._moved(moving, steps) if moving else self
+        moved = any(after is not before for after, before in zip(pairs, self.pairs, strict=True))
+        return replace(self, pairs=pairs) if moved else self
 
-    def _moved(self, moving: Sequence[int], steps: Floats) -> "ObservedPacket":
-        """Return the packet with the poses of some pairs moved by `steps`, (pairs, 4)."""
-        moved = copy(self)
-        moved._cutouts, moved._whitened = [*self._cutouts], [*self._whitened]
-        moved._statistics, moved._errors = [*self._statistics], self._errors.copy()
-        for k in moving:
-            cutout = self._cutouts[k]
-            assert cutout is not None  # only pairs that are there move
-            cutout = moved._cutouts[k] = cutout.moved(steps[k])
-            whitened = moved._whitened[k] = self._whiten(cutout)
-            moved._statistics[k] = whitened.statistics()
-            moved._errors[k] += steps[k]
-        return moved
+    def _corrected(self, pair: ObservedPair, error: Floats) -> ObservedPair:
+        """Return a pair with its poses corrected by a whole error, (4,); itself where that changes little."""
+        step = error - pair.error
+        return self._observe(pair.cutout.moved(step), error) if worth_moving(step) else pair
 
-    def _whiten(self, cutout: Cutout) -> WhitenedCutout:
-        return whiten(cutout, self._noise, self._form.settings.side, self._led_gains)
+    def _observe(self, cutout: Cutout, error: Floats) -> ObservedPair:
+        whitened = whiten(cutout, self.noise, self.form.settings.side, self.led_gains)
+        return ObservedPair(cutout, whitened, whitened.statistics(), error)
 
     def _pose_errors(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Floats:
         """Errors (pairs, 4) in x, y, ln pitch and roll of the poses that the sums gave."""
         # only decoded symbols count: guesses come from the poses that are in doubt
         decided = variance < KNOWN_VARIANCE
         known = np.where(decided, mean, 0.0)
-        levels = 0.5 * haar.inverse_transform(self._form.join(known))
+        levels = 0.5 * haar.inverse_transform(self.form.join(known))
+        there = [(k, pair) for k, pair in enumerate(self.pairs) if pair is not None and known[k].any()]
         evidence = dict[int, PoseEvidence]()
-        there = [k for k in range(len(known)) if self._cutouts[k] is not None and known[k].any()]
-        for k in there[::STRIDE]:
-            cutout, whitened, pair = self._cutouts[k], self._whitened[k], self._statistics[k]
-            assert cutout is not None  # it is there, and the others come with it
-            assert whitened is not None
-            assert pair is not None
-            slopes = whitened.root * cutout.slopes(levels[k] * self._led_gains)
-            left = whitened.residual(gain, known[k])
+        for k, pair in there[::STRIDE]:
+            slopes = pair.whitened.root * pair.cutout.slopes(levels[k] * self.led_gains)
+            left = pair.whitened.residual(gain, known[k])
             # J = g^2 H^T C^-1 H, s = g H^T C^-1 (d - g (B m + o)), C = s^2 + g^2 B_u B_u^T
             images, scale = np.concatenate([slopes, left[None]]), gain**2 / noise
-            part = products(whitened, pair, images, np.flatnonzero(~decided[k]), scale)
+            part = products(pair.whitened, pair.statistics, images, np.flatnonzero(~decided[k]), scale)
             evidence[k] = PoseEvidence(scale * part[:4, :4], gain / noise * part[:4, 4])
-        return smoothed_errors(evidence, self._errors)
+        before = np.array([np.zeros(4) if pair is None else pair.error for pair in self.pairs])
+        return smoothed_errors(evidence, before)
 
 
 @dataclass(frozen=True, slots=True)
