@@ -6,7 +6,6 @@ Nothing runs on it but the tests that hold `kernels.py` and `statistics.py` to i
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.signal import haar
 
 
 def transform(side: int) -> Floats:
@@ -21,8 +20,12 @@ def transform(side: int) -> Floats:
     # symbols: the quarters D11, D12, D21, D22 of the data matrix, each row by row
     quarters = np.eye(side * side).reshape(-1, 2, 2, half, half)
     d = quarters.transpose(0, 1, 3, 2, 4).reshape(-1, side, side)
+    # (9) H: sums of neighbours in its upper half, differences in its lower half
+    h = np.vstack([np.kron(np.eye(half), [1, 1]), np.kron(np.eye(half), [1, -1])])
     # (8) x' = 4 x - 2 = 1/2 H^T D H
-    return np.asarray(0.5 * haar.inverse_transform(d).reshape(side * side, -1).T)
+    x = 0.5 * h.T @ d @ h
+    # 2 x - 1 = x' / 2; matrix k is the pattern of symbol k alone, which becomes column k
+    return np.asarray(0.5 * x.reshape(side * side, -1).T)
 
 
 def pair_model(a_1: Floats, a_2: Floats, t: Floats) -> tuple[Floats, Floats]:

@@ -12,7 +12,52 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.signal.code import Algorithm, Check
 from heliograph.signal.turbo.options import DecoderOptions
-from heliograph.signal.turbo.trellis import NEXT_STATE, PARITY, STATES, TAIL, TAIL_BITS
+
+G0 = np.array([1, 0, 1, 1])
+"""Feedback of the constituent code, 1 + D^2 + D^3 (TS 36.212, section 5.1.3.2.1)."""
+
+G1 = np.array([1, 1, 0, 1])
+"""Its feed-forward, 1 + D + D^3."""
+
+TAIL_BITS = 6
+"""Coded bits that terminate one constituent code: three steps of x and z."""
+
+
+def _step(register: NDArray[np.int64], x: int) -> tuple[NDArray[np.int64], int]:
+    """Return the register after the bit x, the newest first, and the parity bit z.
+
+    Nothing is taken from the kernel's own trellis, so that an error there shows.
+    """
+    # g0: a_k = x_k + sum_(i > 0) g0_i a_(k-i);  g1: z_k = sum_i g1_i a_(k-i)
+    a = np.array([(x + G0[1:] @ register) % 2, *register])
+    return a[:-1], int(G1 @ a) % 2
+
+
+def _tail(register: NDArray[np.int64]) -> list[int]:
+    """Return the bits x, z, x, z, x, z that lead to the register 0, 0, 0: each x cancels the feedback."""
+    bits: list[int] = []
+    while len(bits) < TAIL_BITS:
+        x = int(G0[1:] @ register) % 2
+        register, z = _step(register, x)
+        bits += [x, z]
+    return bits
+
+
+_REGISTERS = np.array(list(np.ndindex(2, 2, 2)))
+"""Shape (8, 3): the register in each state, the newest bit first; state 0 is the empty one."""
+
+STATES = len(_REGISTERS)
+
+_STEPS = [[_step(register, x) for x in (0, 1)] for register in _REGISTERS]
+
+NEXT_STATE = np.array([[int(np.ravel_multi_index(tuple(after), (2, 2, 2))) for after, _ in row] for row in _STEPS])
+"""Shape (8, 2): state after each bit."""
+
+PARITY = np.array([[z for _, z in row] for row in _STEPS])
+"""Shape (8, 2): parity bit of each bit."""
+
+TAIL = np.array([_tail(register) for register in _REGISTERS])
+"""Shape (8, 6): tail bits of each final state."""
 
 _INTO = np.argsort(NEXT_STATE.ravel(), kind="stable").reshape(STATES, 2)
 """Shape (8, 2): the two branches, by the flat index 2 state + bit, that end in each state."""
