@@ -4,14 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import welch
 
-from heliograph.channel import ChannelSettings, ImuTrace, Placement, film_duration
+from heliograph.channel import ChannelSettings, ImuTrace, film_duration
 from heliograph.channel.half_car import HalfCar
 from heliograph.channel.motion import STEP_S, Travel, imu_shake, motion, road_shake
 from heliograph.channel.road import ROUGHNESS_M3, STEP_M, RoadProfile, road_profile, roughness
-from heliograph.channel.scene import CameraPose, centre_scale, homography, project, rotation
 
 
 @pytest.mark.parametrize("road_class", "ABCD")
@@ -129,44 +127,9 @@ def test_recorded_speed_becomes_a_profile() -> None:
     assert film_duration(ChannelSettings(speed_profile=profile, distance_m=40, stop_m=15)) == pytest.approx(5)
 
 
-def test_array_moves_by_itself() -> None:
-    time = np.array([0.0, 2.0])
-    pose = CameraPose(*[np.zeros(2)] * 5)
-    maps, eye = homography(pose, time, Placement(x_m=0, vx_m_s=0.5, vy_m_s=-0.25), 50.0, ChannelSettings().camera)
-    image, _ = project(maps, np.zeros((1, 2)))
-    assert image[1, 0] - image[0, 0] == pytest.approx(np.array([1, -0.5]) * 0.035 / 12e-6 / 50)
-    assert eye[1] == pytest.approx([-1, 1.5, -50])
-
-
 def test_broken_trace_is_refused() -> None:
     t = np.arange(40.0)
     with pytest.raises(ValueError, match="columns of one length of at least 32"):
         ImuTrace.from_columns(t, t, t, t, t[:-1])
     with pytest.raises(ValueError, match="finite values and rising times"):
         ImuTrace.from_columns(t[::-1], t, t, t, t)
-
-
-def test_turns_move_the_image_as_they_are_named() -> None:
-    camera = ChannelSettings().camera
-    small = 1e-3
-
-    def image(pitch: float = 0, yaw: float = 0, roll: float = 0, heave: float = 0) -> NDArray[np.float64]:
-        pose = CameraPose(*(np.array([v]) for v in (0.0, heave, pitch, yaw, roll)))
-        one, _ = homography(pose, np.zeros(1), Placement(), 50.0, camera)
-        return np.asarray(project(one[0], np.zeros((1, 2)))[0][0])
-
-    rest = image()
-    assert image(pitch=small) - rest == pytest.approx([0, 2.917], abs=0.01)  # nose up: the array sinks in the image
-    assert image(yaw=small) - rest == pytest.approx([-2.917, 0], abs=0.01)
-    assert image(roll=small) - rest == pytest.approx([-58.3e-3, -87.5e-3], abs=1e-3)  # turns against the clock
-    assert image(heave=0.01) - rest == pytest.approx([0, 0.583], abs=1e-3)
-    assert rotation(0.1, 0.2, 0.3) @ rotation(0.1, 0.2, 0.3).T == pytest.approx(np.eye(3), abs=1e-12)
-
-
-def test_scale_is_the_slope_of_the_map() -> None:
-    camera = ChannelSettings().camera
-    pose = CameraPose(*(np.array([v]) for v in (1.0, 0.1, 0.01, 0.02, 0.03)))
-    one, _ = homography(pose, np.zeros(1), Placement(yaw_deg=20, pitch_deg=-10, roll_deg=5), 30.0, camera)
-    step = 1e-5
-    image, _ = project(one[0], np.array([[0, 0], [step, 0], [0, step]]))
-    assert centre_scale(one)[0] == pytest.approx(((image[1:] - image[0]) / step).T, rel=1e-4)
