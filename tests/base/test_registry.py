@@ -2,12 +2,17 @@
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
-from heliograph.base.registry import Registry, digest, load_parts, registered
+from heliograph.base.registry import Registry, _offered, digest, load_parts, registered
+from heliograph.receive import ReceiveSettings, make_receiver
+from heliograph.receive.registry import RECEIVERS
+from heliograph.signal.settings import SignalSettings
 
 COLOURS: Registry[str] = Registry("colour", "test.colours", {"red": "string:digits"})
 
@@ -153,3 +158,85 @@ def test_the_digest_follows_the_text_of_loaded_files(tmp_path: Path) -> None:
         load_parts(file)
         found.append(digest())
     assert found[0] == found[1] != found[2]
+
+
+OFFERED = """
+from heliograph.receive.registry import ReceiverPart
+
+class Offered:
+    def __init__(self, signal, settings, observe):
+        self.exposure_s = settings.calibration.exposure_s
+
+    def push(self, frame):
+        yield from ()
+
+    def finish(self):
+        yield from ()
+
+READER = ReceiverPart(Offered, reads=("calibration",))
+"""
+
+ENTRY_POINTS = """
+[heliograph.receivers]
+offered = offered_parts:Offered
+offered-reader = offered_parts:READER
+offered-broken = offered_broken:Nothing
+offered-gone = offered_parts:Gone
+"""
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A package that offers receivers by entry points, as pip would have installed it."""
+    about = tmp_path / "offered-1.5.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: offered\nVersion: 1.5\n")
+    (about / "entry_points.txt").write_text(ENTRY_POINTS)
+    (tmp_path / "offered_parts.py").write_text(OFFERED)
+    (tmp_path / "offered_broken.py").write_text("1 / 0")
+    before = digest()
+    monkeypatch.syspath_prepend(tmp_path)
+    _offered.cache_clear()
+    assert digest() != before
+    yield tmp_path
+    monkeypatch.undo()
+    sys.modules.pop("offered_parts", None)
+    _offered.cache_clear()
+
+
+@pytest.mark.usefixtures("installed")
+def test_an_installed_package_offers_receivers() -> None:
+    assert {"offered", "offered-reader"} <= {*RECEIVERS.names()}
+    assert not RECEIVERS.is_built_in("offered")
+    receiver = make_receiver(SignalSettings(), from_mapping(ReceiveSettings, {"receiver": "offered"}))
+    assert type(receiver).__name__ == "Offered"
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "offered-broken",
+            "the receiver 'offered-broken' of offered_broken:Nothing cannot be loaded: division by zero",
+        ),
+        ("offered-gone", "the receiver 'offered-gone' of offered_parts:Gone cannot be loaded: .*'Gone'"),
+    ],
+)
+def test_a_part_that_cannot_be_loaded_is_one_line(name: str, message: str) -> None:
+    with pytest.raises(SettingsError, match=message) as caught:
+        RECEIVERS[name]
+    assert "\n" not in str(caught.value)
+    # it stands in nobody's way who does not ask for it
+    assert RECEIVERS["plain"]
+
+
+@pytest.mark.usefixtures("installed")
+def test_an_offered_receiver_reads_the_groups_that_it_names() -> None:
+    calibration = {"calibration": {"exposure_s": 5e-4}}
+    settings = from_mapping(ReceiveSettings, {"receiver": "offered-reader", **calibration})
+    assert make_receiver(SignalSettings(), settings).exposure_s == 5e-4  # type: ignore[attr-defined]
+    with pytest.raises(SettingsError, match=r"receive\.detect\.score has no effect"):
+        from_mapping(ReceiveSettings, {"receiver": "offered-reader", "detect": {"score": 0.8}})
+    with pytest.raises(SettingsError, match=r"receive\.calibration\.exposure_s has no effect"):
+        from_mapping(ReceiveSettings, {"receiver": "offered", **calibration})
