@@ -7,7 +7,7 @@ into own_receiver.png. It needs `pip install heliograph[analysis]`. The same fil
 
 import sys
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,8 @@ from heliograph.receive.decode.codeword import decode_packet
 from heliograph.signal.header import all_header_cells
 from heliograph.signal.packet import PacketFormat
 
+Floats = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class ThresholdSettings:
@@ -34,57 +36,52 @@ class ThresholdSettings:
 class Threshold:
     """Reads one array that blinks: the box of what changes, resized to a pixel an LED."""
 
-    def __init__(self, signal: heliograph.SignalSettings, settings: ReceiveSettings, observe: Any):
-        self._form, self._own = PacketFormat(signal), own_settings(settings)
-        self._headers = all_header_cells().reshape(-1, 16).astype(np.float64)
-        self._calibration, self._observe = settings.calibration, observe
-        self._frames: deque[heliograph.Frame] = deque(maxlen=signal.packet_patterns)
+    def __init__(self, signal: heliograph.SignalSettings, settings: ReceiveSettings, _observe: Any):
+        self._form, self._own, self._calibration = PacketFormat(signal), own_settings(settings), settings.calibration
+        self._headers = all_header_cells().reshape(-1, 16)
+        self._frames = deque[heliograph.Frame](maxlen=signal.packet_patterns)
 
     def push(self, frame: heliograph.Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packet whose last frame it is."""
         self._frames.append(frame)
-        if len(self._frames) < (self._frames.maxlen or 0):
+        places = {(one.origin, one.pixels.shape) for one in self._frames}  # a window may move
+        if len(self._frames) < self._form.settings.packet_patterns or len(places) > 1:
             return
-        first, second = (self._frames[k].pixels.astype(np.float32) for k in (0, 1))
-        if first.shape != second.shape:
-            return
-        left, top, width, height = cv2.boundingRect(self._changed(first - second))
-        if min(width, height) < self._form.settings.side // 2:
-            return
-        seen = self._leds(0, (left, top, width, height), 4).ravel() @ self._headers.T
-        identity = int(np.argmax(seen))
-        if seen[identity] < 0.8 * np.abs(self._leds(0, (left, top, width, height), 4)).sum():
-            return
-        yield self._packet(identity, (left, top, width, height))
+        size = np.abs(self._change(0))
+        box = cv2.boundingRect((size >= self._own.level * size.max()).astype(np.uint8))
+        header = self._leds(0, box, 4)
+        matches = self._headers @ header.ravel()
+        if matches.max() > 0.8 * np.abs(header).sum():
+            yield self._packet(int(matches.argmax()), box)
+            self._frames.clear()
 
     def finish(self) -> Iterator[Packet]:
         """Nothing is left: packets are read whole."""
         yield from ()
 
-    def _changed(self, change: NDArray[np.float32]) -> NDArray[np.uint8]:
-        size = np.abs(change)
-        return (size > self._own.level * size.max()).astype(np.uint8)
+    def _change(self, pair: int) -> Floats:
+        """Change from a pattern to its inverse, in gray levels."""
+        one, two = self._frames[2 * pair], self._frames[2 * pair + 1]
+        return cv2.subtract(one.pixels, two.pixels, dtype=cv2.CV_64F)
 
-    def _leds(self, pair: int, box: tuple[int, int, int, int], side: int) -> NDArray[np.float64]:
-        """Change from a pattern to its inverse, (side, side)."""
+    def _leds(self, pair: int, box: Sequence[int], side: int) -> Floats:
+        """The same within the box, (side, side)."""
         left, top, width, height = box
-        one, two = (self._frames[2 * pair + k].pixels[top : top + height, left : left + width] for k in (0, 1))
-        change = one.astype(np.float32) - two
-        return np.asarray(cv2.resize(change, (side, side), interpolation=cv2.INTER_AREA), np.float64)
+        inside = self._change(pair)[top : top + height, left : left + width]
+        return cv2.resize(inside, (side, side), interpolation=cv2.INTER_AREA)
 
-    def _packet(self, identity: int, box: tuple[int, int, int, int]) -> Packet:
-        signal, first = self._form.settings, self._frames[0]
-        pairs = range(signal.header_pairs, signal.header_pairs + signal.data_pairs)
+    def _packet(self, identity: int, box: Sequence[int]) -> Packet:
+        """Decode all data pairs; size and place of the box give the pose, its size the distance."""
+        signal, lens, first, last = self._form.settings, self._calibration, self._frames[0], self._frames[-1]
+        pairs = signal.header_pairs + np.arange(signal.data_pairs)
         luminances = np.stack([self._leds(pair, box, signal.side) for pair in pairs])
-        layers = decode_packet(luminances, np.ones(len(pairs), bool), self._form, identity)
+        layers = decode_packet(luminances, np.full(len(pairs), True), self._form, identity)
         good = [word.status == "ok" for words in layers.values() for word in words]
-        pitch, calibration = max(box[2:]) / signal.side, self._calibration
-        pose = Pose(box[0] + box[2] / 2 + first.origin[0], box[1] + box[3] / 2 + first.origin[1], pitch)
-        distance_m = calibration.focal_m * calibration.pitch_m / (pitch * calibration.pixel_m)
         status = "ok" if all(good) else "partial" if any(good) else "crc_fail"
-        numbers = first.index, self._frames[-1].index
-        self._frames.clear()
-        return Packet(identity, status, first.time_s, *numbers, pose, distance_m, 1.0, 1.0, 1.0, layers)
+        pitch = max(box[2:]) / signal.side
+        pose = Pose(first.origin[0] + box[0] + box[2] / 2, first.origin[1] + box[1] + box[3] / 2, pitch)
+        distance_m = lens.focal_m * lens.pitch_m / (pitch * lens.pixel_m)
+        return Packet(identity, status, first.time_s, first.index, last.index, pose, distance_m, 1.0, 1.0, 1.0, layers)
 
 
 heliograph.register_receiver("threshold", Threshold, ThresholdSettings, reads=["calibration"])
