@@ -31,7 +31,7 @@ def page_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 MARKDOWN = Sybil(
     parsers=[myst.PythonCodeBlockParser(), myst.CodeBlockParser("sh", _run), myst.SkipParser()],
-    patterns=["README.md", "docs/*.md", "docs/**/*.md"],
+    patterns=["README.md", "CONTRIBUTING.md", "docs/*.md", "docs/**/*.md"],
     excludes=["docs/_build/**"],
     fixtures=["page_folder"],
 )

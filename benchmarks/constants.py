@@ -265,7 +265,9 @@ same films. Whole numbers stay whole. Of numbers from 0.5 to 1.5 the distance fr
 the constant is not critical on these films: they find what a receiver cannot do without, not the last percent. The
 variances of the filter's observations (`DECIDED`, `HEADER_OBSERVATION`) are not in the table. The page is made by
 
-```
+<!-- skip: next "not run: takes hours, and needs the repository" -->
+
+```sh
 python -m benchmarks.constants --page docs/constants.md
 ```
 

@@ -4,7 +4,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from benchmarks.constants import constants
+from benchmarks.constants import constants, page
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -91,3 +91,9 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
 def test_each_constant_of_the_receivers_stands_with_its_value() -> None:
     rows = dict(re.findall(r"^\| `([^`]+)` \| (.+?) \|", (DOCS / "constants.md").read_text(), re.M))
     assert rows == {one.key: one.text for one in constants()}
+
+
+def test_what_the_page_of_constants_says_is_what_its_command_writes() -> None:
+    made = page({"as it is": {"1": {"a scene": [1, 0, 0]}}}, [])
+    before = "Codewords read with all constants as they are"
+    assert (DOCS / "constants.md").read_text().partition(before)[0] == made.partition(before)[0]
