@@ -14,6 +14,10 @@ from heliograph.receive.events import Event, TrackEvent
 
 BIN_M = 10
 
+PULLED_PX = 0.05
+"""Error of y from which on a pair counts as pulled by an edge of the background. Chosen: just above the largest of a
+drive on the road, 0.047 px, where no edge pulls."""
+
 
 def main() -> None:
     recorded = sys.argv[1:3] if len(sys.argv) == 3 else []
@@ -34,13 +38,20 @@ def main() -> None:
         truth[frame.index] = row.arrays[0]
         list(receiver.push(frame))
     errors = np.array([_error(pose, truth[k], truth[k + 1]) for k, pose in poses])
-    print("distance    pairs   rms error: x px  y px  pitch %   99.9 % of |x, y| px")
+    print(
+        "distance    pairs   rms error: x px  y px  pitch %   99.9 % of |x, y| px   y: largest px, pulled, rms of rest"
+    )
     for start in range(20, 100, BIN_M):
         part = errors[(errors[:, 3] >= start) & (errors[:, 3] < start + BIN_M)]
         if len(part):
             x, y, pitch = np.sqrt(np.mean(part[:, :3] ** 2, axis=0))
             worst = np.quantile(np.hypot(part[:, 0], part[:, 1]), 0.999)
-            print(f"{start:3d}-{start + BIN_M:3d} m {len(part):6d}  {x:.4f} {y:.4f} {100 * pitch:.3f}  {worst:.3f}")
+            down = np.abs(part[:, 1])
+            rest = down[down <= PULLED_PX]
+            print(
+                f"{start:3d}-{start + BIN_M:3d} m {len(part):6d}  {x:.4f} {y:.4f} {100 * pitch:.3f}  {worst:.3f}  "
+                f"{down.max():.3f} {len(part) - len(rest)} {np.sqrt(np.mean(rest**2)):.4f}"
+            )
 
 
 def _error(pose: Any, first: Any, second: Any) -> tuple[float, float, float, float]:
