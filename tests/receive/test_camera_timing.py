@@ -65,6 +65,13 @@ def test_any_phase_and_rate_is_read(fps: float, exposure_s: float, start_s: floa
     assert_read(soft_packets([], start_s=start_s, fps=fps, exposure_s=exposure_s), start_s, 2)
 
 
+@pytest.mark.parametrize("start_s", [2.49e-3, 2.5e-3, 2.51e-3])
+@pytest.mark.slow
+def test_half_a_pattern_out_of_step_is_read(start_s: float) -> None:
+    """A header then shows only where it begins and ends."""
+    assert_read(soft_packets([], start_s=start_s), start_s, 2)
+
+
 @pytest.mark.parametrize("start_s", [2.0e-3, 2.25e-3])
 @pytest.mark.slow
 def test_slots_lit_in_another_order(start_s: float) -> None:

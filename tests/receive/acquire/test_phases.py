@@ -60,7 +60,7 @@ def test_streams_have_the_frame_of_each_pattern_that_is_nearest_to_their_phase(
 @pytest.mark.parametrize("fps", [990.0, 1000.0, 1015.0])
 def test_of_a_camera_of_the_lights_rate_every_frame_is_searched(fps: float, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = [frame for frame in film(fps, 60) if frame.index not in (20, 30, 31)]
-    (stream,) = streams(fps, frames, monkeypatch)
+    (stream,) = streams(fps, frames, monkeypatch)  # and that of headers that straddle, which is another detector
     assert [frame.time_s for frame in stream] == [frame.time_s for frame in frames]
     # a frame that was dropped leaves a gap in the numbers
     gaps = np.diff([frame.index for frame in stream])

@@ -188,7 +188,7 @@ class Detector:
         taken
             Poses of arrays already followed.
         """
-        if self._frames and not _follows(self._frames[-1], frame):
+        if self._frames and not follows(self._frames[-1], frame):
             self._frames.clear()
         if not self._frames:
             # a header may begin with the first frame: let that frame stand for those before it
@@ -209,7 +209,7 @@ class Detector:
             return []
         rows = coarse_candidates(change, busy, frames[0], self._parameters, self._cells, self._sides)
         found = [self._refine(frames, change, row, taken) for row in rows]
-        return _distinct([d for d in found if d is not None], self._side)
+        return distinct([d for d in found if d is not None], self._side)
 
     def _refine(
         self, frames: list[Frame], change: NDArray[np.float32], row: NDArray[np.float64], taken: Sequence[Pose]
@@ -325,7 +325,16 @@ def apart(a: Pose, b: Pose, side: int) -> bool:
     return bool(np.hypot(a.x - b.x, a.y - b.y) > reach)
 
 
-def _follows(last: Frame, frame: Frame) -> bool:
+def follows(last: Frame, frame: Frame) -> bool:
+    """Whether a frame is the next of the same film.
+
+    Parameters
+    ----------
+    last
+        Frame that came before it.
+    frame
+        Frame that may follow it: by its number, and with the same kind of pixels.
+    """
     return last.pixels.dtype == frame.pixels.dtype and last.bits == frame.bits and frame.index == last.index + 1
 
 
@@ -334,8 +343,16 @@ def _before(frame: Frame, count: int) -> list[Frame]:
     return [replace(frame, index=frame.index - k, time_s=frame.time_s - FAR_PAST_S * k) for k in range(count, 0, -1)]
 
 
-def _distinct(detections: list[Detection], side: int) -> list[Detection]:
-    """One detection a place, the best."""
+def distinct(detections: list[Detection], side: int) -> list[Detection]:
+    """One detection a place, the best.
+
+    Parameters
+    ----------
+    detections
+        Detections of the same frames, in any order.
+    side
+        LEDs in a row.
+    """
     kept: list[Detection] = []
     for one in sorted(detections, key=lambda d: -d.score):
         if all(apart(one.fit.pose, other.fit.pose, side) for other in kept):

@@ -10,6 +10,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detector import Detection, Detector
+from heliograph.receive.acquire.straddled import StraddledDetector
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
@@ -64,6 +65,9 @@ class PhasedSearch:
             )
         if period_s > light_s * (1 - STEP_TOLERANCE):
             self._streams = [_EveryFrame(self._detector(), period_s)]
+            if self._signal.header_pairs > 1:
+                straddled = StraddledDetector(self._parameters, self._signal)
+                self._streams.append(_EveryFrame(straddled, period_s))
         else:
             phases = _phases(light_s / period_s)
             self._streams = [_Nearest(self._detector(), light_s, k / phases) for k in range(phases)]
@@ -92,10 +96,23 @@ class PhasedSearch:
         return found
 
 
+class _FrameDetector(Protocol):
+    """Looks for headers in a stream of one frame per pattern."""
+
+    @property
+    def candidates_fitted(self) -> int:
+        """Candidates fitted so far."""
+
+    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
+        """Take the next frame; return the arrays whose header lies in the last ones."""
+
+
 class _Stream(Protocol):
     """Thins frames out for a detector."""
 
-    detector: Detector
+    @property
+    def detector(self) -> _FrameDetector:
+        """The detector."""
 
     def push(self, frame: Frame, taken: Sequence[Pose]) -> list[Detection]:
         """Take a frame; return the arrays whose header lies in the last frames of the stream."""
@@ -104,7 +121,7 @@ class _Stream(Protocol):
 class _EveryFrame:
     """All frames of a camera of the light's rate."""
 
-    def __init__(self, detector: Detector, period_s: float):
+    def __init__(self, detector: _FrameDetector, period_s: float):
         self.detector, self._period_s = detector, period_s
         self._number, self._time_s = 0, 0.0
 

@@ -1,0 +1,146 @@
+"""Headers of a camera as fast as the light whose exposures straddle two patterns each.
+
+Half a pattern out of step a frame shows half of a pattern and half of the next. Within a header of h patterns that is
+the same light from every LED: nothing alternates, and `detector` finds nothing. But the frame over its beginning shows
+half of the header, and the frame over its end half of the inverse. With w = h / (h - 2),
+
+    2 (f0 - w f1 + w f(h-1) - fh)
+
+is the header less its inverse, and light of the data before and after, which is random. What stands still, drifts or
+accelerates evenly cancels. The frames between are quiet, as those of data never are.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.acquire.candidate import UPRIGHT, cell_weights, fit_near
+from heliograph.receive.acquire.coarse import BLOCK_PX, SearchParameters, busy_blocks, coarse_candidates
+from heliograph.receive.acquire.detector import Detection, distinct, follows, plausible
+from heliograph.receive.image.fit import Fit, header_amplitude
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.window import common
+from heliograph.signal.settings import SignalSettings
+
+QUIET = 0.5
+"""Most that changes within a header, as a fraction of what changes over it.
+
+A camera out of step by x T_b sees |1 - 2 x| of the header within; from 0.1 on `detector` finds it. Frames of data
+change as much from one to the next as over h patterns.
+"""
+
+DATA_SCORE = 0.78
+"""What the light of data leaves of the correlation with a header.
+
+Of resolved LEDs it is 1 / sqrt(1 + 2 * 0.36 / 16 / 0.25) = 0.92: levels of data cut at 2 have the variance 0.36, and
+two of them, 1/4 each, stand beside a header of +-1/2. Of far arrays the high layer alone is left of the data, and weighs more:
+eight headers scored 0.85 to 0.86 at 25 m, 0.88 to 0.90 at 50 m, 0.86 at 100 m and 0.76 to 0.82 at 130 m.
+"""
+
+
+class StraddledDetector:
+    """Looks for headers whose frames straddle two patterns each, in a stream of one frame per pattern.
+
+    Parameters
+    ----------
+    parameters
+        What it takes for an array.
+    signal
+        The light's signal: side of the array and header pairs, 2 or more.
+    """
+
+    def __init__(self, parameters: SearchParameters, signal: SignalSettings):
+        self._parameters, self._side = parameters, signal.side
+        self._light_s = signal.pattern_period_s
+        self._header = 2 * signal.header_pairs
+        self._cells, self._sides = parameters.templates(), parameters.sides()
+        self._frames: deque[Frame] = deque(maxlen=self._header + 1)
+        self._fitted = 0
+
+    @property
+    def candidates_fitted(self) -> int:
+        """Candidates fitted so far."""
+        return self._fitted
+
+    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
+        """Take the next frame; see `HeaderSearch`.
+
+        Parameters
+        ----------
+        frame
+            Next frame, one per pattern; a gap in their numbers begins the search anew.
+        taken
+            Poses of arrays already followed.
+        """
+        if self._frames and not follows(self._frames[-1], frame):
+            self._frames.clear()
+        self._frames.append(frame)
+        if len(self._frames) <= self._header:
+            return []
+        frames = common(list(self._frames))
+        if min(frames[0].pixels.shape) < self._sides[0]:
+            return []
+        change = self._change(frames)
+        busy = busy_blocks(change, frames[0], taken, self._side, self._parameters.min_contrast)
+        busy &= self._quiet(frames, change)
+        if not busy.any():
+            return []
+        rows = coarse_candidates(change, busy, frames[0], self._parameters, self._cells, self._sides)
+        found = [self._fit(frames, change, row, taken) for row in rows if row[0] > 0]
+        return distinct([one for one in found if one is not None], self._side)
+
+    def _change(self, frames: Sequence[Frame]) -> NDArray[np.float32]:
+        """Header less its inverse in gray levels, +-1 times the light of LEDs all on."""
+        # 2 (f0 - w f1 + w f(h-1) - fh), w = h / (h - 2)
+        first, second, last, end = (frames[k].pixels.astype(np.float32) for k in (0, 1, -2, -1))
+        return 2 * (first - end + self._header / (self._header - 2) * (last - second))
+
+    def _quiet(self, frames: Sequence[Frame], change: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Blocks in which hardly anything changes within the header."""
+        from heliograph.receive.acquire import kernels
+
+        within = frames[1].pixels.astype(np.float32) - frames[2].pixels
+        shape = tuple(-(-size // BLOCK_PX) for size in change.shape)
+        means = np.empty((2, *shape), np.float32)
+        for image, mean in zip((within, change), means, strict=True):
+            kernels.block_means(_padded(image), BLOCK_PX, mean)
+        # `change` is twice what changes over the header
+        return np.asarray(means[0] < 0.5 * QUIET * means[1])
+
+    def _fit(
+        self, frames: Sequence[Frame], change: NDArray[np.float32], row: NDArray[np.float64], taken: Sequence[Pose]
+    ) -> Detection | None:
+        """Fit a candidate's pose; its start is that of the first frame and half a pattern."""
+        self._fitted += 1
+        number, origin, parameters = int(row[4]), frames[0].origin, self._parameters
+        weights = cell_weights(self._cells[number], self._side)
+        pitch = row[3] / self._side
+        start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], pitch, 0.0, parameters.blur_px)
+        if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
+            return None
+        fit = fit_near(change, origin, start, weights, UPRIGHT)
+        if fit is None or fit.score < DATA_SCORE * parameters.score:
+            return None
+        if not plausible(fit, parameters, self._side, frames[0].full_scale):
+            return None
+        regularity = self._regularity(frames, fit, weights)
+        if regularity < parameters.regularity:
+            return None
+        time_s = 0.5 * (frames[0].time_s + frames[-1].time_s)
+        start_s = frames[0].time_s + 0.5 * self._light_s
+        return Detection(number, start_s, fit, time_s, fit.score, regularity, np.ones(weights.shape))
+
+    def _regularity(self, frames: Sequence[Frame], fit: Fit, weights: NDArray[np.float64]) -> float:
+        """Weaker over mean amplitude of the frames over the beginning and the end, about the mean of those within."""
+        seen = np.array([header_amplitude(frame, fit.pose, weights) for frame in frames])
+        ends = np.array([1, -1]) * (seen[[0, -1]] - seen[1:-1].mean())
+        return float(ends.min() / ends.mean()) if ends.mean() > 0 else 0.0
+
+
+def _padded(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the image with rows and columns of 0 up to whole blocks."""
+    rows, columns = (-size % BLOCK_PX for size in image.shape)
+    return np.pad(image, ((0, rows), (0, columns)))
