@@ -36,8 +36,8 @@ DATA_SCORE = 0.78
 """What the light of data leaves of the correlation with a header.
 
 Of resolved LEDs it is 1 / sqrt(1 + 2 * 0.36 / 16 / 0.25) = 0.92: levels of data cut at 2 have the variance 0.36, and
-two of them, 1/4 each, stand beside a header of +-1/2. Of far arrays the high layer alone is left of the data, and weighs more:
-eight headers scored 0.85 to 0.86 at 25 m, 0.88 to 0.90 at 50 m, 0.86 at 100 m and 0.76 to 0.82 at 130 m.
+two of them, 1/4 each, stand beside a header of +-1/2. Of far arrays the high layer alone is left of the data, and
+weighs more: eight headers scored 0.85 to 0.86 at 25 m, 0.88 to 0.90 at 50 m, 0.86 at 100 m and 0.76 to 0.82 at 130 m.
 """
 
 
