@@ -77,7 +77,7 @@ def film(
     ------
     frame
         ``time_s`` is the camera's own clock: start_s + index / fps, plus jitter. A dropped frame leaves a gap in
-        ``index``, and in the truth.
+        ``index``, and in the truth, where the camera leaves ``gaps``.
     truth
         The truth of the frame; of a repeated frame, the truth of the exposure that it replaces.
 
@@ -158,4 +158,4 @@ def _shoot(
             frame = Frame(index, camera.start_s + index / camera.fps, pixels, settings.sensor.bits, (x, y))
             delivered = transfer(frame)
             if delivered is not None:
-                yield delivered, Truth(index, float(block.times_s[k, 0]), truths, noise)
+                yield delivered, Truth(delivered.index, float(block.times_s[k, 0]), truths, noise)

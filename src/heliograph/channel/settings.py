@@ -143,6 +143,9 @@ class CameraSettings:
         1 / ``fps``, shorter if negative.
     dropped
         Probability of a frame to be lost on its way, at least 0 and below 1.
+    gaps
+        Whether a lost frame leaves a gap in the numbers and times of frames. Without, as of a camera that numbers the
+        frames it delivers, nothing but the pictures tells of it.
     repeated
         Probability of a frame to be replaced by a copy of the one delivered before it, at least 0 and below 1, together
         with ``dropped`` below 1.
@@ -161,6 +164,7 @@ class CameraSettings:
     psf: Annotated[str, AfterValidator(POINT_SPREADS.check)] = "gaussian"
     clock_ppm: Ppm = 0.0
     dropped: Probability = 0.0
+    gaps: bool = True
     repeated: Probability = 0.0
     jitter_s: NotNegative = 0.0
 

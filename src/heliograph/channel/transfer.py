@@ -14,6 +14,8 @@ LARGEST_JITTER = 0.45
 class Transfer:
     """Deliver frames: a frame's accident depends on the seed and its number alone.
 
+    Without gaps frames are numbered, and timed, as they are delivered.
+
     Parameters
     ----------
     camera
@@ -25,6 +27,7 @@ class Transfer:
     def __init__(self, camera: CameraSettings, seed: int):
         self._camera, self._seed = camera, seed
         self._last: Frame | None = None
+        self._lost = 0
 
     def __call__(self, frame: Frame) -> Frame | None:
         """Take the next frame and return it as delivered; None where it is dropped.
@@ -40,10 +43,11 @@ class Transfer:
         rng = np.random.default_rng([self._seed, frame.index])
         draw, late = rng.random(), rng.normal(0.0, camera.jitter_s)
         if draw < camera.dropped:
+            self._lost += not camera.gaps
             return None
         largest = LARGEST_JITTER / camera.fps
-        time_s = frame.time_s + float(np.clip(late, -largest, largest))
+        time_s = frame.time_s - self._lost / camera.fps + float(np.clip(late, -largest, largest))
         shown = self._last if self._last is not None and draw < camera.dropped + camera.repeated else frame
         # a repeated window keeps its place on the sensor
-        self._last = replace(shown, index=frame.index, time_s=time_s)
+        self._last = replace(shown, index=frame.index - self._lost, time_s=time_s)
         return self._last

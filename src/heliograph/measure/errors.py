@@ -62,6 +62,7 @@ class ErrorCounter:
         self.false_codewords = 0
         self.duplicates = 0
         self._last_s: float | None = None
+        self._seen_s: list[float] = []
 
     def saw(self, time_s: float, distances_m: Sequence[float], visible: Sequence[bool]) -> None:
         """Take the truth of a frame; frames come in the order of time.
@@ -74,6 +75,7 @@ class ErrorCounter:
             Distance of each array in m, and whether all its LEDs are in view.
         """
         lost, self._last_s = self._lost_before(time_s), time_s
+        self._seen_s.append(time_s)
         for array, (distance, in_view) in enumerate(zip(distances_m, visible, strict=True)):
             number, place = self._packet_at(array, time_s)
             if number < 0:
@@ -184,6 +186,11 @@ class ErrorCounter:
     def _true_time(self, time_s: float) -> float:
         """True time of what the camera's clock calls `time_s`."""
         camera = self._settings.channel.camera
+        if not camera.gaps:
+            # the clock ticks with each frame delivered
+            tick = round((time_s - camera.start_s) * camera.fps)
+            place = min(max(tick, 0), len(self._seen_s) - 1)
+            return self._seen_s[place] + (tick - place) * camera.frame_period_s
         return camera.start_s + (time_s - camera.start_s) * (1 + camera.clock_ppm * 1e-6)
 
     def _packet_at(self, array: int, time_s: float) -> tuple[int, float]:
