@@ -15,8 +15,9 @@ from heliograph.receive.events import DecodeEvent, Observer, TrackEvent
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.packets import Codeword, Packet, Status
 from heliograph.receive.settings import CalibrationSettings
-from heliograph.receive.timing.frame_pair import FramePair, MeasuredHeader, Pairing
+from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader, Pairing
 from heliograph.receive.timing.light_clock import PATTERNS_AROUND
+from heliograph.receive.track.lone_frames import REACH
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 from heliograph.signal.formats import Format, ReservedModeError
 from heliograph.signal.packet import PacketFormat
@@ -102,6 +103,17 @@ class PacketReader(Protocol):
             Frames of a pattern and its inverse; in the single mode of two patterns.
         tracked
             The array in them, as `follow` found it.
+        """
+
+    def take_lone(self, place: int, lone: LoneFrame) -> None:
+        """Take what is left of a pair of data.
+
+        Parameters
+        ----------
+        place
+            Its number in the packet's data, from 0.
+        lone
+            The frame that is there.
         """
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
@@ -253,7 +265,9 @@ class ArrayReceiver:
             self._end_header()
         single = place >= 0 and self._reader.format.mode == "single"
         pair = self._pairing.pair(number, self._track.state.pose_at, single)
-        if pair is not None:
+        if isinstance(pair, LoneFrame):
+            self._read_lone(place, pair)
+        elif pair is not None:
             if place < 0:
                 self._read_header(in_packet, pair)
             else:
@@ -289,6 +303,13 @@ class ArrayReceiver:
         self._track = tracked.track
         if tracked.seen:
             self._reader.take(place, pair, tracked)
+            self._gathered.seen[place] = True
+
+    def _read_lone(self, place: int, lone: LoneFrame) -> None:
+        """Keep the frame that is left of a pair where the array was in sight not long before."""
+        self._gathered.frames.append(lone.frame.index)
+        if lone.frame.time_s - self._track.last_seen_s < 2 * REACH * self._signal.pattern_period_s:
+            self._reader.take_lone(place, lone)
             self._gathered.seen[place] = True
 
     def _note(self, pair: FramePair, tracked: TrackedPair) -> None:

@@ -22,9 +22,10 @@ from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
 from heliograph.receive.packets import Codeword, Packet
 from heliograph.receive.settings import Feedback
-from heliograph.receive.timing.frame_pair import FramePair, MeasuredHeader
+from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.background import SeenHeader
 from heliograph.receive.track.decision_directed import DecidedPair, DecisionDirectedTracker
+from heliograph.receive.track.lone_frames import SeenPair, lone_cutout
 from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 from heliograph.signal.formats import Format, check_mode, known_format
@@ -80,6 +81,9 @@ class SoftReader:
         self._identity, self._parts, self._led_gains = identity, parts, led_gains
         self._side = parts.form.settings.side
         self._cutouts: list[Cutout | None] = []
+        self._seen: dict[int, SeenPair] = {}
+        self._lone: dict[int, LoneFrame] = {}
+        self._sum_gain = 0.0
         self._even: Cutout | None = None
         self._gain, self._full_scale = 0.0, math.inf
         self._format_reader = FormatReader(identity, self._side)
@@ -135,8 +139,15 @@ class SoftReader:
             [self._cutout(pair, tracked.track)] if self._decided is None else self._decided.cutouts
         )
         self._cutouts[len(cutouts) * place : len(cutouts) * (place + 1)] = cutouts
+        if self._decided is None and pair.combination is None:
+            self._seen[place] = SeenPair(tracked.state, cutouts[0])
+            self._sum_gain = tracked.track.gain
         poses = tuple(pose for cutout in cutouts for pose in cutout.poses)
         self._parts.observe(ExtractEvent(self._identity, (pair.pattern, pair.inverted), poses))
+
+    def take_lone(self, place: int, lone: LoneFrame) -> None:
+        """Keep the frame that is left of a pair; see `PacketReader`."""
+        self._lone[place] = lone
 
     @one_thread()
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
@@ -204,11 +215,18 @@ class SoftReader:
     ) -> dict[str, tuple[Codeword, ...]]:
         """Decode all that was kept, LEDs having given gains (n, n)."""
         parts, noise = self._parts, self._noise(led_gains)
-        observed = ObservedPacket.of(self._cutouts, noise, form, led_gains)
+        observed = ObservedPacket.of(self._with_lone(led_gains), noise, form, led_gains)
         channel = GainAndNoise(min(self._gain, self._full_scale), noise.lit, self._full_scale)
         return decode_iteratively(
             observed, channel, form, self._identity, parts.options, buffer, parts.feedback, parts.observe
         )
+
+    def _with_lone(self, led_gains: Floats) -> list[Cutout | None]:
+        """All cut-outs, those of frames included whose other half is lost."""
+        cutouts = [*self._cutouts]
+        for place, lone in self._lone.items():
+            cutouts[place] = lone_cutout(lone, place, self._seen, self._late_s, self._sum_gain, led_gains)
+        return cutouts
 
     def _noise(self, led_gains: Floats) -> Noise:
         """Noise of the cut-outs."""

@@ -9,7 +9,7 @@ to frame.
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,11 @@ OVERLAP = 0.1
 
 FAR_PAST_S = 1e9
 """Seconds between frames that stand for those before the film: 30 years, so that no clock takes them for frames."""
+
+MISSING_FRAMES = 0.25
+"""Fraction of a header's frames that may be missing: without two of four, data before or after might stand for it."""
+
+Shown = TypeVar("Shown")
 
 SLACK = 2
 """Frames by which the start of the header may differ from the window searched, either way: every second is searched."""
@@ -159,10 +164,13 @@ class Detector:
         tilted = parameters.impaired and not parameters.all_on
         self._tilts = (UPRIGHT, TILTED) if tilted else (UPRIGHT,)
         self._header = 2 * signal.header_pairs
+        self._period_s = signal.pattern_period_s
+        self._every = 2 if self._header >= 4 else 1
         self._cells, self._sides = parameters.templates(), parameters.sides()
         self._span = min(self._header, 4)
         self._window = self._header + 2 * SLACK
-        self._frames: deque[Frame] = deque(maxlen=self._window)
+        self._frames: deque[Frame | None] = deque(maxlen=self._window)
+        self._next = 0
         self._fitted = 0
 
     def start(self, period_s: float) -> None:
@@ -176,7 +184,7 @@ class Detector:
     @property
     def recent(self) -> Sequence[Frame]:
         """The last frames, oldest first: enough to hold the header of an array just found."""
-        return self._frames
+        return [frame for frame in self._frames if frame is not None]
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
         """Take the next frame; see `HeaderSearch`.
@@ -184,39 +192,47 @@ class Detector:
         Parameters
         ----------
         frame
-            Next frame, one per pattern; a gap in their numbers begins the search anew.
+            Next frame, one per pattern; a gap in their numbers is of frames that are missing.
         taken
             Poses of arrays already followed.
         """
-        if self._frames and not follows(self._frames[-1], frame):
+        lost = frame.index - self._next
+        recent = self.recent
+        if recent and not (alike(recent[-1], frame) and 0 <= lost <= self._window):
             self._frames.clear()
         if not self._frames:
+            lost = 0
             # a header may begin with the first frame: let that frame stand for those before it
             self._frames.extend(_before(frame, SLACK))
-        self._frames.append(frame)
-        every = 2 if self._header >= 4 else 1
-        if len(self._frames) < self._window or frame.index % every:
-            return []
-        return self._search(list(self._frames), taken)
+        found = list[Detection]()
+        for one in [*([None] * lost), frame]:
+            self._frames.append(one)
+            self._next = frame.index + 1 if one is frame else self._next + 1
+            if len(self._frames) == self._window and (self._next - 1) % self._every == 0:
+                found += self._search(list(self._frames), [*taken, *(one.fit.pose for one in found)])
+        return found
 
-    def _search(self, frames: list[Frame], taken: Sequence[Pose]) -> list[Detection]:
-        frames = common(frames)
-        if min(frames[0].pixels.shape) < self._sides[0]:
+    def _search(self, slots: list[Frame | None], taken: Sequence[Pose]) -> list[Detection]:
+        """Search the frames of successive patterns; None stands for those that are missing."""
+        shown = iter(common([frame for frame in slots if frame is not None]))
+        slots = [None if frame is None else next(shown) for frame in slots]
+        header = _filled(slots[SLACK : SLACK + self._span])
+        if header is None or min(header[0].pixels.shape) < self._sides[0]:
             return []
-        change = alternation_of(frames[SLACK : SLACK + self._span])
-        busy = busy_blocks(change, frames[0], taken, self._side, self._parameters.min_contrast)
+        change = alternation_of(header)
+        busy = busy_blocks(change, header[0], taken, self._side, self._parameters.min_contrast)
         if not busy.any():
             return []
-        rows = coarse_candidates(change, busy, frames[0], self._parameters, self._cells, self._sides)
-        found = [self._refine(frames, change, row, taken) for row in rows]
+        rows = coarse_candidates(change, busy, header[0], self._parameters, self._cells, self._sides)
+        found = [self._refine(slots, change, row, taken) for row in rows]
         return distinct([d for d in found if d is not None], self._side)
 
     def _refine(
-        self, frames: list[Frame], change: NDArray[np.float32], row: NDArray[np.float64], taken: Sequence[Pose]
+        self, slots: list[Frame | None], change: NDArray[np.float32], row: NDArray[np.float64], taken: Sequence[Pose]
     ) -> Detection | None:
         """Fit a candidate's pose, then ask when its header began and whether it alternates in step."""
         self._fitted += 1
-        number, sign, origin = int(row[4]), float(np.sign(row[0])), frames[0].origin
+        number, sign, origin = int(row[4]), float(np.sign(row[0])), _origin(slots)
         weights, blur = cell_weights(self._cells[number], self._side), self._parameters.blur_px
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], row[3] / self._side, 0.0, blur)
         if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
@@ -226,7 +242,7 @@ class Detector:
             rough = fit_near(change, origin, start, sign * weights, tilt, HIDING_BLUR)
             if rough is None or rough.score < self._parameters.coarse_score:
                 break
-            found = self._timed(frames, replace(rough.pose, blur=blur), weights, number, tilt)
+            found = self._timed(slots, replace(rough.pose, blur=blur), weights, number, tilt)
             if found is not None and (best is None or found.score > best.score + GAINED):
                 best = found
             if best is not None and best.score >= CLEAR:
@@ -234,33 +250,46 @@ class Detector:
         return best
 
     def _timed(
-        self, frames: list[Frame], pose: Pose, weights: NDArray[np.float64], number: int, tilt: float
+        self, slots: list[Frame | None], pose: Pose, weights: NDArray[np.float64], number: int, tilt: float
     ) -> Detection | None:
         """Where the header begins, the start at which its frames alternate most; and the pose in just those frames."""
-        seen = np.array([header_amplitude(f, pose, weights) for f in frames])
+        shown = [None if frame is None else header_amplitude(frame, pose, weights) for frame in slots]
         sign = 1 - 2 * (np.arange(self._header) % 2)
-        sums = np.array([sign @ seen[k : k + self._header] for k in range(len(frames) - self._header + 1)])
+        windows = [_filled(shown[k : k + self._header]) for k in range(len(slots) - self._header + 1)]
+        sums = [-np.inf if window is None else float(sign @ window) for window in windows]
         start = int(np.argmax(sums))
-        if start == len(sums) - 1:
+        seen, header = windows[start], _filled(slots[start : start + self._span])
+        if start == len(sums) - 1 or seen is None or header is None:
             # it may begin later still, and a pair of data like it stand for its first: the next search has more of it
             return None
-        change = -np.diff(seen[start : start + self._header]) * sign[:-1]
+        change = -np.diff(seen) * sign[:-1]
         regularity = float(change.min() / max(change.mean(), TINY))
-        header = frames[start : start + self._span]
-        fit, led_gains = self._fit_header(header, pose, weights, tilt, regularity)
-        if fit is None or not self._convincing(fit, regularity, header[0].full_scale):
+        there = slots[start : start + self._header]
+        # what is filled in alternates by itself: a pair of data must not pass for a header that is half hidden
+        impaired = self._parameters.impaired and None not in there
+        fit, led_gains = self._fit_header(header, pose, weights, tilt, impaired and regularity >= HIDDEN_REGULARITY)
+        if fit is None or not self._convincing(fit, regularity, header[0].full_scale, impaired):
             return None
-        fit, header = self._shape(header, fit, led_gains * weights, tilt)
+        start_s = self._start_s(there)
+        if None not in there[:2]:
+            fit, header = self._shape(header, fit, led_gains * weights, tilt)
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
-        return Detection(number, header[0].time_s, fit, middle, fit.score, regularity, led_gains)
+        return Detection(number, start_s, fit, middle, fit.score, regularity, led_gains)
+
+    def _start_s(self, header: Sequence[Frame | None]) -> float:
+        """Time of a header's first frame, by the first that is there."""
+        first, frame = next((k, frame) for k, frame in enumerate(header) if frame is not None)
+        return frame.time_s - first * self._period_s
 
     def _fit_header(
-        self, header: list[Frame], pose: Pose, weights: NDArray[np.float64], tilt: float, regularity: float
+        self, header: list[Frame], pose: Pose, weights: NDArray[np.float64], tilt: float, even: bool
     ) -> tuple[Fit | None, NDArray[np.float64]]:
-        """Fit of a header's frames, without its hidden cells where that is better; and the gains of its LEDs."""
+        """Fit of a header's frames, and the gains of its LEDs.
+
+        Where it is `even`, it is fitted without its hidden cells if that is better.
+        """
         change, origin = alternation_of(header[: self._span]), header[0].origin
         fit, led_gains = fit_near(change, origin, pose, weights, tilt), np.ones(weights.shape)
-        even = self._parameters.impaired and regularity >= HIDDEN_REGULARITY
         if fit is None or not HIDDEN_TRIED <= fit.score < CLEAR or not even:
             return fit, led_gains
         lit = lit_cells(change, origin, fit.pose, weights)
@@ -281,11 +310,11 @@ class Detector:
             return fit, header
         return replace(first, score=fit.score), header[:2]
 
-    def _convincing(self, fit: Fit, regularity: float, full_scale: int) -> bool:
+    def _convincing(self, fit: Fit, regularity: float, full_scale: int, impaired: bool) -> bool:
         if not plausible(fit, self._parameters, self._side, full_scale):
             return False
         whole = fit.score >= self._parameters.score and regularity >= self._parameters.regularity
-        hidden = self._parameters.impaired and fit.score >= HIDDEN_SCORE and regularity >= HIDDEN_REGULARITY
+        hidden = impaired and fit.score >= HIDDEN_SCORE and regularity >= HIDDEN_REGULARITY
         return bool(whole or hidden)
 
 
@@ -325,17 +354,35 @@ def apart(a: Pose, b: Pose, side: int) -> bool:
     return bool(np.hypot(a.x - b.x, a.y - b.y) > reach)
 
 
-def follows(last: Frame, frame: Frame) -> bool:
-    """Whether a frame is the next of the same film.
+def alike(last: Frame, frame: Frame) -> bool:
+    """Whether two frames have the same kind of pixels.
 
     Parameters
     ----------
-    last
-        Frame that came before it.
-    frame
-        Frame that may follow it: by its number, and with the same kind of pixels.
+    last, frame
+        Two frames of a film, in the order of time.
     """
-    return last.pixels.dtype == frame.pixels.dtype and last.bits == frame.bits and frame.index == last.index + 1
+    return last.pixels.dtype == frame.pixels.dtype and last.bits == frame.bits
+
+
+def _filled(header: Sequence[Shown | None]) -> list[Shown] | None:
+    """What a header's frames show, a missing one as the nearest before or after that shows the same.
+
+    None where more than `MISSING_FRAMES` are missing, or all of a kind.
+    """
+    missing = [k for k, one in enumerate(header) if one is None]
+    if len(missing) > MISSING_FRAMES * len(header):
+        return None
+    filled = [*header]
+    for k in missing:
+        alike = [header[j] for j in sorted(range(k % 2, len(header), 2), key=lambda j: abs(j - k))]
+        filled[k] = next((one for one in alike if one is not None), None)
+    return None if None in filled else [one for one in filled if one is not None]
+
+
+def _origin(slots: Sequence[Frame | None]) -> tuple[int, int]:
+    """Place of the first pixel, which all frames have in common."""
+    return next(frame.origin for frame in slots if frame is not None)
 
 
 def _before(frame: Frame, count: int) -> list[Frame]:

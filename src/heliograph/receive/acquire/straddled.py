@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.candidate import UPRIGHT, cell_weights, fit_near
 from heliograph.receive.acquire.coarse import BLOCK_PX, SearchParameters, busy_blocks, coarse_candidates
-from heliograph.receive.acquire.detector import Detection, distinct, follows, plausible
+from heliograph.receive.acquire.detector import Detection, alike, distinct, plausible
 from heliograph.receive.image.fit import Fit, header_amplitude
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import common
@@ -75,7 +75,7 @@ class StraddledDetector:
         taken
             Poses of arrays already followed.
         """
-        if self._frames and not follows(self._frames[-1], frame):
+        if self._frames and not (alike(self._frames[-1], frame) and frame.index == self._frames[-1].index + 1):
             self._frames.clear()
         self._frames.append(frame)
         if len(self._frames) <= self._header:

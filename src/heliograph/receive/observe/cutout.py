@@ -19,7 +19,7 @@ RING_PX = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Cutout:
-    """A pair of frames about the array, or a single frame.
+    """A pair of frames about the array, a single frame of data without inverses, or what is left of a pair.
 
     Attributes
     ----------
@@ -39,6 +39,8 @@ class Cutout:
     covered
         1 for columns (columns,) and rows (rows,) that all frames have, 0 for those that repeat a frame's border; None
         if the frames have all.
+    noise
+        Variance of a pixel of the difference, in units of that of a difference of two frames; above 0.
     """
 
     total: Floats
@@ -48,6 +50,7 @@ class Cutout:
     mean_light_pose: Pose | None = None
     combination: Combination | None = None
     covered: tuple[Floats, Floats] | None = None
+    noise: float = 1.0
 
     @property
     def middle(self) -> Pose:

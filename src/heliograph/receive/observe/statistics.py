@@ -247,6 +247,8 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
     weights = _weight_roots(middle, noise, shape)
     if cutout.covered is not None:
         weights = weights[0] * cutout.covered[0], weights[1] * cutout.covered[1]
+    if cutout.noise != 1:
+        weights = weights[0] / cutout.noise**0.5, weights[1]
     root = weights[1][:, None] * weights[0]
     between = _weighted(middle, weights).scaled(led_gains)
     frames: tuple[Footprints, ...] = (between,)

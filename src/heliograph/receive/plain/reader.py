@@ -2,15 +2,18 @@
 
 import numpy as np
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.acquire.header import header_score, header_weights
 from heliograph.receive.array import ReadHeader
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
 from heliograph.receive.packets import Codeword, Packet
-from heliograph.receive.plain.extract import pair_luminances
+from heliograph.receive.plain.extract import luminances, pair_luminances
 from heliograph.receive.settings import Equaliser
-from heliograph.receive.timing.frame_pair import FramePair, MeasuredHeader
+from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
+from heliograph.receive.track.kalman import PoseState
+from heliograph.receive.track.lone_frames import around, state_between
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 from heliograph.signal.formats import AGREED, Format, check_mode
 from heliograph.signal.packet import PacketFormat
@@ -51,6 +54,10 @@ class PlainReader:
         self._seen = np.zeros(pairs, dtype=bool)
         self._format_reader = FormatReader(identity, side)
         self._gain = 0.0
+        self._lone: dict[int, LoneFrame] = {}
+        self._states: dict[int, PoseState] = {}
+        self._sums: dict[int, Floats] = {}
+        self._sum_gain = 0.0
 
     @property
     def format(self) -> Format:
@@ -81,12 +88,32 @@ class PlainReader:
         poses = state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)
         x = pair_luminances(frames, poses, tracked.track.gain, self._form.settings.side, self._equaliser)
         self._luminances[place], self._seen[place] = x, True
+        self._states[place], self._sum_gain = state, tracked.track.gain
+        self._sums[place] = sum(luminances(frame, pose, len(x)) for frame, pose in zip(frames, poses, strict=True))
         self._observe(ExtractEvent(self._identity, frames, poses, x))
+
+    def take_lone(self, place: int, lone: LoneFrame) -> None:
+        """Keep the frame that is left of a pair; see `PacketReader`."""
+        self._lone[place] = lone
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Codewords by layer."""
+        for place, lone in self._lone.items():
+            self._read_lone(place, lone)
         check_mode(self._format_reader.number(self._gain))
         return decode_packet(self._luminances, self._seen, self._form, self._identity, self._options)
+
+    def _read_lone(self, place: int, lone: LoneFrame) -> None:
+        """Read the luminances of a pair by one of its frames, the sum being that of the pairs around."""
+        chosen = around(place, self._sums)
+        if not chosen:
+            return
+        pose = state_between(lone.frame.time_s, self._states, place).pose
+        total = np.mean([self._sums[k] for k in chosen], axis=0)
+        # 2 r - (r + r') = r - r'
+        shown = 2 * luminances(lone.frame, pose, len(total)) - total
+        self._luminances[place] = 2 * (-shown if lone.inverted else shown) / max(self._sum_gain, 1e-6)
+        self._seen[place] = True
 
     def shown(self, packet: Packet) -> DecodeEvent:
         """The packet with its luminances; see `PacketReader`."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
@@ -29,6 +30,10 @@ MISSING = 0.75
 
 STEP_TOLERANCE = 0.02
 """Largest departure of the camera's rate from the light's, as a fraction, for frames to count as in step."""
+
+
+SINGLE_STEP = 1.5
+"""Gaps below this many times the lower quartile of all gaps are of one frame period: halfway to two."""
 
 
 class FrameClock(Protocol):
@@ -58,6 +63,8 @@ class FrameClock(Protocol):
 class SteppedClock:
     """Clock of a camera that takes one frame per pattern; it passes frames on as they are and checks their rate.
 
+    A frame with the very pixels of the one before is a copy and is left out.
+
     Parameters
     ----------
     pattern_period_s
@@ -83,6 +90,8 @@ class SteppedClock:
             The frame comes before the last one, or the camera's rate is not the light's.
         """
         if self._last is not None:
+            if _copied(self._last, frame):
+                return
             _check_order(self._last, frame, by_index=True)
             self._gaps.append((frame.time_s - self._last.time_s) / (frame.index - self._last.index))
             if len(self._gaps) == FIRST_FRAMES:
@@ -106,7 +115,7 @@ class SteppedClock:
         gaps, self._gaps = np.array(self._gaps), []
         if not gaps.size:
             return
-        steps = np.maximum(np.round(gaps / np.median(gaps)), 1)
+        steps = np.maximum(np.round(gaps / frame_period(gaps)), 1)
         period_s = float(gaps.sum() / steps.sum())
         if abs(period_s - self.period_s) > STEP_TOLERANCE * self.period_s:
             raise HeliographError(
@@ -165,8 +174,8 @@ class CameraClock:
             return
         times = np.array([f.time_s for f in held])
         gaps = np.diff(times)
-        # frames may be missing though their numbers run on: count periods by the median gap
-        number = np.append(0.0, np.cumsum(np.maximum(np.round(gaps / np.median(gaps)), 1)))
+        # frames may be missing though their numbers run on
+        number = np.append(0.0, np.cumsum(np.maximum(np.round(gaps / frame_period(gaps)), 1)))
         centred = number - number.mean()
         # least squares of time = time_0 + number * period
         self.period_s = float(centred @ times / (centred @ centred))
@@ -188,6 +197,22 @@ class CameraClock:
         self.period_s += float(gain[1]) * error
         self._covariance = covariance - np.outer(gain, covariance[0])
         return replace(frame, time_s=self._time_s)
+
+
+def frame_period(gaps: NDArray[np.float64]) -> float:
+    """Frame period by the times between frames, of which up to three quarters may hold missing ones.
+
+    Parameters
+    ----------
+    gaps
+        (k,) times between successive frames in seconds, above 0; one at least.
+
+    Returns
+    -------
+    The median of those that are of one period, in seconds.
+    """
+    shortest = float(np.quantile(gaps, 0.25, method="lower"))
+    return float(np.median(gaps[gaps < SINGLE_STEP * shortest]))
 
 
 def _check_order(last: Frame, frame: Frame, by_index: bool) -> None:

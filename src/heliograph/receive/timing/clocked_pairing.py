@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import window_around
+from heliograph.receive.timing.camera_clock import frame_period
 from heliograph.receive.timing.combination import EXACT, Combination, SlotLight, combine_header, combine_pair
 from heliograph.receive.timing.frame_pair import (
     CombinedFrame,
     FramePair,
     HeaderFrames,
+    LoneFrame,
     MeasuredHeader,
     PoseAt,
     is_data,
@@ -150,10 +152,13 @@ class ClockedPairing:
         pair_seen = self._combined(clock, pattern, combination, inside, window)
         return MeasuredHeader(clock.gain, pair_seen, self._header_frames(clock, pattern, inside, window, middle))
 
-    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | None:
+    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | LoneFrame | None:
         """Give the frames of a pair, combined where they are not in step; see `Pairing`."""
         clock, place = self._started, 2 * number
         in_packet, data = number % (self._signal.packet_patterns // 2), is_data(number, self._signal)
+        lone = self._lone(clock, place) if data and not single else None
+        if lone is not None:
+            return lone
         near = self._frames_of(clock, place - PATTERNS_BEFORE, place + 2 + PATTERNS_AFTER)
         combination = self._combination(clock, near, place)
         stepped = _in_step(clock, combination)
@@ -171,6 +176,18 @@ class ClockedPairing:
         window = self._window(frames, pose_at(clock.time_s(place + 1)))
         return self._combined(clock, first, combination, frames, window) if window else None
 
+    def _lone(self, clock: LightClock, place: int) -> LoneFrame | None:
+        """The only frame of the pair that begins with a pattern, if it is in step; else None."""
+        inside = self._frames_of(clock, place - 0.5, place + 1.5)
+        if len(inside) != 1:
+            return None
+        start = round(float(clock.pattern_at(inside[0].time_s)) - place, TICKS)
+        inverted = start > 0.5
+        # in step it would be with its other half in its place
+        two = (start - 1, start) if inverted else (start, start + 1)
+        combination = _pair_combination(two, clock.exposure, self._light)
+        return LoneFrame(inside[0], inverted, self._late_s) if _in_step(clock, combination) else None
+
     @property
     def _started(self) -> LightClock:
         assert self._clock is not None  # no pair is due before
@@ -179,8 +196,7 @@ class ClockedPairing:
     def _begin(self) -> LightClock:
         """The clock by the header of the detection."""
         frames, light_s, start_s = list(self._frames), self._signal.pattern_period_s, self._start_s
-        # the median passes over frames that were dropped
-        period = float(np.median(np.diff([f.time_s for f in frames])))
+        period = frame_period(np.diff([f.time_s for f in frames]))
         clock = LightClock(start_s, period, self._signal, self._identity, self._exposure_s)
         end = start_s + (self._header + PATTERNS_AROUND) * light_s
         near = [f for f in frames if start_s - PATTERNS_AROUND * light_s <= f.time_s <= end]

@@ -77,6 +77,25 @@ class FramePair:
 
 
 @dataclass(frozen=True, slots=True)
+class LoneFrame:
+    """The frame that is left of a pair of data in step whose other frame is lost.
+
+    Attributes
+    ----------
+    frame
+        The camera's frame.
+    inverted
+        Whether it shows the inverse.
+    late_s
+        Seconds by which the mean light of the array comes after the middle of the exposure.
+    """
+
+    frame: Frame
+    inverted: bool
+    late_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class HeaderFrames:
     """Frames of a header by a camera out of step.
 
@@ -175,7 +194,7 @@ class Pairing(Protocol):
         What a camera out of step saw of it; else None.
         """
 
-    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | None:
+    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | LoneFrame | None:
         """Frames of a pair.
 
         Parameters
@@ -189,7 +208,7 @@ class Pairing(Protocol):
 
         Returns
         -------
-        The frames, or None where there are none.
+        The frames; of data in step the one that is there, where the other is lost; or None where there are none.
         """
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.timing.frame_pair import FramePair, PoseAt, is_data, sum_late_s
+from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, PoseAt, is_data, sum_late_s
 from heliograph.signal.settings import SignalSettings
 
 
@@ -68,9 +68,11 @@ class SteppedPairing:
     ) -> None:
         """Return nothing, as there is no clock to correct; see `Pairing`."""
 
-    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | None:  # noqa: ARG002 - the protocol's
-        """Give the two frames of a pair; see `Pairing`."""
-        two = self._frames.get(2 * number), self._frames.get(2 * number + 1)
-        if two[0] is None or two[1] is None:
-            return None
-        return FramePair(two[0], two[1], self._late_s if is_data(number, self._signal) else 0.0)
+    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | LoneFrame | None:  # noqa: ARG002 - the protocol's
+        """Give the two frames of a pair, or the one that is there; see `Pairing`."""
+        first, second = self._frames.get(2 * number), self._frames.get(2 * number + 1)
+        data = is_data(number, self._signal)
+        if first is not None and second is not None:
+            return FramePair(first, second, self._late_s if data else 0.0)
+        left = second if first is None else first
+        return LoneFrame(left, first is None, self._late_s) if left is not None and data and not single else None
