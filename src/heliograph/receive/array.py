@@ -17,6 +17,7 @@ from heliograph.receive.packets import Codeword, Packet, Status
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader, Pairing
 from heliograph.receive.timing.light_clock import PATTERNS_AROUND
+from heliograph.receive.timing.slips import SlipWatch
 from heliograph.receive.track.lone_frames import REACH
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 from heliograph.signal.formats import Format, ReservedModeError
@@ -184,6 +185,8 @@ class ArrayReceiver:
         self._track = tracker.start(detection)
         self._gathered = self._empty()
         self._number = 0
+        self._slips = SlipWatch(detection.identity, signal)
+        self._start_lost = 0
         self._poses: dict[int, Pose] = {}
         self._proven = self._failed = False
 
@@ -221,7 +224,8 @@ class ArrayReceiver:
         detection
             A header that was found where this array is followed.
         """
-        packets = (detection.start_time_s - self._pairing.origin_s) / self._signal.packet_s
+        start_s = detection.start_time_s + self._slips.lost * self._signal.pattern_period_s
+        packets = (start_s - self._pairing.origin_s) / self._signal.packet_s
         off_s = abs(packets - round(packets)) * self._signal.packet_s
         return detection.identity == self.identity and off_s < 0.5 * self._signal.pattern_period_s
 
@@ -233,13 +237,20 @@ class ArrayReceiver:
         frame
             The frame, with the time that the clock gives it.
         """
-        yield from self._take_all(self._pairing.push(frame))
+        paired = self._reader.format.mode != "single"
+        for one in self._slips.push(frame, self._pairing.origin_s, self._pose_at, paired):
+            yield from self._take_all(self._pairing.push(one))
 
     def flush(self) -> Iterator[Packet]:
         """Yield the packet in progress if at least half of its data was seen."""
+        for one in self._slips.flush():
+            yield from self._take_all(self._pairing.push(one))
         yield from self._take_all(self._pairing.flush())
         if self._gathered.seen.mean() >= ENOUGH_SEEN:
             yield self._finish()
+
+    def _pose_at(self, time_s: float) -> Pose:
+        return self._track.state.pose_at(time_s)
 
     @property
     def _pairs(self) -> int:
@@ -259,6 +270,8 @@ class ArrayReceiver:
         self._number, in_packet = number, number % self._pairs
         place = in_packet - self._signal.header_pairs
         first_gain = self._pairing.first_gain
+        if in_packet == 0:
+            self._start_lost = self._slips.lost
         if number == 0 and first_gain is not None:
             self._track = replace(self._track, gain=first_gain, data_gain=first_gain)
         if place == 0:
@@ -342,7 +355,8 @@ class ArrayReceiver:
     def _packet(self, gathered: _Gathered, layers: dict[str, tuple[Codeword, ...]], form: Format) -> Packet:
         header, seen = float(np.mean(gathered.header or [0.0])), float(gathered.seen.mean())
         pose, calibration = gathered.poses[len(gathered.poses) // 2], self._calibration
-        patterns = 2 * (self._number - self._number % self._pairs)
+        # by the camera's clock
+        patterns = 2 * (self._number - self._number % self._pairs) - self._start_lost
         return Packet(
             identity=self.identity,
             status=_status(layers, header, seen),

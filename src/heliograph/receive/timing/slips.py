@@ -1,0 +1,207 @@
+"""Frames lost without a gap in their times, found by what they show.
+
+A camera that numbers the frames it delivers says nothing of those it lost. From then on pattern and inverse change
+places. A slip shows itself: of frames u_i about their mean, at the LEDs' places,
+
+    e_ij = |u_i + u_j|^2 / (|u_i|^2 + |u_j|^2)
+
+is near 0 for a pattern and its inverse, and near 1 for patterns of different pairs. Where a pair is uneven, the frames
+after it are awaited, and paired at the least cost: e for each pair, `SLIP` for each frame taken as the one left of a
+pair. Two lost frames in a row leave sums even; the next header tells of them, as it comes two patterns early.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from heliograph.base.arrays import Floats
+from heliograph.base.frames import Frame
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.window import RIM_PX, cut_out, window_around
+from heliograph.receive.timing.frame_pair import PoseAt
+from heliograph.signal.header import header_levels
+from heliograph.signal.settings import SignalSettings
+
+EVEN = 0.4
+"""Largest e of a pair that is not looked into: 4 standard deviations below that of 60 independent values."""
+
+SLIP = 0.45
+"""Cost of a slip: of 60 independent values four pairs' e add up to 0.26 less by chance in one case of six."""
+
+AWAITED = 9
+"""Frames in hand when a slip is decided on: four pairs with it, and four without."""
+
+HEADER = 0.7
+"""Least correlation of each frame of a header with its image, for the numbers to follow it."""
+
+EARLIEST = 4
+"""Most patterns by which a header may come early: two slips of two."""
+
+FRESH = 0.1
+"""Weight of a pair in the mean of frames: ten pairs count, as in the tracker's gain."""
+
+OFF = 0.3
+"""T_b by which a frame may be out of step for its pairs to be even: e is then 0.08 or less."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """A frame whose number is not decided: its own number by its time, and what it shows at the LEDs' places."""
+
+    frame: Frame
+    number: int
+    shown: Floats
+
+
+class SlipWatch:
+    """Gives frames of one array the times they would have, had every lost frame left a gap.
+
+    Parameters
+    ----------
+    identity
+        Number of the array, 0 to 29.
+    signal
+        The light's signal: side of the array, pattern period, patterns of a packet and its header.
+
+    Attributes
+    ----------
+    lost
+        Frames lost so far without a gap, less those that came twice.
+    """
+
+    def __init__(self, identity: int, signal: SignalSettings):
+        self.lost = 0
+        self._signal = signal
+        self._signs = (header_levels(identity, signal.side) / 2.0 - 1.0).ravel()
+        self._held: list[_Held] = []
+        self._mean: Floats | None = None
+        self._headers: dict[int, float] = {}
+        self._last_s: float | None = None
+
+    def push(self, frame: Frame, origin_s: float, pose_at: PoseAt, paired: bool) -> Iterator[Frame]:
+        """Take the next frame; yield those whose times are known by now.
+
+        Parameters
+        ----------
+        frame
+            Next frame of the camera.
+        origin_s
+            Start in seconds of pair 0, T_b taken as constant since, in the times that this gives.
+        pose_at
+            The array's pose at any time in seconds, likewise.
+        paired
+            Whether patterns have inverses.
+        """
+        period_s, last_s = self._signal.pattern_period_s, self._last_s
+        self._last_s = frame.time_s
+        place = (frame.time_s + self.lost * period_s - origin_s) / period_s
+        number = round(place) - self.lost
+        stepped = last_s is not None and frame.time_s - last_s > (1 - OFF) * period_s
+        if not (paired and stepped and place > -0.5 and abs(place - round(place)) < OFF):
+            yield from self.flush()
+            yield self._timed(frame)
+            return
+        shown = self._shown(frame, pose_at(frame.time_s + self.lost * period_s))
+        self._held.append(_Held(frame, number, shown))
+        while self._held and self._ready():
+            yield from self._release()
+
+    def flush(self) -> Iterator[Frame]:
+        """Yield the frames held back, as there will be no more."""
+        while self._held:
+            yield from self._release()
+
+    def _timed(self, frame: Frame) -> Frame:
+        """The frame at the time of what it shows."""
+        if not self.lost:
+            return frame
+        return replace(frame, time_s=frame.time_s + self.lost * self._signal.pattern_period_s)
+
+    def _shown(self, frame: Frame, pose: Pose) -> Floats:
+        """Gray levels at the LEDs' places, (n n,)."""
+        window = window_around(pose, self._signal.side, RIM_PX)
+        x, y = np.ascontiguousarray((pose.leds(self._signal.side).reshape(-1, 2) - window[:2]).T, np.float32)
+        return np.asarray(cv2.remap(np.float32(cut_out(frame, window)), x, y, cv2.INTER_LINEAR).ravel(), np.float64)
+
+    def _ready(self) -> bool:
+        """Whether enough frames are in hand to release the first."""
+        first = self._held[0]
+        if (first.number + self.lost) % 2 or len(self._held) >= AWAITED:
+            return True
+        return len(self._held) > 1 and (self._gap(0) > 1 or self._uneven(0, 1) < EVEN)
+
+    def _release(self) -> Iterator[Frame]:
+        """Release the first frame, or the first pair; or drop the first where its other half is lost without a gap."""
+        first = self._held[0]
+        if (first.number + self.lost) % 2 or len(self._held) == 1:
+            yield self._pop()
+        elif self._gap(0) > 1:
+            yield self._pop()
+            if self._gap_is_copy(first):
+                self.lost -= 1
+        elif self._uneven(0, 1) < EVEN or self._cost(0, self.lost, True) <= self._cost(0, self.lost, False):
+            mean = 0.5 * (first.shown + self._held[1].shown)
+            self._mean = mean if self._mean is None else self._mean + FRESH * (mean - self._mean)
+            yield self._pop()
+            yield self._pop()
+        else:
+            # it may be the pattern or the inverse
+            self._held.pop(0)
+            self.lost += 1
+
+    def _pop(self) -> Frame:
+        """The first frame, its number decided on."""
+        first = self._held.pop(0)
+        out, number = self._timed(first.frame), first.number + self.lost
+        if self._mean is not None:
+            about = first.shown - self._mean
+            self._headers[number] = float(about @ self._signs) / max(
+                float(np.linalg.norm(about) * np.linalg.norm(self._signs)), 1e-9
+            )
+            self._follow_header(number)
+        return out
+
+    def _follow_header(self, number: int) -> None:
+        """Take the frames after a header that ended early for what follows it."""
+        patterns, length = self._signal.packet_patterns, 2 * self._signal.header_pairs
+        early = (length - 1 - number) % patterns
+        last = [self._headers.get(number - k, 0.0) for k in range(length)]
+        if 0 < early <= EARLIEST and early % 2 == 0 and all((-1) ** (k + 1) * h > HEADER for k, h in enumerate(last)):
+            self.lost += early
+        self._headers = {k: h for k, h in self._headers.items() if k > number - length}
+
+    def _gap(self, place: int) -> int:
+        """Frame periods from a frame in hand to the next."""
+        return self._held[place + 1].number - self._held[place].number
+
+    def _gap_is_copy(self, first: _Held) -> bool:
+        """Whether the frame that seems missing after the first was a copy, which the clock left out."""
+        second = self._held[0]
+        return second.number == first.number + 2 and _unevenness(first.shown, second.shown, self._mean) < EVEN
+
+    def _uneven(self, i: int, j: int) -> float:
+        """e of two frames in hand, at most 1."""
+        return _unevenness(self._held[i].shown, self._held[j].shown, self._mean)
+
+    def _cost(self, place: int, lost: int, paired: bool | None = None) -> float:
+        """Least cost of the frames in hand from one on; of two ways for the first, paired or left alone, if given."""
+        if place >= len(self._held) - 1:
+            return 0.0
+        if (self._held[place].number + lost) % 2 or self._gap(place) > 1:
+            return self._cost(place + 1, lost)
+        costs = []
+        if paired is not False:
+            costs.append(self._uneven(place, place + 1) + self._cost(place + 2, lost))
+        if not paired:
+            costs.append(SLIP + self._cost(place + 1, lost + 1))
+        return min(costs)
+
+
+def _unevenness(one: Floats, other: Floats, mean: Floats | None) -> float:
+    """e of two frames about a mean, at most 1; of the first frames about their own."""
+    if mean is None:
+        return 0.0
+    u, v = one - mean, other - mean
+    return min(float(((u + v) ** 2).sum() / max(float((u**2).sum() + (v**2).sum()), 1e-9)), 1.0)
