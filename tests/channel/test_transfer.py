@@ -35,6 +35,12 @@ def test_dropped_frames_leave_gaps() -> None:
     assert all(f.pixels[0, 0] == f.index % 251 and f.time_s == f.index / 1000 for f in out)
 
 
+def test_a_camera_that_numbers_what_it_delivers_leaves_no_gap() -> None:
+    marked, counted = deliver(CameraSettings(dropped=0.1), 500), deliver(CameraSettings(dropped=0.1, gaps=False), 500)
+    assert all(np.array_equal(a.pixels, b.pixels) for a, b in zip(marked, counted, strict=True))
+    assert [(f.index, round(f.time_s * 1000)) for f in counted] == [(k, k) for k in range(len(counted))]
+
+
 def test_a_repeated_frame_is_the_one_delivered_before() -> None:
     out = deliver(CameraSettings(repeated=0.1, dropped=0.05), 5000)
     copies = [(a, b) for a, b in pairwise(out) if np.array_equal(a.pixels, b.pixels)]

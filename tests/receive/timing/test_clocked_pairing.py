@@ -14,7 +14,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.image.fit import header_amplitude
 from heliograph.receive.timing.clocked_pairing import ClockedPairing
-from heliograph.receive.timing.frame_pair import CombinedFrame, FramePair
+from heliograph.receive.timing.frame_pair import CombinedFrame, FramePair, LoneFrame
 from heliograph.signal.header import header_levels
 
 SETTINGS = link("signal.data_pairs=5")
@@ -39,7 +39,9 @@ def pairing_of(start_s: float, exposure_s: float | None = None) -> ClockedPairin
     return ClockedPairing(start_s + 2.5e-4, start_s + 2e-3, POSE, 0, np.ones((16, 16)), SIGNAL, exposure_s)
 
 
-def paired(pairing: ClockedPairing, frames: list[Frame], single: bool = False) -> list[tuple[int, FramePair | None]]:
+def paired(
+    pairing: ClockedPairing, frames: list[Frame], single: bool = False
+) -> list[tuple[int, FramePair | LoneFrame | None]]:
     """Numbers of pairs with their frames, as a receiver asks for them."""
     pushed = (number for frame in frames for number in pairing.push(frame))
     got = [(number, pairing.pair(number, lambda _: POSE, single)) for number in pushed]
@@ -58,16 +60,21 @@ def test_each_pair_comes_once_in_order_with_frames_of_its_time(rate: tuple[float
     if pairing.lost:
         assert not got
         return
+    # without a frame of the first header the clock is not sure of the phase, and takes frames to be in step
+    near = 3.5e-4 if dropped & set(range(20)) else 1.5e-4
     for number, pair in got:
+        first = start_s + 2 * number * 1e-3
+        if isinstance(pair, LoneFrame):
+            assert pair.frame.time_s == pytest.approx(first + 1e-3 * pair.inverted, abs=near)
+            continue
         if pair is None:
             continue
-        first = start_s + 2 * number * 1e-3
         assert pair.pattern.index <= pair.inverted.index
         if pair.combination is None:
             # two camera frames, the second of them a pattern later
             assert not {pair.pattern.index, pair.inverted.index} & dropped
-            assert pair.pattern.time_s == pytest.approx(first, abs=1.5e-4)
-            assert pair.inverted.time_s == pytest.approx(first + 1e-3, abs=1.5e-4)
+            assert pair.pattern.time_s == pytest.approx(first, abs=near)
+            assert pair.inverted.time_s == pytest.approx(first + 1e-3, abs=near)
         else:
             assert first - 1e-3 < pair.time_s < first + 2e-3
 
@@ -81,13 +88,13 @@ def test_whole_films_give_every_pair(fps: float, start_s: float) -> None:
     pairs = [pair for _, pair in got]
     assert all(pair is not None for pair in pairs)
     in_step = (fps, start_s) == RATES[0]
-    assert {isinstance(pair.pattern, CombinedFrame) for pair in pairs if pair} == {not in_step}
+    assert {isinstance(pair.pattern, CombinedFrame) for pair in pairs if isinstance(pair, FramePair)} == {not in_step}
     # out of step the detection saw the header too weak
     assert (pairing.first_gain is None) == in_step
     assert pairing.first_gain is None or pairing.first_gain == pytest.approx(0.8 * 255, rel=0.1)
     signs = header_levels(0) / 2.0 - 1.0
     for number, pair in got:
-        assert pair is not None
+        assert isinstance(pair, FramePair)
         if number % 7 < 2:
             up, down = (header_amplitude(frame, POSE, signs) for frame in (pair.pattern, pair.inverted))
             # the difference is the header's, as in step: half of the light of +-1 in either direction
@@ -136,7 +143,7 @@ def test_data_without_inverses_are_read_frame_by_frame(single: bool) -> None:
     got = paired(pairing_of(2.0e-3, 0.7e-3), frames, single)
     assert len(got) == 23
     for number, pair in got:
-        assert pair is not None
+        assert isinstance(pair, FramePair)
         assert isinstance(pair.pattern, Frame) == (single and number % 7 >= 2)
 
 

@@ -30,7 +30,7 @@ from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.receiver import StreamReceiver
-from heliograph.receive.timing.frame_pair import FramePair, MeasuredHeader
+from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 from heliograph.signal.block import Block
@@ -128,6 +128,9 @@ class KnownReader:
         self._gain = true_gain(first, self._link)
 
     @one_thread()
+    def take_lone(self, place: int, lone: LoneFrame) -> None:
+        """Leave a pair out of which one frame is lost; see `PacketReader`."""
+
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Codewords by layer."""
         noise, side, receive = true_noise(self._gain, self._link), self._link.signal.side, self._link.receive

@@ -89,7 +89,8 @@ class PlainReader:
         x = pair_luminances(frames, poses, tracked.track.gain, self._form.settings.side, self._equaliser)
         self._luminances[place], self._seen[place] = x, True
         self._states[place], self._sum_gain = state, tracked.track.gain
-        self._sums[place] = sum(luminances(frame, pose, len(x)) for frame, pose in zip(frames, poses, strict=True))
+        shown = [luminances(frame, pose, len(x)) for frame, pose in zip(frames, poses, strict=True)]
+        self._sums[place] = shown[0] + shown[1]
         self._observe(ExtractEvent(self._identity, frames, poses, x))
 
     def take_lone(self, place: int, lone: LoneFrame) -> None:

@@ -20,24 +20,27 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import RIM_PX, cut_out, window_around
-from heliograph.receive.timing.frame_pair import PoseAt
+from heliograph.receive.timing.frame_pair import PoseAt, is_data
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
 EVEN = 0.4
-"""Largest e of a pair that is not looked into: 4 standard deviations below that of 60 independent values."""
+"""Largest e of an even pair: 4 standard deviations below that of 60 independent values of two patterns.
+
+Half of it is asked for where a copy is to explain a gap that the times have.
+"""
 
 SLIP = 0.45
-"""Cost of a slip: of 60 independent values four pairs' e add up to 0.26 less by chance in one case of six."""
+"""Cost of a slip: less than half of e of one uneven pair, for two frames lost from two pairs leave only that."""
+
+ENOUGH = 2
+"""Least number of even pairs after a slip: one may be even by chance, where the array is hidden."""
 
 AWAITED = 9
 """Frames in hand when a slip is decided on: four pairs with it, and four without."""
 
 HEADER = 0.7
 """Least correlation of each frame of a header with its image, for the numbers to follow it."""
-
-EARLIEST = 4
-"""Most patterns by which a header may come early: two slips of two."""
 
 FRESH = 0.1
 """Weight of a pair in the mean of frames: ten pairs count, as in the tracker's gain."""
@@ -53,6 +56,14 @@ class _Held:
     frame: Frame
     number: int
     shown: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class _Pairs:
+    """Frames in hand paired: the cost of it, and e of each pair."""
+
+    cost: float
+    uneven: tuple[float, ...]
 
 
 class SlipWatch:
@@ -79,6 +90,8 @@ class SlipWatch:
         self._mean: Floats | None = None
         self._headers: dict[int, float] = {}
         self._last_s: float | None = None
+        self._number = 0
+        self._even_before = True
 
     def push(self, frame: Frame, origin_s: float, pose_at: PoseAt, paired: bool) -> Iterator[Frame]:
         """Take the next frame; yield those whose times are known by now.
@@ -98,7 +111,7 @@ class SlipWatch:
         self._last_s = frame.time_s
         place = (frame.time_s + self.lost * period_s - origin_s) / period_s
         number = round(place) - self.lost
-        stepped = last_s is not None and frame.time_s - last_s > (1 - OFF) * period_s
+        stepped = last_s is None or frame.time_s - last_s > (1 - OFF) * period_s
         if not (paired and stepped and place > -0.5 and abs(place - round(place)) < OFF):
             yield from self.flush()
             yield self._timed(frame)
@@ -123,37 +136,47 @@ class SlipWatch:
         """Gray levels at the LEDs' places, (n n,)."""
         window = window_around(pose, self._signal.side, RIM_PX)
         x, y = np.ascontiguousarray((pose.leds(self._signal.side).reshape(-1, 2) - window[:2]).T, np.float32)
-        return np.asarray(cv2.remap(np.float32(cut_out(frame, window)), x, y, cv2.INTER_LINEAR).ravel(), np.float64)
+        return np.asarray(
+            cv2.remap(cut_out(frame, window).astype(np.float32), x, y, cv2.INTER_LINEAR).ravel(), np.float64
+        )
 
     def _ready(self) -> bool:
         """Whether enough frames are in hand to release the first."""
         first = self._held[0]
         if (first.number + self.lost) % 2 or len(self._held) >= AWAITED:
-            return True
+            return len(self._held) > 1 or not self._left_alone(first)
         return len(self._held) > 1 and (self._gap(0) > 1 or self._uneven(0, 1) < EVEN)
 
     def _release(self) -> Iterator[Frame]:
         """Release the first frame, or the first pair; or drop the first where its other half is lost without a gap."""
         first = self._held[0]
-        if (first.number + self.lost) % 2 or len(self._held) == 1:
+        if len(self._held) == 1:
             yield self._pop()
-        elif self._gap(0) > 1:
-            yield self._pop()
-            if self._gap_is_copy(first):
+        elif (first.number + self.lost) % 2:
+            if self._left_alone(first) and self._gap(0) == 1 and self._uneven(0, 1) < EVEN / 2:
+                # the frame that seems missing before it was a copy, which the clock left out
                 self.lost -= 1
-        elif self._uneven(0, 1) < EVEN or self._cost(0, self.lost, True) <= self._cost(0, self.lost, False):
+            else:
+                yield self._pop()
+        elif self._gap(0) > 1:
+            copied = self._gap(0) == 2 and self._uneven(0, 1) < EVEN / 2
+            yield self._pop()
+            self.lost -= copied
+        elif self._uneven(0, 1) < EVEN or not self._slipped():
+            self._even_before = self._uneven(0, 1) < EVEN
             mean = 0.5 * (first.shown + self._held[1].shown)
             self._mean = mean if self._mean is None else self._mean + FRESH * (mean - self._mean)
             yield self._pop()
             yield self._pop()
         else:
             # it may be the pattern or the inverse
-            self._held.pop(0)
+            self._number = self._held.pop(0).number
             self.lost += 1
 
     def _pop(self) -> Frame:
         """The first frame, its number decided on."""
         first = self._held.pop(0)
+        self._number = first.number
         out, number = self._timed(first.frame), first.number + self.lost
         if self._mean is not None:
             about = first.shown - self._mean
@@ -168,7 +191,7 @@ class SlipWatch:
         patterns, length = self._signal.packet_patterns, 2 * self._signal.header_pairs
         early = (length - 1 - number) % patterns
         last = [self._headers.get(number - k, 0.0) for k in range(length)]
-        if 0 < early <= EARLIEST and early % 2 == 0 and all((-1) ** (k + 1) * h > HEADER for k, h in enumerate(last)):
+        if 0 < early <= length and early % 2 == 0 and all((-1) ** (k + 1) * h > HEADER for k, h in enumerate(last)):
             self.lost += early
         self._headers = {k: h for k, h in self._headers.items() if k > number - length}
 
@@ -176,31 +199,45 @@ class SlipWatch:
         """Frame periods from a frame in hand to the next."""
         return self._held[place + 1].number - self._held[place].number
 
-    def _gap_is_copy(self, first: _Held) -> bool:
-        """Whether the frame that seems missing after the first was a copy, which the clock left out."""
-        second = self._held[0]
-        return second.number == first.number + 2 and _unevenness(first.shown, second.shown, self._mean) < EVEN
+    def _left_alone(self, first: _Held) -> bool:
+        """Whether the frame before an inverse of data is missing by its time."""
+        number = first.number + self.lost
+        return number % 2 == 1 and first.number > self._number + 1 and is_data(number // 2, self._signal)
 
     def _uneven(self, i: int, j: int) -> float:
-        """e of two frames in hand, at most 1."""
+        """The measure e of two frames in hand, at most 1."""
         return _unevenness(self._held[i].shown, self._held[j].shown, self._mean)
 
-    def _cost(self, place: int, lost: int, paired: bool | None = None) -> float:
-        """Least cost of the frames in hand from one on; of two ways for the first, paired or left alone, if given."""
+    def _slipped(self) -> bool:
+        """Whether the first frame's other half is lost: without it the frames after it make even pairs.
+
+        Where the pair before was uneven as well, poses may be wrong, or the array hidden. A header is then even at any
+        place, so all pairs that follow must change for the better.
+        """
+        slipped, regular = self._paired(1, self.lost + 1), self._paired(2, self.lost)
+        even = len(slipped.uneven) >= ENOUGH and float(np.mean(slipped.uneven)) < EVEN
+        if not self._even_before:
+            ahead = range(0, len(self._held) - 2, 2)
+            even &= all(self._uneven(k + 1, k + 2) < EVEN < self._uneven(k, k + 1) for k in ahead)
+        return even and SLIP + slipped.cost < self._uneven(0, 1) + regular.cost
+
+    def _paired(self, place: int, lost: int) -> _Pairs:
+        """The frames in hand from one on, paired at the least cost."""
         if place >= len(self._held) - 1:
-            return 0.0
+            return _Pairs(0.0, ())
         if (self._held[place].number + lost) % 2 or self._gap(place) > 1:
-            return self._cost(place + 1, lost)
-        costs = []
-        if paired is not False:
-            costs.append(self._uneven(place, place + 1) + self._cost(place + 2, lost))
-        if not paired:
-            costs.append(SLIP + self._cost(place + 1, lost + 1))
-        return min(costs)
+            return self._paired(place + 1, lost)
+        e, rest, slipped = (
+            self._uneven(place, place + 1),
+            self._paired(place + 2, lost),
+            self._paired(place + 1, lost + 1),
+        )
+        paired, alone = _Pairs(e + rest.cost, (e, *rest.uneven)), _Pairs(SLIP + slipped.cost, slipped.uneven)
+        return min(paired, alone, key=lambda one: one.cost)
 
 
 def _unevenness(one: Floats, other: Floats, mean: Floats | None) -> float:
-    """e of two frames about a mean, at most 1; of the first frames about their own."""
+    """The measure e of two frames about a mean, at most 1; of the first frames about their own."""
     if mean is None:
         return 0.0
     u, v = one - mean, other - mean

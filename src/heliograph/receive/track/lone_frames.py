@@ -23,11 +23,11 @@ from heliograph.receive.observe.cutout import RING_PX, Cutout
 from heliograph.receive.timing.frame_pair import LoneFrame
 from heliograph.receive.track.kalman import POSE_SIZE, RATE_STATES, PoseState
 
-SUMS = 6
-"""Sums of which the background of a lost one is taken: their noise adds 1/6 to the 2 of the frame's own."""
+SUMS, REACH = 6, 6
+"""Sums of which that of a lost pair is taken, and pairs within which the nearest of them must be.
 
-REACH = 6
-"""Pairs within which a pair must have been seen on either side: 12 ms, half a period of shake at 40 Hz."""
+Their noise adds 1/6 to the 2 of the frame's own. 6 pairs are 12 ms, half a period of shake at 40 Hz.
+"""
 
 UNEVEN = 0.25
 """Largest mean of the difference over the array, as a fraction of its light; more is something before the array.
@@ -87,7 +87,7 @@ def state_between(time_s: float, states: Mapping[int, PoseState], place: int) ->
     before = max((k for k in states if k < place), default=None)
     after = min((k for k in states if k > place), default=None)
     if before is None or after is None:
-        near = states[before if before is not None else after]  # type: ignore[index]
+        near = states[min(states, key=lambda k: abs(k - place))]
         return _at(near, time_s, near.pose_at(time_s).vector(), near.mean[RATE_STATES])
     one, other = states[before], states[after]
     h = other.time_s - one.time_s
@@ -167,7 +167,9 @@ def _background(
     dy = corner[1] - cutout.corner[1] + middle.y - pose.y
     along = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy]])
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(rest, along, shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float64)
+    return np.asarray(
+        cv2.warpAffine(rest, along, shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float64
+    )
 
 
 def _at(state: PoseState, time_s: float, vector: Floats, rates: Floats) -> PoseState:

@@ -1,0 +1,82 @@
+"""Lost frames, with and without a gap in their stamps, of films of which three packets are whole."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorder import Recorder
+from scenes import film, link
+
+from heliograph.base.frames import Frame
+from heliograph.receive import Packet, receive_frames
+
+
+def renumbered(frames: Sequence[Frame]) -> list[Frame]:
+    """Frames numbered and timed as a camera does that knows of none lost."""
+    return [replace(frame, index=k, time_s=k * 1e-3) for k, frame in enumerate(frames)]
+
+
+def read(receiver: str, lost: Sequence[int], distance_m: float, stamped: bool) -> list[Packet]:
+    """What is read of packets of 52 patterns without some of their frames."""
+    settings = link(f"receive.receiver={receiver}", "signal.data_pairs=24", distance_m=distance_m)
+    left = [frame for frame in film(settings, 160, 3, 12) if frame.index not in set(lost)]
+    return list(receive_frames(left if stamped else renumbered(left), settings.signal, settings.receive))
+
+
+@pytest.mark.parametrize(("receiver", "distance_m"), [("plain", 35.0), ("soft", 50.0), ("soft", 80.0)])
+@pytest.mark.slow
+def test_one_frame_of_a_pair_is_enough(receiver: str, distance_m: float) -> None:
+    """Of each packet 10 pairs lack the pattern or the inverse, and 4 are lost: whole pairs would be too few."""
+    rng, lost = np.random.default_rng(5), list[int]()
+    for packet in range(3):
+        pairs = 52 * packet + 4 + 2 * rng.permutation(24)[:14]
+        lost += [int(k) + int(rng.integers(2)) for k in pairs[:10]] + [int(k) + j for k in pairs[10:] for j in (0, 1)]
+    packets = read(receiver, lost, distance_m, stamped=True)
+    assert [packet.pairs_seen for packet in packets] == pytest.approx([20 / 24] * 3)
+    assert [packet.layers["high"][0].status for packet in packets] == ["ok"] * 3
+    if distance_m < 80:
+        assert [packet.status for packet in packets] == ["ok"] * 3
+
+
+@pytest.mark.parametrize("lost", [{2}, {3}])
+@pytest.mark.slow
+def test_a_header_without_one_of_its_frames_is_found(lost: set[int]) -> None:
+    settings, recorder = link("receive.receiver=soft", "signal.data_pairs=8"), Recorder()
+    frames = [frame for frame in film(settings, 40) if frame.index not in lost]
+    packets = list(receive_frames(frames, settings.signal, settings.receive, recorder))
+    assert recorder.found_s == pytest.approx([0], abs=1e-9)
+    assert packets[0].status == "ok"
+
+
+@pytest.mark.parametrize("receiver", ["plain", "soft"])
+@pytest.mark.parametrize(
+    "lost",
+    [
+        pytest.param([20], id="a pattern"),
+        pytest.param([21], id="an inverse"),
+        pytest.param([20, 71, 130], id="one in each packet"),
+        pytest.param([21, 22], id="two in a row"),
+        pytest.param([20, 22], id="two of three"),
+        pytest.param([53], id="in a header"),
+        pytest.param([90, 91], id="a pair, of which the next header tells"),
+    ],
+)
+@pytest.mark.slow
+def test_frames_lost_without_a_gap(receiver: str, lost: list[int]) -> None:
+    packets = read(receiver, lost, 35.0 if receiver == "plain" else 60.0, stamped=False)
+    # a pair lost as a whole leaves all sums even
+    known = [0, 2] if lost == [90, 91] else [0, 1, 2]
+    assert [packets[k].status for k in known] == ["ok"] * len(known)
+    # by the camera's clock, which knows of none lost
+    before = [sum(k < 52 * packet for k in lost) for packet in range(3)]
+    starts = [52 * packet - before[packet] for packet in range(3)]
+    assert [1e3 * packet.start_time_s for packet in packets] == pytest.approx(starts, abs=1.2 if lost == [53] else 0.2)
+
+
+@pytest.mark.slow
+def test_a_copy_between_frames_is_no_lost_frame() -> None:
+    settings = link("receive.receiver=soft", "signal.data_pairs=24")
+    frames = film(settings, 160, 3, 12)
+    packets = list(receive_frames(renumbered([*frames[:30], *frames[29:]]), settings.signal, settings.receive))
+    assert [packet.status for packet in packets] == ["ok"] * 3
