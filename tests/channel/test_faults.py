@@ -53,6 +53,17 @@ def test_dead_leds_stay_dark_and_stuck_ones_lit() -> None:
     assert not (dark & ~lit).any()
 
 
+def test_leds_differ_by_their_spread() -> None:
+    """Each has a light of its own, which stays."""
+    pitch = 35 / 12 * 20 / 10
+    at = np.round(79.5 + (np.arange(SIDE) - 7.5) * pitch).astype(int)
+    even, first, second = (shoot(4, 2, spread=spread)[k] for spread, k in ((0.0, 0), (0.2, 0), (0.2, 1)))
+    gains = [frame[np.ix_(at, at)] / even[np.ix_(at, at)] for frame in (first, second)]
+    assert gains[0].std() == pytest.approx(0.2, rel=0.15)
+    assert gains[0].mean() == pytest.approx(1, abs=0.04)
+    assert np.abs(gains[1] - gains[0]).max() < 0.05
+
+
 def test_dark_while_it_is_off() -> None:
     frames = shoot(4, 5, off_s=[(0.001, 0.0025), (0.0042, 0.0044)], stuck=0.1)
     light = np.array([frame.sum() - shoot(0)[0].sum() for frame in frames])

@@ -136,11 +136,15 @@ class KnownPoses:
         self.channels: list[GainAndNoise] = []
 
     def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "KnownPoses":
-        """Record what is known; see `decode.iterate.Observed`."""
+        """Record what is known; see `decode.observed.Observed`."""
         assert mean.shape == variance.shape
         self.known.append(int((variance[0] == 0).sum()))
         self.channels.append(GainAndNoise(gain, noise))
         return copy(self) if len(self.known) <= self._moves else self
+
+    def relit(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "KnownPoses":  # noqa: ARG002 - the protocol's
+        """All LEDs are equal; see `decode.observed.Observed`."""
+        return self
 
 
 def decoded(
@@ -157,7 +161,7 @@ def decoded(
     with one_thread():  # as in the receiver
         return decode_iteratively(
             observed, channel or GainAndNoise(GAIN, NOISE), FORM, identity, options, buffer, feedback, observe
-        )
+        ).words
 
 
 def right(words: Words, blocks: Blocks) -> list[bool]:

@@ -100,7 +100,7 @@ class Lit:
     end_s
         (k,) true end of each piece in s.
     on
-        (k, n, n) float64: 1 where an LED is lit, else 0.
+        (k, n, n) float64: light of each LED, 1 where one as bright as the others is lit, 0 where none is.
     patterns
         Numbers of the patterns shown, in the order of time.
     """
@@ -165,6 +165,8 @@ class Faults:
         (n, n) bool, LEDs that always shine, but for `off_s`.
     hidden
         (n, n) bool, LEDs that an obstacle hides.
+    gains
+        (n, n) light of each LED when lit, 1 for as bright as meant, at least 0.
     off_s
         Times (from, to) in s for which all are dark.
     """
@@ -172,20 +174,21 @@ class Faults:
     dead: NDArray[np.bool_]
     stuck: NDArray[np.bool_]
     hidden: NDArray[np.bool_]
+    gains: Floats
     off_s: tuple[tuple[float, float], ...] = ()
 
     @classmethod
     def of(cls, place: Placement, side: int, rng: np.random.Generator) -> "Faults":
-        """Return the faults of an array; the LEDs that fail are drawn at random.
+        """Return the faults of an array; the LEDs that fail, and how much all differ, are drawn at random.
 
         Parameters
         ----------
         place
-            Settings of the array: fractions dead and stuck, hidden part, times off.
+            Settings of the array: fractions dead and stuck, spread of the light, hidden part, times off.
         side
             LEDs in a row and in a column.
         rng
-            Draws which LEDs are dead and which are stuck.
+            Draws which LEDs are dead, which are stuck, and the light of each.
         """
         order = rng.permutation(side * side).reshape(side, side)
         many, more = round(place.dead * side * side), round(place.stuck * side * side)
@@ -194,17 +197,18 @@ class Faults:
             left, top, right, low = place.hidden
             v, u = np.meshgrid(*2 * [(np.arange(side) + 0.5) / side])
             hidden = (v > left) & (v < right) & (u > top) & (u < low)
-        return cls(order < many, (order >= many) & (order < many + more), hidden, place.off_s)
+        gains = np.maximum(1 + place.spread * rng.standard_normal((side, side)), 0)
+        return cls(order < many, (order >= many) & (order < many + more), hidden, gains, place.off_s)
 
-    def visible(self, on: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the LEDs whose light reaches the camera, (k, n, n).
+    def visible(self, on: NDArray[np.bool_]) -> Floats:
+        """Return the light of each LED that reaches the camera, (k, n, n), 1 for an LED as bright as meant.
 
         Parameters
         ----------
         on
             (k, n, n) bool, LEDs that the patterns light in each of k pieces of an exposure.
         """
-        return np.asarray(((on & ~self.dead) | self.stuck) & ~self.hidden)
+        return np.asarray((((on & ~self.dead) | self.stuck) & ~self.hidden) * self.gains)
 
     def cut(self, begin_s: float, end_s: float) -> Iterator[tuple[float, float]]:
         """Yield the parts of a time for which the array is not off.
@@ -284,5 +288,5 @@ class Lighting:
             return None
         begins, ends, numbers, phases, patterns = zip(*pieces, strict=True)
         rank = np.argsort(np.asarray(self.slot_order))[list(phases)]
-        on = self.faults.visible(np.stack(patterns) > rank[:, None, None]).astype(float)
+        on = self.faults.visible(np.stack(patterns) > rank[:, None, None])
         return Lit(np.array(begins), np.array(ends), on, tuple(dict.fromkeys(numbers)))

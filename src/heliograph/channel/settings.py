@@ -66,6 +66,9 @@ class Placement:
         Fraction of its LEDs that never shine, 0 to 1, at random places; a larger value loses more data.
     stuck
         Fraction of its LEDs that shine all the time, 0 to 1, at random places; at most 1 together with ``dead``.
+    spread
+        Standard deviation of its LEDs' light about 1, 0 to 1, normal, drawn once and at least 0: LEDs differ by that
+        much, as 0.2 by 20 %. A larger value disturbs the layers of few LEDs, the low one first.
     hidden
         Part of the array that an obstacle right before the panel hides: left, top, right and lower edge, each 0 to 1 in
         sides of the array from its upper left corner, such as (0, 0, 0.5, 0.5); empty for none.
@@ -92,6 +95,7 @@ class Placement:
     brightness: NotNegative = 1.0
     dead: Fraction = 0.0
     stuck: Fraction = 0.0
+    spread: Fraction = 0.0
     hidden: tuple[Fraction, Fraction, Fraction, Fraction] | tuple[()] = ()
     hidden_level: LightLevel = 0.1
     off_s: tuple[tuple[float, float], ...] = ()

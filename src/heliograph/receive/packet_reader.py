@@ -13,6 +13,7 @@ from heliograph.receive.array import ReadHeader
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import decode_iteratively
+from heliograph.receive.decode.observed import DecodedPacket
 from heliograph.receive.decode.soft_combining import SoftBuffer
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.threads import one_thread
@@ -105,7 +106,7 @@ class SoftReader:
         track = tracked.track
         if tracked.seen:
             # cells may be known to be hidden since the detection
-            self._led_gains = self._led_gains or LedGains(track.led_gains)
+            self._led_gains = self._led_gains or LedGains.in_sight(track.led_gains)
             track = replace(track, led_gains=self._led_gains.values)
             self._take_format(number, pair, track)
         # the later pairs are dimmed where a format is signalled
@@ -156,14 +157,19 @@ class SoftReader:
         form, buffer = self._known(), self._parts.buffer
         led_gains = self._gains()
         first = None if buffer is None else buffer.copy()
-        words = self._attempt(form, led_gains.values, first)
-        if _open(words) and not (led_gains.values == 1).all():
+        decoded = self._attempt(form, led_gains, first)
+        words = decoded.words
+        if _open(words) and led_gains.doubtful:
             # a header before a bright background may have made LEDs seem dead that are not
             second = None if buffer is None else buffer.copy()
-            sound = self._attempt(form, np.ones_like(led_gains.values), second)
-            if _open(sound) < _open(words):
-                self._led_gains, first = LedGains.sound(self._side), second
-            words = {name: tuple(map(_better, words[name], sound[name])) for name in words}
+            sound = self._attempt(form, LedGains.sound(self._side), second)
+            if _open(sound.words) < _open(words):
+                led_gains, first, decoded = LedGains.sound(self._side), second, sound
+            words = {name: tuple(map(_better, words[name], sound.words[name])) for name in words}
+        if self._led_gains is not None and (_open(words) or not led_gains.brightness.settled):
+            channel = decoded.channel
+            learnt = decoded.observed.learnt(decoded.mean, decoded.variance, channel.gain, channel.noise)
+            self._led_gains = replace(led_gains, brightness=learnt)
         if buffer is not None and first is not None:
             buffer.become(first)
         return words
@@ -211,11 +217,11 @@ class SoftReader:
         )
 
     def _attempt(
-        self, form: PacketFormat, led_gains: Floats, buffer: SoftBuffer | None
-    ) -> dict[str, tuple[Codeword, ...]]:
-        """Decode all that was kept, LEDs having given gains (n, n)."""
-        parts, noise = self._parts, self._noise(led_gains)
-        observed = ObservedPacket.of(self._with_lone(led_gains), noise, form, led_gains)
+        self, form: PacketFormat, led_gains: LedGains, buffer: SoftBuffer | None
+    ) -> DecodedPacket[ObservedPacket]:
+        """Decode all that was kept, LEDs having given gains."""
+        parts, noise = self._parts, self._noise(led_gains.values)
+        observed = ObservedPacket.of(self._with_lone(led_gains.values), noise, form, led_gains)
         channel = GainAndNoise(min(self._gain, self._full_scale), noise.lit, self._full_scale)
         return decode_iteratively(
             observed, channel, form, self._identity, parts.options, buffer, parts.feedback, parts.observe

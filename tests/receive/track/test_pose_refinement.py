@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from known_packets import FORM, random_blocks, symbols_of
 from numpy.typing import NDArray
-from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
+from scenes import SIDE, draw, frame_of, pitch_at
 
 from heliograph.receive import Pose
+from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
@@ -69,7 +70,7 @@ class Packet:
                 )
             )
         with one_thread():
-            self.observed = ObservedPacket.of(cutouts, NOISE, FORM, ALL_ON)
+            self.observed = ObservedPacket.of(cutouts, NOISE, FORM, LedGains.sound(SIDE))
 
     def refine(self, known: int) -> bool:
         """Refine the poses by the first symbols of each pair, so many of them; return whether any moved."""
@@ -170,7 +171,7 @@ def test_of_nothing_decoded_nothing_is_found() -> None:
 def test_poses_of_the_single_mode_stay() -> None:
     """They come from decided data already."""
     single = PacketFormat(SignalSettings(data_pairs=24), Format(mode="single"))
-    observed = ObservedPacket.of([None] * 48, NOISE, single, ALL_ON)
+    observed = ObservedPacket.of([None] * 48, NOISE, single, LedGains.sound(SIDE))
     assert observed.refined(np.ones((48, 256)), np.zeros((48, 256)), GAIN, NOISE.lit) is observed
 
 

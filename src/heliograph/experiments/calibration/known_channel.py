@@ -24,6 +24,7 @@ from heliograph.receive.assemblies import soft_parts, soft_reader
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import decode_iteratively
+from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.events import DecodeEvent, ignore
 from heliograph.receive.observe.cutout import Cutout, take_cutout
@@ -134,10 +135,10 @@ class KnownReader:
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Codewords by layer."""
         noise, side, receive = true_noise(self._gain, self._link), self._link.signal.side, self._link.receive
-        observed = ObservedPacket.of(self._cutouts, noise, self._form, np.ones((side, side)))
+        observed = ObservedPacket.of(self._cutouts, noise, self._form, LedGains.sound(side))
         channel, decoding = GainAndNoise(self._gain, noise.lit), Decoding("log-map", receive.decode.iterations)
         identity = self._link.transmit.identities[0]
-        return decode_iteratively(_FixedPoses(observed), channel, self._form, identity, decoding, None)
+        return decode_iteratively(_FixedPoses(observed), channel, self._form, identity, decoding, None).words
 
     def shown(self, packet: Packet) -> DecodeEvent:
         """The packet with the cut-outs of its pairs.
@@ -165,6 +166,9 @@ class _FixedPoses:
         return self.observed.statistics
 
     def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "_FixedPoses":  # noqa: ARG002 - the protocol's
+        return self
+
+    def relit(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "_FixedPoses":  # noqa: ARG002 - the protocol's
         return self
 
 

@@ -7,7 +7,6 @@ nothing changes any more.
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +15,13 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise, moments_of
 from heliograph.receive.decode.layer import HOPELESS, Layer, decode_layer
+from heliograph.receive.decode.observed import DecodedPacket, ObservedT
 from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer
 from heliograph.receive.equalise.expectation_propagation import LEAST_PRECISION, ExpectationPropagation
 from heliograph.receive.equalise.llr import information
 from heliograph.receive.equalise.lmmse import Estimate, equalise
 from heliograph.receive.equalise.polarity import SymbolMapper
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.packets import Codeword
 from heliograph.receive.settings import Feedback
 from heliograph.receive.timing import partial_exposure
 from heliograph.receive.timing.combination import Combination
@@ -76,32 +75,8 @@ def ignore(event: object, /) -> None:
     """
 
 
-class Observed(Protocol):
-    """The pairs of a packet as they were observed; see `pose_refinement.ObservedPacket`."""
-
-    @property
-    def statistics(self) -> Sequence[PairStatistics | None]:
-        """Statistics of each pair, in the single mode of each pattern; None where the array was not seen."""
-
-    def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Self:
-        """Return the packet with its poses refined by what is known of the symbols; itself where none moves.
-
-        Parameters
-        ----------
-        mean, variance
-            (pairs, n^2) mean, -1 to 1, and variance, 0 to 1, of each symbol; in the single mode by pattern.
-        gain
-            Gray levels of the array with all LEDs on.
-        noise
-            Variance of a pixel of a difference in squared gray levels.
-        """
-
-
-ObservedT = TypeVar("ObservedT", bound=Observed)
-
-
 def decode_iteratively(
-    observed: Observed,
+    observed: ObservedT,
     channel: GainAndNoise,
     form: PacketFormat,
     identity: int,
@@ -109,7 +84,7 @@ def decode_iteratively(
     buffer: SoftBuffer | None,
     feedback: Feedback = "propagation",
     observe: Callable[[EqualiseEvent], None] = ignore,
-) -> dict[str, tuple[Codeword, ...]]:
+) -> DecodedPacket[ObservedT]:
     """Decode all layers of a packet.
 
     Parameters
@@ -133,21 +108,23 @@ def decode_iteratively(
 
     Returns
     -------
-    Codewords by layer.
+    Its codewords, and what was found of its symbols.
     """
     packet = _Packet.begin(observed.statistics, channel, form, identity, options, feedback)
     observed = packet.decode(observed, buffer, observe)
     if packet.earlier is not None and packet.open.any():
         # the earlier packet may be another one, whose light stands in the way; poses stay refined
         alone = _Packet.begin(observed.statistics, packet.channel, form, identity, options, feedback)
-        alone.decode(observed, None, observe)
+        observed = alone.decode(observed, None, observe)
         if alone.open.sum() < packet.open.sum():
             if buffer is not None:
                 buffer.keep_packet(packet.earlier)
             packet = alone
+    words = {name: tuple(layer.words) for name, layer in packet.layers.items()}
+    decoded = DecodedPacket(words, observed, *packet.expected(), packet.channel)
     if buffer is not None:
         packet.remember(buffer)
-    return {name: tuple(layer.words) for name, layer in packet.layers.items()}
+    return decoded
 
 
 @dataclass(slots=True)
@@ -243,7 +220,13 @@ class _Packet:
                 # this iteration began without guesses: another one follows
                 moved = False
             elif not decoded and ((self.information - before)[left].max() < PROGRESS or self.hopeless[left].all()):
-                break
+                # as far as this goes, unless LEDs differ
+                relit = observed.relit(*self.expected(), self.channel.gain, self.channel.noise)
+                if relit is observed or not refinements:
+                    break
+                observed, moved, refinements = relit, True, refinements - 1
+                self.replace(observed.statistics)
+                self.forget_guesses()
         self.doubt()
         return observed
 

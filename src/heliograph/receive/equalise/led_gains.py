@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliograph.base.arrays import Floats
+from heliograph.receive.equalise.brightness import POSE_SPREADS, Brightness
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.image.footprint import by_squares, to_grid
 from heliograph.receive.observe import kernels
@@ -38,12 +39,6 @@ LIT = 4.0
 """Noise variance inside the array over that beside it, where failed LEDs hide the first.
 
 Photons make it 2.4 in the reference link; more only makes the estimate keep closer to 1.
-"""
-
-POSE_SPREADS = np.array([0.2, 0.2, 0.004, 0.02])
-"""Standard deviations of a pose's errors in x, y (px), ln pitch and roll before a bright background.
-
-Over real footage sums were pulled by up to 0.19 px at 64 to 70 m and 0.4 px at 95 m (docs/measured.md, Tracking).
 """
 
 MODEL = 0.02
@@ -71,13 +66,16 @@ class LedGains:
 
     Attributes
     ----------
-    values
-        (n, n) gains, 0 to 1; 0 of an LED that is dead, stuck or hidden.
+    sight
+        (n, n) how much of each LED is in sight by headers, 0 to 1; 0 of one that is dead, stuck or hidden.
+    brightness
+        Brightness of the LEDs by decoded data.
     seen
         Statistics of the headers so far, the gains times the header in place of the data; None before the first.
     """
 
-    values: Floats
+    sight: Floats
+    brightness: Brightness
     seen: PairStatistics | None = None
 
     @classmethod
@@ -89,11 +87,33 @@ class LedGains:
         side
             LEDs in a row.
         """
-        return cls(np.ones((side, side)))
+        return cls.in_sight(np.ones((side, side)))
+
+    @classmethod
+    def in_sight(cls, sight: Floats) -> "LedGains":
+        """Gains of an array of which nothing but a detection is known.
+
+        Parameters
+        ----------
+        sight
+            (n, n) how much of each LED is in sight, 0 to 1.
+        """
+        return cls(sight, Brightness.equal(len(sight)))
+
+    @property
+    def values(self) -> Floats:
+        """(n, n) gains, at least 0: the brightness of what is in sight."""
+        return self.sight * self.brightness.values
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether any LED seems hidden or failed."""
+        return bool((self.sight < 1).any() or (self.brightness.values < FAILED).any())
 
     def faded(self) -> "LedGains":
-        """Trust earlier headers less, as a packet has gone by."""
-        return self if self.seen is None else LedGains(self.values, self.seen.scaled(FADE))
+        """Trust earlier headers and packets less, as a packet has gone by."""
+        seen = None if self.seen is None else self.seen.scaled(FADE)
+        return LedGains(self.sight, self.brightness.faded(), seen)
 
     def learn(self, cutout: Cutout, header: Floats, gain: float) -> "LearntGains":
         """Learn from a header pair.
@@ -107,7 +127,7 @@ class LedGains:
         gain
             Gray levels of the array with all LEDs on, as if all had the same gain.
         """
-        side = len(self.values)
+        side, brightness = len(self.values), self.brightness.values
         dark = measure_noise([cutout], gain, side, self.values).dark
         # with failed LEDs a sum does not show its noise
         whitened, noise = whiten(cutout, Noise(LIT * dark, dark), side), LIT * dark + (MODEL * gain) ** 2
@@ -115,15 +135,17 @@ class LedGains:
         shown = whitened.without(slopes, np.diag(noise / (gain * POSE_SPREADS) ** 2))
         seen = shown if self.seen is None else self.seen.plus(shown)
         for _ in range(MEDIAN_STEPS):
-            found = _estimate(seen, header, gain, noise)
+            # of LEDs that data have shown to be dark a header says nothing
+            found = _estimate(seen, header, brightness, gain, noise) / np.maximum(brightness, FAILED)
             # the median LED is a sound one
             scale = float(np.clip(np.median(found), *MEDIAN_SCALES))
             gain *= scale
             if abs(scale - 1) < SETTLED * LED_GAIN_SPREAD:
                 break
-        values = np.clip((found / scale - FAILED) / (SOUND - FAILED), 0, 1)
-        changed = bool(np.abs(values - self.values).max() > CHANGED)
-        return LearntGains(LedGains(values, None if changed else seen), gain, changed)
+        sight = np.clip((found / scale - FAILED) / (SOUND - FAILED), 0, 1)
+        sight[brightness < FAILED] = 1.0
+        changed = bool(np.abs(sight - self.sight).max() > CHANGED)
+        return LearntGains(LedGains(sight, self.brightness, None if changed else seen), gain, changed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +168,10 @@ class LearntGains:
     changed: bool
 
 
-def _estimate(seen: PairStatistics, header: Floats, gain: float, noise: float) -> Floats:
-    """Gain of each LED, (n, n), by linear MMSE."""
+def _estimate(seen: PairStatistics, header: Floats, brightness: Floats, gain: float, noise: float) -> Floats:
+    """Gain of each LED, (n, n), by linear MMSE about its brightness."""
     signs = by_squares(header)
-    mean = kernels.symbols_of(signs)
+    mean = kernels.symbols_of(by_squares(header * brightness))
     # of h w of the variance s^2 the symbols have the variance 4 s^2, T T^T being 1/4
     symbols = equalise(seen, gain, noise, mean, np.full(mean.size, 4 * LED_GAIN_SPREAD**2)).mean
     return to_grid(kernels.leds_of(symbols) / signs)

@@ -256,3 +256,35 @@ def motion_compensated(difference, total, lit, gain, x, y, out):
             across = (total[i, right] - gain * lit[i, right]) - (total[i, left] - gain * lit[i, left])
             down = (total[low, j] - gain * lit[low, j]) - (total[up, j] - gain * lit[up, j])
             out[i, j] = difference[i, j] - 0.5 * (x * across / (right - left) + y * down / (low - up))
+
+
+@njit(cache=True, nogil=True)
+def add_information(gram, levels, weight, out):
+    """Add what a pair says of its LEDs' light: weight l_i l_j <led_i, led_j>, with 16 T G T^T = <led_i, led_j>.
+
+    Parameters
+    ----------
+    gram
+        G, (symbols, symbols) float32.
+    levels
+        (n n,) levels of the LEDs about their mean, in the order of `image.kernels.footprints`.
+    weight
+        g^2 / s^2, ratio of the squared gain to the noise variance, above 0.
+    out
+        (n n, n n) in that order, added to.
+    """
+    squares, count = gram.shape[0] // 4, gram.shape[0]
+    rows = np.empty((4, count), np.float32)
+    for p in range(squares):
+        a, b, c, d = gram[p], gram[squares + p], gram[2 * squares + p], gram[3 * squares + p]
+        for j in range(count):
+            rows[0, j], rows[1, j], rows[2, j], rows[3, j] = _haar(a[j], b[j], c[j], d[j])
+        for k in range(4):
+            row, one, scale = rows[k], out[4 * p + k], 16 * weight * levels[4 * p + k]
+            for q in range(squares):
+                x, y, z, w = _haar(row[q], row[squares + q], row[2 * squares + q], row[3 * squares + q])
+                m = 4 * q
+                one[m] += scale * levels[m] * x
+                one[m + 1] += scale * levels[m + 1] * y
+                one[m + 2] += scale * levels[m + 2] * z
+                one[m + 3] += scale * levels[m + 3] * w

@@ -11,14 +11,15 @@ processes, of the sizes that explain the packet best.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
 from scipy.linalg import block_diag, lu_factor, lu_solve
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.equalise.led_gains import POSE_SPREADS
+from heliograph.receive.equalise.brightness import POSE_SPREADS, Brightness, DecodedPair
+from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE, products
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise
@@ -80,17 +81,23 @@ class ObservedPacket:
     form
         Format of the packet; in its single mode no pose is refined.
     led_gains
-        (n, n) gains of the LEDs, 0 to 1.
+        Gains of the LEDs; their brightness is learnt from decoded data, but in the single mode and out of step.
+    brightness
+        Brightness of the LEDs as it was before this packet.
+    memo
+        Brightness learnt, by the number of decoded symbols: asked for again, it is not worked out again.
     """
 
     pairs: Sequence[ObservedPair | None]
     noise: Noise
     form: PacketFormat
-    led_gains: Floats
+    led_gains: LedGains
+    brightness: Brightness
+    memo: dict[int, Brightness] = field(default_factory=dict)
 
     @classmethod
     def of(
-        cls, cutouts: Sequence[Cutout | None], noise: Noise, form: PacketFormat, led_gains: Floats
+        cls, cutouts: Sequence[Cutout | None], noise: Noise, form: PacketFormat, led_gains: LedGains
     ) -> "ObservedPacket":
         """Observe cut-outs at the poses that they have.
 
@@ -103,9 +110,9 @@ class ObservedPacket:
         form
             Format of the packet.
         led_gains
-            (n, n) gains of the LEDs, 0 to 1.
+            Gains of the LEDs.
         """
-        empty = cls([None] * len(cutouts), noise, form, led_gains)
+        empty = cls([None] * len(cutouts), noise, form, led_gains, led_gains.brightness)
         seen = [None if cutout is None else empty._observe(cutout, np.zeros(4)) for cutout in cutouts]
         return replace(empty, pairs=seen)
 
@@ -139,7 +146,56 @@ class ObservedPacket:
             for pair, error in zip(self.pairs, errors, strict=True)
         ]
         moved = any(after is not before for after, before in zip(pairs, self.pairs, strict=True))
-        return replace(self, pairs=pairs) if moved else self
+        return replace(self, pairs=pairs, memo={}) if moved else self
+
+    def relit(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "ObservedPacket":
+        """Take the LEDs' brightness that decoded data show.
+
+        Parameters
+        ----------
+        mean, variance
+            (pairs, symbols) mean, -1 to 1, and variance of each symbol; those of a variance near 0 are decoded.
+        gain
+            Gray levels of the array with all LEDs on.
+        noise
+            Variance of a pixel of a difference in squared gray levels.
+
+        Returns
+        -------
+        The packet with other gains; itself where they hardly change.
+        """
+        learnt = self.learnt(mean, variance, gain, noise)
+        if not learnt.differs(self.led_gains.brightness):
+            return self
+        relit = replace(self, led_gains=replace(self.led_gains, brightness=learnt), memo={})
+        pairs = [None if pair is None else relit._observe(pair.cutout, pair.error) for pair in self.pairs]
+        return replace(relit, pairs=pairs)
+
+    def learnt(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Brightness:
+        """Brightness of the LEDs with the evidence of this packet.
+
+        Parameters
+        ----------
+        mean, variance
+            (pairs, symbols) mean, -1 to 1, and variance of each symbol; those of a variance near 0 are decoded.
+        gain
+            Gray levels of the array with all LEDs on.
+        noise
+            Variance of a pixel of a difference in squared gray levels.
+        """
+        decoded = int((variance < KNOWN_VARIANCE).sum())
+        if not self._learns or not decoded:
+            return self.brightness
+        if decoded not in self.memo:
+            before = replace(self.brightness, values=self.led_gains.brightness.values)
+            pairs = self._decoded(mean, variance, before.stride)
+            self.memo[decoded] = before.learn([*pairs.values()], gain, noise)
+        return self.memo[decoded]
+
+    @property
+    def _learns(self) -> bool:
+        in_step = all(pair is None or pair.cutout.combination is None for pair in self.pairs)
+        return not self.form.single and in_step
 
     def _corrected(self, pair: ObservedPair, error: Floats) -> ObservedPair:
         """Return a pair with its poses corrected by a whole error, (4,); itself where that changes little."""
@@ -147,26 +203,32 @@ class ObservedPacket:
         return self._observe(pair.cutout.moved(step), error) if worth_moving(step) else pair
 
     def _observe(self, cutout: Cutout, error: Floats) -> ObservedPair:
-        whitened = whiten(cutout, self.noise, self.form.settings.side, self.led_gains)
+        whitened = whiten(cutout, self.noise, self.form.settings.side, self.led_gains.values)
         return ObservedPair(cutout, whitened, whitened.statistics(), error)
 
     def _pose_errors(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Floats:
         """Errors (pairs, 4) in x, y, ln pitch and roll of the poses that the sums gave."""
-        # only decoded symbols count: guesses come from the poses that are in doubt
-        decided = variance < KNOWN_VARIANCE
-        known = np.where(decided, mean, 0.0)
-        levels = 0.5 * haar.inverse_transform(self.form.join(known))
-        there = [(k, pair) for k, pair in enumerate(self.pairs) if pair is not None and known[k].any()]
         evidence = dict[int, PoseEvidence]()
-        for k, pair in there[::STRIDE]:
-            slopes = pair.whitened.root * pair.cutout.slopes(levels[k] * self.led_gains)
-            left = pair.whitened.residual(gain, known[k])
+        for k, pair in self._decoded(mean, variance, STRIDE).items():
+            left = pair.whitened.residual(gain, pair.symbols)
             # J = g^2 H^T C^-1 H, s = g H^T C^-1 (d - g (B m + o)), C = s^2 + g^2 B_u B_u^T
-            images, scale = np.concatenate([slopes, left[None]]), gain**2 / noise
-            part = products(pair.whitened, pair.statistics, images, np.flatnonzero(~decided[k]), scale)
+            images, scale = np.concatenate([pair.slopes, left[None]]), gain**2 / noise
+            part = products(pair.whitened, pair.statistics, images, pair.unknown, scale)
             evidence[k] = PoseEvidence(scale * part[:4, :4], gain / noise * part[:4, 4])
         before = np.array([np.zeros(4) if pair is None else pair.error for pair in self.pairs])
         return smoothed_errors(evidence, before)
+
+    def _decoded(self, mean: Floats, variance: Floats, stride: int) -> dict[int, DecodedPair]:
+        """Pairs of which symbols are decoded, by number, one of so many."""
+        # only decoded symbols count: guesses come from the poses that are in doubt
+        known = np.where(variance < KNOWN_VARIANCE, mean, 0.0)
+        there = [(k, pair) for k, pair in enumerate(self.pairs) if pair is not None and known[k].any()][::stride]
+        levels = 0.5 * haar.inverse_transform(self.form.join(known[[k for k, _ in there]]))
+        pairs = {}
+        for (k, pair), level in zip(there, levels, strict=True):
+            slopes = pair.whitened.root * pair.cutout.slopes(level * self.led_gains.values)
+            pairs[k] = DecodedPair(pair.statistics, known[k], slopes, pair.whitened)
+        return pairs
 
 
 @dataclass(frozen=True, slots=True)

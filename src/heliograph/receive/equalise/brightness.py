@@ -1,0 +1,236 @@
+"""Brightness of the LEDs, learnt from decoded data: LEDs of one array differ, and some are dead.
+
+Once symbols are known, the difference of a pair shows how much light each LED gives. With the brightness b of the LEDs,
+their known levels t = T c_k, the share w of each that is in sight, and the symbols u that are not known,
+
+    d = g (A diag(w t) b + o + B_u c_u) + n,
+
+linear in b. Levels are random from pair to pair, so that the pairs of a packet tell neighbours apart that blur has
+mixed. The light of unknown symbols is marginalised, as noise of known colour, and so is what an error of the pose
+makes: a bright background may have pulled it. Normal equations add up over pairs and packets.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from heliograph.base.arrays import Floats
+from heliograph.receive.image.footprint import by_squares, to_grid
+from heliograph.receive.observe import kernels
+from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout
+
+POSE_SPREADS = np.array([0.2, 0.2, 0.004, 0.02])
+"""Standard deviations of a pose's errors in x, y (px), ln pitch and roll before a bright background.
+
+Over real footage sums were pulled by up to 0.19 px at 64 to 70 m and 0.4 px at 95 m (docs/measured.md, Tracking).
+"""
+
+BRIGHTNESS_SPREAD = 0.3
+"""Prior standard deviation of an LED's brightness about 1: the largest spread that is to be read; a dead one is 3.3 of
+them away."""
+
+LINEAR_PX = 0.2
+"""Error of a pose in px up to which its slope describes what it makes: half the width of an LED's image at 95 m.
+
+With poses off by 0.14 px equal LEDs are told to be equal, with 0.28 px they seem to differ by 0.1 (known data, 95 m).
+"""
+
+KEEP = 0.9
+"""Weight of earlier packets for each packet since: ten of them count, one second."""
+
+LEAST_BRIGHTNESS, MOST_BRIGHTNESS = 0.02, 3.0
+"""Bounds of an estimate. A dead LED keeps a fiftieth, so that what it shows can be told and it can come back."""
+
+UNEQUAL = 0.05
+"""Rms difference from 1 from which on LEDs count as unequal: noise, and errors of the image, leave less of equal ones.
+"""
+
+NOISY = 1.5
+"""Factor on the variance that noise leaves of estimates of equal LEDs: that of 256 LEDs is known to a tenth."""
+
+STRIDE, KNOWN_STRIDE = 3, 12
+"""Pairs of which one is learnt from; the second once each LED is known to half of `UNEQUAL`, or LEDs seem equal yet.
+
+Chosen for speed: at 95 m 16 pairs of one packet show each LED to 3 %.
+"""
+
+ENOUGH_PACKETS = 5
+"""Packets after which LEDs that seem equal are learnt from fewer pairs: half of what `KEEP` keeps."""
+
+
+@dataclass(frozen=True, slots=True)
+class DecodedPair:
+    """A pair of which symbols are decoded.
+
+    Attributes
+    ----------
+    statistics
+        Its statistics, made with the brightness known so far.
+    symbols
+        (symbols,) +-1, and 0 for those that are not decoded.
+    slopes
+        (4, rows, columns) derivatives H of the decoded symbols' image by x, y, ln pitch and roll, times W^(1/2).
+    whitened
+        Its cut-out, divided by its noise.
+    """
+
+    statistics: PairStatistics
+    symbols: Floats
+    slopes: Floats
+    whitened: WhitenedCutout
+
+    @property
+    def unknown(self) -> NDArray[np.intp]:
+        """Numbers of the symbols that are not decoded."""
+        return np.flatnonzero(self.symbols == 0)
+
+    def without_nuisance(self, gain: float, noise: float) -> tuple[NDArray[np.float32], Floats]:
+        """G and B^T W (d - g o), what undecoded symbols and an error of the pose may have added marginalised.
+
+        Parameters
+        ----------
+        gain
+            Gray levels of the array with all LEDs on.
+        noise
+            Variance of a pixel of a difference in squared gray levels.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            The pair says nothing of its LEDs: its pose is too far off, or gain and noise are absurd.
+        """
+        pair, whitened, unknown = self.statistics, self.whitened, self.unknown
+        # N = (B_u, H): G - B^T N (N^T N + s^2 / g^2 P^-1)^-1 N^T B
+        slopes = self.slopes.reshape(len(self.slopes), -1)
+        shown = (whitened.difference - gain * whitened.offset).ravel()
+        seen, images = pair.matched - gain * pair.offset, whitened.all_correlated(self.slopes)
+        inner = np.block([[pair.gram[unknown][:, unknown], images[unknown]], [images[unknown].T, slopes @ slopes.T]])
+        inner += noise / gain**2 * np.diag(np.append(np.ones(unknown.size), POSE_SPREADS**-2))
+        across = np.vstack([pair.gram[unknown], images.T])
+        both = np.column_stack([across, np.append(seen[unknown], slopes @ shown)]).astype(np.float32)
+        # L^-1 (N^T B, N^T d) = (h, h_d): their products are what is taken off
+        root = np.linalg.cholesky(inner.astype(np.float32))
+        half = solve_triangular(root, both, lower=True, check_finite=False)
+        left, taken = half[:, :-1], half[:, -1]
+        # the most probable error of the pose, with the decoded symbols' light taken off
+        error = solve_triangular(root.T, taken - gain * left @ self.symbols, check_finite=False)[-4:] / gain
+        if np.hypot(error[0], error[1]) > LINEAR_PX:
+            raise np.linalg.LinAlgError("the pose is too far off")
+        return pair.gram - left.T @ left, seen - left.T @ taken
+
+
+@dataclass(frozen=True, slots=True)
+class Brightness:
+    """Brightness of an array's LEDs, and what decoded data have shown of it.
+
+    Attributes
+    ----------
+    values
+        (n, n) brightness, 1 for the median LED.
+    information
+        (n n, n n) sum of the normal equations' matrices, in the order of `by_squares`.
+    score
+        (n n,) sum of their right sides.
+    packets
+        Packets that were learnt from.
+    """
+
+    values: Floats
+    information: Floats
+    score: Floats
+    packets: int = 0
+
+    @classmethod
+    def equal(cls, side: int) -> "Brightness":
+        """LEDs of which nothing is known.
+
+        Parameters
+        ----------
+        side
+            LEDs in a row.
+        """
+        count = side * side
+        return cls(np.ones((side, side)), np.zeros((count, count)), np.zeros(count))
+
+    @property
+    def known(self) -> bool:
+        """Whether most LEDs are known to half of `UNEQUAL`."""
+        return bool(np.median(self.information.diagonal()) > (0.5 * UNEQUAL) ** -2)
+
+    @property
+    def equal_so_far(self) -> bool:
+        """Whether nothing shows that LEDs differ."""
+        return bool((self.values == 1).all())
+
+    @property
+    def settled(self) -> bool:
+        """Whether LEDs are known to be equal: while all is read nothing more need be learnt."""
+        return self.known and self.equal_so_far
+
+    @property
+    def stride(self) -> int:
+        """Pairs of which one is worth learning from."""
+        enough = self.known or (self.packets >= ENOUGH_PACKETS and self.equal_so_far)
+        return KNOWN_STRIDE if enough else STRIDE
+
+    def faded(self) -> "Brightness":
+        """Trust earlier packets less, as one has gone by."""
+        return replace(self, information=KEEP * self.information, score=KEEP * self.score)
+
+    def differs(self, other: "Brightness") -> bool:
+        """Whether it is another than what was taken so far, by more than the light of equal LEDs seems to differ.
+
+        Parameters
+        ----------
+        other
+            What was taken so far.
+        """
+        return bool(np.sqrt(np.mean((self.values - other.values) ** 2)) > UNEQUAL)
+
+    def learn(self, pairs: Sequence[DecodedPair], gain: float, noise: float) -> "Brightness":
+        """Learn from decoded symbols.
+
+        Parameters
+        ----------
+        pairs
+            Pairs of a packet, in each of which some symbols are decoded.
+        gain
+            Gray levels of the array with all LEDs on.
+        noise
+            Variance of a pixel of a difference in squared gray levels.
+
+        Returns
+        -------
+        The brightness with the evidence of these pairs; itself where there are none.
+        """
+        if not pairs or gain <= 0:
+            return self
+        information, score = self.information.copy(), self.score.copy()
+        inverse = 1 / by_squares(self.values)
+        for pair in pairs:
+            try:
+                gram, seen = pair.without_nuisance(gain, noise)
+            except np.linalg.LinAlgError:
+                continue
+            # the statistics hold the LEDs' light times their brightness so far
+            levels = kernels.leds_of(pair.symbols) * inverse
+            # T T^T = 1/4: A^T W A = 16 T G T^T, A^T W d = 4 T B^T W d
+            kernels.add_information(gram, levels, gain**2 / noise, information)
+            score += gain / noise * levels * 4 * kernels.leds_of(seen)
+        return Brightness(_estimate(information, score), information, score, self.packets + 1)
+
+
+def _estimate(information: Floats, score: Floats) -> Floats:
+    """Most probable brightness, (n, n), the median LED's being 1; all of them 1 where they hardly differ."""
+    prior = BRIGHTNESS_SPREAD**-2
+    covariance = np.linalg.inv(information + prior * np.eye(len(score)))
+    found = covariance @ (score + prior)
+    found /= max(float(np.median(found)), LEAST_BRIGHTNESS)
+    # N S of equal LEDs: estimates (N + P^-1)^-1 N have the covariance S N S, S = (N + P^-1)^-1, N = S^-1 - P^-1
+    noise = float(np.mean(covariance.diagonal() - prior * (covariance**2).sum(1)))
+    if np.mean((found - 1) ** 2) < UNEQUAL**2 + NOISY * noise:
+        return np.ones_like(to_grid(found))
+    return to_grid(np.clip(found, LEAST_BRIGHTNESS, MOST_BRIGHTNESS))

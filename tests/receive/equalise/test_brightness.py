@@ -1,0 +1,96 @@
+"""Brightness of LEDs, learnt from decoded data."""
+
+import numpy as np
+import pytest
+from known_packets import FORM, random_blocks, symbols_of
+from numpy.typing import NDArray
+from scenes import SIDE, draw, film, frame_of, link, pitch_at
+
+from heliograph.receive import Pose, receive_frames
+from heliograph.receive.equalise.brightness import LEAST_BRIGHTNESS, Brightness
+from heliograph.receive.equalise.led_gains import LedGains
+from heliograph.receive.equalise.threads import one_thread
+from heliograph.receive.observe.cutout import take_cutout
+from heliograph.receive.observe.noise import Noise
+from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.track.pose_refinement import ObservedPacket
+from heliograph.signal import haar
+
+Floats = NDArray[np.float64]
+
+GAIN, NOISE = 0.7 * 255, Noise(4.5, 1.5)
+EQUAL = np.ones((SIDE, SIDE))
+
+
+def unequal(spread: float) -> Floats:
+    gains = 1 + spread * np.random.default_rng(3).standard_normal((SIDE, SIDE))
+    return np.asarray(gains / np.median(gains))
+
+
+def learnt(
+    gains: Floats, known: int, before: Brightness | None = None, pulled: float = 0.0, blocks: int = 0
+) -> Brightness:
+    """What a packet at 95 m shows of LEDs of such gains, the first symbols of each pair decoded, so many of them."""
+    rng, symbols = np.random.default_rng([blocks, 1]), symbols_of(random_blocks(blocks))
+    cutouts = []
+    for x in haar.encode(FORM.join(symbols.astype(np.int8))) / 4.0:
+        x_px, y_px = (float(v) for v in rng.uniform(30, 31, 2))
+        pose = Pose(x_px, y_px, pitch_at(95.0), float(rng.normal(0, 0.01)), 0.51)
+        up, down = (
+            frame_of(0.1 + 0.7 * draw(pose, y * gains, (0, 0), (60, 60)), k, rng) for k, y in enumerate((x, 1 - x))
+        )
+        thought = pose.moved(pulled, -pulled)
+        cutouts.append(take_cutout(FramePair(up, down), (thought, thought), SIDE))
+    brightness = before or Brightness.equal(SIDE)
+    variance = np.broadcast_to(np.where(np.arange(symbols.shape[1]) < known, 0.0, 1.0), symbols.shape)
+    with one_thread():
+        observed = ObservedPacket.of(cutouts, NOISE, FORM, LedGains(EQUAL, brightness))
+        return observed.learnt(np.where(variance == 0, symbols, 0.0), variance, GAIN, NOISE.lit)
+
+
+@pytest.mark.parametrize(("known", "left"), [(192, 0.16), (256, 0.08)])
+def test_unequal_leds_are_told(known: int, left: float) -> None:
+    """By all layers but the low one, and by all: eight pairs of one packet leave less of a spread of 0.2."""
+    gains = unequal(0.2)
+    assert np.sqrt(np.mean((learnt(gains, known).values - gains) ** 2)) < left
+
+
+def test_dead_leds_are_told() -> None:
+    gains = EQUAL.copy()
+    gains.ravel()[np.random.default_rng(2).permutation(256)[:38]] = 0.0
+    found = learnt(gains, 256).values
+    assert found[gains == 0].max() < 0.35
+    assert found[gains == 1].min() > 0.7
+    assert found.min() >= LEAST_BRIGHTNESS
+
+
+@pytest.mark.parametrize(("known", "pulled"), [(64, 0.0), (256, 0.0), (64, 0.1), (256, 0.1), (256, 0.3)])
+def test_equal_leds_are_equal(known: int, pulled: float) -> None:
+    """Noise makes no difference of them, nor does a bright background that has pulled the poses."""
+    assert (learnt(EQUAL, known, pulled=pulled).values == 1).all()
+
+
+def test_packets_add_up_and_fade() -> None:
+    gains = unequal(0.2)
+    first = learnt(gains, 256)
+    both = learnt(gains, 256, first, blocks=1)
+    errors = [np.sqrt(np.mean((one.values - gains) ** 2)) for one in (first, both)]
+    assert errors[1] < 0.85 * errors[0]
+    assert both.information.trace() > 1.8 * first.information.trace()
+    faded = both.faded()
+    assert np.array_equal(faded.values, both.values)
+    assert faded.information.trace() == pytest.approx(0.9 * both.information.trace())
+
+
+def test_of_nothing_decoded_nothing_is_learnt() -> None:
+    found = learnt(unequal(0.2), 0)
+    assert (found.values == 1).all()
+    assert not found.information.any()
+
+
+@pytest.mark.slow
+def test_the_low_layer_of_unequal_leds_is_read() -> None:
+    """With gains by headers alone it is lost in all packets."""
+    settings = link("receive.receiver=soft", distance_m=95.0, arrays=[{"x_m": 0.0, "y_m": 0.0, "spread": 0.2}])
+    packets = list(receive_frames(film(settings, 301, roi_margin_px=24), settings.signal, settings.receive))
+    assert [packet.status for packet in packets] == ["ok"] * 3
