@@ -70,6 +70,18 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
             "channel": {"arrays": [{"x_m": 1.5, "y_m": -1.0}, {"x_m": -1.5, "y_m": -0.8, "start_s": 0.0373}]},
         },
     ),
+    "crossing": (
+        "A camera on a side road looks across it and passes an array, turned by 20 degrees, 25 m away at 25 km/h",
+        {
+            "channel": {
+                "distance_m": 25.0,
+                "speed_m_s": 0.0,
+                "shake": "none",
+                "duration_s": 1.18,
+                "arrays": [{"x_m": -4.1, "y_m": 0.0, "vx_m_s": 6.94, "yaw_deg": 20.0}],
+            }
+        },
+    ),
 }
 """Presets by name: a line about each, and what it changes of the reference link."""
 

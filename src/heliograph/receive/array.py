@@ -12,7 +12,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive.acquire.detector import Detection
 from heliograph.receive.decode.codeword import unread
 from heliograph.receive.events import DecodeEvent, Observer, TrackEvent
-from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.pose import Pose, rim_distance
 from heliograph.receive.packets import Codeword, Packet, Status
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader, Pairing
@@ -35,6 +35,9 @@ ENOUGH_SEEN = 0.5
 Below it a packet that the film's end cuts off is not given out, and one without a right codeword is "no_array". Chosen;
 docs/constants.md says what half and twice of it cost.
 """
+
+ASTRAY = 0.5
+"""Pitches by which the rim of an array that is followed may lie off its header: beyond it LEDs are taken for others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +191,8 @@ class ArrayReceiver:
         self._slips = SlipWatch(detection.identity, signal)
         self._start_lost = 0
         self._poses: dict[int, Pose] = {}
-        self._proven = self._failed = False
+        self._read: bool | None = None
+        self._failed = False
 
     @property
     def identity(self) -> int:
@@ -207,8 +211,8 @@ class ArrayReceiver:
 
     @property
     def sure(self) -> bool:
-        """Whether it is an array: a codeword was right, or its header left no doubt."""
-        return self._proven or self.found.clear
+        """Whether it is followed rightly: by the last packet, or before the first by a header that left no doubt."""
+        return self.found.clear if self._read is None else self._read
 
     @property
     def done(self) -> bool:
@@ -216,18 +220,27 @@ class ArrayReceiver:
         out_of_sight = self._pairing.now_s - self._track.last_seen_s > self._coast_s
         return self._failed or self._pairing.lost or out_of_sight
 
-    def expects(self, detection: Detection) -> bool:
-        """Whether a header is its own, where one was due.
+    def yields(self, detection: Detection) -> bool:
+        """Whether a header that was found where this array is followed is a better start than its own.
 
         Parameters
         ----------
         detection
-            A header that was found where this array is followed.
+            The header: where and when it was found.
         """
         start_s = detection.start_time_s + self._slips.lost * self._signal.pattern_period_s
         packets = (start_s - self._pairing.origin_s) / self._signal.packet_s
         off_s = abs(packets - round(packets)) * self._signal.packet_s
-        return detection.identity == self.identity and off_s < 0.5 * self._signal.pattern_period_s
+        due = detection.identity == self.identity and off_s < 0.5 * self._signal.pattern_period_s
+        # its first header was weighed already; a later one in clear sight may show that the track went astray
+        later = due and round(packets) > 0
+        return self._astray(detection) if later else not due and detection.score > self.found.score
+
+    def _astray(self, detection: Detection) -> bool:
+        """Whether a header that is whole shows the array elsewhere than it is followed."""
+        there = self._track.state.pose_at(detection.time_s)
+        off = rim_distance(there, detection.fit.pose, self._signal.side)
+        return bool((detection.led_gains == 1).all()) and off > ASTRAY * there.pitch
 
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packet it completes.
@@ -294,7 +307,7 @@ class ArrayReceiver:
 
     def _end_header(self) -> None:
         """Correct the clock by the header just over; out of step it is read as a whole."""
-        pose_at, led_gains = self._track.state.pose_at, self._track.led_gains
+        pose_at, led_gains = self._track.state.pose_at, self._track.shining
         header = self._pairing.header(self._number, self._poses, pose_at, led_gains)
         if header is None:
             return
@@ -347,7 +360,9 @@ class ArrayReceiver:
         self._reader = reader.next()
         packet = replace(self._packet(gathered, layers, reader.format), reason=reason)
         # neither header nor a right codeword: no array, or out of step; it is found again by its next header
-        self._proven |= packet.status in ("ok", "partial")
+        # where LEDs seem to be missing, a packet read in part may have come from a wrong pose
+        whole = bool((self._track.shining == 1).all())
+        self._read = packet.status == "ok" or (packet.status == "partial" and whole)
         self._failed = packet.status in ("no_header", "no_array")
         self._observe(reader.shown(packet))
         return packet

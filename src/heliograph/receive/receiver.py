@@ -90,7 +90,7 @@ class StreamReceiver:
         """Follow what was found unless it lies where a better array is followed."""
         rivals = [a for a in self._arrays if not apart(a.pose, detection.fit.pose, self._parts.side)]
         # what was taken for an array may stand in the way of one: the better header wins
-        if any(detection.score <= rival.found.score or rival.expects(detection) for rival in rivals):
+        if any(not rival.yields(detection) for rival in rivals):
             return
         for rival in rivals:
             self._forget(rival)

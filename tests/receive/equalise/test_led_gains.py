@@ -32,7 +32,7 @@ def learnt(gains: Floats, stuck: Floats, expected: float, before: LedGains | Non
         for k, sign in enumerate((1, -1))
     ]
     cutout = take_cutout(FramePair(frames[0], frames[1]), (POSE, POSE), SIDE)
-    return (before or LedGains.sound(SIDE)).learn(cutout, HEADER, expected)
+    return (before or LedGains.sound(SIDE)).learn(cutout, HEADER, expected, np.ones((SIDE, SIDE)))
 
 
 def failed() -> tuple[Floats, Floats]:
@@ -110,7 +110,9 @@ def test_a_pose_pulled_away_makes_no_led_dead(pulled: tuple[float, float], motio
         for k, (p, sign) in enumerate(zip(poses, (1, -1), strict=True))
     )
     wrong = poses[0].moved(*pulled), poses[1].moved(*pulled)
-    found = LedGains.sound(SIDE).learn(take_cutout(FramePair(up, down), wrong, SIDE), header, 0.7 * 255)
+    found = LedGains.sound(SIDE).learn(
+        take_cutout(FramePair(up, down), wrong, SIDE), header, 0.7 * 255, np.ones((SIDE, SIDE))
+    )
     assert not found.changed
     assert found.led_gains.values.mean() > 0.99
     assert found.led_gains.values.min() > (0.5 if motion else 0.99)

@@ -38,7 +38,7 @@ def expected(pose: Pose, time_s: float, rates: tuple[float, float] = (0.0, 0.0))
     mean[5:7] = rates
     covariance = state.covariance.copy()
     covariance[5:8, 5:8] *= 1e-6
-    return Track(PoseState(time_s, mean, covariance), GAIN, GAIN, SOUND, time_s)
+    return Track(PoseState(time_s, mean, covariance), GAIN, GAIN, SOUND, time_s, SOUND)
 
 
 def errors(motion: tuple[float, float], late: tuple[float, float] | None = None) -> tuple[Floats, Floats]:

@@ -25,8 +25,9 @@ PLACE_SPREAD = 0.08
 CANDIDATE_SPREADS = (0.1, 0.05, 0.2)
 """Standard deviations of a candidate's ln pitch (sizes are 0.11 apart), roll (3 degrees) and ln blur."""
 
-UPRIGHT, TILTED = 0.01, 0.1
-"""Standard deviations of stretch and shear of candidates taken to face the camera, and of others.
+LEVEL, UPRIGHT, TILTED = 1e-5, 0.01, 0.1
+"""Standard deviations of stretch and shear of partly hidden candidates, whose hidden side looks like a tilt; of
+candidates taken to face the camera; and of others.
 
 10 degrees of yaw are a stretch of -0.008, 40 degrees of -0.13.
 """
@@ -34,8 +35,11 @@ UPRIGHT, TILTED = 0.01, 0.1
 HIDING_BLUR = 0.5
 """Pitches of blur that hide single LEDs while a candidate is centred: else it locks in a whole pitch beside them."""
 
-LIT_CELL = 0.4
-"""Least alternation of a cell that is not hidden, as a fraction of the median cell's; a hidden one has 0."""
+HIDDEN_CELL, PARTLY_LIT_CELL = 0.4, 0.75
+"""Least alternation of a cell that is not hidden, as a fraction of the median cell's; a hidden one has 0.
+
+The second holds once the pose is found without the hidden cells: a cell of which a quarter is hidden would move it.
+"""
 
 
 def cell_weights(cells: NDArray[np.float64], side: int) -> Floats:
@@ -103,7 +107,9 @@ def fit_near(
         return None
 
 
-def lit_cells(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, weights: Floats) -> Floats:
+def lit_cells(
+    change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, weights: Floats, least: float
+) -> Floats:
     """Find the cells of a header that alternate as the others do.
 
     Parameters
@@ -115,7 +121,9 @@ def lit_cells(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, 
     pose
         Pose of the array's image on the sensor.
     weights
-        (n, n) of the header, +-1.
+        (n, n) of the header, +-1; 0 of cells known to be hidden.
+    least
+        Least alternation of a cell that is lit, as a fraction of the median cell's, 0 to 1.
 
     Returns
     -------
@@ -132,4 +140,4 @@ def lit_cells(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, 
         kernels.render(pose.full_vector(), lit, float(origin[0] + j), float(origin[1] + i), out)
         shapes.append(out[0].ravel().copy())
     light = np.linalg.lstsq(np.stack(shapes, 1), image.ravel(), rcond=None)[0]
-    return np.asarray((light > LIT_CELL * np.median(light)).astype(float).reshape(CELLS, CELLS))
+    return np.asarray((light > least * np.median(light[light > 0])).astype(float).reshape(CELLS, CELLS))

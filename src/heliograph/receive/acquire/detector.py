@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.candidate import HIDING_BLUR, TILTED, UPRIGHT, cell_weights, fit_near, lit_cells
+from heliograph.receive.acquire.candidate import (
+    HIDDEN_CELL,
+    HIDING_BLUR,
+    LEVEL,
+    PARTLY_LIT_CELL,
+    TILTED,
+    UPRIGHT,
+    cell_weights,
+    fit_near,
+    lit_cells,
+)
 from heliograph.receive.acquire.coarse import (
     SIDE_STEP,
     SearchParameters,
@@ -50,8 +60,8 @@ HIDDEN_TRIED = 0.7
 With the fraction `HIDDEN` missing the whole header still correlates by sqrt(1 - 0.32) = 0.82; the rest is for noise.
 """
 
-HIDDEN_SCORE, HIDDEN_REGULARITY = 0.8, 0.85
-"""Least score and regularity of an array of which a part is hidden: it correlates less, but alternates evenly."""
+HIDDEN_REGULARITY = 0.85
+"""Least regularity of an array of which a part is hidden: it alternates evenly."""
 
 FIRST_AMPLITUDE, FIRST_SCORE = 0.7, 0.9
 """Least gain and score of a header's first pair, as fractions of the whole header's, for the pose to be its.
@@ -266,13 +276,14 @@ class Detector:
         regularity = float(change.min() / max(change.mean(), TINY))
         there = slots[start : start + self._header]
         # what is filled in alternates by itself: a pair of data must not pass for a header that is half hidden
-        impaired = self._parameters.impaired and None not in there
-        fit, led_gains = self._fit_header(header, pose, weights, tilt, impaired and regularity >= HIDDEN_REGULARITY)
-        if fit is None or not self._convincing(fit, regularity, header[0].full_scale, impaired):
+        even = self._parameters.impaired and None not in there and regularity >= HIDDEN_REGULARITY
+        fit, led_gains = self._fit_header(header, pose, weights, tilt, even)
+        hidden = not led_gains.all()
+        if fit is None or not self._convincing(fit, regularity, hidden, header[0].full_scale):
             return None
         start_s = self._start_s(there)
         if None not in there[:2]:
-            fit, header = self._shape(header, fit, led_gains * weights, tilt)
+            fit, header = self._shape(header, fit, led_gains * weights, LEVEL if hidden else tilt)
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
         return Detection(number, start_s, fit, middle, fit.score, regularity, led_gains)
 
@@ -290,14 +301,20 @@ class Detector:
         """
         change, origin = alternation_of(header[: self._span]), header[0].origin
         fit, led_gains = fit_near(change, origin, pose, weights, tilt), np.ones(weights.shape)
+        even = even and tilt <= UPRIGHT
         if fit is None or not HIDDEN_TRIED <= fit.score < CLEAR or not even:
             return fit, led_gains
-        lit = lit_cells(change, origin, fit.pose, weights)
-        part = cell_weights(lit, self._side)
-        rest = fit_near(change, origin, fit.pose, part * weights, tilt)
-        if rest is not None and lit.mean() >= 1 - HIDDEN and rest.score > fit.score:
-            return rest, np.asarray(part, np.float64)
-        return fit, led_gains
+        best, lit = fit, np.ones(self._cells.shape[1])
+        for least in (HIDDEN_CELL, PARTLY_LIT_CELL):
+            # a hidden side looks like a tilt
+            pose = replace(best.pose, stretch=0.0, shear=0.0)
+            lit = lit * lit_cells(change, origin, pose, led_gains * weights, least).ravel()
+            led_gains = cell_weights(lit, self._side)
+            rest = fit_near(change, origin, pose, led_gains * weights, LEVEL)
+            if rest is None or lit.mean() < 1 - HIDDEN:
+                return fit, np.ones(weights.shape)
+            best = rest
+        return (best, led_gains) if best.score > fit.score else (fit, np.ones(weights.shape))
 
     def _shape(
         self, header: list[Frame], fit: Fit, weights: NDArray[np.float64], tilt: float
@@ -310,12 +327,12 @@ class Detector:
             return fit, header
         return replace(first, score=fit.score), header[:2]
 
-    def _convincing(self, fit: Fit, regularity: float, full_scale: int, impaired: bool) -> bool:
+    def _convincing(self, fit: Fit, regularity: float, hidden: bool, full_scale: int) -> bool:
         if not plausible(fit, self._parameters, self._side, full_scale):
             return False
-        whole = fit.score >= self._parameters.score and regularity >= self._parameters.regularity
-        hidden = impaired and fit.score >= HIDDEN_SCORE and regularity >= HIDDEN_REGULARITY
-        return bool(whole or hidden)
+        # what is left of a header in part hidden must be as good as a whole one
+        least = HIDDEN_REGULARITY if hidden else self._parameters.regularity
+        return fit.score >= self._parameters.score and regularity >= least
 
 
 def plausible(fit: Fit, parameters: SearchParameters, side: int, full_scale: int) -> bool:

@@ -115,7 +115,7 @@ class LedGains:
         seen = None if self.seen is None else self.seen.scaled(FADE)
         return LedGains(self.sight, self.brightness.faded(), seen)
 
-    def learn(self, cutout: Cutout, header: Floats, gain: float) -> "LearntGains":
+    def learn(self, cutout: Cutout, header: Floats, gain: float, in_sight: Floats) -> "LearntGains":
         """Learn from a header pair.
 
         Parameters
@@ -126,6 +126,8 @@ class LedGains:
             (n, n) luminances of the header less its inverse, +-1.
         gain
             Gray levels of the array with all LEDs on, as if all had the same gain.
+        in_sight
+            (n, n) 1 for LEDs in sight, 0 for those that something hides: of these nothing is learnt.
         """
         side, brightness = len(self.values), self.brightness.values
         dark = measure_noise([cutout], gain, side, self.values).dark
@@ -138,14 +140,16 @@ class LedGains:
             # of LEDs that data have shown to be dark a header says nothing
             found = _estimate(seen, header, brightness, gain, noise) / np.maximum(brightness, FAILED)
             # the median LED is a sound one
-            scale = float(np.clip(np.median(found), *MEDIAN_SCALES))
+            scale = float(np.clip(np.median(found[in_sight > 0]), *MEDIAN_SCALES))
             gain *= scale
             if abs(scale - 1) < SETTLED * LED_GAIN_SPREAD:
                 break
-        sight = np.clip((found / scale - FAILED) / (SOUND - FAILED), 0, 1)
-        sight[brightness < FAILED] = 1.0
+        shown_sight = np.clip((found / scale - FAILED) / (SOUND - FAILED), 0, 1)
+        shown_sight[brightness < FAILED] = 1.0
+        sight = np.where(in_sight > 0, shown_sight, self.sight)
         changed = bool(np.abs(sight - self.sight).max() > CHANGED)
-        return LearntGains(LedGains(sight, self.brightness, None if changed else seen), gain, changed)
+        kept = seen if in_sight.all() and not changed else None
+        return LearntGains(LedGains(sight, self.brightness, kept), gain, changed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -114,6 +114,7 @@ def fit_array(
     panel: bool = False,
     start: Floats | None = None,
     resolved: bool = True,
+    open_pixels: Floats | None = None,
 ) -> Fit:
     """Most probable pose of LEDs of known luminances, by Gauss-Newton with robust weights.
 
@@ -136,6 +137,8 @@ def fit_array(
         Pose vector to start from, as long as the prior's; None starts at the prior.
     resolved
         Whether LEDs may show singly. If not, the array is an even square with all LEDs on, which is faster.
+    open_pixels
+        (rows, columns) 1 for pixels that count, 0 for those that something hides; None if all count.
 
     Returns
     -------
@@ -147,7 +150,7 @@ def fit_array(
         The pixels give no pose, as numbers that are not finite do.
     """
     free = len(prior.covariance)
-    scene = _Scene(image, corner, weights, panel, resolved, free)
+    scene = _Scene(image, corner, weights, panel, resolved, free, open_pixels)
     vector, precision = (prior.vector if start is None else start).copy(), np.linalg.inv(prior.covariance)
     scene.place(vector)
     linear = scene.coefficients(prior.gain)
@@ -176,14 +179,23 @@ def fit_array(
         vector,
         np.asarray(covariance, np.float64),
         float(linear[0]),
-        correlation(image, image - scene.residual(linear)),
+        scene.score(linear),
     )
 
 
 class _Scene:
     """The images whose combination is the pixels, at a pose."""
 
-    def __init__(self, image: Floats, corner: tuple[int, int], weights: Floats, panel: bool, resolved: bool, free: int):
+    def __init__(
+        self,
+        image: Floats,
+        corner: tuple[int, int],
+        weights: Floats,
+        panel: bool,
+        resolved: bool,
+        free: int,
+        open_pixels: Floats | None,
+    ):
         from heliograph.receive.image import kernels  # Numba is slow to import
 
         self._kernels, self._image, self._corner, self._weights = kernels, image, corner, weights
@@ -192,6 +204,10 @@ class _Scene:
         shaped = 1 + len(self._margins)
         self._shapes = np.empty((shaped, 1 + free, *image.shape))
         self._plane = plane(*image.shape)
+        self._open = open_pixels
+        if open_pixels is not None:
+            # a pixel that is 0 in all images says nothing
+            self._image, self._plane = image * open_pixels, self._plane * open_pixels
         self._residual = np.empty(image.shape)
 
     def place(self, vector: Floats) -> None:
@@ -204,6 +220,8 @@ class _Scene:
             self._kernels.render_box(vector, half, x0, y0, self._shapes[0])
         for shape, margin in zip(self._shapes[1:], self._margins, strict=True):
             self._kernels.render_box(vector, half + margin, x0, y0, shape)
+        if self._open is not None:
+            self._shapes *= self._open
 
     def coefficients(self, gain: float) -> Floats:
         """Least squares coefficients of the images, near an expected gain if there is one."""
@@ -220,10 +238,20 @@ class _Scene:
         """Normal equations of steps in pose and coefficients, divided by the noise variance of the residuals."""
         size = self._shapes.shape[1] - 1 + len(linear)
         matrix, rhs = np.empty((size, size)), np.empty(size)
-        rough = BIWEIGHT * _noise_of(self.residual(linear))
+        rough = BIWEIGHT * _noise_of(self._counting(self.residual(linear)))
         mass, loss = self._kernels.normal_equations(self._image, self._shapes, self._plane, linear, rough, matrix, rhs)
+        mass -= 0.0 if self._open is None else float((self._open == 0).sum())
         noise = max(loss / max(mass - size, 1.0), LEAST_VARIANCE)
         return matrix / noise, rhs / noise
+
+    def score(self, linear: Floats) -> float:
+        """Correlation of pixels and images."""
+        image = self._counting(self._image)
+        return correlation(image, image - self._counting(self.residual(linear)))
+
+    def _counting(self, image: Floats) -> Floats:
+        """Pixels that count."""
+        return image if self._open is None else image[self._open > 0]
 
     def residual(self, linear: Floats) -> Floats:
         """Pixels less the images, (rows, columns); overwritten by the next call."""

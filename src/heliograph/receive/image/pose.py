@@ -120,3 +120,16 @@ class Pose:
             Shift in px, to the right and down.
         """
         return replace(self, x=self.x + dx, y=self.y + dy)
+
+
+def rim_distance(a: Pose, b: Pose, side: int) -> float:
+    """Largest distance in px of an outer LED from itself in another pose.
+
+    Parameters
+    ----------
+    a, b
+        The two poses of the array on the sensor.
+    side
+        LEDs in a row.
+    """
+    return float(np.linalg.norm(a.leds(side) - b.leds(side), axis=-1).max())

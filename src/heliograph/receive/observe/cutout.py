@@ -41,6 +41,8 @@ class Cutout:
         if the frames have all.
     noise
         Variance of a pixel of the difference, in units of that of a difference of two frames; above 0.
+    in_sight
+        (n, n) 1 for LEDs in sight, 0 for those that something hides; None if all are in sight.
     """
 
     total: Floats
@@ -51,6 +53,7 @@ class Cutout:
     combination: Combination | None = None
     covered: tuple[Floats, Floats] | None = None
     noise: float = 1.0
+    in_sight: Floats | None = None
 
     @property
     def middle(self) -> Pose:
@@ -62,6 +65,16 @@ class Cutout:
         """Rows and columns."""
         rows, cols = self.difference.shape
         return rows, cols
+
+    def shining(self, led_gains: Floats) -> Floats:
+        """Gains of LEDs (n, n), 0 where something hides them.
+
+        Parameters
+        ----------
+        led_gains
+            (n, n) gains of the LEDs, 0 to 1.
+        """
+        return led_gains if self.in_sight is None else led_gains * self.in_sight
 
     def slopes(self, levels: Floats) -> Floats:
         """Derivatives of the image of LEDs by x, y, ln pitch and roll, (4, rows, columns).
@@ -92,7 +105,8 @@ class Cutout:
         if len(self.poses) != 2 or self.combination is not None:
             return self
         first, second = self.poses
-        lit = image_of(led_gains, first, self.corner, self.shape) + image_of(led_gains, second, self.corner, self.shape)
+        shining = self.shining(led_gains)
+        lit = image_of(shining, first, self.corner, self.shape) + image_of(shining, second, self.corner, self.shape)
         # b(x - p_1) - b(x - p_2) = (p_2 - p_1) grad b, b = (r + r' - g (A_1 + A_2) 1 / 2) / 2
         steady = np.empty_like(self.difference)
         kernels.motion_compensated(

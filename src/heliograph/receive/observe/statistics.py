@@ -240,6 +240,8 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
         (n, n) gains of the LEDs, 0 to 1; None for 1 each.
     """
     shape, corner = cutout.shape, cutout.corner
+    if cutout.in_sight is not None:
+        led_gains = cutout.shining(np.ones((side, side)) if led_gains is None else led_gains)
     # B^T W B is taken at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2
     first, last = cutout.poses[0], cutout.poses[-1]
     motion = 0.5 * (last.x - first.x), 0.5 * (last.y - first.y)

@@ -69,10 +69,10 @@ class PlainReader:
         track, side = tracked.track, self._form.settings.side
         if tracked.seen:
             poses = track.state.pose_at(pair.pattern.time_s), track.state.pose_at(pair.inverted.time_s)
-            self._format_reader.take(number, pair, poses, track.led_gains)
+            self._format_reader.take(number, pair, poses, track.shining)
             self._gain = track.data_gain
         weights = header_weights(self._identity, AGREED.number, side)
-        score = header_score(pair, track.state.pose, weights * track.led_gains, track.gain)
+        score = header_score(pair, track.state.pose, weights * track.shining, track.gain)
         return ReadHeader(self._tracker.refine(track, pair, weights) if tracked.seen else track, score)
 
     def end_header(self, header: MeasuredHeader) -> None:

@@ -226,7 +226,7 @@ class ObservedPacket:
         levels = 0.5 * haar.inverse_transform(self.form.join(known[[k for k, _ in there]]))
         pairs = {}
         for (k, pair), level in zip(there, levels, strict=True):
-            slopes = pair.whitened.root * pair.cutout.slopes(level * self.led_gains.values)
+            slopes = pair.whitened.root * pair.cutout.slopes(level * pair.cutout.shining(self.led_gains.values))
             pairs[k] = DecodedPair(pair.statistics, known[k], slopes, pair.whitened)
         return pairs
 

@@ -21,6 +21,7 @@ from heliograph.receive.track.kalman import (
     Tilt,
     sum_observation,
 )
+from heliograph.receive.track.sight import FAINT, IN_SIGHT, around_leds, open_pixels, recent_change
 
 WINDOW_MARGIN_PITCHES, WINDOW_MARGIN_PX = 1.5, 1.5
 """Width of the surroundings that are fitted with the array: they hold its edge, the panel's and the background."""
@@ -52,8 +53,14 @@ SLIP = 0.2
 SLIP_BLUR = 0.5
 """Pitches of blur that hide single LEDs, as in the detector."""
 
+LEAST_IN_SIGHT = 0.25
+"""Least fraction of the LEDs in sight by which a pose is found: with less an array's place has no hold."""
+
 GAIN_RATE = 0.1
 """Weight of a pair's gain in the tracker's: sums of about ten pairs count."""
+
+GAIN_RATIO = 1.5
+"""Most that the gains of sums and of headers differ by: a panel's rim takes or adds a sixth of the light at 60 m."""
 
 FOUND_SPREAD = np.array([1.0, 1.0, 1e-3, 1e-4, 1e-2])
 """Variances added to a detection's pose vector for the motion since its middle: 1 px, and 3 % of the pitch.
@@ -78,6 +85,8 @@ class Track:
         (n, n) gains of its LEDs, 0 to 1.
     last_seen_s
         Time in seconds when it was last in sight.
+    change
+        (n, n) of `recent_change`: what LEDs have changed of late from pattern to inverse.
     """
 
     state: PoseState
@@ -85,6 +94,17 @@ class Track:
     data_gain: float
     led_gains: Floats
     last_seen_s: float
+    change: Floats
+
+    @property
+    def in_sight(self) -> Floats:
+        """1 for LEDs in sight, 0 for those that something hides, (n, n)."""
+        return (self.change >= IN_SIGHT).astype(np.float64)
+
+    @property
+    def shining(self) -> Floats:
+        """Gains of the LEDs, 0 where something hides them, (n, n)."""
+        return self.led_gains * self.in_sight
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +158,10 @@ class Tracker:
         """
         fit = detection.fit
         state = PoseState.start(detection.time_s, fit.vector, widened(fit.covariance), self._model)
-        return Track(state, fit.gain, fit.gain, detection.led_gains, detection.time_s)
+        sound = np.ones_like(detection.led_gains)
+        # cells without alternation may be hidden or dead
+        change = around_leds(detection.led_gains, fit.pose)
+        return Track(state, fit.gain, fit.gain, sound, detection.time_s, change)
 
     def follow(self, track: Track, pair: FramePair) -> TrackedPair:
         """Find the array in the sum of a pair and move the filter on; coast where it is not seen.
@@ -152,23 +175,29 @@ class Tracker:
         """
         predicted = self.predict(track, pair.time_s)
         corner, up, down = self._cut(pair, predicted.pose)
+        before, track = track, self._watch(track, up - down, predicted.pose, corner)
+        hides = not track.in_sight.all()
+        if track.in_sight.mean() < LEAST_IN_SIGHT:
+            return _coasted(before, replace(track, state=predicted))
+        unhidden = open_pixels(track.in_sight, predicted.pose, corner, up.shape) if hides else None
         # (pattern) + (inverse) = every LED on, Fig. 9
         observation = sum_observation(pair.late_s)
         mean, covariance = predicted.expected(observation)
         prior = Prior(np.append(mean, predicted.tilt.mean), covariance, track.gain)
         total = up + down
-        start = self._unresolved(total, corner, prior, track.led_gains) if self._unsure(predicted) else None
+        start = self._unresolved(total, corner, prior, track.shining, unhidden) if self._unsure(predicted) else None
         # a start of its own saves a step
         steps = PAIR_STEPS - (start is not None)
-        fit = fit_array(total, corner, prior, track.led_gains, steps, panel=True, start=start)
+        fit = fit_array(total, corner, prior, track.shining, steps, panel=True, start=start, open_pixels=unhidden)
         seen = _inside(fit, pair.pattern) and self._active(up - down, fit.pose, corner, track.gain)
         if seen:
             state = predicted.condition(fit.vector[:POSE_SIZE], fit.covariance, observation)
-            gain = track.gain + GAIN_RATE * (fit.gain - track.gain)
+            # what hides a part of the array has light of its own
+            gain = track.gain if hides else self._gain(track, fit)
             after = replace(track, state=state, last_seen_s=predicted.time_s, gain=gain)
         else:
             after = replace(track, state=predicted)
-        return TrackedPair(track, after, fit, seen)
+        return TrackedPair(before, after, fit, seen)
 
     def refine(self, track: Track, pair: FramePair, weights: Floats) -> Track:
         """Refine pitch, roll, blur and tilt by a header, after its sum was followed.
@@ -188,7 +217,7 @@ class Tracker:
         both = np.zeros((POSE_SIZE + 2, POSE_SIZE + 2))
         both[:POSE_SIZE, :POSE_SIZE], both[POSE_SIZE:, POSE_SIZE:] = covariance, tilt.covariance
         prior = Prior(np.append(mean, tilt.mean), both)
-        fit = fit_array(up - down, corner, prior, weights * track.led_gains, PAIR_STEPS)
+        fit = fit_array(up - down, corner, prior, weights * track.shining, PAIR_STEPS)
         if fit.score < HEADER_SCORE:
             return track
         state = state.condition(fit.vector[:POSE_SIZE], fit.covariance[:POSE_SIZE, :POSE_SIZE], HEADER_OBSERVATION)
@@ -230,7 +259,9 @@ class Tracker:
         pitch = predicted.pose.pitch
         return pitch > RESOLVED_PX and spread > SLIP * pitch
 
-    def _unresolved(self, total: Floats, corner: tuple[int, int], prior: Prior, led_gains: Floats) -> Floats:
+    def _unresolved(
+        self, total: Floats, corner: tuple[int, int], prior: Prior, led_gains: Floats, unhidden: Floats | None
+    ) -> Floats:
         """Start of the fit, found on pixels so blurred that no LED can be taken for its neighbour."""
         pose = Pose.from_vector(prior.vector)
         sigma = SLIP_BLUR * pose.pitch
@@ -242,10 +273,23 @@ class Tracker:
         failed = bool((led_gains < 1).any())
         wide = Prior(vector, covariance, prior.gain)
         # it need come near only: one step
-        fit = fit_array(smooth, corner, wide, led_gains, 1, panel=True, resolved=failed)
+        fit = fit_array(smooth, corner, wide, led_gains, 1, panel=True, resolved=failed, open_pixels=unhidden)
         found = fit.vector.copy()
         found[4] = prior.vector[4]
         return found
+
+    def _gain(self, track: Track, fit: Fit) -> float:
+        """The sums' gain after one more, within what a panel may add to the headers' or take from it."""
+        gain = track.gain + GAIN_RATE * (fit.gain - track.gain)
+        return float(np.clip(gain, track.data_gain / GAIN_RATIO, track.data_gain * GAIN_RATIO))
+
+    def _watch(self, track: Track, change: Floats, pose: Pose, corner: tuple[int, int]) -> Track:
+        """The track with what its LEDs have changed of late."""
+        _, around = self._parts(change, pose, corner)
+        noise = robust_std(around) if around.size else 0.0
+        # random data change the light by half of it
+        least = FAINT**0.5 * 0.5 * contrast(pose) * track.data_gain
+        return replace(track, change=recent_change(track.change, change, noise, pose, corner, least))
 
     def _cut(self, pair: FramePair, pose: Pose) -> tuple[tuple[int, int], Floats, Floats]:
         """The array's surroundings in both frames, and their corner."""
@@ -254,16 +298,20 @@ class Tracker:
 
     def _active(self, change: Floats, pose: Pose, corner: tuple[int, int], gain: float) -> bool:
         """Whether pattern and inverse differ where the array should be: a hidden or dark array shows no change."""
+        inner, around = self._parts(change, pose, corner)
+        noise = robust_std(around) if around.size else 0.0
+        least = ACTIVITY * contrast(pose) * gain
+        return bool(inner.size and np.mean(inner**2) >= least**2 + NOISY * noise**2)
+
+    def _parts(self, change: Floats, pose: Pose, corner: tuple[int, int]) -> tuple[Floats, Floats]:
+        """Pixels inside the array, and around it."""
         half = 0.5 * self._side * pose.pitch
         down, right = (
             np.abs(np.arange(n) + c)
             for n, c in zip(change.shape, (corner[1] - pose.y, corner[0] - pose.x), strict=True)
         )
         away = np.maximum(down[:, None], right)
-        inner, around = change[away <= max(half - 1, 1) + 0.5], change[away > half + 1]
-        noise = robust_std(around) if around.size else 0.0
-        least = ACTIVITY * contrast(pose) * gain
-        return bool(inner.size and np.mean(inner**2) >= least**2 + NOISY * noise**2)
+        return change[away <= max(half - 1, 1) + 0.5], change[away > half + 1]
 
 
 def contrast(pose: Pose) -> float:
@@ -290,6 +338,14 @@ def widened(covariance: Floats) -> Floats:
     wider = covariance.copy()
     wider[np.arange(5), np.arange(5)] += FOUND_SPREAD
     return wider
+
+
+def _coasted(before: Track, track: Track) -> TrackedPair:
+    """A pair in which the array is not in sight: its pose is the one predicted."""
+    state = track.state
+    vector = np.append(state.mean[:POSE_SIZE], state.tilt.mean)
+    fit = Fit(vector, state.covariance[:POSE_SIZE, :POSE_SIZE], track.gain, 0.0)
+    return TrackedPair(before, track, fit, seen=False)
 
 
 def _inside(fit: Fit, frame: AnyFrame) -> bool:

@@ -1,0 +1,128 @@
+"""Which LEDs are in sight: where a pattern and its inverse hardly differ, something hides them.
+
+Data are random, so over a few pairs every LED in sight changes from pattern to inverse. What hides an array stands
+still from one frame to the next, whatever its gray.
+"""
+
+import cv2
+import numpy as np
+
+from heliograph.base.arrays import Floats
+from heliograph.receive.image.pose import Pose
+
+AROUND_LEDS, AROUND_PX = 5, 4.0
+"""Side of the square about an LED whose change counts, in LEDs, and at least in px.
+
+25 LEDs of random data have their mean power to a quarter; fewer pixels than 16 show too few of them after the blur.
+"""
+
+RECENT = 0.25
+"""Weight of a pair in the change of late: with 25 LEDs each and four pairs it is known to a tenth, at most a fifth.
+
+A post that passes in 0.1 s hides an LED each 3 ms, so the change of late lags by two or three LEDs.
+"""
+
+IN_SIGHT = 0.2
+"""Least change of late of an LED in sight, as a fraction of that of the others; four of its deviations below them.
+
+A rim's LEDs change by half of that of others because of the blur, one in a corner by a third.
+"""
+
+BRIGHT = 0.8
+"""Quantile of the LEDs' changes that stands for one in sight: a fifth of the array is enough."""
+
+FAINT = 0.1
+"""Least of that quantile, as a fraction of the power that random data have: below it all are hidden."""
+
+MOST = 2.0
+"""Most that a pair counts for an LED in sight, as a multiple of that quantile."""
+
+
+def recent_change(
+    before: Floats, change: Floats, noise: float, pose: Pose, corner: tuple[int, int], least: float
+) -> Floats:
+    """Change of each LED of late, as a fraction of that of LEDs in sight.
+
+    Parameters
+    ----------
+    before
+        (n, n) the same before the pair.
+    change
+        (rows, columns) pattern less inverse in gray levels.
+    noise
+        Standard deviation of its noise in gray levels.
+    pose
+        Pose of the array, in the middle of the pair.
+    corner
+        (x, y) on the sensor of the first pixel.
+    least
+        Change of an LED in gray levels, rms, below which none is in sight.
+
+    Returns
+    -------
+    (n, n), 0 to `MOST`.
+    """
+    side = len(before)
+    middle, axes = 0.5 * (side - 1), pose.axes
+    first = np.array([pose.x - corner[0], pose.y - corner[1]]) - axes @ np.array([middle, middle])
+    # LED (column, row) lies at first + axes (column, row)
+    power = np.maximum(change**2 - noise**2, 0.0).astype(np.float32)
+    sampled = cv2.warpAffine(
+        power,
+        np.column_stack([axes, first]),
+        (side, side),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    around = around_leds(np.asarray(sampled, np.float64), pose)
+    bright = int(BRIGHT * (around.size - 1))
+    others = max(float(np.partition(around, bright, axis=None)[bright]), least**2)
+    return before + RECENT * (np.minimum(around / others, MOST) - before)
+
+
+def around_leds(values: Floats, pose: Pose) -> Floats:
+    """Mean of values of LEDs over the squares about them.
+
+    Parameters
+    ----------
+    values
+        (n, n) values, one per LED.
+    pose
+        Pose of the array, whose pitch says how many LEDs a square holds.
+    """
+    width = min(max(AROUND_LEDS, int(np.ceil(AROUND_PX / pose.pitch)) | 1), len(values) - 1 | 1)
+    return np.asarray(cv2.blur(values, (width, width), borderType=cv2.BORDER_REFLECT), np.float64)
+
+
+def open_pixels(seen: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
+    """Pixels before which nothing is: those whose LED and its neighbours are in sight.
+
+    Parameters
+    ----------
+    seen
+        (n, n) 1 for LEDs in sight, else 0.
+    pose
+        Pose of the array's image on the sensor.
+    corner
+        (x, y) on the sensor of the first pixel.
+    shape
+        Rows and columns of the window in px.
+
+    Returns
+    -------
+    (rows, columns), 1 or 0; beyond the array that of the nearest LED.
+    """
+    side = len(seen)
+    sure = cv2.erode(seen.astype(np.float32), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
+    middle, inverse = 0.5 * (side - 1), np.linalg.inv(pose.axes)
+    first = inverse @ (np.array(corner, float) - (pose.x, pose.y)) + middle
+    return np.asarray(
+        cv2.warpAffine(
+            sure,
+            np.column_stack([inverse, first]),
+            (shape[1], shape[0]),
+            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        ),
+        np.float64,
+    )

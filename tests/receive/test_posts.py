@@ -1,0 +1,29 @@
+"""Posts that pass before an array, drawn as the benchmark of them draws them."""
+
+from itertools import takewhile
+
+import numpy as np
+import pytest
+from benchmarks.poles import Passage, draw, receive, whole
+
+from heliograph.receive import Packet
+
+
+def read(number: int, until_s: float) -> tuple[Passage, list[Packet]]:
+    """A passage of seed 1, and what the soft receiver reads of it up to a time."""
+    passage = draw(np.random.default_rng((1, number)))
+    return passage, receive(passage, list(takewhile(lambda frame: frame.time_s < until_s, passage.frames())), "soft")
+
+
+@pytest.mark.slow
+def test_the_first_packet_in_clear_sight_is_read() -> None:
+    # its header at 0.5 s was found with a half hidden, and taken for tilted
+    passage, packets = read(1, 1.0)
+    assert whole(passage, packets)
+
+
+@pytest.mark.slow
+def test_a_post_beside_the_array_pulls_no_packet_away() -> None:
+    # by 1.4 px, a pitch and a half
+    _, packets = read(0, 0.21)
+    assert [packet.status for packet in packets] == ["ok", "ok"]

@@ -1,0 +1,95 @@
+"""Which LEDs are in sight, and poses by the power of differences."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes import SIDE, draw, frame_of, pitch_at
+
+from heliograph.receive import Pose
+from heliograph.receive.image.fit import Prior, fit_array
+from heliograph.receive.observe.cutout import Cutout, take_cutout
+from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.track.realign import realigned
+from heliograph.receive.track.sight import IN_SIGHT, open_pixels, recent_change
+
+Floats = NDArray[np.float64]
+
+SHAPE = (60, 60)
+
+
+def pose_at(distance_m: float) -> Pose:
+    return Pose(29.6, 30.3, pitch_at(distance_m), 0.02, 0.53)
+
+
+def data(rng: np.random.Generator) -> Floats:
+    """Random luminances of the LEDs."""
+    return rng.binomial(4, 0.5, (SIDE, SIDE)) / 4
+
+
+def pair_of(pose: Pose, rng: np.random.Generator, post: slice | None = None, level: float = 0.3) -> FramePair:
+    """A pair of random data, columns of pixels hidden by a post."""
+    levels, frames = data(rng), []
+    for k, x in enumerate((levels, 1 - levels)):
+        light = 0.1 + 0.8 * draw(pose, x, (0, 0), SHAPE)
+        if post is not None:
+            light[:, post] = level
+        frames.append(frame_of(light, k, rng))
+    return FramePair(frames[0], frames[1])
+
+
+def change_of(pair: FramePair) -> Floats:
+    return np.asarray(pair.pattern.pixels, np.float64) - pair.inverted.pixels
+
+
+@pytest.mark.parametrize("distance_m", [25.0, 50.0, 95.0])
+def test_what_a_post_hides_does_not_change(distance_m: float) -> None:
+    rng, pose = np.random.default_rng(3), pose_at(distance_m)
+    # the left half of the array
+    post = slice(0, round(pose.x))
+    change = np.ones((SIDE, SIDE))
+    for _ in range(30):
+        change = recent_change(change, change_of(pair_of(pose, rng, post)), 2.0, pose, (0, 0), 5.0)
+    seen = change >= IN_SIGHT
+    assert not seen[:, :4].any()
+    assert seen[:, 9:].all()
+    clear = open_pixels(seen.astype(np.float64), pose, (0, 0), SHAPE)
+    assert not clear[:, : round(pose.x) - 4].any()
+    assert clear[:, round(pose.x + 3 * pose.pitch) :].all()
+
+
+def test_an_array_in_clear_sight_stays_in_sight() -> None:
+    rng, pose = np.random.default_rng(4), pose_at(95.0)
+    change = np.ones((SIDE, SIDE))
+    least = np.inf
+    for _ in range(200):
+        change = recent_change(change, change_of(pair_of(pose, rng)), 2.0, pose, (0, 0), 5.0)
+        least = min(least, float(change.min()))
+    assert least >= IN_SIGHT
+
+
+def test_pixels_that_something_hides_do_not_move_a_fit() -> None:
+    rng, pose = np.random.default_rng(5), pose_at(50.0)
+    pair = pair_of(pose, rng, slice(0, 25), 0.9)
+    total = np.asarray(pair.pattern.pixels, np.float64) + pair.inverted.pixels
+    seen = np.ones((SIDE, SIDE))
+    seen[:, :5] = 0
+    spread = np.diag(np.array([1.0, 1.0, 0.05, 0.02, 0.1]) ** 2)
+    prior = Prior(pose.full_vector() + np.array([0.3, -0.2, 0.01, 0, 0, 0, 0]), spread, 0.8 * 255)
+    clear = open_pixels(seen, pose, (0, 0), SHAPE)
+    found = fit_array(total, (0, 0), prior, seen, 6, panel=True, open_pixels=clear)
+    pulled = fit_array(total, (0, 0), prior, np.ones((SIDE, SIDE)), 6, panel=True)
+    assert abs(found.pose.x - pose.x) < 0.1
+    assert abs(found.pose.x - pose.x) < 0.2 * abs(pulled.pose.x - pose.x)
+
+
+@pytest.mark.parametrize("distance_m", [50.0, 95.0])
+def test_poses_that_are_off_go_to_where_the_differences_have_their_power(distance_m: float) -> None:
+    rng, pose = np.random.default_rng(6), pose_at(distance_m)
+    wrong = pose.moved(-1.3, 0.7)
+    cutouts: list[Cutout | None] = [take_cutout(pair_of(pose, rng), (wrong, wrong), SIDE) for _ in range(24)]
+    cutouts[5] = None
+    moved, largest = realigned(cutouts, np.ones((SIDE, SIDE)))
+    assert largest == pytest.approx(np.hypot(1.3, 0.7), abs=0.4)
+    assert moved[5] is None
+    places = np.array([(one.middle.x - pose.x, one.middle.y - pose.y) for one in moved if one is not None])
+    assert np.abs(places).max() < 0.4
