@@ -130,7 +130,15 @@ class KnownReader:
 
     @one_thread()
     def take_lone(self, place: int, lone: LoneFrame) -> None:
-        """Leave a pair out of which one frame is lost; see `PacketReader`."""
+        """Leave a pair out of which one frame is lost; see `PacketReader`.
+
+        Parameters
+        ----------
+        place
+            Number of the pair in its packet's data, from 0.
+        lone
+            The frame that is there; ignored.
+        """
 
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Codewords by layer."""

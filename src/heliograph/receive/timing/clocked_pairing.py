@@ -200,7 +200,7 @@ class ClockedPairing:
         clock = LightClock(start_s, period, self._signal, self._identity, self._exposure_s)
         end = start_s + (self._header + PATTERNS_AROUND) * light_s
         near = [f for f in frames if start_s - PATTERNS_AROUND * light_s <= f.time_s <= end]
-        if len(near) <= self._header:
+        if len(near) < self._header:
             # the header would have begun before the film
             self.lost = True
             return clock

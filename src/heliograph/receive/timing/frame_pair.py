@@ -83,7 +83,7 @@ class LoneFrame:
     Attributes
     ----------
     frame
-        The camera's frame.
+        The camera's frame, whose time is the start of its exposure.
     inverted
         Whether it shows the inverse.
     late_s

@@ -18,6 +18,7 @@ from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import cut_out, window_around
+from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
 from heliograph.receive.timing.combination import SlotLight
 from heliograph.signal.formats import words
 from heliograph.signal.header import header_cells
@@ -244,6 +245,8 @@ class LightClock:
             self._evidence, self._measured = self._prior, False
         if self._measured:
             cost = cost + 0.5 * (offset / max(spread, LEAST_DEVIATION)) ** 2
+        else:
+            cost = cost - self._in_step(view.times_s, offset)
         by_exposure = -cost.min(1) + np.log(np.exp(cost.min(1)[:, None] - cost).sum(1))
         self._evidence = self._evidence + by_exposure - by_exposure.max()
         chance = np.exp((self._evidence - self._evidence.max() - by_exposure)[:, None] - cost)
@@ -252,6 +255,18 @@ class LightClock:
         variance = float(chance @ (offset - mean) ** 2) + LEAST_DEVIATION**2
         self._take(mean * self.period_s, variance * self.period_s**2)
         return True
+
+    def _in_step(self, times_s: Floats, offset: Floats) -> Floats:
+        """Prior log odds of starts (offsets,) where frames about a first header are missing, which may tell little.
+
+        The camera is as likely in step as not, so one start has the weight of all others together.
+        """
+        steps = np.diff(times_s) / self.period_s
+        odds = np.zeros(len(offset))
+        if np.abs(steps - np.round(steps)).max() < STEP_TOLERANCE and steps.max() > 1.5:
+            late = float((times_s[0] - self.start_s) / self.period_s)
+            odds[np.argmin(np.abs(offset - (late - round(late))))] = np.log(len(offset))
+        return odds
 
     def _move(self, pattern: int) -> None:
         """Predict the start of the header at a pattern."""

@@ -153,13 +153,13 @@ class SlipWatch:
         if len(self._held) == 1:
             yield self._pop()
         elif (first.number + self.lost) % 2:
-            if self._left_alone(first) and self._gap(0) == 1 and self._uneven(0, 1) < EVEN / 2:
+            if self._left_alone(first) and self._gap(0) == 1 and self._copied():
                 # the frame that seems missing before it was a copy, which the clock left out
                 self.lost -= 1
             else:
                 yield self._pop()
         elif self._gap(0) > 1:
-            copied = self._gap(0) == 2 and self._uneven(0, 1) < EVEN / 2
+            copied = self._gap(0) == 2 and self._copied()
             yield self._pop()
             self.lost -= copied
         elif self._uneven(0, 1) < EVEN or not self._slipped():
@@ -203,6 +203,10 @@ class SlipWatch:
         """Whether the frame before an inverse of data is missing by its time."""
         number = first.number + self.lost
         return number % 2 == 1 and first.number > self._number + 1 and is_data(number // 2, self._signal)
+
+    def _copied(self) -> bool:
+        """Whether the first two frames are a pair, so that what seems missing by their times was a copy."""
+        return self._mean is not None and self._uneven(0, 1) < EVEN / 2
 
     def _uneven(self, i: int, j: int) -> float:
         """The measure e of two frames in hand, at most 1."""

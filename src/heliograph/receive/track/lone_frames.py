@@ -108,7 +108,7 @@ def lone_cutout(
     Parameters
     ----------
     lone
-        The frame.
+        The camera's frame that is left, and which of the two it is.
     place
         Number of the pair in the packet's data.
     seen
