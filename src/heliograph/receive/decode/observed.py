@@ -35,8 +35,12 @@ class Observed(Protocol):
 
         Parameters
         ----------
-        mean, variance, gain, noise
-            As for `refined`, with the same shapes and units.
+        mean, variance
+            (pairs, n^2) mean, -1 to 1, and variance, 0 to 1, of each symbol; in the single mode by pattern.
+        gain
+            Gray levels of the array with all LEDs on.
+        noise
+            Variance of a pixel of a difference in squared gray levels.
         """
 
 
