@@ -237,10 +237,10 @@ class ArrayReceiver:
         return self._astray(detection) if later else not due and detection.score > self.found.score
 
     def _astray(self, detection: Detection) -> bool:
-        """Whether a header that is whole shows the array elsewhere than it is followed."""
+        """Whether a header that is whole and leaves no doubt shows the array elsewhere than it is followed."""
         there = self._track.state.pose_at(detection.time_s)
         off = rim_distance(there, detection.fit.pose, self._signal.side)
-        return bool((detection.led_gains == 1).all()) and off > ASTRAY * there.pitch
+        return detection.clear and bool((detection.led_gains == 1).all()) and off > ASTRAY * there.pitch
 
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packet it completes.

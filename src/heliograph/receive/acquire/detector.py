@@ -16,17 +16,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.candidate import (
-    HIDDEN_CELL,
-    HIDING_BLUR,
-    LEVEL,
-    PARTLY_LIT_CELL,
-    TILTED,
-    UPRIGHT,
-    cell_weights,
-    fit_near,
-    lit_cells,
-)
+from heliograph.receive.acquire.candidate import HIDING_BLUR, LEVEL, TILTED, UPRIGHT, cell_weights, fit_near
 from heliograph.receive.acquire.coarse import (
     SIDE_STEP,
     SearchParameters,
@@ -34,13 +24,11 @@ from heliograph.receive.acquire.coarse import (
     busy_blocks,
     coarse_candidates,
 )
+from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header
 from heliograph.receive.image.fit import Fit, header_amplitude
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import common
 from heliograph.signal.settings import SignalSettings
-
-CLEAR = 0.95
-"""Score from which on a candidate is not tried as a tilted one too: it then explains 90 % of the pixels' power."""
 
 GAINED = 0.03
 """How much better a tilted candidate must be: an upright array with a hidden side looks a little tilted.
@@ -51,23 +39,10 @@ Chosen; docs/constants.md says what half and twice of it cost.
 MOST_TILT = 0.2
 """Largest tilt taken for an array's: that of 48 degrees, beyond which LEDs of 22.6 degrees half angle hardly shine."""
 
-HIDDEN = 0.32
-"""Largest hidden fraction of an array that is found all the same: 5 of 16 cells."""
+HIDDEN_SCORE, HIDDEN_REGULARITY = 0.8, 0.85
+"""Least score of an array before which a thin post is, and least regularity of one of which a part is hidden.
 
-HIDDEN_TRIED = 0.7
-"""Least score of a candidate that is fitted again without its hidden cells.
-
-With the fraction `HIDDEN` missing the whole header still correlates by sqrt(1 - 0.32) = 0.82; the rest is for noise.
-"""
-
-HIDDEN_REGULARITY = 0.85
-"""Least regularity of an array of which a part is hidden: it alternates evenly."""
-
-FIRST_AMPLITUDE, FIRST_SCORE = 0.7, 0.9
-"""Least gain and score of a header's first pair, as fractions of the whole header's, for the pose to be its.
-
-Out of step a header may begin amid a frame, and two frames have more noise than four. Chosen; docs/constants.md says
-what half and twice of it cost.
+It correlates less, but alternates evenly; without hidden cells it must correlate as a whole one does.
 """
 
 OVERLAP = 0.1
@@ -277,13 +252,13 @@ class Detector:
         there = slots[start : start + self._header]
         # what is filled in alternates by itself: a pair of data must not pass for a header that is half hidden
         even = self._parameters.impaired and None not in there and regularity >= HIDDEN_REGULARITY
-        fit, led_gains = self._fit_header(header, pose, weights, tilt, even)
-        hidden = not led_gains.all()
-        if fit is None or not self._convincing(fit, regularity, hidden, header[0].full_scale):
+        fit, led_gains, level = fit_header(header, pose, weights, tilt, self._parameters.score, even)
+        least = HIDDEN_SCORE if level and led_gains.all() else self._parameters.score
+        if fit is None or not self._convincing(fit, regularity, least, header[0].full_scale):
             return None
         start_s = self._start_s(there)
-        if None not in there[:2]:
-            fit, header = self._shape(header, fit, led_gains * weights, LEVEL if hidden else tilt)
+        if None not in there[:2] and self._parameters.impaired and self._span > 2:
+            fit, header = fit_first_pair(header, fit, led_gains * weights, LEVEL if level else tilt)
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
         return Detection(number, start_s, fit, middle, fit.score, regularity, led_gains)
 
@@ -292,47 +267,11 @@ class Detector:
         first, frame = next((k, frame) for k, frame in enumerate(header) if frame is not None)
         return frame.time_s - first * self._period_s
 
-    def _fit_header(
-        self, header: list[Frame], pose: Pose, weights: NDArray[np.float64], tilt: float, even: bool
-    ) -> tuple[Fit | None, NDArray[np.float64]]:
-        """Fit of a header's frames, and the gains of its LEDs.
-
-        Where it is `even`, it is fitted without its hidden cells if that is better.
-        """
-        change, origin = alternation_of(header[: self._span]), header[0].origin
-        fit, led_gains = fit_near(change, origin, pose, weights, tilt), np.ones(weights.shape)
-        even = even and tilt <= UPRIGHT
-        if fit is None or not HIDDEN_TRIED <= fit.score < CLEAR or not even:
-            return fit, led_gains
-        best, lit = fit, np.ones(self._cells.shape[1])
-        for least in (HIDDEN_CELL, PARTLY_LIT_CELL):
-            # a hidden side looks like a tilt
-            pose = replace(best.pose, stretch=0.0, shear=0.0)
-            lit = lit * lit_cells(change, origin, pose, led_gains * weights, least).ravel()
-            led_gains = cell_weights(lit, self._side)
-            rest = fit_near(change, origin, pose, led_gains * weights, LEVEL)
-            if rest is None or lit.mean() < 1 - HIDDEN:
-                return fit, np.ones(weights.shape)
-            best = rest
-        return (best, led_gains) if best.score > fit.score else (fit, np.ones(weights.shape))
-
-    def _shape(
-        self, header: list[Frame], fit: Fit, weights: NDArray[np.float64], tilt: float
-    ) -> tuple[Fit, list[Frame]]:
-        """Fit of a header's first pair, and its frames, where the later pairs may be dimmed unevenly by a format."""
-        if not self._parameters.impaired or self._span <= 2:
-            return fit, header
-        first = fit_near(alternation_of(header[:2]), header[0].origin, fit.pose, weights, tilt)
-        if first is None or first.score <= FIRST_SCORE * fit.score or first.gain <= FIRST_AMPLITUDE * fit.gain:
-            return fit, header
-        return replace(first, score=fit.score), header[:2]
-
-    def _convincing(self, fit: Fit, regularity: float, hidden: bool, full_scale: int) -> bool:
+    def _convincing(self, fit: Fit, regularity: float, least: float, full_scale: int) -> bool:
         if not plausible(fit, self._parameters, self._side, full_scale):
             return False
-        # what is left of a header in part hidden must be as good as a whole one
-        least = HIDDEN_REGULARITY if hidden else self._parameters.regularity
-        return fit.score >= self._parameters.score and regularity >= least
+        # what is fitted as hidden alternates evenly, or is not fitted as such
+        return fit.score >= least and regularity >= self._parameters.regularity
 
 
 def plausible(fit: Fit, parameters: SearchParameters, side: int, full_scale: int) -> bool:

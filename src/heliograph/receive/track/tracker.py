@@ -158,10 +158,9 @@ class Tracker:
         """
         fit = detection.fit
         state = PoseState.start(detection.time_s, fit.vector, widened(fit.covariance), self._model)
-        sound = np.ones_like(detection.led_gains)
-        # cells without alternation may be hidden or dead
         change = around_leds(detection.led_gains, fit.pose)
-        return Track(state, fit.gain, fit.gain, sound, detection.time_s, change)
+        # cells without alternation may be hidden or dead
+        return Track(state, fit.gain, fit.gain, detection.led_gains, detection.time_s, change)
 
     def follow(self, track: Track, pair: FramePair) -> TrackedPair:
         """Find the array in the sum of a pair and move the filter on; coast where it is not seen.

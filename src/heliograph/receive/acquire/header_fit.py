@@ -1,0 +1,115 @@
+"""Fit of a header's frames to a fraction of a pixel: of a whole array, or of one that something hides in part."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.acquire.candidate import (
+    HIDDEN_CELL,
+    LEVEL,
+    PARTLY_LIT_CELL,
+    UPRIGHT,
+    cell_weights,
+    fit_near,
+    lit_cells,
+)
+from heliograph.receive.acquire.coarse import alternation_of
+from heliograph.receive.image.fit import Fit
+from heliograph.receive.image.pose import Pose
+from heliograph.signal.header import CELLS
+
+CLEAR = 0.95
+"""Score from which on a candidate is not tried as a tilted one too: it then explains 90 % of the pixels' power."""
+
+HIDDEN = 0.32
+"""Largest hidden fraction of an array that is found all the same: 5 of 16 cells."""
+
+HIDDEN_TRIED = 0.7
+"""Least score of a candidate that is fitted again without its hidden cells.
+
+With the fraction `HIDDEN` missing the whole header still correlates by sqrt(1 - 0.32) = 0.82; the rest is for noise.
+"""
+
+FIRST_AMPLITUDE, FIRST_SCORE = 0.7, 0.9
+"""Least gain and score of a header's first pair, as fractions of the whole header's, for the pose to be its.
+
+Out of step a header may begin amid a frame, and two frames have more noise than four. Chosen; docs/constants.md says
+what half and twice of it cost.
+"""
+
+
+def fit_header(
+    header: Sequence[Frame], pose: Pose, weights: NDArray[np.float64], tilt: float, score: float, even: bool
+) -> tuple[Fit | None, NDArray[np.float64], bool]:
+    """Fit a header's frames.
+
+    Parameters
+    ----------
+    header
+        Two or four frames of the header, one per pattern.
+    pose
+        Pose of the array's image on the sensor, from which the fit starts.
+    weights
+        (n, n) of the header, +-1.
+    tilt
+        Standard deviation of stretch and shear, `UPRIGHT` or `TILTED`.
+    score
+        Least correlation with the header's image of a detection, 0 to 1.
+    even
+        Whether the frames alternate so evenly that a part of the array may be hidden.
+
+    Returns
+    -------
+    The fit, None where the image does not hold the array; (n, n) gains of its LEDs, 0 in hidden cells; and whether it
+    was fitted as level, for a part is hidden.
+    """
+    change, origin, side = alternation_of(header), header[0].origin, len(weights)
+    fit, sound = fit_near(change, origin, pose, weights, tilt), np.ones(weights.shape)
+    if fit is None or not HIDDEN_TRIED <= fit.score < CLEAR or not even or tilt > UPRIGHT:
+        return fit, sound, False
+    best, lit, led_gains = fit, np.ones(CELLS * CELLS), sound
+    for least in (HIDDEN_CELL, PARTLY_LIT_CELL):
+        # a hidden side looks like a tilt
+        pose = replace(best.pose, stretch=0.0, shear=0.0)
+        lit = lit * lit_cells(change, origin, pose, led_gains * weights, least).ravel()
+        led_gains = cell_weights(lit, side)
+        rest = fit_near(change, origin, pose, led_gains * weights, LEVEL)
+        if rest is None or lit.mean() < 1 - HIDDEN:
+            break
+        best = rest
+    else:
+        if best.score > max(fit.score, score):
+            return best, led_gains, True
+    if fit.score >= score:
+        return fit, sound, False
+    # a thin post hides parts of cells
+    pose = replace(fit.pose, stretch=0.0, shear=0.0)
+    return fit_near(change, origin, pose, weights, LEVEL), sound, True
+
+
+def fit_first_pair(header: list[Frame], fit: Fit, weights: NDArray[np.float64], tilt: float) -> tuple[Fit, list[Frame]]:
+    """Fit a header's first pair, as the later pairs may be dimmed unevenly by a format.
+
+    Parameters
+    ----------
+    header
+        Four frames of the header, one per pattern.
+    fit
+        Fit of all four.
+    weights
+        (n, n) of the header, +-1, 0 where it is hidden.
+    tilt
+        Standard deviation of stretch and shear.
+
+    Returns
+    -------
+    The fit of the first pair with the score of all, and its two frames; where that pair shows the header worse, what
+    was given.
+    """
+    first = fit_near(alternation_of(header[:2]), header[0].origin, fit.pose, weights, tilt)
+    if first is None or first.score <= FIRST_SCORE * fit.score or first.gain <= FIRST_AMPLITUDE * fit.gain:
+        return fit, header
+    return replace(first, score=fit.score), header[:2]
