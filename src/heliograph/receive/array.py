@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +10,16 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.detector import Detection
 from heliograph.receive.decode.codeword import unread
-from heliograph.receive.events import DecodeEvent, Observer, TrackEvent
+from heliograph.receive.events import Observer, TrackEvent
 from heliograph.receive.image.pose import Pose, rim_distance
 from heliograph.receive.packets import Codeword, Packet, Status
+from heliograph.receive.reading import PacketReader
 from heliograph.receive.settings import CalibrationSettings
-from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader, Pairing
+from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, Pairing
 from heliograph.receive.timing.light_clock import PATTERNS_AROUND
 from heliograph.receive.timing.slips import SlipWatch
 from heliograph.receive.track.lone_frames import REACH
-from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
+from heliograph.receive.track.tracker import TrackedPair, Tracker
 from heliograph.signal.formats import Format, ReservedModeError
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
@@ -38,102 +38,6 @@ docs/constants.md says what half and twice of it cost.
 
 ASTRAY = 0.5
 """Pitches by which the rim of an array that is followed may lie off its header: beyond it LEDs are taken for others."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReadHeader:
-    """A header pair as it was read.
-
-    Attributes
-    ----------
-    track
-        The array, its pose refined by the header.
-    score
-        Amplitude of the header as a fraction of the array's light.
-    """
-
-    track: Track
-    score: float
-
-
-class PacketReader(Protocol):
-    """Reads one packet of an array."""
-
-    @property
-    def format(self) -> Format:
-        """The packet's format, as far as its header has shown it."""
-
-    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
-        """Read a header pair.
-
-        Parameters
-        ----------
-        number
-            Its number in the header, from 0.
-        pair
-            Frames of the header and its inverse.
-        tracked
-            The array in them, as their sum shows it.
-        """
-
-    def end_header(self, header: MeasuredHeader) -> None:
-        """Take a whole header that a camera out of step saw.
-
-        Parameters
-        ----------
-        header
-            The gain it showed, its frames combined to one pair, and the frames one by one.
-        """
-
-    def follow(self, pair: FramePair, track: Track) -> TrackedPair:
-        """Find the array in a pair of data.
-
-        Parameters
-        ----------
-        pair
-            Frames of a pattern and its inverse; in the single mode of two patterns.
-        track
-            The array as known before the pair.
-        """
-
-    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
-        """Take a pair of data in which the array was seen.
-
-        Parameters
-        ----------
-        place
-            Its number in the packet's data, from 0.
-        pair
-            Frames of a pattern and its inverse; in the single mode of two patterns.
-        tracked
-            The array in them, as `follow` found it.
-        """
-
-    def take_lone(self, place: int, lone: LoneFrame) -> None:
-        """Take what is left of a pair of data.
-
-        Parameters
-        ----------
-        place
-            Its number in the packet's data, from 0.
-        lone
-            The frame that is there.
-        """
-
-    def decode(self) -> dict[str, tuple[Codeword, ...]]:
-        """Decode all that was taken: codewords by layer."""
-
-    def shown(self, packet: Packet) -> DecodeEvent:
-        """What an observer of the packet gets.
-
-        Parameters
-        ----------
-        packet
-            The packet just decoded, as it will be handed out.
-        """
-
-    def next(self) -> "PacketReader":
-        """Give the reader of the next packet, once this one is decoded."""
 
 
 @dataclass(slots=True)

@@ -7,12 +7,13 @@ from heliograph.base.errors import SettingsError
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detector import Detection, Detector
 from heliograph.receive.acquire.phases import PhasedSearch
-from heliograph.receive.array import ArrayReceiver, PacketReader
+from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.soft_combining import SoftBuffer
 from heliograph.receive.events import Observer
 from heliograph.receive.packet_reader import SoftParts, SoftReader
 from heliograph.receive.plain.reader import PlainReader
+from heliograph.receive.reading import PacketReader
 from heliograph.receive.receiver import Parts, StreamReceiver
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.timing.camera_clock import CameraClock, SteppedClock

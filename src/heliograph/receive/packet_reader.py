@@ -9,7 +9,6 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.acquire.header import header_score, header_weights
-from heliograph.receive.array import ReadHeader
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import decode_iteratively
@@ -22,6 +21,7 @@ from heliograph.receive.image.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
 from heliograph.receive.packets import Codeword, Packet
+from heliograph.receive.reading import ReadHeader
 from heliograph.receive.settings import Feedback
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.background import SeenHeader

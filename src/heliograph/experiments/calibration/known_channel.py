@@ -19,7 +19,6 @@ from heliograph.measure.bench import dithered, lasting, random_messages, window_
 from heliograph.measure.statistics import Count
 from heliograph.receive import Codeword, Packet, Receiver, make_receiver
 from heliograph.receive.acquire.detector import Detection
-from heliograph.receive.array import PacketReader, ReadHeader
 from heliograph.receive.assemblies import soft_parts, soft_reader
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
@@ -30,6 +29,7 @@ from heliograph.receive.events import DecodeEvent, ignore
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.receive.reading import PacketReader, ReadHeader
 from heliograph.receive.receiver import StreamReceiver
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.pose_refinement import ObservedPacket

@@ -5,11 +5,11 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.acquire.header import header_score, header_weights
-from heliograph.receive.array import ReadHeader
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
 from heliograph.receive.packets import Codeword, Packet
 from heliograph.receive.plain.extract import luminances, pair_luminances
+from heliograph.receive.reading import ReadHeader
 from heliograph.receive.settings import Equaliser
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.kalman import PoseState

@@ -1,0 +1,106 @@
+"""What a reader of packets must offer to the reception of an array."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from heliograph.receive.events import DecodeEvent
+from heliograph.receive.packets import Codeword, Packet
+from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
+from heliograph.receive.track.tracker import Track, TrackedPair
+from heliograph.signal.formats import Format
+
+
+@dataclass(frozen=True, slots=True)
+class ReadHeader:
+    """A header pair as it was read.
+
+    Attributes
+    ----------
+    track
+        The array, its pose refined by the header.
+    score
+        Amplitude of the header as a fraction of the array's light.
+    """
+
+    track: Track
+    score: float
+
+
+class PacketReader(Protocol):
+    """Reads one packet of an array."""
+
+    @property
+    def format(self) -> Format:
+        """The packet's format, as far as its header has shown it."""
+
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
+        """Read a header pair.
+
+        Parameters
+        ----------
+        number
+            Its number in the header, from 0.
+        pair
+            Frames of the header and its inverse.
+        tracked
+            The array in them, as their sum shows it.
+        """
+
+    def end_header(self, header: MeasuredHeader) -> None:
+        """Take a whole header that a camera out of step saw.
+
+        Parameters
+        ----------
+        header
+            The gain it showed, its frames combined to one pair, and the frames one by one.
+        """
+
+    def follow(self, pair: FramePair, track: Track) -> TrackedPair:
+        """Find the array in a pair of data.
+
+        Parameters
+        ----------
+        pair
+            Frames of a pattern and its inverse; in the single mode of two patterns.
+        track
+            The array as known before the pair.
+        """
+
+    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
+        """Take a pair of data in which the array was seen.
+
+        Parameters
+        ----------
+        place
+            Its number in the packet's data, from 0.
+        pair
+            Frames of a pattern and its inverse; in the single mode of two patterns.
+        tracked
+            The array in them, as `follow` found it.
+        """
+
+    def take_lone(self, place: int, lone: LoneFrame) -> None:
+        """Take what is left of a pair of data.
+
+        Parameters
+        ----------
+        place
+            Its number in the packet's data, from 0.
+        lone
+            The frame that is there.
+        """
+
+    def decode(self) -> dict[str, tuple[Codeword, ...]]:
+        """Decode all that was taken: codewords by layer."""
+
+    def shown(self, packet: Packet) -> DecodeEvent:
+        """What an observer of the packet gets.
+
+        Parameters
+        ----------
+        packet
+            The packet just decoded, as it will be handed out.
+        """
+
+    def next(self) -> "PacketReader":
+        """Give the reader of the next packet, once this one is decoded."""
