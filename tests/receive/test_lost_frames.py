@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from recorder import Recorder
-from scenes import film, link
+from scenes import Floats, drawn_film, film, link
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Packet, receive_frames
@@ -72,6 +72,20 @@ def test_frames_lost_without_a_gap(receiver: str, lost: list[int]) -> None:
     before = [sum(k < 52 * packet for k in lost) for packet in range(3)]
     starts = [52 * packet - before[packet] for packet in range(3)]
     assert [1e3 * packet.start_time_s for packet in packets] == pytest.approx(starts, abs=1.2 if lost == [53] else 0.2)
+
+
+@pytest.mark.parametrize("hidden", [range(20, 21), range(21, 23), range(21, 26), range(30, 35), range(50, 57)])
+@pytest.mark.slow
+def test_what_hides_the_array_is_no_lost_frame(hidden: range) -> None:
+    settings = link("receive.receiver=soft", "signal.data_pairs=24")
+
+    def at_rest(t: Floats) -> Floats:
+        return np.stack([47.3 + 0 * t, 48.8 + 0 * t], -1)
+
+    frames = drawn_film(settings, 160, at_rest, hidden=[hidden])
+    packets = list(receive_frames(frames, settings.signal, settings.receive))
+    assert [packet.status for packet in packets] == ["ok"] * 3
+    assert [1e3 * packet.start_time_s for packet in packets] == pytest.approx([0, 52, 104], abs=0.1)
 
 
 @pytest.mark.slow

@@ -5,7 +5,8 @@ places. A slip shows itself: of frames u_i about their mean, at the LEDs' places
 
     e_ij = |u_i + u_j|^2 / (|u_i|^2 + |u_j|^2)
 
-is near 0 for a pattern and its inverse, and near 1 for patterns of different pairs. Where a pair is uneven, the frames
+is near 0 for a pattern and its inverse, and near 1 for patterns of different pairs. Where something hides the array, e
+says nothing. Where a pair is uneven, the frames
 after it are awaited, and paired at the least cost: e for each pair, `SLIP` for each frame taken as the one left of a
 pair. Two lost frames in a row leave sums even; the next header tells of them, as it comes two patterns early.
 """
@@ -42,10 +43,17 @@ AWAITED = 9
 HEADER = 0.7
 """Least correlation of each frame of a header with its image, for the numbers to follow it."""
 
+LIKE = 0.25
+"""Least power of one frame over another's, and of a frame less its mean over all of it, for both to be patterns.
+
+Random data of 60 independent values differ by less than half, and their mean has 1/64 of the power; something before
+the array is even, or of another brightness.
+"""
+
 FRESH = 0.1
 """Weight of a pair in the mean of frames: ten pairs count, as in the tracker's gain."""
 
-OFF = 0.3
+OFF = 0.2
 """T_b by which a frame may be out of step for its pairs to be even: e is then 0.08 or less."""
 
 
@@ -145,7 +153,7 @@ class SlipWatch:
         first = self._held[0]
         if (first.number + self.lost) % 2 or len(self._held) >= AWAITED:
             return len(self._held) > 1 or not self._left_alone(first)
-        return len(self._held) > 1 and (self._gap(0) > 1 or self._uneven(0, 1) < EVEN)
+        return len(self._held) > 1 and (self._gap(0) > 1 or not self._odd(0))
 
     def _release(self) -> Iterator[Frame]:
         """Release the first frame, or the first pair; or drop the first where its other half is lost without a gap."""
@@ -153,17 +161,17 @@ class SlipWatch:
         if len(self._held) == 1:
             yield self._pop()
         elif (first.number + self.lost) % 2:
-            if self._left_alone(first) and self._gap(0) == 1 and self._copied():
+            if self._left_alone(first) and self._gap(0) == 1 and self._even(0, EVEN / 2):
                 # the frame that seems missing before it was a copy, which the clock left out
                 self.lost -= 1
             else:
                 yield self._pop()
         elif self._gap(0) > 1:
-            copied = self._gap(0) == 2 and self._copied()
+            copied = self._gap(0) == 2 and self._even(0, EVEN / 2)
             yield self._pop()
             self.lost -= copied
-        elif self._uneven(0, 1) < EVEN or not self._slipped():
-            self._even_before = self._uneven(0, 1) < EVEN
+        elif not (self._odd(0) and self._slipped()):
+            self._even_before = self._mean is None or self._even(0)
             mean = 0.5 * (first.shown + self._held[1].shown)
             self._mean = mean if self._mean is None else self._mean + FRESH * (mean - self._mean)
             yield self._pop()
@@ -204,13 +212,19 @@ class SlipWatch:
         number = first.number + self.lost
         return number % 2 == 1 and first.number > self._number + 1 and is_data(number // 2, self._signal)
 
-    def _copied(self) -> bool:
-        """Whether the first two frames are a pair, so that what seems missing by their times was a copy."""
-        return self._mean is not None and self._uneven(0, 1) < EVEN / 2
+    def _uneven(self, place: int) -> float | None:
+        """The measure e of a frame in hand and the next, at most 1; None where it says nothing."""
+        return _unevenness(self._held[place].shown, self._held[place + 1].shown, self._mean)
 
-    def _uneven(self, i: int, j: int) -> float:
-        """The measure e of two frames in hand, at most 1."""
-        return _unevenness(self._held[i].shown, self._held[j].shown, self._mean)
+    def _even(self, place: int, least: float = EVEN) -> bool:
+        """Whether a frame in hand and the next are surely a pair."""
+        e = self._uneven(place)
+        return e is not None and e < least
+
+    def _odd(self, place: int) -> bool:
+        """Whether a frame in hand and the next are surely none."""
+        e = self._uneven(place)
+        return e is not None and e >= EVEN
 
     def _slipped(self) -> bool:
         """Whether the first frame's other half is lost: without it the frames after it make even pairs.
@@ -218,31 +232,33 @@ class SlipWatch:
         Where the pair before was uneven as well, poses may be wrong, or the array hidden. A header is then even at any
         place, so all pairs that follow must change for the better.
         """
-        slipped, regular = self._paired(1, self.lost + 1), self._paired(2, self.lost)
+        regular, slipped = self._paired(0, self.lost, slip=False), self._paired(1, self.lost + 1)
         even = len(slipped.uneven) >= ENOUGH and float(np.mean(slipped.uneven)) < EVEN
         if not self._even_before:
-            ahead = range(0, len(self._held) - 2, 2)
-            even &= all(self._uneven(k + 1, k + 2) < EVEN < self._uneven(k, k + 1) for k in ahead)
-        return even and SLIP + slipped.cost < self._uneven(0, 1) + regular.cost
+            even &= all(self._even(k + 1) and self._odd(k) for k in range(0, len(self._held) - 2, 2))
+        return even and SLIP + slipped.cost < regular.cost
 
-    def _paired(self, place: int, lost: int) -> _Pairs:
-        """The frames in hand from one on, paired at the least cost."""
+    def _paired(self, place: int, lost: int, slip: bool = True) -> _Pairs:
+        """The frames in hand from one on, paired at the least cost; the first is left alone only if it may `slip`."""
         if place >= len(self._held) - 1:
             return _Pairs(0.0, ())
         if (self._held[place].number + lost) % 2 or self._gap(place) > 1:
             return self._paired(place + 1, lost)
-        e, rest, slipped = (
-            self._uneven(place, place + 1),
-            self._paired(place + 2, lost),
-            self._paired(place + 1, lost + 1),
-        )
-        paired, alone = _Pairs(e + rest.cost, (e, *rest.uneven)), _Pairs(SLIP + slipped.cost, slipped.uneven)
-        return min(paired, alone, key=lambda one: one.cost)
+        e, rest = self._uneven(place), self._paired(place + 2, lost)
+        paired = rest if e is None else _Pairs(e + rest.cost, (e, *rest.uneven))
+        if not slip:
+            return paired
+        slipped = self._paired(place + 1, lost + 1)
+        return min(paired, _Pairs(SLIP + slipped.cost, slipped.uneven), key=lambda one: one.cost)
 
 
-def _unevenness(one: Floats, other: Floats, mean: Floats | None) -> float:
-    """The measure e of two frames about a mean, at most 1; of the first frames about their own."""
+def _unevenness(one: Floats, other: Floats, mean: Floats | None) -> float | None:
+    """The measure e of two frames about a mean, at most 1; None if none is known yet, or a frame shows no pattern."""
     if mean is None:
-        return 0.0
+        return None
     u, v = one - mean, other - mean
-    return min(float(((u + v) ** 2).sum() / max(float((u**2).sum() + (v**2).sum()), 1e-9)), 1.0)
+    powers = float((u**2).sum()), float((v**2).sum())
+    patterns = min(u.var() * u.size / max(powers[0], 1e-9), v.var() * v.size / max(powers[1], 1e-9)) > LIKE
+    if not patterns or min(powers) < LIKE * max(powers):
+        return None
+    return min(float(((u + v) ** 2).sum()) / max(sum(powers), 1e-9), 1.0)
