@@ -6,9 +6,9 @@ places. A slip shows itself: of frames u_i about their mean, at the LEDs' places
     e_ij = |u_i + u_j|^2 / (|u_i|^2 + |u_j|^2)
 
 is near 0 for a pattern and its inverse, and near 1 for patterns of different pairs. Where something hides the array, e
-says nothing. Where a pair is uneven, the frames
-after it are awaited, and paired at the least cost: e for each pair, `SLIP` for each frame taken as the one left of a
-pair. Two lost frames in a row leave sums even; the next header tells of them, as it comes two patterns early.
+says nothing. Where a pair is uneven, the frames after it are awaited, and paired at the least cost: e for each pair,
+`SLIP` for each frame taken as the one left of a pair. A pair that is lost as a whole leaves sums even; the next header
+tells of it, as it comes two patterns early.
 """
 
 from collections.abc import Iterator
