@@ -17,6 +17,7 @@ from heliograph.receive import Packet, Pose, ReceiveSettings
 from heliograph.receive.acquire.detector import Detection, HeaderSearch
 from heliograph.receive.assemblies import plain_parts, plain_receiver
 from heliograph.receive.events import ignore
+from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.receiver import StreamReceiver
 
 RUNS = 5
@@ -74,6 +75,9 @@ class SearchOnce:
 
     def start(self, period_s: float) -> None:
         self._search.start(period_s)
+
+    def settle(self, orientation: Orientation) -> None:
+        self._search.settle(orientation)
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
         found = [] if self._found else self._search.push(frame, taken)

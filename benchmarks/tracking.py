@@ -30,7 +30,7 @@ def main() -> None:
 
     def watch(event: Event) -> None:
         if isinstance(event, TrackEvent):
-            poses.append((event.frame, event.tracked.state.pose))
+            poses.append((event.frame, event.view.pose_out(event.tracked.state.pose)))
 
     receiver = make_receiver(settings.signal, settings.receive, watch)
     truth = {}

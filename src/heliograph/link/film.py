@@ -187,6 +187,7 @@ def packet_row(packet: Packet) -> Mapping[str, Any]:
         "blur_px": round(packet.pose.blur, 4),
         "distance_m": round(packet.distance_m, 3),
         "header_score": round(packet.header_score, 3),
+        "orientation": str(packet.orientation),
         "track_score": round(packet.track_score, 4),
         "pairs_seen": round(packet.pairs_seen, 4),
         "layers": {

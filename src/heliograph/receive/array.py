@@ -11,7 +11,9 @@ from heliograph.base.frames import Frame
 from heliograph.receive.acquire.detector import Detection
 from heliograph.receive.decode.codeword import unread
 from heliograph.receive.events import Observer, TrackEvent
+from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose, rim_distance
+from heliograph.receive.image.view import CAMERA, View
 from heliograph.receive.packets import Codeword, Packet, Status
 from heliograph.receive.reading import PacketReader
 from heliograph.receive.settings import CalibrationSettings
@@ -72,6 +74,8 @@ class ArrayReceiver:
         Seconds out of sight after which it is given up.
     observe
         Gets an event for each pair followed and for each packet decoded.
+    view
+        In which its frames are read; the detection, the pairing and the reader are those of this view.
     """
 
     def __init__(
@@ -85,8 +89,9 @@ class ArrayReceiver:
         calibration: CalibrationSettings,
         coast_s: float,
         observe: Observer,
+        view: View = CAMERA,
     ):
-        self.found = detection
+        self.found, self._view = detection, view
         self._pairing, self._tracker, self._reader = pairing, tracker, reader
         self._signal, self._calibration, self._coast_s, self._observe = signal, calibration, coast_s, observe
         self._track = tracker.start(detection)
@@ -96,7 +101,7 @@ class ArrayReceiver:
         self._start_lost = 0
         self._poses: dict[int, Pose] = {}
         self._read: bool | None = None
-        self._failed = False
+        self._proven = self._failed = self._outgrown = False
 
     @property
     def identity(self) -> int:
@@ -104,9 +109,19 @@ class ArrayReceiver:
         return self.found.identity
 
     @property
+    def orientation(self) -> Orientation:
+        """How the camera sees it, as its header was taken."""
+        return self._view.orientation
+
+    @property
+    def proven(self) -> bool:
+        """Whether a codeword was right."""
+        return self._proven
+
+    @property
     def pose(self) -> Pose:
-        """Its pose now."""
-        return self._track.state.pose
+        """Its pose now, on the sensor."""
+        return self._view.pose_out(self._track.state.pose)
 
     @property
     def time_s(self) -> float:
@@ -120,9 +135,9 @@ class ArrayReceiver:
 
     @property
     def done(self) -> bool:
-        """Whether the array is out of sight, or what was followed is no array."""
+        """Whether the array is out of sight or another size than its view is for, or what was followed is no array."""
         out_of_sight = self._pairing.now_s - self._track.last_seen_s > self._coast_s
-        return self._failed or self._pairing.lost or out_of_sight
+        return self._failed or self._outgrown or self._pairing.lost or out_of_sight
 
     def yields(self, detection: Detection) -> bool:
         """Whether a header that was found where this array is followed is a better start than its own.
@@ -130,7 +145,7 @@ class ArrayReceiver:
         Parameters
         ----------
         detection
-            The header: where and when it was found.
+            The header: when it was found, and where on the sensor.
         """
         start_s = detection.start_time_s + self._slips.lost * self._signal.pattern_period_s
         packets = (start_s - self._pairing.origin_s) / self._signal.packet_s
@@ -142,7 +157,7 @@ class ArrayReceiver:
 
     def _astray(self, detection: Detection) -> bool:
         """Whether a header that is whole and leaves no doubt shows the array elsewhere than it is followed."""
-        there = self._track.state.pose_at(detection.time_s)
+        there = self._view.pose_out(self._track.state.pose_at(detection.time_s))
         off = rim_distance(there, detection.fit.pose, self._signal.side)
         return detection.clear and bool((detection.led_gains == 1).all()) and off > ASTRAY * there.pitch
 
@@ -155,7 +170,8 @@ class ArrayReceiver:
             The frame, with the time that the clock gives it.
         """
         paired = self._reader.format.mode != "single"
-        for one in self._slips.push(frame, self._pairing.origin_s, self._pose_at, paired):
+        seen = self._view.frame(frame, self.pose, self._signal.side)
+        for one in self._slips.push(seen, self._pairing.origin_s, self._pose_at, paired):
             yield from self._take_all(self._pairing.push(one))
 
     def flush(self) -> Iterator[Packet]:
@@ -202,7 +218,7 @@ class ArrayReceiver:
                 self._read_header(in_packet, pair)
             else:
                 self._read_data(place, pair)
-            self._poses[number] = self.pose
+            self._poses[number] = self._track.state.pose
         # the light's clock asks for those around a header
         oldest = number + 1 - self._signal.header_pairs - PATTERNS_AROUND
         self._poses = {k: pose for k, pose in self._poses.items() if k >= oldest}
@@ -248,7 +264,7 @@ class ArrayReceiver:
         gathered.frames += [pair.pattern.index, pair.inverted.index]
         gathered.scores.append(tracked.fit.score)
         gathered.poses.append(tracked.state.pose)
-        self._observe(TrackEvent(self.identity, pair.pattern.index, tracked))
+        self._observe(TrackEvent(self.identity, pair.pattern.index, tracked, self._view))
 
     def _finish(self) -> Packet:
         """Decode what was gathered, and begin the next packet."""
@@ -267,13 +283,17 @@ class ArrayReceiver:
         # where LEDs seem to be missing, a packet read in part may have come from a wrong pose
         whole = bool((self._track.shining == 1).all())
         self._read = packet.status == "ok" or (packet.status == "partial" and whole)
+        self._proven |= packet.status in ("ok", "partial")
         self._failed = packet.status in ("no_header", "no_array")
+        # its next header finds it again, in a view that suits
+        self._outgrown = not self._view.suits(self._track.state.pose)
         self._observe(reader.shown(packet))
         return packet
 
     def _packet(self, gathered: _Gathered, layers: dict[str, tuple[Codeword, ...]], form: Format) -> Packet:
         header, seen = float(np.mean(gathered.header or [0.0])), float(gathered.seen.mean())
-        pose, calibration = gathered.poses[len(gathered.poses) // 2], self._calibration
+        pose = self._view.pose_out(gathered.poses[len(gathered.poses) // 2])
+        calibration = self._calibration
         # by the camera's clock
         patterns = 2 * (self._number - self._number % self._pairs) - self._start_lost
         return Packet(
@@ -290,6 +310,7 @@ class ArrayReceiver:
             pairs_seen=seen,
             layers=layers,
             format=form,
+            orientation=self.orientation,
         )
 
     def _empty(self) -> _Gathered:

@@ -5,12 +5,15 @@ from collections.abc import Callable
 
 from heliograph.base.errors import SettingsError
 from heliograph.receive.acquire.coarse import SearchParameters
-from heliograph.receive.acquire.detector import Detection, Detector
+from heliograph.receive.acquire.detector import Detection
 from heliograph.receive.acquire.phases import PhasedSearch
+from heliograph.receive.acquire.pyramid import PyramidSearch
+from heliograph.receive.acquire.readings import Reading
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.soft_combining import SoftBuffer
 from heliograph.receive.events import Observer
+from heliograph.receive.image.view import View
 from heliograph.receive.packet_reader import SoftParts, SoftReader
 from heliograph.receive.plain.reader import PlainReader
 from heliograph.receive.reading import PacketReader
@@ -94,7 +97,7 @@ def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
     def pairing(detection: Detection) -> Pairing:
         return SteppedPairing(detection.start_time_s, detection.time_s, signal)
 
-    search = Detector(search_parameters(settings, signal, PLAIN_REGULARITY), signal)
+    search = PyramidSearch(search_parameters(settings, signal, PLAIN_REGULARITY), signal)
     follow = _following(signal, settings, observe, pairing, reader)
     return Parts(SteppedClock(signal.pattern_period_s), search, follow, signal.side)
 
@@ -153,10 +156,10 @@ def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
     form = PacketFormat(signal)
     decoding = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
     # by identity, not by array: one lost and found again goes on with its carousel
-    buffers: dict[int, SoftBuffer] = defaultdict(SoftBuffer)
+    buffers: dict[Reading, SoftBuffer] = defaultdict(SoftBuffer)
 
     def reader(detection: Detection, tracker: Tracker) -> PacketReader:
-        buffer = buffers[detection.identity] if settings.soft.combining else None
+        buffer = buffers[detection.identity, detection.orientation] if settings.soft.combining else None
         parts = SoftParts(form, tracker, buffer, decoding, settings.soft.feedback, observe)
         return SoftReader(detection.identity, parts)
 
@@ -204,15 +207,18 @@ def _following(
     tracker = Tracker(signal.side, MotionModel(signal.pattern_period_s, settings.track.acceleration_px))
 
     def follow(detection: Detection) -> ArrayReceiver:
+        view = View.of(detection.fit.pose, detection.orientation)
+        seen = detection.seen_in(view)
         return ArrayReceiver(
-            detection,
-            pairing(detection),
+            seen,
+            pairing(seen),
             tracker,
-            reader(detection, tracker),
+            reader(seen, tracker),
             signal=signal,
             calibration=settings.calibration,
             coast_s=settings.track.coast_patterns * signal.pattern_period_s,
             observe=observe,
+            view=view,
         )
 
     return follow

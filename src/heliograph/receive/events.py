@@ -10,6 +10,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive.acquire.detector import Detection
 from heliograph.receive.decode.iterate import EqualiseEvent, ignore
 from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.view import CAMERA, View
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packets import Packet
 from heliograph.receive.timing.frame_pair import AnyFrame
@@ -55,12 +56,15 @@ class TrackEvent:
     frame
         Number of the pair's first camera frame.
     tracked
-        Pose, fit, and whether the array was in sight.
+        Pose, fit, and whether the array was in sight, in the array's view.
+    view
+        That view: ``view.pose_out`` gives the pose on the sensor.
     """
 
     identity: int
     frame: int
     tracked: TrackedPair
+    view: View = CAMERA
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +76,7 @@ class ExtractEvent:
     identity
         Number of the array, 0 to 29.
     frames
-        Pattern and inverse; in the single mode two patterns.
+        Pattern and inverse, in the array's view; in the single mode two patterns.
     poses
         The array's pose in each.
     luminances

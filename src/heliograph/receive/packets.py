@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
+from heliograph.receive.image.orientation import UPRIGHT, Orientation
 from heliograph.receive.image.pose import Pose
 from heliograph.signal.block import Block
 from heliograph.signal.formats import AGREED, Format
@@ -75,6 +76,9 @@ class Packet:
         Codewords by layer, "high", "middle" and "low".
     format
         The format it was read in, as its header signals it.
+    orientation
+        How the camera saw the array: upright, turned, mirrored. The pose has the place of the array's square alone; an
+        LED's is that of the upright array turned by the orientation.
     reason
         Why nothing was read where the packet's mode is not known or the receiver's equations had no solution; empty
         otherwise.
@@ -92,6 +96,7 @@ class Packet:
     pairs_seen: float
     layers: Mapping[str, tuple[Codeword, ...]]
     format: Format = AGREED
+    orientation: Orientation = UPRIGHT
     reason: str = ""
 
 

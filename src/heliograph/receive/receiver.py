@@ -4,10 +4,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.detector import Detection, HeaderSearch, apart
+from heliograph.receive.acquire.candidate import apart
+from heliograph.receive.acquire.detector import Detection, HeaderSearch
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.events import DetectEvent, LostEvent, Observer
+from heliograph.receive.image.orientation import UPRIGHT, Orientation
 from heliograph.receive.packets import Packet
+from heliograph.receive.readings import ArrayReadings
 from heliograph.receive.timing.camera_clock import FrameClock
 
 
@@ -46,7 +49,8 @@ class StreamReceiver:
 
     def __init__(self, parts: Parts, observe: Observer):
         self._parts, self._observe = parts, observe
-        self._arrays: list[ArrayReceiver] = []
+        self._arrays: list[ArrayReadings] = []
+        self._orientation: Orientation | None = None
         self._started = False
 
     @property
@@ -78,33 +82,54 @@ class StreamReceiver:
         if not self._started:
             self._parts.search.start(self._parts.clock.period_s)
             self._started = True
-        for array in self._arrays:
-            yield from array.push(frame)
+        for array in list(self._arrays):
+            yield from self._push(array, frame)
         for array in [a for a in self._arrays if a.done]:
             yield from array.flush()
             self._forget(array)
-        for detection in self._parts.search.push(frame, [array.pose for array in self._arrays if array.sure]):
+        for detection in self._parts.search.push(frame, [array.leading.pose for array in self._arrays if array.sure]):
             yield from self._weigh(detection)
 
     def _weigh(self, detection: Detection) -> Iterator[Packet]:
         """Follow what was found unless it lies where a better array is followed."""
-        rivals = [a for a in self._arrays if not apart(a.pose, detection.fit.pose, self._parts.side)]
-        # what was taken for an array may stand in the way of one: the better header wins
-        if any(not rival.yields(detection) for rival in rivals):
+        rivals = [a for a in self._arrays if not apart(a.leading.pose, detection.fit.pose, self._parts.side)]
+        if any(self._stands(rival, detection) for rival in rivals):
             return
         for rival in rivals:
             self._forget(rival)
         yield from self._take_up(detection)
 
+    def _stands(self, rival: ArrayReadings, detection: Detection) -> bool:
+        """Whether an array is followed on where a header was found; what was taken for one may stand in its way."""
+        upright = detection.orientation in (UPRIGHT, self._orientation)
+        if upright != rival.credible:
+            return rival.credible
+        return not rival.leading.yields(detection)
+
     def _take_up(self, detection: Detection) -> Iterator[Packet]:
         """Begin to follow an array, its header's frames first."""
         recent = tuple(self._parts.search.recent)
         self._observe(DetectEvent(detection, recent))
-        array = self._parts.follow(detection)
+        settled = self._orientation is not None
+        array = ArrayReadings([self._parts.follow(one) for one in detection.readings], settled)
         self._arrays.append(array)
         for frame in recent:
-            yield from array.push(frame)
+            yield from self._push(array, frame)
 
-    def _forget(self, array: ArrayReceiver) -> None:
-        self._observe(LostEvent(array.identity, array.time_s))
+    def _push(self, array: ArrayReadings, frame: Frame) -> Iterator[Packet]:
+        """Hand a frame to an array; the first right codeword tells how the camera sees all of them."""
+        packets = list(array.push(frame))
+        if self._orientation is None and array.leading.proven:
+            self._settle(array.leading.orientation)
+        yield from packets
+
+    def _settle(self, orientation: Orientation) -> None:
+        """Know the camera's orientation from now on."""
+        self._orientation = orientation
+        self._parts.search.settle(orientation)
+        for array in [a for a in self._arrays if not a.settle(orientation)]:
+            self._forget(array)
+
+    def _forget(self, array: ArrayReadings) -> None:
+        self._observe(LostEvent(array.leading.identity, array.leading.time_s))
         self._arrays.remove(array)

@@ -56,7 +56,7 @@ class DetectSettings:
         Smallest array looked for in px, at least 3. If it is left out, 8 for "plain" and 4 for "soft". Smaller reads
         farther, takes longer and finds more clutter.
     max_side_px
-        Largest array looked for in px, 6 to 400. Larger takes longer.
+        Largest array looked for in px, 6 to 4096; what is larger than 64 px is looked for in reduced frames.
     min_contrast
         Least luminance of a lit cell of the header, as a fraction of full scale. Lower finds dimmer arrays and more
         clutter.
@@ -67,7 +67,7 @@ class DetectSettings:
     """
 
     min_side_px: Annotated[float, Field(ge=3)] | None = None
-    max_side_px: Annotated[float, Field(ge=6, le=400)] = 64.0
+    max_side_px: Annotated[float, Field(ge=6, le=4096)] = 512.0
     min_contrast: Fraction = 0.03
     score: Fraction = 0.9
     candidates: Annotated[int, Field(ge=1, le=64)] = 6

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from heliograph.receive.acquire import kernels, reference
 from heliograph.signal.header import all_header_cells
 
-RING, GRID = 0.12, 0.1
+RING, GRID, APART = 0.12, 0.1, 0.5
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -60,7 +60,7 @@ def searched(
     cells, best = all_header_cells().reshape(-1, 16).astype(float), np.zeros((count, 5))
     total, square = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     found = kernels.search(
-        total, square, busy, 8.0, cells, np.array(sides), contrast, threshold, RING, GRID, np.array(corner), best
+        total, square, busy, 8.0, cells, np.array(sides), contrast, threshold, RING, GRID, APART, np.array(corner), best
     )
     return found, best
 

@@ -9,8 +9,9 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.acquire.coarse import SearchParameters
-from heliograph.receive.acquire.detector import Detection, Detector
+from heliograph.receive.acquire.detector import Detection
 from heliograph.receive.acquire.phases import PhasedSearch
+from heliograph.receive.acquire.pyramid import PyramidSearch
 from heliograph.signal.settings import SignalSettings
 
 PARAMETERS = SearchParameters(
@@ -22,11 +23,11 @@ def streams(fps: float, frames: list[Frame], monkeypatch: pytest.MonkeyPatch) ->
     """The frames that each detector gets."""
     pushed: dict[int, list[Frame]] = defaultdict(list)
 
-    def push(self: Detector, frame: Frame, taken: list[Pose]) -> list[Detection]:
+    def push(self: PyramidSearch, frame: Frame, taken: list[Pose]) -> list[Detection]:
         pushed[id(self)].append(frame)
         return []
 
-    monkeypatch.setattr(Detector, "push", push)
+    monkeypatch.setattr(PyramidSearch, "push", push)
     search = PhasedSearch(PARAMETERS, SignalSettings())
     search.start(1 / fps)
     for frame in frames:

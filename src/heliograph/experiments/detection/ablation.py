@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from heliograph.experiments.detection.clutter import ClutterFilm
 from heliograph.receive import Pose
-from heliograph.receive.acquire.candidate import HIDING_BLUR, UPRIGHT, cell_weights, fit_near
+from heliograph.receive.acquire.candidate import HIDING_BLUR, UPRIGHT, cell_weights, fit_near, plausible
 from heliograph.receive.acquire.coarse import BLOCK_PX, alternation_of, busy_blocks, coarse_candidates
-from heliograph.receive.acquire.detector import plausible
+from heliograph.receive.acquire.readings import ALL_ON, headers
 from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
+from heliograph.receive.image.orientation import UPRIGHT as UPRIGHT_CAMERA
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
@@ -88,7 +89,7 @@ class VariantDetector:
         all_on = variant.detector == "all_on"
         self._parameters = replace(usual, coarse_score=0.2, score=0.0, candidates=CANDIDATES, all_on=all_on)
         self._frames_used, self._side = variant.frames, signal.side
-        self._cells = self._parameters.templates()
+        self._cells = (ALL_ON if self._parameters.all_on else headers((UPRIGHT_CAMERA,))).cells
         self._bands = np.array_split(self._parameters.sides(), BANDS)
 
     def candidates(self, film: ClutterFilm) -> list[HeaderCandidate]:

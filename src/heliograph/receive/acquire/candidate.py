@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.acquire.coarse import RING
+from heliograph.receive.acquire.coarse import RING, SIDE_STEP, SearchParameters
 from heliograph.receive.image.fit import Fit, Prior, fit_array
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import window_around
@@ -40,6 +40,12 @@ HIDDEN_CELL, PARTLY_LIT_CELL = 0.4, 0.75
 
 The second holds once the pose is found without the hidden cells: a cell of which a quarter is hidden would move it.
 """
+
+MOST_TILT = 0.2
+"""Largest tilt taken for an array's: that of 48 degrees, beyond which LEDs of 22.6 degrees half angle hardly shine."""
+
+OVERLAP = 0.1
+"""Fraction of their sides by which two arrays may seem to overlap: a candidate's place and size err by half of it."""
 
 
 def cell_weights(cells: NDArray[np.float64], side: int) -> Floats:
@@ -141,3 +147,39 @@ def lit_cells(
         shapes.append(out[0].ravel().copy())
     light = np.linalg.lstsq(np.stack(shapes, 1), image.ravel(), rcond=None)[0]
     return np.asarray((light > least * np.median(light[light > 0])).astype(float).reshape(CELLS, CELLS))
+
+
+def plausible(fit: Fit, parameters: SearchParameters, side: int, full_scale: int) -> bool:
+    """Whether brightness, size and tilt of a fit are those of an array looked for.
+
+    Parameters
+    ----------
+    fit
+        Fit of a candidate to its header.
+    parameters
+        What is looked for.
+    side
+        LEDs in a row.
+    full_scale
+        Largest gray level of the camera.
+    """
+    size, half_step = side * fit.pose.pitch, SIDE_STEP**0.5
+    bright = fit.gain >= parameters.min_contrast * full_scale
+    sized = parameters.min_side_px / half_step <= size <= parameters.max_side_px * half_step
+    turned = np.hypot(fit.pose.stretch, fit.pose.shear) <= MOST_TILT
+    return bool(bright and sized and turned)
+
+
+def apart(a: Pose, b: Pose, side: int) -> bool:
+    """Whether two arrays do not overlap; parts of a header look like smaller ones.
+
+    Parameters
+    ----------
+    a, b
+        Poses of the two arrays on the sensor.
+    side
+        LEDs in a row.
+    """
+    # |a - b| > (n p_a + n p_b) / 2, less what the poses may err by
+    reach = (1 - OVERLAP) / 2 * side * (a.pitch + b.pitch)
+    return bool(np.hypot(a.x - b.x, a.y - b.y) > reach)

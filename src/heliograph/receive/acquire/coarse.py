@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import window_around
-from heliograph.signal.header import CELLS, all_header_cells
 
 BLOCK_PX = 8
 """Pixels of a side of the blocks in which the search first asks whether anything alternates: the smallest array."""
@@ -20,6 +19,15 @@ RING = 0.12
 
 GRID = 0.1
 """Step of the places looked at as a fraction of the side: half a step costs a fifth of a cell's overlap."""
+
+APART = 0.5
+"""Least distance of two candidates as a fraction of the larger one's side: arrays do not overlap."""
+
+SHIFTED = 0.2
+"""The same where headers may be turned: less than a cell, by which one shifted may look like another.
+
+Off the grid, a header then correlates less than another shifted one on it; a fit of both decides.
+"""
 
 SIDE_STEP = 1.12
 """Ratio of successive sizes looked for: half a step costs 3 % of correlation."""
@@ -75,12 +83,6 @@ class SearchParameters:
     impaired: bool = False
     all_on: bool = False
     blur_px: float
-
-    def templates(self) -> NDArray[np.float64]:
-        """Cells of the headers looked for, (identities, 16) of +-1; of a whole square 16 times 1."""
-        if self.all_on:
-            return np.ones((1, CELLS * CELLS))
-        return all_header_cells().reshape(-1, CELLS * CELLS).astype(np.float64)
 
     def sides(self) -> NDArray[np.float64]:
         """Sizes looked for in px, (sizes,), rising by `SIDE_STEP` at most."""
@@ -155,6 +157,7 @@ def coarse_candidates(
     parameters: SearchParameters,
     cells: NDArray[np.float64],
     sides: NDArray[np.float64],
+    apart: float = APART,
 ) -> NDArray[np.float64]:
     """Best candidates of a search.
 
@@ -169,9 +172,11 @@ def coarse_candidates(
     parameters
         What is looked for.
     cells
-        (identities, 16) cells of the headers, of `SearchParameters.templates`.
+        (identities, 16) cells of the headers, of `readings.Headers`.
     sides
         (sizes,) sides of arrays in px, of `SearchParameters.sides`.
+    apart
+        Least distance of two candidates as a fraction of the larger one's side, `APART` or `SHIFTED`.
 
     Returns
     -------
@@ -185,7 +190,19 @@ def coarse_candidates(
     contrast = COARSE_CONTRAST * parameters.min_contrast * frame.full_scale
     corner = np.array(frame.origin, np.float64)
     count = kernels.search(
-        total, square, busy, float(BLOCK_PX), cells, sides, contrast, parameters.coarse_score, RING, GRID, corner, best
+        total,
+        square,
+        busy,
+        float(BLOCK_PX),
+        cells,
+        sides,
+        contrast,
+        parameters.coarse_score,
+        RING,
+        GRID,
+        apart,
+        corner,
+        best,
     )
     return best[:count]
 

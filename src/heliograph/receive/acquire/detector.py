@@ -9,25 +9,37 @@ to frame.
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.candidate import HIDING_BLUR, LEVEL, TILTED, UPRIGHT, cell_weights, fit_near
+from heliograph.receive.acquire.candidate import (
+    HIDING_BLUR,
+    LEVEL,
+    TILTED,
+    UPRIGHT,
+    apart,
+    cell_weights,
+    fit_near,
+    plausible,
+)
 from heliograph.receive.acquire.coarse import (
-    SIDE_STEP,
     SearchParameters,
     alternation_of,
     busy_blocks,
     coarse_candidates,
 )
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header
+from heliograph.receive.acquire.readings import ALL_ON, Headers, Reading, headers
+from heliograph.receive.acquire.slots import Due, Slots, alike, before, filled, in_common, origin_of
 from heliograph.receive.image.fit import Fit, header_amplitude
+from heliograph.receive.image.orientation import ORIENTATIONS, Orientation
+from heliograph.receive.image.orientation import UPRIGHT as UPRIGHT_CAMERA
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import common
+from heliograph.receive.image.view import View
 from heliograph.signal.settings import SignalSettings
 
 GAINED = 0.03
@@ -36,25 +48,11 @@ GAINED = 0.03
 Chosen; docs/constants.md says what half and twice of it cost.
 """
 
-MOST_TILT = 0.2
-"""Largest tilt taken for an array's: that of 48 degrees, beyond which LEDs of 22.6 degrees half angle hardly shine."""
-
 HIDDEN_SCORE, HIDDEN_REGULARITY = 0.8, 0.85
 """Least score of an array before which a thin post is, and least regularity of one of which a part is hidden.
 
 It correlates less, but alternates evenly; without hidden cells it must correlate as a whole one does.
 """
-
-OVERLAP = 0.1
-"""Fraction of their sides by which two arrays may seem to overlap: a candidate's place and size err by half of it."""
-
-FAR_PAST_S = 1e9
-"""Seconds between frames that stand for those before the film: 30 years, so that no clock takes them for frames."""
-
-MISSING_FRAMES = 0.25
-"""Fraction of a header's frames that may be missing: without two of four, data before or after might stand for it."""
-
-Shown = TypeVar("Shown")
 
 SLACK = 2
 """Frames by which the start of the header may differ from the window searched, either way: every second is searched."""
@@ -80,6 +78,10 @@ class Detection:
         Weakest over mean alternation of the header's frames, at most 1.
     led_gains
         (n, n), 1, or 0 in cells of the header that are hidden.
+    orientation
+        How the camera sees the array, as far as its header tells.
+    others
+        Other identities and orientations that have the same header, the most plausible first.
     """
 
     identity: int
@@ -89,11 +91,29 @@ class Detection:
     score: float
     regularity: float
     led_gains: NDArray[np.float64]
+    orientation: Orientation = UPRIGHT_CAMERA
+    others: tuple[Reading, ...] = ()
+
+    @property
+    def readings(self) -> "list[Detection]":
+        """The same for all that its header may mean, the most plausible first."""
+        others = [replace(self, identity=i, orientation=o, others=()) for i, o in self.others]
+        return [replace(self, others=()), *others]
 
     @property
     def clear(self) -> bool:
         """Whether its header leaves no doubt that it is an array."""
         return self.score >= CLEAR and self.regularity >= HIDDEN_REGULARITY
+
+    def seen_in(self, view: View) -> "Detection":
+        """The same in a view.
+
+        Parameters
+        ----------
+        view
+            View in which the array will be read.
+        """
+        return replace(self, fit=view.fit_in(self.fit), led_gains=view.orientation.upright(self.led_gains))
 
 
 class HeaderSearch(Protocol):
@@ -115,6 +135,15 @@ class HeaderSearch(Protocol):
     @property
     def recent(self) -> Sequence[Frame]:
         """The last frames, oldest first: enough to hold the header of an array just found."""
+
+    def settle(self, orientation: Orientation) -> None:
+        """Look for arrays of one orientation alone from now on: a camera sees all of them alike.
+
+        Parameters
+        ----------
+        orientation
+            How the camera sees arrays.
+        """
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
         """Take the next frame.
@@ -150,16 +179,23 @@ class Detector:
         self._tilts = (UPRIGHT, TILTED) if tilted else (UPRIGHT,)
         self._header = 2 * signal.header_pairs
         self._period_s = signal.pattern_period_s
+        self._sides = parameters.sides()
+        # turned headers are looked for where there is no upright one: an array that is hard to see might be either
+        turned = headers(ORIENTATIONS[1:])
+        self._headers = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT_CAMERA,), ORIENTATIONS[1:]), turned)
         self._every = 2 if self._header >= 4 else 1
-        self._cells, self._sides = parameters.templates(), parameters.sides()
         self._span = min(self._header, 4)
         self._window = self._header + 2 * SLACK
         self._frames: deque[Frame | None] = deque(maxlen=self._window)
-        self._next = 0
-        self._fitted = 0
+        self._next = self._fitted = self._searches = 0
 
     def start(self, period_s: float) -> None:
         """Begin; the frames are taken to come one per pattern, whatever the period; see `HeaderSearch`."""
+
+    def settle(self, orientation: Orientation) -> None:
+        """Look for one orientation alone from now on; see `HeaderSearch`."""
+        if not self._parameters.all_on:
+            self._headers = (headers((orientation,)),)
 
     @property
     def candidates_fitted(self) -> int:
@@ -181,44 +217,104 @@ class Detector:
         taken
             Poses of arrays already followed.
         """
+        found = list[Detection]()
+        for due in self.due(frame):
+            found += self.search(due.slots, [*taken, *(one.fit.pose for one in found)], due.turned)
+        return found
+
+    def due(self, frame: Frame) -> list[Due]:
+        """Take the next frame; give the last ones as often as they are to be searched now.
+
+        Parameters
+        ----------
+        frame
+            Next frame, one per pattern; a gap in their numbers is of frames that are missing.
+        """
         lost = frame.index - self._next
         recent = self.recent
         if recent and not (alike(recent[-1], frame) and 0 <= lost <= self._window):
             self._frames.clear()
         if not self._frames:
-            lost = 0
+            lost = self._searches = 0
             # a header may begin with the first frame: let that frame stand for those before it
-            self._frames.extend(_before(frame, SLACK))
-        found = list[Detection]()
+            self._frames.extend(before(frame, SLACK))
+        out = list[Due]()
         for one in [*([None] * lost), frame]:
             self._frames.append(one)
             self._next = frame.index + 1 if one is frame else self._next + 1
-            if len(self._frames) == self._window and (self._next - 1) % self._every == 0:
-                found += self._search(list(self._frames), [*taken, *(one.fit.pose for one in found)])
-        return found
+            every = (self._next - 1) % self._every == 0
+            if len(self._frames) == self._window and every and self._header_of(self._frames) is not None:
+                self._searches += 1
+                out.append(Due(in_common(self._frames), self._searches % 2 == 1))
+        return out
 
-    def _search(self, slots: list[Frame | None], taken: Sequence[Pose]) -> list[Detection]:
-        """Search the frames of successive patterns; None stands for those that are missing."""
-        shown = iter(common([frame for frame in slots if frame is not None]))
-        slots = [None if frame is None else next(shown) for frame in slots]
-        header = _filled(slots[SLACK : SLACK + self._span])
+    def busy(self, slots: Slots, taken: Sequence[Pose]) -> bool:
+        """Whether anything alternates in frames to be searched, beside the arrays followed.
+
+        Parameters
+        ----------
+        slots
+            Frames that are due.
+        taken
+            Poses of arrays already followed.
+        """
+        header = self._header_of(slots)
+        if header is None or not header[0].pixels.size:
+            return False
+        return bool(self._busy_blocks(header, alternation_of(header), taken).any())
+
+    def search(self, slots: Slots, taken: Sequence[Pose], turned: bool) -> list[Detection]:
+        """Look for headers in frames.
+
+        Parameters
+        ----------
+        slots
+            Frames of one size and place that are due.
+        taken
+            Poses of arrays already followed.
+        turned
+            Whether arrays that are not upright are looked for too.
+        """
+        header = self._header_of(slots)
         if header is None or min(header[0].pixels.shape) < self._sides[0]:
             return []
         change = alternation_of(header)
-        busy = busy_blocks(change, header[0], taken, self._side, self._parameters.min_contrast)
+        busy = self._busy_blocks(header, change, taken)
         if not busy.any():
             return []
-        rows = coarse_candidates(change, busy, header[0], self._parameters, self._cells, self._sides)
-        found = [self._refine(slots, change, row, taken) for row in rows]
-        return distinct([d for d in found if d is not None], self._side)
+        found: list[Detection] = []
+        for searched in self._headers if turned else self._headers[:1]:
+            rows = coarse_candidates(
+                change, busy, header[0], self._parameters, searched.cells, self._sides, searched.apart
+            )
+            fitted = [self._refine(slots, change, row, searched, taken) for row in rows]
+            # what seems an upright array partly hidden may be a turned one in clear sight
+            found = distinct([*found, *(d for d in fitted if d is not None and (d.clear or not found))], self._side)
+            if found and all(one.clear for one in found):
+                break
+        return found
+
+    def _header_of(self, slots: Slots) -> list[Frame] | None:
+        """The frames that are to show a header's beginning; None where too many are missing."""
+        return filled([*slots][SLACK : SLACK + self._span])
+
+    def _busy_blocks(
+        self, header: list[Frame], change: NDArray[np.float32], taken: Sequence[Pose]
+    ) -> NDArray[np.bool_]:
+        return busy_blocks(change, header[0], taken, self._side, self._parameters.min_contrast)
 
     def _refine(
-        self, slots: list[Frame | None], change: NDArray[np.float32], row: NDArray[np.float64], taken: Sequence[Pose]
+        self,
+        slots: Slots,
+        change: NDArray[np.float32],
+        row: NDArray[np.float64],
+        searched: Headers,
+        taken: Sequence[Pose],
     ) -> Detection | None:
         """Fit a candidate's pose, then ask when its header began and whether it alternates in step."""
         self._fitted += 1
-        number, sign, origin = int(row[4]), float(np.sign(row[0])), _origin(slots)
-        weights, blur = cell_weights(self._cells[number], self._side), self._parameters.blur_px
+        number, sign, origin = int(row[4]), float(np.sign(row[0])), origin_of(slots)
+        weights, blur = cell_weights(searched.cells[number], self._side), self._parameters.blur_px
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], row[3] / self._side, 0.0, blur)
         if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
             return None
@@ -227,7 +323,7 @@ class Detector:
             rough = fit_near(change, origin, start, sign * weights, tilt, HIDING_BLUR)
             if rough is None or rough.score < self._parameters.coarse_score:
                 break
-            found = self._timed(slots, replace(rough.pose, blur=blur), weights, number, tilt)
+            found = self._timed(slots, replace(rough.pose, blur=blur), weights, searched.readings[number], tilt)
             if found is not None and (best is None or found.score > best.score + GAINED):
                 best = found
             if best is not None and best.score >= CLEAR:
@@ -235,15 +331,15 @@ class Detector:
         return best
 
     def _timed(
-        self, slots: list[Frame | None], pose: Pose, weights: NDArray[np.float64], number: int, tilt: float
+        self, slots: Slots, pose: Pose, weights: NDArray[np.float64], readings: tuple[Reading, ...], tilt: float
     ) -> Detection | None:
         """Where the header begins, the start at which its frames alternate most; and the pose in just those frames."""
         shown = [None if frame is None else header_amplitude(frame, pose, weights) for frame in slots]
         sign = 1 - 2 * (np.arange(self._header) % 2)
-        windows = [_filled(shown[k : k + self._header]) for k in range(len(slots) - self._header + 1)]
+        windows = [filled(shown[k : k + self._header]) for k in range(len(slots) - self._header + 1)]
         sums = [-np.inf if window is None else float(sign @ window) for window in windows]
         start = int(np.argmax(sums))
-        seen, header = windows[start], _filled(slots[start : start + self._span])
+        seen, header = windows[start], filled(slots[start : start + self._span])
         if start == len(sums) - 1 or seen is None or header is None:
             # it may begin later still, and a pair of data like it stand for its first: the next search has more of it
             return None
@@ -260,9 +356,10 @@ class Detector:
         if None not in there[:2] and self._parameters.impaired and self._span > 2:
             fit, header = fit_first_pair(header, fit, led_gains * weights, LEVEL if level else tilt)
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
-        return Detection(number, start_s, fit, middle, fit.score, regularity, led_gains)
+        (number, seen_as), *others = readings
+        return Detection(number, start_s, fit, middle, fit.score, regularity, led_gains, seen_as, tuple(others))
 
-    def _start_s(self, header: Sequence[Frame | None]) -> float:
+    def _start_s(self, header: Slots) -> float:
         """Time of a header's first frame, by the first that is there."""
         first, frame = next((k, frame) for k, frame in enumerate(header) if frame is not None)
         return frame.time_s - first * self._period_s
@@ -272,78 +369,6 @@ class Detector:
             return False
         # what is fitted as hidden alternates evenly, or is not fitted as such
         return fit.score >= least and regularity >= self._parameters.regularity
-
-
-def plausible(fit: Fit, parameters: SearchParameters, side: int, full_scale: int) -> bool:
-    """Whether brightness, size and tilt of a fit are those of an array looked for.
-
-    Parameters
-    ----------
-    fit
-        Fit of a candidate to its header.
-    parameters
-        What is looked for.
-    side
-        LEDs in a row.
-    full_scale
-        Largest gray level of the camera.
-    """
-    size, half_step = side * fit.pose.pitch, SIDE_STEP**0.5
-    bright = fit.gain >= parameters.min_contrast * full_scale
-    sized = parameters.min_side_px / half_step <= size <= parameters.max_side_px * half_step
-    turned = np.hypot(fit.pose.stretch, fit.pose.shear) <= MOST_TILT
-    return bool(bright and sized and turned)
-
-
-def apart(a: Pose, b: Pose, side: int) -> bool:
-    """Whether two arrays do not overlap; parts of a header look like smaller ones.
-
-    Parameters
-    ----------
-    a, b
-        Poses of the two arrays on the sensor.
-    side
-        LEDs in a row.
-    """
-    # |a - b| > (n p_a + n p_b) / 2, less what the poses may err by
-    reach = (1 - OVERLAP) / 2 * side * (a.pitch + b.pitch)
-    return bool(np.hypot(a.x - b.x, a.y - b.y) > reach)
-
-
-def alike(last: Frame, frame: Frame) -> bool:
-    """Whether two frames have the same kind of pixels.
-
-    Parameters
-    ----------
-    last, frame
-        Two frames of a film, in the order of time.
-    """
-    return last.pixels.dtype == frame.pixels.dtype and last.bits == frame.bits
-
-
-def _filled(header: Sequence[Shown | None]) -> list[Shown] | None:
-    """What a header's frames show, a missing one as the nearest before or after that shows the same.
-
-    None where more than `MISSING_FRAMES` are missing, or all of a kind.
-    """
-    missing = [k for k, one in enumerate(header) if one is None]
-    if len(missing) > MISSING_FRAMES * len(header):
-        return None
-    filled = [*header]
-    for k in missing:
-        alike = [header[j] for j in sorted(range(k % 2, len(header), 2), key=lambda j: abs(j - k))]
-        filled[k] = next((one for one in alike if one is not None), None)
-    return None if None in filled else [one for one in filled if one is not None]
-
-
-def _origin(slots: Sequence[Frame | None]) -> tuple[int, int]:
-    """Place of the first pixel, which all frames have in common."""
-    return next(frame.origin for frame in slots if frame is not None)
-
-
-def _before(frame: Frame, count: int) -> list[Frame]:
-    """`count` copies of a frame with earlier, negative times and numbers."""
-    return [replace(frame, index=frame.index - k, time_s=frame.time_s - FAR_PAST_S * k) for k in range(count, 0, -1)]
 
 
 def distinct(detections: list[Detection], side: int) -> list[Detection]:

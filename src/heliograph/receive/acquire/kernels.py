@@ -82,7 +82,7 @@ def _to_grid(start, step):
 
 
 @njit(cache=True, nogil=True)
-def search(total, square, busy, block, cells, sides, contrast, threshold, ring_width, grid, corner, best):
+def search(total, square, busy, block, cells, sides, contrast, threshold, ring_width, grid, apart, corner, best):
     """Correlate what alternates with all headers over scale and position.
 
     Parameters
@@ -105,6 +105,8 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, ring_w
         Width of the ring around a candidate that must not alternate, as a fraction of its side.
     grid
         Step of the places as a fraction of the side; at least a pixel.
+    apart
+        Least distance of two candidates along x or y, as a fraction of the larger one's side.
     corner
         (2,) x, y on the sensor of the first pixel: the grid is fixed to the sensor, whatever the window.
     best
@@ -149,18 +151,18 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, ring_w
                             dot += cells[t, i] * sums[i]
                         if abs(dot) >= bound:
                             score = dot / (side * math.sqrt(energy))
-                            found = _keep(best, found, score, x + 0.5 * side, y + 0.5 * side, side, t)
+                            found = _keep(best, found, apart, score, x + 0.5 * side, y + 0.5 * side, side, t)
                 x += step
             y += step
     return found
 
 
 @njit(cache=True, nogil=True)
-def _keep(best, found, score, x, y, side, identity):
+def _keep(best, found, apart, score, x, y, side, identity):
     """Insert a candidate unless a better one lies on the same place; drop worse ones there."""
     i = 0
     while i < found:
-        reach = 0.5 * max(side, best[i, 3])
+        reach = apart * max(side, best[i, 3])
         if abs(best[i, 1] - x) < reach and abs(best[i, 2] - y) < reach:
             if abs(best[i, 0]) >= abs(score):
                 return found

@@ -9,8 +9,10 @@ from typing import Protocol
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.coarse import SearchParameters
-from heliograph.receive.acquire.detector import Detection, Detector
+from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.pyramid import PyramidSearch, level_parameters
 from heliograph.receive.acquire.straddled import StraddledDetector
+from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
@@ -66,7 +68,9 @@ class PhasedSearch:
         if period_s > light_s * (1 - STEP_TOLERANCE):
             self._streams = [_EveryFrame(self._detector(), period_s)]
             if self._signal.header_pairs > 1:
-                straddled = StraddledDetector(self._parameters, self._signal)
+                # of the finest level alone: larger arrays are not looked for half a pattern out of step
+                finest = level_parameters(self._parameters, self._signal.side)[0]
+                straddled = StraddledDetector(finest, self._signal)
                 self._streams.append(_EveryFrame(straddled, period_s))
         else:
             phases = _phases(light_s / period_s)
@@ -74,8 +78,13 @@ class PhasedSearch:
         patterns = 2 * self._signal.header_pairs + 2 * PATTERNS_KEPT
         self._kept = deque(maxlen=math.ceil(patterns * light_s / period_s))
 
-    def _detector(self) -> Detector:
-        return Detector(self._parameters, self._signal)
+    def settle(self, orientation: Orientation) -> None:
+        """Look for one orientation alone from now on; see `HeaderSearch`."""
+        for stream in self._streams:
+            stream.detector.settle(orientation)
+
+    def _detector(self) -> PyramidSearch:
+        return PyramidSearch(self._parameters, self._signal)
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
         """Take the next frame; see `HeaderSearch`.
@@ -102,6 +111,9 @@ class _FrameDetector(Protocol):
     @property
     def candidates_fitted(self) -> int:
         """Candidates fitted so far."""
+
+    def settle(self, orientation: Orientation) -> None:
+        """Look for one orientation alone from now on; see `HeaderSearch`."""
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
         """Take the next frame; return the arrays whose header lies in the last ones."""
@@ -135,7 +147,7 @@ class _EveryFrame:
 class _Nearest:
     """One frame per pattern: those that begin nearest to even times."""
 
-    def __init__(self, detector: Detector, step_s: float, phase: float):
+    def __init__(self, detector: _FrameDetector, step_s: float, phase: float):
         self.detector, self._step_s, self._phase = detector, step_s, phase
         self._best: Frame | None = None
         self._off = 0.0

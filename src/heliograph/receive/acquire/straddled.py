@@ -17,10 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.candidate import UPRIGHT, cell_weights, fit_near
+from heliograph.receive.acquire.candidate import UPRIGHT, cell_weights, fit_near, plausible
 from heliograph.receive.acquire.coarse import BLOCK_PX, SearchParameters, busy_blocks, coarse_candidates
-from heliograph.receive.acquire.detector import Detection, alike, distinct, plausible
+from heliograph.receive.acquire.detector import Detection, distinct
+from heliograph.receive.acquire.readings import ALL_ON, Headers, headers
+from heliograph.receive.acquire.slots import alike
 from heliograph.receive.image.fit import Fit, header_amplitude
+from heliograph.receive.image.orientation import ORIENTATIONS, Orientation
+from heliograph.receive.image.orientation import UPRIGHT as UPRIGHT_CAMERA
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import common
 from heliograph.signal.settings import SignalSettings
@@ -56,7 +60,10 @@ class StraddledDetector:
         self._parameters, self._side = parameters, signal.side
         self._light_s = signal.pattern_period_s
         self._header = 2 * signal.header_pairs
-        self._cells, self._sides = parameters.templates(), parameters.sides()
+        self._sides = parameters.sides()
+        # turned ones are looked for only once the camera is known to see them so
+        upright = headers((UPRIGHT_CAMERA,), ORIENTATIONS[1:])
+        self._searched: Headers = ALL_ON if parameters.all_on else upright
         self._frames: deque[Frame] = deque(maxlen=self._header + 1)
         self._fitted = 0
 
@@ -64,6 +71,11 @@ class StraddledDetector:
     def candidates_fitted(self) -> int:
         """Candidates fitted so far."""
         return self._fitted
+
+    def settle(self, orientation: Orientation) -> None:
+        """Look for one orientation alone from now on; see `HeaderSearch`."""
+        if not self._parameters.all_on:
+            self._searched = headers((orientation,))
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
         """Take the next frame; see `HeaderSearch`.
@@ -88,7 +100,7 @@ class StraddledDetector:
         busy &= self._quiet(frames, change)
         if not busy.any():
             return []
-        rows = coarse_candidates(change, busy, frames[0], self._parameters, self._cells, self._sides)
+        rows = coarse_candidates(change, busy, frames[0], self._parameters, self._searched.cells, self._sides)
         found = [self._fit(frames, change, row, taken) for row in rows if row[0] > 0]
         return distinct([one for one in found if one is not None], self._side)
 
@@ -116,7 +128,7 @@ class StraddledDetector:
         """Fit a candidate's pose; its start is that of the first frame and half a pattern."""
         self._fitted += 1
         number, origin, parameters = int(row[4]), frames[0].origin, self._parameters
-        weights = cell_weights(self._cells[number], self._side)
+        weights = cell_weights(self._searched.cells[number], self._side)
         pitch = row[3] / self._side
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], pitch, 0.0, parameters.blur_px)
         if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
@@ -131,7 +143,9 @@ class StraddledDetector:
             return None
         time_s = 0.5 * (frames[0].time_s + frames[-1].time_s)
         start_s = frames[0].time_s + 0.5 * self._light_s
-        return Detection(number, start_s, fit, time_s, fit.score, regularity, np.ones(weights.shape))
+        (identity, seen_as), *others = self._searched.readings[number]
+        sound = np.ones(weights.shape)
+        return Detection(identity, start_s, fit, time_s, fit.score, regularity, sound, seen_as, tuple(others))
 
     def _regularity(self, frames: Sequence[Frame], fit: Fit, weights: NDArray[np.float64]) -> float:
         """Weaker over mean amplitude of the frames over the beginning and the end, about the mean of those within."""

@@ -1,0 +1,137 @@
+"""Search for headers of arrays of any size: a detector for each level of a pyramid of frames.
+
+On its level an array is so small that single LEDs hardly show. Sums over cells of a header then hold most of its light,
+and its pixels are soon fitted.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import ceil
+
+import cv2
+
+from heliograph.base.frames import Frame, Pixels
+from heliograph.receive.acquire.coarse import RING, SIDE_STEP, SearchParameters
+from heliograph.receive.acquire.detector import Detection, Detector
+from heliograph.receive.acquire.slots import Due, in_common
+from heliograph.receive.image.orientation import Orientation
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.view import View, halved, reduced_blur
+from heliograph.signal.settings import SignalSettings
+
+LEVEL_SIDE_PX = 64.0
+"""Largest array in px that is looked for on a level; the next level has larger ones.
+
+16 LEDs then have a pitch of 4 px, 14 m away in the reference link, where single LEDs leave half of the correlation.
+"""
+
+LEVEL_PITCH_PX = 4.0
+"""The same as a pitch, for arrays of fewer LEDs: those of 8 x 8 have 32 px."""
+
+
+class PyramidSearch:
+    """A detector for each level, the coarsest first; see `HeaderSearch`.
+
+    Parameters
+    ----------
+    parameters
+        What it takes for an array; sizes and blur are those on the sensor.
+    signal
+        The light's signal: side of the array and header pairs.
+    """
+
+    def __init__(self, parameters: SearchParameters, signal: SignalSettings):
+        levels = level_parameters(parameters, signal.side)
+        self._reduced: dict[tuple[int, float], list[Frame]] = {}
+        self._levels = [(View(k), Detector(one, signal)) for k, one in enumerate(levels)]
+
+    def start(self, period_s: float) -> None:
+        """Begin; the frames are taken to come one per pattern, whatever the period; see `HeaderSearch`."""
+
+    def settle(self, orientation: Orientation) -> None:
+        """Look for one orientation alone from now on; see `HeaderSearch`."""
+        for _, detector in self._levels:
+            detector.settle(orientation)
+
+    @property
+    def candidates_fitted(self) -> int:
+        """Candidates fitted so far on all levels."""
+        return sum(detector.candidates_fitted for _, detector in self._levels)
+
+    @property
+    def recent(self) -> Sequence[Frame]:
+        """The last frames, oldest first: enough to hold the header of an array just found."""
+        return self._levels[0][1].recent
+
+    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
+        """Take the next frame; see `HeaderSearch`.
+
+        Parameters
+        ----------
+        frame
+            Next frame, one per pattern; a gap in their numbers is of frames that are missing.
+        taken
+            Poses of arrays already followed.
+        """
+        found = list[Detection]()
+        for due in self._levels[0][1].due(frame):
+            found += self._search(due, [*taken, *(one.fit.pose for one in found)])
+        return found
+
+    def _search(self, due: Due, taken: Sequence[Pose]) -> list[Detection]:
+        """Search frames on all levels."""
+        # what alternates on a level alternates in the frames themselves
+        if not self._levels[0][1].busy(due.slots, taken):
+            return []
+        known, found, there = list(taken), list[Detection](), [one for one in due.slots if one is not None]
+        self._reduced = {_name(one): self._reduced.get(_name(one)) or self._seen(one) for one in there}
+        for k, (view, detector) in reversed(list(enumerate(self._levels))):
+            seen = in_common([None if one is None else self._reduced[_name(one)][k] for one in due.slots])
+            for one in detector.search(seen, [view.pose_in(pose) for pose in known], due.turned):
+                known.append(view.pose_out(one.fit.pose))
+                found.append(replace(one, fit=view.fit_out(one.fit)))
+        return found
+
+    def _seen(self, frame: Frame) -> list[Frame]:
+        """The frame on each level; on the reduced ones with a rim, as a near array may fill the frame."""
+        seen, reduced = [frame], frame
+        for _ in self._levels[1:]:
+            reduced = halved(reduced)
+            seen.append(_rimmed(reduced))
+        return seen
+
+
+def level_parameters(parameters: SearchParameters, side: int) -> list[SearchParameters]:
+    """What is looked for on each level, the finest first, each with sizes in px of its own.
+
+    Parameters
+    ----------
+    parameters
+        What is looked for, with sizes on the sensor.
+    side
+        LEDs in a row.
+    """
+    smallest, largest = parameters.min_side_px, parameters.max_side_px
+    most = max(min(LEVEL_SIDE_PX, side * LEVEL_PITCH_PX), smallest * SIDE_STEP)
+    levels = [replace(parameters, max_side_px=min(most, largest))]
+    while most * 2 ** (len(levels) - 1) < largest:
+        k = len(levels)
+        sizes = most / 2 / SIDE_STEP, min(most, largest / 2**k)
+        blur = reduced_blur(parameters.blur_px, k)
+        levels.append(replace(parameters, min_side_px=min(sizes), max_side_px=max(sizes), blur_px=blur))
+    return levels
+
+
+def _name(frame: Frame) -> tuple[int, float]:
+    """What tells frames apart, and those that stand for frames before the film too."""
+    return frame.index, frame.time_s
+
+
+def _rimmed(frame: Frame) -> Frame:
+    """A frame with its border repeated about it: a candidate's ring must be there, and must not alternate."""
+    rim = ceil(2 * RING * LEVEL_SIDE_PX)
+    pixels: Pixels = cv2.copyMakeBorder(  # type: ignore[assignment]
+        frame.pixels, rim, rim, rim, rim, cv2.BORDER_REPLICATE
+    )
+    x, y = frame.origin
+    return replace(frame, pixels=pixels, origin=(x - rim, y - rim))

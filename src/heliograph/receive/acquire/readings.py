@@ -1,0 +1,64 @@
+"""What a header may mean: an identity, and how the camera sees the array.
+
+A header that is turned or mirrored may be the header of another identity, upright or turned otherwise. Only what the
+array sends tells them apart: its blocks name the identity and have a CRC.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.receive.acquire.coarse import APART, SHIFTED
+from heliograph.receive.image.orientation import Orientation
+from heliograph.signal.header import IDENTITIES, header_cells
+
+Reading = tuple[int, Orientation]
+"""Identity of an array, and how the camera sees it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Headers:
+    """Headers looked for.
+
+    Attributes
+    ----------
+    cells
+        (headers, 16) of +-1, as the camera sees them; no two are the same.
+    readings
+        What each may mean, the most plausible first.
+    apart
+        Least distance of two candidates as a fraction of the side; see `coarse_candidates`.
+    """
+
+    cells: NDArray[np.float64]
+    readings: tuple[tuple[Reading, ...], ...]
+    apart: float = APART
+
+
+ALL_ON = Headers(np.ones((1, 16)), (((0, Orientation()),),))
+"""A square that blinks as a whole, without an identity."""
+
+
+@lru_cache
+def headers(orientations: Sequence[Orientation], other: Sequence[Orientation] = ()) -> Headers:
+    """Headers of all identities as a camera sees them.
+
+    Parameters
+    ----------
+    orientations
+        How it may see the arrays, the most plausible first.
+    other
+        Orientations that are less plausible: their headers are left out, but are readings of those that are the same.
+    """
+    seen: dict[bytes, list[Reading]] = defaultdict(list)
+    for orientation in (*orientations, *other):
+        for number in range(IDENTITIES):
+            seen[orientation.turned(header_cells(number)).tobytes()].append((number, orientation))
+    kept = {cells: readings for cells, readings in seen.items() if readings[0][1] in orientations}
+    cells = np.array([np.frombuffer(one, np.int8) for one in kept], np.float64)
+    apart = APART if len(orientations) == 1 else SHIFTED
+    return Headers(cells, tuple(map(tuple, kept.values())), apart)

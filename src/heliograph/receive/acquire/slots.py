@@ -1,0 +1,104 @@
+"""Frames of successive patterns as a search holds them: a frame that is missing leaves its slot empty."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from heliograph.base.frames import Frame
+from heliograph.receive.image.window import common
+
+Slots = Sequence[Frame | None]
+"""Frames of successive patterns, None for those that are missing."""
+
+FAR_PAST_S = 1e9
+"""Seconds between frames that stand for those before the film: 30 years, so that no clock takes them for frames."""
+
+MISSING_FRAMES = 0.25
+"""Fraction of a header's frames that may be missing: without two of four, data before or after might stand for it."""
+
+Shown = TypeVar("Shown")
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """Frames that are to be searched now.
+
+    Attributes
+    ----------
+    slots
+        Frames of successive patterns, of one size and place; None stands for those that are missing.
+    turned
+        Whether turned headers are due too: every header is in sight of two searches, and every other one is enough.
+    """
+
+    slots: Slots
+    turned: bool
+
+
+def filled(header: Sequence[Shown | None]) -> list[Shown] | None:
+    """What a header's frames show, a missing one as the nearest before or after that shows the same.
+
+    Parameters
+    ----------
+    header
+        What each frame shows, header and inverse in turn; None for those that are missing.
+
+    Returns
+    -------
+    As many; None where more than `MISSING_FRAMES` are missing, or all of a kind.
+    """
+    missing = [k for k, one in enumerate(header) if one is None]
+    if len(missing) > MISSING_FRAMES * len(header):
+        return None
+    out = [*header]
+    for k in missing:
+        alike = [header[j] for j in sorted(range(k % 2, len(header), 2), key=lambda j: abs(j - k))]
+        out[k] = next((one for one in alike if one is not None), None)
+    return None if None in out else [one for one in out if one is not None]
+
+
+def in_common(slots: Slots) -> list[Frame | None]:
+    """Cut the frames that are there to the part of the sensor that all of them show.
+
+    Parameters
+    ----------
+    slots
+        Frames of one sensor; one at least is there.
+    """
+    shown = iter(common([frame for frame in slots if frame is not None]))
+    return [None if frame is None else next(shown) for frame in slots]
+
+
+def origin_of(slots: Slots) -> tuple[int, int]:
+    """Place of the first pixel, which all frames have in common.
+
+    Parameters
+    ----------
+    slots
+        Frames of one size and place; one at least is there.
+    """
+    return next(frame.origin for frame in slots if frame is not None)
+
+
+def before(frame: Frame, count: int) -> list[Frame]:
+    """Copies of a frame with earlier, negative times and numbers.
+
+    Parameters
+    ----------
+    frame
+        First frame of a film.
+    count
+        How many copies, at least 0.
+    """
+    return [replace(frame, index=frame.index - k, time_s=frame.time_s - FAR_PAST_S * k) for k in range(count, 0, -1)]
+
+
+def alike(last: Frame, frame: Frame) -> bool:
+    """Whether two frames have the same kind of pixels.
+
+    Parameters
+    ----------
+    last, frame
+        Two frames of a film, in the order of time.
+    """
+    return last.pixels.dtype == frame.pixels.dtype and last.bits == frame.bits
