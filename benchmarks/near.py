@@ -1,6 +1,6 @@
 """Near arrays, and turned ones, read at random places.
 
-`python -m benchmarks.near distances|turned|drives|speed [COUNT] [SEED]`. Receivers have their
+`python -m benchmarks.near distances|acquired|turned|drives|speed [COUNT] [SEED]`. Receivers have their
 default settings. Identity, place and noise are drawn; films have whole frames.
 """
 
@@ -16,9 +16,10 @@ import numpy as np
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import simulate
-from heliograph.measure.bench import block_settings, random_messages
+from heliograph.measure.bench import block_settings, lasting, random_messages
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.receive import Packet, make_receiver
+from heliograph.receive.events import DetectEvent
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.signal.settings import LAYERS
 
@@ -104,6 +105,27 @@ def distances(count: int, seed: int) -> None:
                 print(f"{receiver}, {side} x {side}, {distance_m:g} m: {counts}", flush=True)
 
 
+def acquired(count: int, seed: int) -> None:
+    """Whether arrays of 16 x 16 LEDs are found by their first header, and as whom, at any size from 500 px to 60 px."""
+    for receiver in ("plain", "soft"):
+        rng = np.random.default_rng(seed)
+        right = wrong = 0
+        missed = []
+        for _ in range(count):
+            one, distance_m = int(rng.integers(1 << 30)), PX_M / float(np.exp(rng.uniform(np.log(60), np.log(500))))
+            settings = block_settings(link(receiver, 16, distance_m, rng), 1)
+            seen: list[Any] = []
+            hearing = make_receiver(settings.signal, settings.receive, seen.append)
+            for frame in film(lasting(settings, 0.016), one, None):
+                list(hearing.push(frame))
+            found = [event.detection.identity for event in seen if isinstance(event, DetectEvent)]
+            right += found == [settings.transmit.identities[0]]
+            wrong += any(number != settings.transmit.identities[0] for number in found)
+            missed += [] if found else [round(PX_M / distance_m)]
+        low, high = clopper_pearson(count - right, count)
+        print(f"{receiver}: right {right}/{count} (else {low:.1e} to {high:.1e}), wrong {wrong}, missed at px {missed}")
+
+
 def turned(count: int, seed: int) -> None:
     """All orientations, at random distances."""
     for receiver, farthest in (("plain", 40.0), ("soft", 80.0)):
@@ -162,4 +184,6 @@ def _codewords(settings: LinkSettings) -> dict[str, int]:
 if __name__ == "__main__":
     what, *numbers = sys.argv[1:]
     count, seed = (int(n) for n in [*numbers, *("8", "0")[len(numbers) :]])
-    {"distances": distances, "turned": turned, "drives": drives, "speed": speed}[what](count, seed)
+    {"distances": distances, "acquired": acquired, "turned": turned, "drives": drives, "speed": speed}[what](
+        count, seed
+    )

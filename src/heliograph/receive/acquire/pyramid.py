@@ -20,13 +20,17 @@ from heliograph.receive.image.view import View, halved, reduced_blur
 from heliograph.signal.settings import SignalSettings
 
 LEVEL_SIDE_PX = 64.0
-"""Largest array in px that is looked for on a level; the next level has larger ones.
-
-16 LEDs then have a pitch of 4 px, 14 m away in the reference link, where single LEDs leave half of the correlation.
-"""
+"""Largest array in px that is looked for in the camera's own frames: 16 LEDs then have a pitch of 4 px."""
 
 LEVEL_PITCH_PX = 4.0
 """The same as a pitch, for arrays of fewer LEDs: those of 8 x 8 have 32 px."""
+
+REDUCED = 0.7
+"""Largest array on a reduced level, as a fraction of that.
+
+Single LEDs at a pitch of 3.9 px left a header's cells a correlation of 0.50, which is the least of a candidate, and at
+2.0 px, on the next level, 0.72 (array of 499 px, `python -m benchmarks.near distances 1 0`).
+"""
 
 
 class PyramidSearch:
@@ -114,9 +118,10 @@ def level_parameters(parameters: SearchParameters, side: int) -> list[SearchPara
     smallest, largest = parameters.min_side_px, parameters.max_side_px
     most = max(min(LEVEL_SIDE_PX, side * LEVEL_PITCH_PX), smallest * SIDE_STEP)
     levels = [replace(parameters, max_side_px=min(most, largest))]
-    while most * 2 ** (len(levels) - 1) < largest:
+    reduced = REDUCED * most
+    while largest > most and (len(levels) == 1 or reduced * 2 ** (len(levels) - 1) < largest):
         k = len(levels)
-        sizes = most / 2 / SIDE_STEP, min(most, largest / 2**k)
+        sizes = reduced / 2 / SIDE_STEP, min(reduced, largest / 2**k)
         blur = reduced_blur(parameters.blur_px, k)
         levels.append(replace(parameters, min_side_px=min(sizes), max_side_px=max(sizes), blur_px=blur))
     return levels
