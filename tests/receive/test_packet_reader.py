@@ -67,7 +67,7 @@ def test_poses_of_a_combined_pair_are_those_at_the_middle_of_its_data() -> None:
 
 @pytest.mark.slow
 def test_leds_taken_for_dead_by_mistake_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    def mistaken(self: LedGains, cutout: Cutout, header: Floats, gain: float) -> LearntGains:
+    def mistaken(self: LedGains, cutout: Cutout, header: Floats, gain: float, in_sight: Floats) -> LearntGains:
         values = np.where(np.arange(SIDE)[:, None] < 4, 0.0, np.ones((SIDE, SIDE)))
         return LearntGains(LedGains.in_sight(values), gain, False)
 
