@@ -280,7 +280,7 @@ Codewords read with all constants as they are, by scene (soft receiver where non
 |---|---|
 {scenes}
 
-Codewords read more or fewer:
+Codewords read more or fewer ("not measured": constants of near and turned arrays, of which no scene here has any):
 
 | constant | value | half | twice |
 |---|---|---|---|
