@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,9 +108,7 @@ class Pose:
         -------
         (side, side, 2) px as (x, y); row u from top to bottom, column v from left to right.
         """
-        grid = np.arange(side) - (side - 1) / 2
-        v, u = np.meshgrid(grid, grid)
-        return np.asarray(np.stack([v, u], axis=-1) @ self.axes.T + np.array([self.x, self.y]))
+        return np.asarray(_grid(side) @ self.axes.T + np.array([self.x, self.y]))
 
     def moved(self, dx: float, dy: float) -> "Pose":
         """Shift the array in the image.
@@ -133,3 +132,12 @@ def rim_distance(a: Pose, b: Pose, side: int) -> float:
         LEDs in a row.
     """
     return float(np.linalg.norm(a.leds(side) - b.leds(side), axis=-1).max())
+
+
+@lru_cache(maxsize=8)  # arrays of one film have one size
+def _grid(side: int) -> NDArray[np.float64]:
+    """Columns and rows of LEDs from the centre, (side, side, 2), not writeable."""
+    steps = np.arange(side) - (side - 1) / 2
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1)
+    grid.setflags(write=False)
+    return grid

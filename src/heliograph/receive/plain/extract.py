@@ -40,8 +40,21 @@ def pair_luminances(
 
         return unblurred(frames, poses, gain, side)
     up, down = (luminances(frame, pose, side) for frame, pose in zip(frames, poses, strict=True))
+    return normalised(up - down, gain)
+
+
+def normalised(change: NDArray[np.float64], gain: float) -> NDArray[np.float64]:
+    """Normalised luminances x' = level - 2 by what LEDs show of a pattern less its inverse.
+
+    Parameters
+    ----------
+    change
+        (side, side) difference of both in gray levels.
+    gain
+        Gray levels of the sum of the pair with all LEDs on.
+    """
     # r - r_inverted = gain (x - (1 - x)) = gain (2 x - 1) = gain x' / 2
-    return 2 * (up - down) / max(gain, TINY)
+    return 2 * change / max(gain, TINY)
 
 
 def luminances(frame: PlacedPixels, pose: Pose, side: int) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from heliograph.receive.acquire.header import header_score, header_weights
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
 from heliograph.receive.packets import Codeword, Packet
-from heliograph.receive.plain.extract import luminances, pair_luminances
+from heliograph.receive.plain.extract import luminances, normalised, pair_luminances
 from heliograph.receive.reading import ReadHeader
 from heliograph.receive.settings import Equaliser
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
@@ -86,11 +86,13 @@ class PlainReader:
         """Read the luminances of a pair; see `PacketReader`."""
         frames, state = (pair.pattern, pair.inverted), tracked.state
         poses = state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)
-        x = pair_luminances(frames, poses, tracked.track.gain, self._form.settings.side, self._equaliser)
+        side, gain = self._form.settings.side, tracked.track.gain
+        up, down = (luminances(frame, pose, side) for frame, pose in zip(frames, poses, strict=True))
+        x = normalised(up - down, gain)
+        if self._equaliser != "none":
+            x = pair_luminances(frames, poses, gain, side, self._equaliser)
         self._luminances[place], self._seen[place] = x, True
-        self._states[place], self._sum_gain = state, tracked.track.gain
-        shown = [luminances(frame, pose, len(x)) for frame, pose in zip(frames, poses, strict=True)]
-        self._sums[place] = shown[0] + shown[1]
+        self._states[place], self._sums[place], self._sum_gain = state, up + down, gain
         self._observe(ExtractEvent(self._identity, frames, poses, x))
 
     def take_lone(self, place: int, lone: LoneFrame) -> None:
@@ -113,7 +115,7 @@ class PlainReader:
         total = np.mean([self._sums[k] for k in chosen], axis=0)
         # 2 r - (r + r') = r - r'
         shown = 2 * luminances(lone.frame, pose, len(total)) - total
-        self._luminances[place] = 2 * (-shown if lone.inverted else shown) / max(self._sum_gain, 1e-6)
+        self._luminances[place] = normalised(-shown if lone.inverted else shown, self._sum_gain)
         self._seen[place] = True
 
     def shown(self, packet: Packet) -> DecodeEvent:

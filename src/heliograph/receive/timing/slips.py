@@ -59,11 +59,18 @@ OFF = 0.2
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """A frame whose number is not decided: its own number by its time, and what it shows at the LEDs' places."""
+    """A frame whose number is not decided.
+
+    Its own number by its time; what it shows at the LEDs' places, and about the mean of frames; the power of the
+    latter, and whether it may be a pattern's.
+    """
 
     frame: Frame
     number: int
     shown: Floats
+    about: Floats | None
+    power: float
+    pattern: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,8 +131,7 @@ class SlipWatch:
             yield from self.flush()
             yield self._timed(frame)
             return
-        shown = self._shown(frame, pose_at(frame.time_s + self.lost * period_s))
-        self._held.append(_Held(frame, number, shown))
+        self._held.append(self._viewed(frame, number, pose_at(frame.time_s + self.lost * period_s)))
         while self._held and self._ready():
             yield from self._release()
 
@@ -140,13 +146,22 @@ class SlipWatch:
             return frame
         return replace(frame, time_s=frame.time_s + self.lost * self._signal.pattern_period_s)
 
-    def _shown(self, frame: Frame, pose: Pose) -> Floats:
-        """Gray levels at the LEDs' places, (n n,)."""
-        window = window_around(pose, self._signal.side, RIM_PX)
-        x, y = np.ascontiguousarray((pose.leds(self._signal.side).reshape(-1, 2) - window[:2]).T, np.float32)
-        return np.asarray(
-            cv2.remap(cut_out(frame, window).astype(np.float32), x, y, cv2.INTER_LINEAR).ravel(), np.float64
-        )
+    def _viewed(self, frame: Frame, number: int, pose: Pose) -> _Held:
+        """What a frame shows of an array at a pose."""
+        side = self._signal.side
+        window = window_around(pose, side, RIM_PX)
+        # LED (column, row) lies at centre + axes ((column, row) - (side - 1) / 2)
+        first = np.array([pose.x - window[0], pose.y - window[1]]) - pose.axes.sum(1) * (side - 1) / 2
+        grid = np.column_stack([pose.axes, first])
+        cut = cut_out(frame, window).astype(np.float32)
+        shown = np.float64(
+            cv2.warpAffine(cut, grid, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+        ).ravel()
+        if self._mean is None:
+            return _Held(frame, number, shown, None, 0.0, False)
+        about = shown - self._mean
+        power, mean = float(about @ about), float(about.mean())
+        return _Held(frame, number, shown, about, power, power - about.size * mean**2 > LIKE * power)
 
     def _ready(self) -> bool:
         """Whether enough frames are in hand to release the first."""
@@ -186,11 +201,10 @@ class SlipWatch:
         first = self._held.pop(0)
         self._number = first.number
         out, number = self._timed(first.frame), first.number + self.lost
-        if self._mean is not None:
-            about = first.shown - self._mean
-            self._headers[number] = float(about @ self._signs) / max(
-                float(np.linalg.norm(about) * np.linalg.norm(self._signs)), 1e-9
-            )
+        length = 2 * self._signal.header_pairs
+        near = (number + length) % self._signal.packet_patterns < 2 * length
+        if near and first.about is not None:
+            self._headers[number] = float(first.about @ self._signs) / max(first.power * self._signs.size, 1e-9) ** 0.5
             self._follow_header(number)
         return out
 
@@ -213,8 +227,12 @@ class SlipWatch:
         return number % 2 == 1 and first.number > self._number + 1 and is_data(number // 2, self._signal)
 
     def _uneven(self, place: int) -> float | None:
-        """The measure e of a frame in hand and the next, at most 1; None where it says nothing."""
-        return _unevenness(self._held[place].shown, self._held[place + 1].shown, self._mean)
+        """The measure e of a frame in hand and the next, at most 1; None where one of them shows no pattern."""
+        one, other = self._held[place : place + 2]
+        u, v, powers = one.about, other.about, (one.power, other.power)
+        if u is None or v is None or not (one.pattern and other.pattern) or min(powers) < LIKE * max(powers):
+            return None
+        return min(1 + 2 * float(u @ v) / max(sum(powers), 1e-9), 1.0)
 
     def _even(self, place: int, least: float = EVEN) -> bool:
         """Whether a frame in hand and the next are surely a pair."""
@@ -250,15 +268,3 @@ class SlipWatch:
             return paired
         slipped = self._paired(place + 1, lost + 1)
         return min(paired, _Pairs(SLIP + slipped.cost, slipped.uneven), key=lambda one: one.cost)
-
-
-def _unevenness(one: Floats, other: Floats, mean: Floats | None) -> float | None:
-    """The measure e of two frames about a mean, at most 1; None if none is known yet, or a frame shows no pattern."""
-    if mean is None:
-        return None
-    u, v = one - mean, other - mean
-    powers = float((u**2).sum()), float((v**2).sum())
-    patterns = min(u.var() * u.size / max(powers[0], 1e-9), v.var() * v.size / max(powers[1], 1e-9)) > LIKE
-    if not patterns or min(powers) < LIKE * max(powers):
-        return None
-    return min(float(((u + v) ** 2).sum()) / max(sum(powers), 1e-9), 1.0)
