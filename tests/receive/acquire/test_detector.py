@@ -186,6 +186,16 @@ def test_a_header_may_lack_one_frame_of_four(lost: set[int], first: float) -> No
     assert [d.start_time_s for d in found] == pytest.approx(starts, abs=1e-6)
 
 
+@pytest.mark.slow
+def test_where_many_frames_are_lost_headers_alone_are_found() -> None:
+    frames, rng = film(link("signal.data_pairs=10"), 1200, 1, 12), np.random.default_rng(8)
+    found = detections(frame for frame in frames if rng.random() > 0.4)
+    assert len(found) > 15
+    assert {d.identity for d in found} == {0}
+    packets = np.array([d.start_time_s for d in found]) / 0.024
+    assert packets == pytest.approx(np.round(packets), abs=1e-6)
+
+
 def test_squares_that_blink_as_a_whole_are_found_where_headers_are_such() -> None:
     rng, parameters = np.random.default_rng(0), replace(PLAIN, all_on=True)
     frames = []

@@ -340,16 +340,20 @@ class Detector:
         sums = [-np.inf if window is None else float(sign @ window) for window in windows]
         start = int(np.argmax(sums))
         seen, header = windows[start], filled(slots[start : start + self._span])
-        if start == len(sums) - 1 or seen is None or header is None:
+        there = slots[start : start + self._header]
+        # where frames are missing, a pair of data and the header's first may pass for it
+        later = SLACK if None in there else 1
+        if start >= len(sums) - later or seen is None or header is None:
             # it may begin later still, and a pair of data like it stand for its first: the next search has more of it
             return None
         change = -np.diff(seen) * sign[:-1]
         regularity = float(change.min() / max(change.mean(), TINY))
-        there = slots[start : start + self._header]
         # what is filled in alternates by itself: a pair of data must not pass for a header that is half hidden
         even = self._parameters.impaired and None not in there and regularity >= HIDDEN_REGULARITY
         fit, led_gains, level = fit_header(header, pose, weights, tilt, self._parameters.score, even)
         least = HIDDEN_SCORE if level and led_gains.all() else self._parameters.score
+        if None in there:
+            least = CLEAR
         if fit is None or not self._convincing(fit, regularity, least, header[0].full_scale):
             return None
         start_s = self._start_s(there)
