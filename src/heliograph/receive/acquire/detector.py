@@ -242,7 +242,8 @@ class Detector:
         for one in [*([None] * lost), frame]:
             self._frames.append(one)
             self._next = frame.index + 1 if one is frame else self._next + 1
-            every = (self._next - 1) % self._every == 0
+            # every second place is enough, but not where frames are missing
+            every = (self._next - 1) % self._every == 0 or None in self._frames
             if len(self._frames) == self._window and every and self._header_of(self._frames) is not None:
                 self._searches += 1
                 out.append(Due(in_common(self._frames), self._searches % 2 == 1))
@@ -349,12 +350,13 @@ class Detector:
         change = -np.diff(seen) * sign[:-1]
         regularity = float(change.min() / max(change.mean(), TINY))
         # what is filled in alternates by itself: a pair of data must not pass for a header that is half hidden
-        even = self._parameters.impaired and None not in there and regularity >= HIDDEN_REGULARITY
+        whole = None not in there
+        if not whole and regularity < HIDDEN_REGULARITY:
+            return None
+        even = self._parameters.impaired and whole and regularity >= HIDDEN_REGULARITY
         fit, led_gains, level = fit_header(header, pose, weights, tilt, self._parameters.score, even)
         least = HIDDEN_SCORE if level and led_gains.all() else self._parameters.score
-        if None in there:
-            least = CLEAR
-        if fit is None or not self._convincing(fit, regularity, least, header[0].full_scale):
+        if fit is None or not self._convincing(fit, regularity, least if whole else CLEAR, header[0].full_scale):
             return None
         start_s = self._start_s(there)
         if None not in there[:2] and self._parameters.impaired and self._span > 2:
