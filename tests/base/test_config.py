@@ -98,7 +98,7 @@ def test_what_is_no_mapping_is_refused(no_mapping: Any) -> None:
         ("channel.sensor.bits=13", ("channel.sensor.bits", "12", "13")),
         ("signal.side=7", ("signal.side", "multiple of 4", "7")),
         ("channel.camera.exposure_s=0.002", ("exposure_s", "0.001", "0.002")),
-        ("receive.detect.min_side_px=70", ("min_side_px", "max_side_px", "70")),
+        ("receive.detect.min_side_px=600", ("min_side_px", "max_side_px", "600")),
         ("transmit.identities=[30]", ("transmit.identities.0", "30")),
         ("channel.stop_m=90", ("stop_m", "80", "90")),
     ],

@@ -136,7 +136,7 @@ def test_arrays_at_rest_stand_anywhere_within_a_pixel() -> None:
 def test_what_stands_still_is_the_larger_part_of_a_window() -> None:
     assert window_margin_px(link("static", "channel.distance_m=80")) == 12
     assert window_margin_px(link("static", "channel.distance_m=20")) == 24
-    assert window_margin_px(link("static", "channel.distance_m=1")) == 32
+    assert window_margin_px(link("static", "channel.distance_m=1")) == 256
 
 
 def test_settings_that_do_not_fit_are_one_line() -> None:

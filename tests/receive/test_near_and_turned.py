@@ -32,7 +32,7 @@ def received(settings: LinkSettings, frames: list[Frame]) -> list[tuple[int, str
 
 
 @pytest.mark.parametrize("receiver", ["plain", "soft"])
-@pytest.mark.parametrize("distance_m", [1.9, 6.0])
+@pytest.mark.parametrize("distance_m", [2.5, 6.0])
 @pytest.mark.slow
 def test_a_near_array_is_read(distance_m: float, receiver: str) -> None:
     settings = near(distance_m, receiver, identity=11)

@@ -222,8 +222,11 @@ class ArrayReceiver:
         # the light's clock asks for those around a header
         oldest = number + 1 - self._signal.header_pairs - PATTERNS_AROUND
         self._poses = {k: pose for k, pose in self._poses.items() if k >= oldest}
-        if in_packet == self._pairs - 1 and self._gathered.frames:
+        if in_packet == self._pairs - 1 and self._gathered.poses:
             yield self._finish()
+        elif in_packet == self._pairs - 1 and self._gathered.frames:
+            # single frames of its pairs, but none that shows where the array is
+            self._gathered, self._reader = self._empty(), self._reader.next()
 
     def _end_header(self) -> None:
         """Correct the clock by the header just over; out of step it is read as a whole."""
