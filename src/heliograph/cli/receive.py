@@ -37,6 +37,8 @@ def run_receive(
 
     What the film notes of its signal wins over the preset; file and assignments win over the note.
     """
+    import cv2
+
     from heliograph.link.notes import check_truth, signal_of
     from heliograph.link.truth import open_truth
     from heliograph.measure.reception import Reception
@@ -47,6 +49,8 @@ def run_receive(
     base, signal_changes = options.settings_from(preset, None, None), options.signal_changes(file, changes)
     known = open_truth(truth) if truth else None
     reception = Reception(known)
+    # its images are small: a second thread would only wait, and take a core
+    cv2.setNumThreads(1)
     began = time.perf_counter()
     with open_film(film, rate_hz=fps) as source:
         signal, departure = signal_of(source, base.signal, signal_changes)

@@ -5,36 +5,53 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from heliograph.receive.acquire import kernels, reference
+from heliograph.base.frames import Frame
+from heliograph.receive.acquire import coarse, kernels, reference
 from heliograph.signal.header import all_header_cells
 
 RING, GRID, APART = 0.12, 0.1, 0.5
 
 
+@pytest.mark.parametrize("weights", [coarse.ALTERNATION, coarse.DIFFERENCE, (2.0, -4.0, 4.0, -2.0)])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_alternation(dtype: type) -> None:
-    rng = np.random.default_rng(0)
+def test_frames_combined(dtype: type, weights: coarse.FrameWeights) -> None:
     top = 256 if dtype is np.uint8 else 65536
-    f0, f1, f2, f3 = rng.integers(0, top, (4, 13, 21)).astype(dtype)
-    got = np.empty((13, 21), np.float32)
-    kernels.alternation(f0, f1, f2, f3, got)
-    want = reference.alternation(f0.astype(float), f1.astype(float), f2.astype(float), f3.astype(float))
+    f0, f1, f2, f3 = np.random.default_rng(0).integers(0, top, (4, 13, 21)).astype(dtype)
+    got, means = np.empty((13, 21), np.float32), np.empty((2, 3), np.float32)
+    kernels.combined(f0, f1, f2, f3, np.array(weights, np.float32), got)
+    kernels.combined_means(f0, f1, f2, f3, np.array(weights, np.float32), 8, means)
+    want = reference.combined(np.array([f0, f1, f2, f3], float), np.array(weights))
     assert np.array_equal(got, want.astype(np.float32))
+    padded = np.pad(want, ((0, 3), (0, 3)))
+    assert means == pytest.approx(reference.block_means(padded, 8), rel=1e-5)
 
 
 def test_alternation_cancels_even_acceleration() -> None:
     base, rate = np.random.default_rng(0).integers(0, 40, (2, 9, 11))
-    got = np.empty((9, 11), np.float32)
-    f0, f1, f2, f3 = (np.asarray(base + rate * t + 3 * t * t, np.uint8) for t in range(4))
-    kernels.alternation(f0, f1, f2, f3, got)
-    assert not got.any()
+    frames = [Frame(t, t * 1e-3, np.asarray(base + rate * t + 3 * t * t, np.uint8)) for t in range(4)]
+    assert not coarse.alternation_of(frames).any()
+    assert coarse.alternation_of(frames[:2]).any()
 
 
-def test_block_means() -> None:
-    image = np.random.default_rng(0).normal(0, 30, (32, 48)).astype(np.float32)
-    got = np.empty((4, 6), np.float32)
-    kernels.block_means(image, 8, got)
-    assert got == pytest.approx(reference.block_means(image.astype(float), 8), rel=1e-5)
+@pytest.mark.parametrize("place", [(0, 0), (9, 12), (4, 6)])
+def test_the_part_searched_holds_what_it_should(place: tuple[int, int]) -> None:
+    rng = np.random.default_rng(3)
+    frames = [Frame(k, k * 1e-3, rng.integers(0, 256, (77, 101), np.uint8), origin=(5, 7)) for k in range(4)]
+    busy = np.zeros((10, 13), bool)
+    busy[place] = True
+    (first, *_), blocks = coarse.searched_part(frames, busy, 16.0)
+    x, y = first.origin[0] - 5, first.origin[1] - 7
+    assert x % 8 == 0
+    assert y % 8 == 0
+    rows, columns = first.pixels.shape
+    assert np.array_equal(first.pixels, frames[0].pixels[y : y + rows, x : x + columns])
+    assert blocks[place[0] - y // 8, place[1] - x // 8]
+    assert blocks.sum() == 1
+    # 16 px and more about the block, as far as the frame goes
+    assert y <= max(8 * place[0] - 16, 0)
+    assert y + rows >= min(8 * place[0] + 24, 77)
+    assert x <= max(8 * place[1] - 16, 0)
+    assert x + columns >= min(8 * place[1] + 24, 101)
 
 
 def headers(seed: int, pixels: int) -> NDArray[np.float32]:

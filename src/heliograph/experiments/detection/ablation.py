@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 from heliograph.experiments.detection.clutter import ClutterFilm
 from heliograph.receive import Pose
 from heliograph.receive.acquire.candidate import HIDING_BLUR, UPRIGHT, cell_weights, fit_near, plausible
-from heliograph.receive.acquire.coarse import BLOCK_PX, alternation_of, busy_blocks, coarse_candidates
+from heliograph.receive.acquire.coarse import (
+    BLOCK_PX,
+    alternation_means,
+    alternation_of,
+    busy_blocks,
+    coarse_candidates,
+)
 from heliograph.receive.acquire.readings import ALL_ON, headers
 from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.image.orientation import UPRIGHT as UPRIGHT_CAMERA
@@ -102,7 +108,7 @@ class VariantDetector:
         """
         window = film.frames[film.first : film.first + self._frames_used]
         change, first = alternation_of(window), window[0]
-        busy = busy_blocks(change, first, (), self._side, self._parameters.min_contrast)
+        busy = busy_blocks(alternation_means(window), first, (), self._side, self._parameters.min_contrast)
         if film.truth is not None:
             busy &= _around(film.truth, busy.shape)
         if not busy.any():

@@ -1,7 +1,11 @@
-"""Coarse search: what alternates in a few frames, correlated with all headers over scale and position."""
+"""Coarse search: what alternates in a few frames, correlated with all headers over scale and position.
+
+Hardly anything alternates in a road scene. So means over blocks come first, and only the part of the frames about busy
+blocks is searched.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -90,11 +94,19 @@ class SearchParameters:
         return np.geomspace(self.min_side_px, self.max_side_px, count)
 
 
+FrameWeights = tuple[float, float, float, float]
+"""Weights of the four frames that are combined."""
+
+ALTERNATION: FrameWeights = (0.25, -0.75, 0.75, -0.25)
+"""Of four frames, (f0 - 3 f1 + 3 f2 - f3) / 4: a header stays, and what stands still, drifts or accelerates evenly
+cancels."""
+
+DIFFERENCE: FrameWeights = (1.0, -1.0, 0.0, 0.0)
+"""Of two frames."""
+
+
 def alternation_of(frames: Sequence[Frame]) -> NDArray[np.float32]:
     """What alternates in two or four frames.
-
-    Of four frames it is f0 - 3 f1 + 3 f2 - f3, over 4: a header stays, and what stands still, drifts or accelerates
-    evenly cancels.
 
     Parameters
     ----------
@@ -103,27 +115,79 @@ def alternation_of(frames: Sequence[Frame]) -> NDArray[np.float32]:
 
     Returns
     -------
-    (rows, columns) float32 in gray levels; of two frames their difference.
+    (rows, columns) float32 in gray levels: of four frames their `ALTERNATION`, of two their `DIFFERENCE`.
+    """
+    return combined(*_four(frames))
+
+
+def alternation_means(frames: Sequence[Frame]) -> NDArray[np.float32]:
+    """Mean magnitude of `alternation_of` over blocks.
+
+    Parameters
+    ----------
+    frames
+        Two or four frames of one size and place.
+
+    Returns
+    -------
+    (blocks down, blocks across) float32 in gray levels.
+    """
+    return combined_means(*_four(frames))
+
+
+def combined(frames: Sequence[Frame], weights: FrameWeights) -> NDArray[np.float32]:
+    """Weighted sum of four frames.
+
+    Parameters
+    ----------
+    frames
+        Four frames of one size and place.
+    weights
+        One for each.
+
+    Returns
+    -------
+    (rows, columns) float32 in gray levels.
     """
     from heliograph.receive.acquire import kernels  # Numba is slow to import
 
-    pixels = [frame.pixels for frame in frames]
-    if len(pixels) < 4:
-        return pixels[0].astype(np.float32) - pixels[1]
-    out = np.empty(pixels[0].shape, dtype=np.float32)
-    kernels.alternation(pixels[0], pixels[1], pixels[2], pixels[3], out)
+    f0, f1, f2, f3 = (frame.pixels for frame in frames)
+    out = np.empty(f0.shape, np.float32)
+    kernels.combined(f0, f1, f2, f3, np.array(weights, np.float32), out)
+    return out
+
+
+def combined_means(frames: Sequence[Frame], weights: FrameWeights) -> NDArray[np.float32]:
+    """Mean magnitude of a weighted sum of four frames over blocks.
+
+    Parameters
+    ----------
+    frames
+        Four frames of one size and place.
+    weights
+        One for each.
+
+    Returns
+    -------
+    (blocks down, blocks across) float32 in gray levels.
+    """
+    from heliograph.receive.acquire import kernels
+
+    f0, f1, f2, f3 = (frame.pixels for frame in frames)
+    out = np.empty([-(-size // BLOCK_PX) for size in f0.shape], np.float32)
+    kernels.combined_means(f0, f1, f2, f3, np.array(weights, np.float32), BLOCK_PX, out)
     return out
 
 
 def busy_blocks(
-    change: NDArray[np.float32], frame: Frame, taken: Sequence[Pose], side: int, min_contrast: float
+    means: NDArray[np.float32], frame: Frame, taken: Sequence[Pose], side: int, min_contrast: float
 ) -> NDArray[np.bool_]:
     """Blocks in which an array may have its centre: something alternates there, and no array is followed there.
 
     Parameters
     ----------
-    change
-        (rows, columns) gray levels of what alternates.
+    means
+        (blocks down, blocks across) gray levels of what alternates.
     frame
         The first of its frames, for place and full scale.
     taken
@@ -137,17 +201,40 @@ def busy_blocks(
     -------
     (blocks down, blocks across).
     """
-    from heliograph.receive.acquire import kernels
-
-    mean = np.empty((-(-change.shape[0] // BLOCK_PX), -(-change.shape[1] // BLOCK_PX)), dtype=np.float32)
-    padded = cv2.copyMakeBorder(
-        change, 0, mean.shape[0] * BLOCK_PX - change.shape[0], 0, mean.shape[1] * BLOCK_PX - change.shape[1], 0
-    )
-    kernels.block_means(padded, BLOCK_PX, mean)
+    left = means.copy()
     for pose in taken:
-        _blank(mean, pose, side, frame.origin)
-    least = max(PART_LIT * min_contrast * frame.full_scale, BUSY * float(np.median(mean)))
-    return np.asarray(cv2.dilate((mean > least).astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
+        _blank(left, pose, side, frame.origin)
+    middle = left.size // 2
+    median = float(np.partition(left, middle, axis=None)[middle])
+    least = max(PART_LIT * min_contrast * frame.full_scale, BUSY * median)
+    return np.asarray(cv2.dilate((left > least).astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
+
+
+def searched_part(
+    frames: Sequence[Frame], busy: NDArray[np.bool_], largest_px: float
+) -> tuple[list[Frame], NDArray[np.bool_]]:
+    """The part of frames that candidates in busy blocks are seen in.
+
+    Parameters
+    ----------
+    frames
+        Frames of one size and place.
+    busy
+        (blocks down, blocks across), one of them True at least.
+    largest_px
+        Side in px of the largest array looked for.
+
+    Returns
+    -------
+    The frames cut to it, from a block's first pixel on, and its blocks.
+    """
+    # an array and its ring, as far as it is fitted, about a centre in a busy block
+    reach = int(np.ceil(largest_px / BLOCK_PX)) + 1
+    spans = [_span(np.any(busy, axis=axis), reach) for axis in (1, 0)]
+    rows, columns = (slice(first * BLOCK_PX, end * BLOCK_PX) for first, end in spans)
+    x, y = frames[0].origin[0] + columns.start, frames[0].origin[1] + rows.start
+    cut = [replace(frame, pixels=frame.pixels[rows, columns], origin=(x, y)) for frame in frames]
+    return cut, busy[slice(*spans[0]), slice(*spans[1])]
 
 
 def coarse_candidates(
@@ -205,6 +292,17 @@ def coarse_candidates(
         best,
     )
     return best[:count]
+
+
+def _four(frames: Sequence[Frame]) -> tuple[Sequence[Frame], FrameWeights]:
+    """Two or four frames as four, and the weights of what alternates in them."""
+    return (frames, ALTERNATION) if len(frames) == 4 else ([*frames, *frames], DIFFERENCE)
+
+
+def _span(busy: NDArray[np.bool_], reach: int) -> tuple[int, int]:
+    """First and end of the busy places, and of those around."""
+    places = np.flatnonzero(busy)
+    return max(int(places[0]) - reach, 0), min(int(places[-1]) + 1 + reach, busy.size)
 
 
 def _blank(mean: NDArray[np.float32], pose: Pose, side: int, origin: tuple[int, int]) -> None:

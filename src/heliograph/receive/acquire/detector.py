@@ -28,13 +28,15 @@ from heliograph.receive.acquire.candidate import (
 )
 from heliograph.receive.acquire.coarse import (
     SearchParameters,
+    alternation_means,
     alternation_of,
     busy_blocks,
     coarse_candidates,
+    searched_part,
 )
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header
 from heliograph.receive.acquire.readings import ALL_ON, Headers, Reading, headers
-from heliograph.receive.acquire.slots import Due, Slots, alike, before, filled, in_common, origin_of
+from heliograph.receive.acquire.slots import Due, Slots, alike, before, filled, in_common
 from heliograph.receive.image.fit import Fit, header_amplitude
 from heliograph.receive.image.orientation import ORIENTATIONS, Orientation
 from heliograph.receive.image.orientation import UPRIGHT as UPRIGHT_CAMERA
@@ -219,7 +221,9 @@ class Detector:
         """
         found = list[Detection]()
         for due in self.due(frame):
-            found += self.search(due.slots, [*taken, *(one.fit.pose for one in found)], due.turned)
+            change, known = self.change(due.slots), [*taken, *(one.fit.pose for one in found)]
+            if change is not None:
+                found += self.search(due.slots, self.busy(due.slots, change, known), known, due.turned)
         return found
 
     def due(self, frame: Frame) -> list[Due]:
@@ -249,46 +253,63 @@ class Detector:
                 out.append(Due(in_common(self._frames), self._searches % 2 == 1))
         return out
 
-    def busy(self, slots: Slots, taken: Sequence[Pose]) -> bool:
-        """Whether anything alternates in frames to be searched, beside the arrays followed.
+    def change(self, slots: Slots) -> NDArray[np.float32] | None:
+        """How much alternates in frames to be searched.
+
+        Parameters
+        ----------
+        slots
+            Frames of one size and place that are due.
+
+        Returns
+        -------
+        (blocks down, blocks across) gray levels; None where no array of the sizes looked for finds room.
+        """
+        header = self._header_of(slots)
+        if header is None or min(header[0].pixels.shape) < self._sides[0]:
+            return None
+        return alternation_means(header)
+
+    def busy(self, slots: Slots, change: NDArray[np.float32], taken: Sequence[Pose]) -> NDArray[np.bool_]:
+        """Where something alternates beside the arrays followed, (blocks down, blocks across).
 
         Parameters
         ----------
         slots
             Frames that are due.
+        change
+            How much alternates in them.
         taken
             Poses of arrays already followed.
         """
-        header = self._header_of(slots)
-        if header is None or not header[0].pixels.size:
-            return False
-        return bool(self._busy_blocks(header, alternation_of(header), taken).any())
+        first = next(frame for frame in slots if frame is not None)
+        return busy_blocks(change, first, taken, self._side, self._parameters.min_contrast)
 
-    def search(self, slots: Slots, taken: Sequence[Pose], turned: bool) -> list[Detection]:
+    def search(self, slots: Slots, busy: NDArray[np.bool_], taken: Sequence[Pose], turned: bool) -> list[Detection]:
         """Look for headers in frames.
 
         Parameters
         ----------
         slots
             Frames of one size and place that are due.
+        busy
+            (blocks down, blocks across), where something alternates in them beside the arrays followed.
         taken
             Poses of arrays already followed.
         turned
             Whether arrays that are not upright are looked for too.
         """
         header = self._header_of(slots)
-        if header is None or min(header[0].pixels.shape) < self._sides[0]:
+        if header is None or not busy.any():
             return []
+        header, busy = searched_part(header, busy, self._sides[-1])
         change = alternation_of(header)
-        busy = self._busy_blocks(header, change, taken)
-        if not busy.any():
-            return []
         found: list[Detection] = []
         for searched in self._headers if turned else self._headers[:1]:
             rows = coarse_candidates(
                 change, busy, header[0], self._parameters, searched.cells, self._sides, searched.apart
             )
-            fitted = [self._refine(slots, change, row, searched, taken) for row in rows]
+            fitted = [self._refine(slots, change, header[0].origin, row, searched, taken) for row in rows]
             # what seems an upright array partly hidden may be a turned one in clear sight
             found = distinct([*found, *(d for d in fitted if d is not None and (d.clear or not found))], self._side)
             if found and all(one.clear for one in found):
@@ -299,22 +320,18 @@ class Detector:
         """The frames that are to show a header's beginning; None where too many are missing."""
         return filled([*slots][SLACK : SLACK + self._span])
 
-    def _busy_blocks(
-        self, header: list[Frame], change: NDArray[np.float32], taken: Sequence[Pose]
-    ) -> NDArray[np.bool_]:
-        return busy_blocks(change, header[0], taken, self._side, self._parameters.min_contrast)
-
     def _refine(
         self,
         slots: Slots,
         change: NDArray[np.float32],
+        origin: tuple[int, int],
         row: NDArray[np.float64],
         searched: Headers,
         taken: Sequence[Pose],
     ) -> Detection | None:
         """Fit a candidate's pose, then ask when its header began and whether it alternates in step."""
         self._fitted += 1
-        number, sign, origin = int(row[4]), float(np.sign(row[0])), origin_of(slots)
+        number, sign = int(row[4]), float(np.sign(row[0]))
         weights, blur = cell_weights(searched.cells[number], self._side), self._parameters.blur_px
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], row[3] / self._side, 0.0, blur)
         if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):

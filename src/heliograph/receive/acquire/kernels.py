@@ -8,50 +8,56 @@ from numba import njit
 from heliograph.base.arrays import TINY
 
 
-@njit(cache=True, nogil=True)
-def alternation(f0, f1, f2, f3, out):
-    """Third difference of four frames, (f0 - 3 f1 + 3 f2 - f3) / 4.
+@njit(cache=True, nogil=True, fastmath=True)
+def combined(f0, f1, f2, f3, weights, out):
+    """Weighted sum of four frames.
 
     Parameters
     ----------
     f0, f1, f2, f3
-        (rows, columns) uint8 or uint16 gray levels, in the order of time.
+        (rows, columns) uint8 or uint16 gray levels.
+    weights
+        (4,) float32, one for each.
     out
         (rows, columns) float32, overwritten.
     """
-    rows, cols = out.shape
-    for i in range(rows):
+    w0, w1, w2, w3 = weights[0], weights[1], weights[2], weights[3]
+    for i in range(out.shape[0]):
         a, b, c, d, o = f0[i], f1[i], f2[i], f3[i], out[i]
-        for j in range(cols):
-            o[j] = np.float32(0.25) * np.float32(
-                np.int32(a[j]) - np.int32(d[j]) + 3 * (np.int32(c[j]) - np.int32(b[j]))
-            )
+        for j in range(out.shape[1]):
+            o[j] = w0 * np.float32(a[j]) + w1 * np.float32(b[j]) + w2 * np.float32(c[j]) + w3 * np.float32(d[j])
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def block_means(image, size, out):
-    """Mean magnitude over blocks.
+def combined_means(f0, f1, f2, f3, weights, size, out):
+    """Mean magnitude over blocks of a weighted sum of four frames, which is not written down.
 
     Parameters
     ----------
-    image
-        (size * blocks down, size * blocks across) float32.
+    f0, f1, f2, f3
+        (rows, columns) uint8 or uint16 gray levels.
+    weights
+        (4,) float32, one for each.
     size
-        Pixels of a block's side.
+        Pixels of a block's side; what a block lacks at the frames' end counts as 0.
     out
         (blocks down, blocks across) float32, overwritten.
     """
-    columns = np.empty(out.shape[1] * size, np.float32)
+    rows, cols = f0.shape
+    w0, w1, w2, w3 = weights[0], weights[1], weights[2], weights[3]
+    sums = np.empty(out.shape[1] * size, np.float32)
     for bi in range(out.shape[0]):
-        columns[:] = 0.0
-        for i in range(bi * size, bi * size + size):
-            row = image[i]
-            for j in range(columns.shape[0]):
-                columns[j] += abs(row[j])
+        sums[:] = 0.0
+        for i in range(bi * size, min(bi * size + size, rows)):
+            a, b, c, d = f0[i], f1[i], f2[i], f3[i]
+            for j in range(cols):
+                sums[j] += abs(
+                    w0 * np.float32(a[j]) + w1 * np.float32(b[j]) + w2 * np.float32(c[j]) + w3 * np.float32(d[j])
+                )
         for bj in range(out.shape[1]):
             total = np.float32(0.0)
             for j in range(bj * size, bj * size + size):
-                total += columns[j]
+                total += sums[j]
             out[bi, bj] = total / np.float32(size * size)
 
 

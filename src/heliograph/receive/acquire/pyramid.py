@@ -9,11 +9,13 @@ from dataclasses import replace
 from math import ceil
 
 import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame, Pixels
-from heliograph.receive.acquire.coarse import RING, SIDE_STEP, SearchParameters
+from heliograph.receive.acquire.coarse import BLOCK_PX, RING, SIDE_STEP, SearchParameters
 from heliograph.receive.acquire.detector import Detection, Detector
-from heliograph.receive.acquire.slots import Due, in_common
+from heliograph.receive.acquire.slots import Due, Slots, in_common
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.view import View, halved, reduced_blur
@@ -32,6 +34,9 @@ Single LEDs at a pitch of 3.9 px left a header's cells a correlation of 0.50, wh
 2.0 px, on the next level, 0.72 (array of 499 px, `python -m benchmarks.near distances 1 0`).
 """
 
+IN_SIGHT = 0.25
+"""Least part of a near array that alternates: half of its columns and half of its rows are in sight."""
+
 
 class PyramidSearch:
     """A detector for each level, the coarsest first; see `HeaderSearch`.
@@ -48,6 +53,7 @@ class PyramidSearch:
         levels = level_parameters(parameters, signal.side)
         self._reduced: dict[tuple[int, float], list[Frame]] = {}
         self._levels = [(View(k), Detector(one, signal)) for k, one in enumerate(levels)]
+        self._smallest = [one.min_side_px for one in levels]
 
     def start(self, period_s: float) -> None:
         """Begin; the frames are taken to come one per pattern, whatever the period; see `HeaderSearch`."""
@@ -84,17 +90,37 @@ class PyramidSearch:
 
     def _search(self, due: Due, taken: Sequence[Pose]) -> list[Detection]:
         """Search frames on all levels."""
+        finest = self._levels[0][1]
+        change = finest.change(due.slots)
         # what alternates on a level alternates in the frames themselves
-        if not self._levels[0][1].busy(due.slots, taken):
+        busy = None if change is None else finest.busy(due.slots, change, taken)
+        if change is None or busy is None or not busy.any():
             return []
-        known, found, there = list(taken), list[Detection](), [one for one in due.slots if one is not None]
-        self._reduced = {_name(one): self._reduced.get(_name(one)) or self._seen(one) for one in there}
+        known, found = list(taken), list[Detection]()
         for k, (view, detector) in reversed(list(enumerate(self._levels))):
-            seen = in_common([None if one is None else self._reduced[_name(one)][k] for one in due.slots])
-            for one in detector.search(seen, [view.pose_in(pose) for pose in known], due.turned):
+            if k and not self._may_hold(busy, k):
+                continue
+            seen, poses = self._slots(due.slots, k), [view.pose_in(pose) for pose in known]
+            there = detector.change(seen) if k else change
+            if there is None:
+                continue
+            for one in detector.search(seen, detector.busy(seen, there, poses), poses, due.turned):
                 known.append(view.pose_out(one.fit.pose))
                 found.append(replace(one, fit=view.fit_out(one.fit)))
         return found
+
+    def _may_hold(self, busy: NDArray[np.bool_], level: int) -> bool:
+        """Whether enough of the camera's frames alternates for an array of a level."""
+        smallest = self._smallest[level] * 2**level
+        return bool(np.count_nonzero(busy) * BLOCK_PX**2 >= IN_SIGHT * smallest**2)
+
+    def _slots(self, slots: Slots, level: int) -> Slots:
+        """Frames that are due, as a level has them."""
+        if level == 0:
+            return slots
+        there = [one for one in slots if one is not None]
+        self._reduced = {_name(one): self._reduced.get(_name(one)) or self._seen(one) for one in there}
+        return in_common([None if one is None else self._reduced[_name(one)][level] for one in slots])
 
     def _seen(self, frame: Frame) -> list[Frame]:
         """The frame on each level; on the reduced ones with a rim, as a near array may fill the frame."""

@@ -43,16 +43,17 @@ class Grid:
     count: int
 
 
-def alternation(f0: Floats, f1: Floats, f2: Floats, f3: Floats) -> Floats:
-    """Third difference of four frames, (rows, columns).
+def combined(frames: Floats, weights: Floats) -> Floats:
+    """Weighted sum of frames, (rows, columns).
 
     Parameters
     ----------
-    f0, f1, f2, f3
-        The frames in the order of time, (rows, columns) each.
+    frames
+        (frames, rows, columns) gray levels.
+    weights
+        (frames,), one for each.
     """
-    # (f0 - 3 f1 + 3 f2 - f3) / 4
-    return (f0 - 3 * f1 + 3 * f2 - f3) / 4
+    return np.asarray(np.tensordot(weights, frames, 1))
 
 
 def block_means(image: Floats, size: int) -> Floats:

@@ -69,17 +69,6 @@ def in_common(slots: Slots) -> list[Frame | None]:
     return [None if frame is None else next(shown) for frame in slots]
 
 
-def origin_of(slots: Slots) -> tuple[int, int]:
-    """Place of the first pixel, which all frames have in common.
-
-    Parameters
-    ----------
-    slots
-        Frames of one size and place; one at least is there.
-    """
-    return next(frame.origin for frame in slots if frame is not None)
-
-
 def before(frame: Frame, count: int) -> list[Frame]:
     """Copies of a frame with earlier, negative times and numbers.
 

@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.candidate import UPRIGHT, cell_weights, fit_near, plausible
-from heliograph.receive.acquire.coarse import BLOCK_PX, SearchParameters, busy_blocks, coarse_candidates
+from heliograph.receive.acquire.coarse import (
+    DIFFERENCE,
+    SearchParameters,
+    busy_blocks,
+    coarse_candidates,
+    combined,
+    combined_means,
+    searched_part,
+)
 from heliograph.receive.acquire.detector import Detection, distinct
 from heliograph.receive.acquire.readings import ALL_ON, Headers, headers
 from heliograph.receive.acquire.slots import alike
@@ -29,11 +37,11 @@ from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import common
 from heliograph.signal.settings import SignalSettings
 
-QUIET = 0.5
+QUIET = 0.3
 """Most that changes within a header, as a fraction of what changes over it.
 
 A camera out of step by x T_b sees |1 - 2 x| of the header within; from 0.1 on `detector` finds it. Frames of data
-change as much from one to the next as over h patterns.
+change as much from one to the next as over h patterns. Of noise alone it would be 0.45 for h = 4.
 """
 
 DATA_SCORE = 0.78
@@ -95,39 +103,38 @@ class StraddledDetector:
         frames = common(list(self._frames))
         if min(frames[0].pixels.shape) < self._sides[0]:
             return []
-        change = self._change(frames)
-        busy = busy_blocks(change, frames[0], taken, self._side, self._parameters.min_contrast)
-        busy &= self._quiet(frames, change)
+        # 2 (f0 - w f1 + w f(h-1) - fh), w = h / (h - 2): the header less its inverse, its levels being +-1/2
+        ends, weight = [frames[k] for k in (0, 1, -2, -1)], 2 * self._header / (self._header - 2)
+        weights = (2.0, -weight, weight, -2.0)
+        means = combined_means(ends, weights)
+        busy = busy_blocks(means, frames[0], taken, self._side, self._parameters.min_contrast)
+        if busy.any():
+            busy &= self._quiet(frames, means)
         if not busy.any():
             return []
-        rows = coarse_candidates(change, busy, frames[0], self._parameters, self._searched.cells, self._sides)
-        found = [self._fit(frames, change, row, taken) for row in rows if row[0] > 0]
+        ends, busy = searched_part(ends, busy, self._sides[-1])
+        change = combined(ends, weights)
+        rows = coarse_candidates(change, busy, ends[0], self._parameters, self._searched.cells, self._sides)
+        found = [self._fit(frames, change, ends[0].origin, row, taken) for row in rows if row[0] > 0]
         return distinct([one for one in found if one is not None], self._side)
 
-    def _change(self, frames: Sequence[Frame]) -> NDArray[np.float32]:
-        """Header less its inverse in gray levels, +-1 times the light of LEDs all on."""
-        # 2 (f0 - w f1 + w f(h-1) - fh), w = h / (h - 2)
-        first, second, last, end = (frames[k].pixels.astype(np.float32) for k in (0, 1, -2, -1))
-        return 2 * (first - end + self._header / (self._header - 2) * (last - second))
-
-    def _quiet(self, frames: Sequence[Frame], change: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def _quiet(self, frames: Sequence[Frame], means: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Blocks in which hardly anything changes within the header."""
-        from heliograph.receive.acquire import kernels
-
-        within = frames[1].pixels.astype(np.float32) - frames[2].pixels
-        shape = tuple(-(-size // BLOCK_PX) for size in change.shape)
-        means = np.empty((2, *shape), np.float32)
-        for image, mean in zip((within, change), means, strict=True):
-            kernels.block_means(_padded(image), BLOCK_PX, mean)
-        # `change` is twice what changes over the header
-        return np.asarray(means[0] < 0.5 * QUIET * means[1])
+        within = combined_means([*frames[1:3], *frames[1:3]], DIFFERENCE)
+        # the means are of twice what changes over the header
+        return np.asarray(within < 0.5 * QUIET * means)
 
     def _fit(
-        self, frames: Sequence[Frame], change: NDArray[np.float32], row: NDArray[np.float64], taken: Sequence[Pose]
+        self,
+        frames: Sequence[Frame],
+        change: NDArray[np.float32],
+        origin: tuple[int, int],
+        row: NDArray[np.float64],
+        taken: Sequence[Pose],
     ) -> Detection | None:
         """Fit a candidate's pose; its start is that of the first frame and half a pattern."""
         self._fitted += 1
-        number, origin, parameters = int(row[4]), frames[0].origin, self._parameters
+        number, parameters = int(row[4]), self._parameters
         weights = cell_weights(self._searched.cells[number], self._side)
         pitch = row[3] / self._side
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], pitch, 0.0, parameters.blur_px)
@@ -152,9 +159,3 @@ class StraddledDetector:
         seen = np.array([header_amplitude(frame, fit.pose, weights) for frame in frames])
         ends = np.array([1, -1]) * (seen[[0, -1]] - seen[1:-1].mean())
         return float(ends.min() / ends.mean()) if ends.mean() > 0 else 0.0
-
-
-def _padded(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the image with rows and columns of 0 up to whole blocks."""
-    rows, columns = (-size % BLOCK_PX for size in image.shape)
-    return np.pad(image, ((0, rows), (0, columns)))

@@ -86,9 +86,10 @@ class Pose:
     @property
     def axes(self) -> NDArray[np.float64]:
         """Steps from one LED to the next along a row and along a column, (2, 2) px, one per column."""
-        c, s = math.cos(self.roll), math.sin(self.roll)
-        form = np.array([[1 + self.stretch, self.shear], [self.shear, 1 - self.stretch]])
-        return np.asarray(self.pitch * np.array([[c, -s], [s, c]]) @ form)
+        # p R(roll) ((1 + stretch, shear), (shear, 1 - stretch)), written out for speed
+        c, s = self.pitch * math.cos(self.roll), self.pitch * math.sin(self.roll)
+        wide, high, shear = 1 + self.stretch, 1 - self.stretch, self.shear
+        return np.array([[c * wide - s * shear, c * shear - s * high], [s * wide + c * shear, s * shear + c * high]])
 
     @property
     def frontal_pitch(self) -> float:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from math import ceil, floor
 from typing import Any, Protocol
 
 import numpy as np
@@ -47,9 +48,9 @@ def window_around(pose: Pose, side: int, margin: float) -> Window:
     -------
     Corner (x, y), columns and rows.
     """
-    across, down = 0.5 * side * np.abs(pose.axes).sum(1) + margin
-    x0, y0 = int(np.floor(pose.x - across)), int(np.floor(pose.y - down))
-    return x0, y0, int(np.ceil(pose.x + across)) - x0 + 1, int(np.ceil(pose.y + down)) - y0 + 1
+    across, down = (0.5 * side * (abs(along) + abs(below)) + margin for along, below in pose.axes.tolist())
+    x0, y0 = floor(pose.x - across), floor(pose.y - down)
+    return x0, y0, ceil(pose.x + across) - x0 + 1, ceil(pose.y + down) - y0 + 1
 
 
 def cut_out(frame: PlacedPixels, window: Window) -> Floats:

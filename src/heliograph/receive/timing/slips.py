@@ -149,18 +149,19 @@ class SlipWatch:
     def _viewed(self, frame: Frame, number: int, pose: Pose) -> _Held:
         """What a frame shows of an array at a pose."""
         side = self._signal.side
-        window = window_around(pose, side, RIM_PX)
+        middle, window = 0.5 * (side - 1), window_around(pose, side, RIM_PX)
+        (a, b), (c, d) = pose.axes.tolist()
         # LED (column, row) lies at centre + axes ((column, row) - (side - 1) / 2)
-        first = np.array([pose.x - window[0], pose.y - window[1]]) - pose.axes.sum(1) * (side - 1) / 2
-        grid = np.column_stack([pose.axes, first])
-        cut = cut_out(frame, window).astype(np.float32)
-        shown = np.float64(
-            cv2.warpAffine(cut, grid, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-        ).ravel()
+        first = pose.x - window[0] - (a + b) * middle, pose.y - window[1] - (c + d) * middle
+        grid = np.array([[a, b, first[0]], [c, d, first[1]]])
+        sampled = cv2.warpAffine(
+            cut_out(frame, window), grid, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        )
+        shown = np.asarray(sampled, np.float64).ravel()
         if self._mean is None:
             return _Held(frame, number, shown, None, 0.0, False)
         about = shown - self._mean
-        power, mean = float(about @ about), float(about.mean())
+        power, mean = float(about @ about), float(about.sum()) / about.size
         return _Held(frame, number, shown, about, power, power - about.size * mean**2 > LIKE * power)
 
     def _ready(self) -> bool:

@@ -174,7 +174,9 @@ class Tracker:
         """
         predicted = self.predict(track, pair.time_s)
         corner, up, down = self._cut(pair, predicted.pose)
-        before, track = track, self._watch(track, up - down, predicted.pose, corner)
+        differs = up - down
+        noise = self._noise(differs, predicted.pose, corner)
+        before, track = track, self._watch(track, differs, noise, predicted.pose, corner)
         hides = not track.in_sight.all()
         if track.in_sight.mean() < LEAST_IN_SIGHT:
             return _coasted(before, replace(track, state=predicted))
@@ -188,7 +190,7 @@ class Tracker:
         # a start of its own saves a step
         steps = PAIR_STEPS - (start is not None)
         fit = fit_array(total, corner, prior, track.shining, steps, panel=True, start=start, open_pixels=unhidden)
-        seen = _inside(fit, pair.pattern) and self._active(up - down, fit.pose, corner, track.gain)
+        seen = _inside(fit, pair.pattern) and self._active(differs, noise, fit.pose, corner, track.gain)
         if seen:
             state = predicted.condition(fit.vector[:POSE_SIZE], fit.covariance, observation)
             # what hides a part of the array has light of its own
@@ -236,7 +238,8 @@ class Tracker:
             Fit whose pose says where the array should be.
         """
         corner, up, down = self._cut(pair, track.state.pose)
-        return _inside(fit, pair.pattern) and self._active(up - down, fit.pose, corner, track.gain)
+        noise = self._noise(up - down, track.state.pose, corner)
+        return _inside(fit, pair.pattern) and self._active(up - down, noise, fit.pose, corner, track.gain)
 
     def predict(self, track: Track, time_s: float) -> PoseState:
         """State at a time; before the track's own time the state is taken as it is.
@@ -282,10 +285,8 @@ class Tracker:
         gain = track.gain + GAIN_RATE * (fit.gain - track.gain)
         return float(np.clip(gain, track.data_gain / GAIN_RATIO, track.data_gain * GAIN_RATIO))
 
-    def _watch(self, track: Track, change: Floats, pose: Pose, corner: tuple[int, int]) -> Track:
+    def _watch(self, track: Track, change: Floats, noise: float, pose: Pose, corner: tuple[int, int]) -> Track:
         """The track with what its LEDs have changed of late."""
-        _, around = self._parts(change, pose, corner)
-        noise = robust_std(around) if around.size else 0.0
         # random data change the light by half of it
         least = FAINT**0.5 * 0.5 * contrast(pose) * track.data_gain
         return replace(track, change=recent_change(track.change, change, noise, pose, corner, least))
@@ -295,22 +296,24 @@ class Tracker:
         window = window_around(pose, self._side, WINDOW_MARGIN_PITCHES * pose.pitch + WINDOW_MARGIN_PX)
         return (window[0], window[1]), cut_out(pair.pattern, window), cut_out(pair.inverted, window)
 
-    def _active(self, change: Floats, pose: Pose, corner: tuple[int, int], gain: float) -> bool:
+    def _active(self, change: Floats, noise: float, pose: Pose, corner: tuple[int, int], gain: float) -> bool:
         """Whether pattern and inverse differ where the array should be: a hidden or dark array shows no change."""
-        inner, around = self._parts(change, pose, corner)
-        noise = robust_std(around) if around.size else 0.0
+        away, half = _away(change, pose, corner), 0.5 * self._side * pose.pitch
+        inner = change[away <= max(half - 1, 1) + 0.5]
         least = ACTIVITY * contrast(pose) * gain
-        return bool(inner.size and np.mean(inner**2) >= least**2 + NOISY * noise**2)
+        return bool(inner.size and inner @ inner >= inner.size * (least**2 + NOISY * noise**2))
 
-    def _parts(self, change: Floats, pose: Pose, corner: tuple[int, int]) -> tuple[Floats, Floats]:
-        """Pixels inside the array, and around it."""
-        half = 0.5 * self._side * pose.pitch
-        down, right = (
-            np.abs(np.arange(n) + c)
-            for n, c in zip(change.shape, (corner[1] - pose.y, corner[0] - pose.x), strict=True)
-        )
-        away = np.maximum(down[:, None], right)
-        return change[away <= max(half - 1, 1) + 0.5], change[away > half + 1]
+    def _noise(self, change: Floats, pose: Pose, corner: tuple[int, int]) -> float:
+        """Standard deviation of the difference around the array."""
+        around = change[_away(change, pose, corner) > 0.5 * self._side * pose.pitch + 1]
+        return robust_std(around) if around.size else 0.0
+
+
+def _away(change: Floats, pose: Pose, corner: tuple[int, int]) -> Floats:
+    """Distance in px of each pixel from an array's centre, along a row or a column, whichever is larger."""
+    down = np.abs(np.arange(change.shape[0]) + (corner[1] - pose.y))
+    right = np.abs(np.arange(change.shape[1]) + (corner[0] - pose.x))
+    return np.maximum(down[:, None], right)
 
 
 def contrast(pose: Pose) -> float:
