@@ -17,12 +17,13 @@ from heliograph.receive.image.view import CAMERA, View
 from heliograph.receive.packets import Codeword, Packet, Status
 from heliograph.receive.reading import PacketReader
 from heliograph.receive.settings import CalibrationSettings
-from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, Pairing
+from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, Pairing, PoseAt
 from heliograph.receive.timing.light_clock import PATTERNS_AROUND
 from heliograph.receive.timing.slips import SlipWatch
 from heliograph.receive.track.lone_frames import REACH
 from heliograph.receive.track.tracker import TrackedPair, Tracker
 from heliograph.signal.formats import Format, ReservedModeError
+from heliograph.signal.header import header_levels
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
@@ -97,9 +98,10 @@ class ArrayReceiver:
         self._track = tracker.start(detection)
         self._gathered = self._empty()
         self._number = 0
+        self._header = header_levels(detection.identity, signal.side) / 2.0 - 1.0
         self._slips = SlipWatch(detection.identity, signal)
         self._start_lost = 0
-        self._poses: dict[int, Pose] = {}
+        self._poses: dict[int, PoseAt] = {}
         self._read: bool | None = None
         self._proven = self._failed = self._outgrown = False
 
@@ -218,7 +220,7 @@ class ArrayReceiver:
                 self._read_header(in_packet, pair)
             else:
                 self._read_data(place, pair)
-            self._poses[number] = self._track.state.pose
+            self._poses[number] = self._track.state.pose_at
         # the light's clock asks for those around a header
         oldest = number + 1 - self._signal.header_pairs - PATTERNS_AROUND
         self._poses = {k: pose for k, pose in self._poses.items() if k >= oldest}
@@ -239,7 +241,7 @@ class ArrayReceiver:
         self._reader.end_header(header)
 
     def _read_header(self, number: int, pair: FramePair) -> None:
-        tracked = self._tracker.follow(self._track, pair)
+        tracked = self._tracker.follow(self._track, pair, self._header)
         self._note(pair, tracked)
         read = self._reader.read_header(number, pair, tracked)
         self._track = read.track

@@ -128,7 +128,14 @@ def soft_parts(
     def pairing(found: Detection) -> Pairing:
         exposure_s = settings.calibration.exposure_s
         return ClockedPairing(
-            found.start_time_s, found.time_s, found.fit.pose, found.identity, found.led_gains, signal, exposure_s
+            found.start_time_s,
+            found.time_s,
+            found.fit.pose,
+            found.identity,
+            found.led_gains,
+            signal,
+            exposure_s,
+            found.drift,
         )
 
     search = PhasedSearch(search_parameters(settings, signal, SOFT_REGULARITY, impaired=True), signal)

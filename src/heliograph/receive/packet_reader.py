@@ -220,7 +220,8 @@ class SoftReader:
             track = replace(track, data_gain=gain, led_gains=learnt.values)
             if not changed:
                 return track
-            track = self._parts.tracker.follow(replace(track, state=before.state, change=before.change), pair).track
+            before_it = replace(track, state=before.state, change=before.change)
+            track = self._parts.tracker.follow(before_it, pair, weights).track
         return track
 
     @one_thread()

@@ -153,7 +153,7 @@ def test_a_whole_header_gives_the_gain_and_an_even_sum() -> None:
     for frame in filmed(fps, start_s):
         for number in pairing.push(frame):
             if number % 7 == 2:
-                poses = {number - 2: POSE, number - 1: POSE}
+                poses = {number - 2: lambda _: POSE, number - 1: lambda _: POSE}
                 measured.append(pairing.header(number, poses, lambda _: POSE, np.ones((16, 16))))
     assert len(measured) == 3
     for header in measured:
@@ -175,5 +175,5 @@ def test_a_header_in_step_gives_no_more() -> None:
     for frame in filmed(fps, start_s):
         for number in pairing.push(frame):
             if number in (2, 9):
-                poses = {number - 2: POSE, number - 1: POSE}
+                poses = {number - 2: lambda _: POSE, number - 1: lambda _: POSE}
                 assert pairing.header(number, poses, lambda _: POSE, np.ones((16, 16))) is None

@@ -1,6 +1,7 @@
 """Tracking: arrays at rest and in hard shake, and the contrast by which an array is known to be in sight."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from heliograph.receive import Pose, receive_frames
 from heliograph.receive.acquire.detector import Detection
 from heliograph.receive.image.fit import Fit
 from heliograph.receive.timing.frame_pair import FramePair
-from heliograph.receive.track.kalman import MotionModel
+from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker, contrast
 from heliograph.signal.header import header_levels
 
@@ -79,6 +80,35 @@ def followed(gain: float, expected: float, seed: int = 0) -> tuple[Tracker, Trac
     )
     fit = Fit(pose.full_vector(), 1e-6 * np.eye(7), expected, 1.0)
     return tracker, tracker.start(Detection(7, 0.0, fit, 1.5e-3, 1.0, 1.0, ALL_ON)), FramePair(up, down)
+
+
+def moving_header(drift: float) -> tuple[FramePair, Floats]:
+    """A header and its inverse before a bright sky, moving by so many px from one to the next, in noise of 2."""
+    header, rng = header_levels(7, SIDE) / 2.0 - 1.0, np.random.default_rng(4)
+    frames = []
+    for k, sign in enumerate((1, -1)):
+        pose = Pose(30.2, 29.7 + drift * (k - 0.5), 0.61, 0.0, 0.5)
+        # a dark panel half a pitch wider than the LEDs hides the sky
+        panel = draw(replace(pose, pitch=0.61 * 17 / 16), ALL_ON, (0, 0), (60, 60))
+        frames.append(
+            frame_of(0.78 * (1 - panel) + 0.8 * draw(pose, 0.5 + 0.5 * sign * header, (0, 0), (60, 60)), k, rng)
+        )
+    return FramePair(*frames), header
+
+
+@pytest.mark.parametrize("drift", [-0.8, -0.4, 0.0, 0.4, 0.8])
+def test_a_header_that_moves_is_where_it_is(drift: float) -> None:
+    """What it leaves in its sum was taken for a blur of the sum: the filter went astray before a bright sky."""
+    pair, header = moving_header(drift)
+    tracker, model = Tracker(SIDE, MotionModel(1e-3, 0.1)), MotionModel(1e-3, 0.1)
+    vector = np.array([30.2, 29.7, np.log(0.61), 0.0, np.log(0.5)])
+    covariance = np.diag([0.1, 0.1, 0.01, 0.01, 0.05]) ** 2
+    state = PoseState.start(0.5e-3, vector, covariance, model, (0.0, drift / 1e-3))
+    track = Track(state, 204.0, 204.0, ALL_ON, 0.0, ALL_ON)
+    found = tracker.follow(track, pair, header)
+    assert found.fit.score > 0.995
+    assert found.state.pose.y == pytest.approx(29.7, abs=0.03)
+    assert abs(found.state.mean[9]) < 0.25
 
 
 def test_the_gain_goes_a_tenth_of_its_way_with_each_sum() -> None:

@@ -34,6 +34,7 @@ from heliograph.receive.acquire.coarse import (
     coarse_candidates,
     searched_part,
 )
+from heliograph.receive.acquire.drift import drift_of
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header
 from heliograph.receive.acquire.readings import ALL_ON, Headers, Reading, headers
 from heliograph.receive.acquire.slots import Due, Slots, alike, before, filled, in_common
@@ -84,6 +85,8 @@ class Detection:
         How the camera sees the array, as far as its header tells.
     others
         Other identities and orientations that have the same header, the most plausible first.
+    drift
+        Motion of its image along x and y, in px per second.
     """
 
     identity: int
@@ -95,6 +98,7 @@ class Detection:
     led_gains: NDArray[np.float64]
     orientation: Orientation = UPRIGHT_CAMERA
     others: tuple[Reading, ...] = ()
+    drift: tuple[float, float] = (0.0, 0.0)
 
     @property
     def readings(self) -> "list[Detection]":
@@ -115,7 +119,8 @@ class Detection:
         view
             View in which the array will be read.
         """
-        return replace(self, fit=view.fit_in(self.fit), led_gains=view.orientation.upright(self.led_gains))
+        gains, drift = view.orientation.upright(self.led_gains), view.motion_in(self.drift)
+        return replace(self, fit=view.fit_in(self.fit), led_gains=gains, drift=drift)
 
 
 class HeaderSearch(Protocol):
@@ -379,8 +384,10 @@ class Detector:
         if None not in there[:2] and self._parameters.impaired and self._span > 2:
             fit, header = fit_first_pair(header, fit, led_gains * weights, LEVEL if level else tilt)
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
+        frames = [frame for frame in there if frame is not None]
+        drift = drift_of(frames, fit.pose, middle, led_gains * weights, self._period_s)
         (number, seen_as), *others = readings
-        return Detection(number, start_s, fit, middle, fit.score, regularity, led_gains, seen_as, tuple(others))
+        return Detection(number, start_s, fit, middle, fit.score, regularity, led_gains, seen_as, tuple(others), drift)
 
     def _start_s(self, header: Slots) -> float:
         """Time of a header's first frame, by the first that is there."""

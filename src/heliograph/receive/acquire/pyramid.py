@@ -106,7 +106,7 @@ class PyramidSearch:
                 continue
             for one in detector.search(seen, detector.busy(seen, there, poses), poses, due.turned):
                 known.append(view.pose_out(one.fit.pose))
-                found.append(replace(one, fit=view.fit_out(one.fit)))
+                found.append(replace(one, fit=view.fit_out(one.fit), drift=view.motion_out(one.drift)))
         return found
 
     def _may_hold(self, busy: NDArray[np.bool_], level: int) -> bool:

@@ -52,7 +52,7 @@ AMPLITUDE_MARGIN_PX = 1.0
 More of them add background, fewer lose its rim.
 """
 
-EXPECTED_GAIN_SPREAD = 0.15
+EXPECTED_GAIN_SPREAD = 0.5
 """Standard deviation of an expected gain, as a fraction of it; an array's light changes by less from pair to pair.
 
 Chosen; docs/constants.md says what half and twice of it cost.
@@ -115,6 +115,7 @@ def fit_array(
     start: Floats | None = None,
     resolved: bool = True,
     open_pixels: Floats | None = None,
+    smear: tuple[float, float] = (0.0, 0.0),
 ) -> Fit:
     """Most probable pose of LEDs of known luminances, by Gauss-Newton with robust weights.
 
@@ -139,6 +140,8 @@ def fit_array(
         Whether LEDs may show singly. If not, the array is an even square with all LEDs on, which is faster.
     open_pixels
         (rows, columns) 1 for pixels that count, 0 for those that something hides; None if all count.
+    smear
+        Standard deviations in px along x and y of the array's motion while the image was taken.
 
     Returns
     -------
@@ -150,7 +153,7 @@ def fit_array(
         The pixels give no pose, as numbers that are not finite do.
     """
     free = len(prior.covariance)
-    scene = _Scene(image, corner, weights, panel, resolved, free, open_pixels)
+    scene = _Scene(image, corner, weights, panel, resolved, free, open_pixels, smear)
     vector, precision = (prior.vector if start is None else start).copy(), np.linalg.inv(prior.covariance)
     scene.place(vector)
     linear = scene.coefficients(prior.gain)
@@ -195,11 +198,12 @@ class _Scene:
         resolved: bool,
         free: int,
         open_pixels: Floats | None,
+        smear: tuple[float, float],
     ):
         from heliograph.receive.image import kernels  # Numba is slow to import
 
         self._kernels, self._image, self._corner, self._weights = kernels, image, corner, weights
-        self._resolved = resolved
+        self._resolved, self._smear = resolved, smear
         self._margins = PANEL_MARGINS if panel else ()
         shaped = 1 + len(self._margins)
         self._shapes = np.empty((shaped, 1 + free, *image.shape))
@@ -215,11 +219,11 @@ class _Scene:
         x0, y0 = float(self._corner[0]), float(self._corner[1])
         half = 0.5 * self._weights.shape[0]
         if self._resolved:
-            self._kernels.render(vector, self._weights, x0, y0, self._shapes[0])
+            self._kernels.render(vector, self._weights, x0, y0, self._shapes[0], *self._smear)
         else:
-            self._kernels.render_box(vector, half, x0, y0, self._shapes[0])
+            self._kernels.render_box(vector, half, x0, y0, self._shapes[0], *self._smear)
         for shape, margin in zip(self._shapes[1:], self._margins, strict=True):
-            self._kernels.render_box(vector, half + margin, x0, y0, shape)
+            self._kernels.render_box(vector, half + margin, x0, y0, shape, *self._smear)
         if self._open is not None:
             self._shapes *= self._open
 

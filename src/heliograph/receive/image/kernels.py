@@ -42,7 +42,7 @@ def _tilt(pose):
 
 
 @njit(cache=True, nogil=True)
-def render(pose, weights, x0, y0, out):
+def render(pose, weights, x0, y0, out, smear_x=0.0, smear_y=0.0):
     """Image of LEDs and its derivatives by the pose; an unresolved array of weights 1 has the image 1.
 
     Parameters
@@ -56,14 +56,19 @@ def render(pose, weights, x0, y0, out):
     out
         (6 or 8, rows, columns) float64, overwritten: the image, then its derivatives by the pose vector; with 6 those
         by the tilt are left out.
+    smear_x, smear_y
+        Standard deviations in px of a motion while the light shone, added to the blur's.
     """
     side = weights.shape[0]
     rows, cols = out.shape[1], out.shape[2]
     out[:] = 0.0
-    pitch, sigma = math.exp(pose[2]), math.exp(pose[4])
+    pitch, blur = math.exp(pose[2]), math.exp(pose[4])
+    # sigma^2 = blur^2 + smear^2, hence d ln sigma / d ln blur = blur^2 / sigma^2
+    sigma_x, sigma_y = math.hypot(blur, smear_x), math.hypot(blur, smear_y)
+    part_x, part_y = (blur / sigma_x) ** 2, (blur / sigma_y) ** 2
     c, s = math.cos(pose[3]), math.sin(pose[3])
     half = (side - 1) / 2.0
-    span = int(2 * RENDER_REACH * sigma) + 3
+    span = int(2 * RENDER_REACH * max(sigma_x, sigma_y)) + 3
     gx, dgx, sgx = np.empty(span), np.empty(span), np.empty(span)
     gy, dgy, sgy = np.empty(span), np.empty(span), np.empty(span)
     area = pitch * pitch
@@ -81,20 +86,20 @@ def render(pose, weights, x0, y0, out):
             tx, ty, hx, hy = c * p + s * q, s * p - c * q, c * q - s * p, s * q + c * p
             px, py = pose[0] + rx - x0, pose[1] + ry - y0
             left, right = (
-                max(0, math.ceil(px - RENDER_REACH * sigma - 0.5)),
-                min(cols - 1, math.floor(px + RENDER_REACH * sigma + 0.5)),
+                max(0, math.ceil(px - RENDER_REACH * sigma_x - 0.5)),
+                min(cols - 1, math.floor(px + RENDER_REACH * sigma_x + 0.5)),
             )
             top, bottom = (
-                max(0, math.ceil(py - RENDER_REACH * sigma - 0.5)),
-                min(rows - 1, math.floor(py + RENDER_REACH * sigma + 0.5)),
+                max(0, math.ceil(py - RENDER_REACH * sigma_y - 0.5)),
+                min(rows - 1, math.floor(py + RENDER_REACH * sigma_y + 0.5)),
             )
             nx, ny = right - left + 1, bottom - top + 1
             if nx <= 0 or ny <= 0:
                 continue
-            _axis(px, sigma, left, nx, gx, dgx, sgx)
-            _axis(py, sigma, top, ny, gy, dgy, sgy)
+            _axis(px, sigma_x, left, nx, gx, dgx, sgx)
+            _axis(py, sigma_y, top, ny, gy, dgy, sgy)
             for i in range(ny):
-                wg, wd, wsig = w * gy[i], w * dgy[i], w * sgy[i]
+                wg, wd, wsig = w * gy[i], w * dgy[i], part_y * w * sgy[i]
                 for j in range(nx):
                     value, by_x, by_y = wg * gx[j], wg * dgx[j], wd * gx[j]
                     out[0, top + i, left + j] += value
@@ -103,7 +108,7 @@ def render(pose, weights, x0, y0, out):
                     # the LED's flux grows with pitch^2, hence 2 value
                     out[3, top + i, left + j] += by_x * rx + by_y * ry + 2.0 * value
                     out[4, top + i, left + j] += by_y * rx - by_x * ry
-                    out[5, top + i, left + j] += wsig * gx[j] + wg * sgx[j]
+                    out[5, top + i, left + j] += wsig * gx[j] + part_x * wg * sgx[j]
                     if tilts:
                         out[6, top + i, left + j] += by_x * tx + by_y * ty
                         out[7, top + i, left + j] += by_x * hx + by_y * hy
@@ -122,10 +127,11 @@ def _edge(t, sigma):
 
 
 @njit(cache=True, nogil=True)
-def render_box(pose, half_leds, x0, y0, out):
+def render_box(pose, half_leds, x0, y0, out, smear_x=0.0, smear_y=0.0):
     """Image of a blurred square of brightness 1 about the array's centre, and its derivatives by the pose.
 
-    A pixel's box counts as its variance, 1/12; the derivatives by blur and tilt are 0.
+    A pixel's box counts as its variance, 1/12; the derivatives by blur and tilt are 0. That an edge's width changes with
+    the roll where the smear along x and y differs is left out.
 
     Parameters
     ----------
@@ -137,17 +143,21 @@ def render_box(pose, half_leds, x0, y0, out):
         Column and row on the sensor of the window's first pixel, in px.
     out
         (6 or 8, rows, columns) as in `render`, overwritten.
+    smear_x, smear_y
+        As in `render`.
     """
     rows, cols = out.shape[1], out.shape[2]
     half = half_leds * math.exp(pose[2])
-    sigma = math.sqrt(math.exp(2.0 * pose[4]) + 1.0 / 12.0)
+    narrow = math.exp(2.0 * pose[4]) + 1.0 / 12.0
+    sigma_x, sigma_y = math.sqrt(narrow + smear_x**2), math.sqrt(narrow + smear_y**2)
     c, s = math.cos(pose[3]), math.sin(pose[3])
     stretch, shear = _tilt(pose)
     # (x, y) = [[xx, xy], [xy, yy]] R^T (dx, dy), the inverse of the tilt: the array's own directions, in which a
     # blur is as wide as the row of the inverse is long
     det = 1.0 - stretch * stretch - shear * shear
     xx, xy, yy = (1.0 - stretch) / det, -shear / det, (1.0 + stretch) / det
-    wide, high = sigma * math.hypot(xx, xy), sigma * math.hypot(xy, yy)
+    wide = math.hypot(sigma_x * (xx * c - xy * s), sigma_y * (xx * s + xy * c))
+    high = math.hypot(sigma_x * (xy * c - yy * s), sigma_y * (xy * s + yy * c))
     reach = RENDER_REACH * max(wide, high)
     out[:] = 0.0
     for i in range(rows):

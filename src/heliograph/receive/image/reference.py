@@ -20,7 +20,13 @@ DIFFERENCE_STEP = 1e-5
 """Step of the central differences, in px, rad or as a logarithm: rounding and curvature err alike, by 1e-10."""
 
 
-def render(vector: Floats, weights: Floats, corner: Corner, shape: tuple[int, int]) -> Floats:
+Smear = tuple[float, float]
+"""Standard deviations in px along x and y of a motion while the light shone."""
+
+
+def render(
+    vector: Floats, weights: Floats, corner: Corner, shape: tuple[int, int], smear: Smear = (0.0, 0.0)
+) -> Floats:
     """Image of LEDs and its derivatives by the pose.
 
     Parameters
@@ -33,21 +39,25 @@ def render(vector: Floats, weights: Floats, corner: Corner, shape: tuple[int, in
         (x, y) on the sensor of the window's first pixel, in px.
     shape
         Its rows and columns.
+    smear
+        Motion while the light shone.
 
     Returns
     -------
     (6 or 8, rows, columns).
     """
-    return _with_derivatives(lambda v: array_image(v, weights, corner, shape), vector)
+    return _with_derivatives(lambda v: array_image(v, weights, corner, shape, smear), vector)
 
 
-def array_image(vector: Floats, weights: Floats, corner: Corner, shape: tuple[int, int]) -> Floats:
+def array_image(
+    vector: Floats, weights: Floats, corner: Corner, shape: tuple[int, int], smear: Smear = (0.0, 0.0)
+) -> Floats:
     """Image of LEDs, (rows, columns).
 
     Parameters
     ----------
-    vector, weights, corner, shape
-        Pose vector, luminances, and corner and size of the window, as in `render`.
+    vector, weights, corner, shape, smear
+        Pose vector, luminances, corner and size of the window, and motion, as in `render`.
     """
     x, y, log_pitch, roll, log_blur = vector[:5]
     stretch, shear = vector[5:] if len(vector) == 7 else (0.0, 0.0)
@@ -59,45 +69,50 @@ def array_image(vector: Floats, weights: Floats, corner: Corner, shape: tuple[in
     led_x = x + np.cos(roll) * v - np.sin(roll) * u
     led_y = y + np.sin(roll) * v + np.cos(roll) * u
     # image = pitch^2 sum_uv w_uv g(column - x_uv) g(row - y_uv)
-    across = pixel_light(np.arange(shape[1]) + corner[0], led_x.ravel(), float(blur))
-    down = pixel_light(np.arange(shape[0]) + corner[1], led_y.ravel(), float(blur))
+    wide, high = np.hypot(blur, smear)
+    across = pixel_light(np.arange(shape[1]) + corner[0], led_x.ravel(), float(wide))
+    down = pixel_light(np.arange(shape[0]) + corner[1], led_y.ravel(), float(high))
     return np.asarray(pitch**2 * np.einsum("k,ki,kj->ij", weights.ravel(), down, across))
 
 
-def render_box(vector: Floats, half_leds: float, corner: Corner, shape: tuple[int, int]) -> Floats:
+def render_box(
+    vector: Floats, half_leds: float, corner: Corner, shape: tuple[int, int], smear: Smear = (0.0, 0.0)
+) -> Floats:
     """Image of a blurred square and its derivatives, (6 or 8, rows, columns); those by blur and tilt are left 0.
 
     Parameters
     ----------
-    vector, corner, shape
-        Pose vector, and corner and size of the window, as in `render`.
+    vector, corner, shape, smear
+        Pose vector, corner and size of the window, and motion, as in `render`.
     half_leds
         Half of the square's width in pitches.
     """
-    out = _with_derivatives(lambda v: box_image(v, half_leds, corner, shape), vector)
+    out = _with_derivatives(lambda v: box_image(v, half_leds, corner, shape, smear), vector)
     out[5:] = 0.0
     return out
 
 
-def box_image(vector: Floats, half_leds: float, corner: Corner, shape: tuple[int, int]) -> Floats:
+def box_image(
+    vector: Floats, half_leds: float, corner: Corner, shape: tuple[int, int], smear: Smear = (0.0, 0.0)
+) -> Floats:
     """Image of a blurred square about the array's centre, (rows, columns).
 
     Parameters
     ----------
-    vector, corner, shape
-        Pose vector, and corner and size of the window, as in `render`.
+    vector, corner, shape, smear
+        Pose vector, corner and size of the window, and motion, as in `render`.
     half_leds
         Half of the square's width in pitches.
     """
     half, roll = half_leds * np.exp(vector[2]), vector[3]
     # a pixel's box has the variance 1/12
-    sigma = np.sqrt(np.exp(vector[4]) ** 2 + 1 / 12)
+    sigma = np.sqrt(np.exp(vector[4]) ** 2 + 1 / 12 + np.square(smear))
     dy, dx = np.mgrid[: shape[0], : shape[1]] + np.reshape([corner[1] - vector[1], corner[0] - vector[0]], (2, 1, 1))
     stretch, shear = vector[5:] if len(vector) == 7 else (0.0, 0.0)
     back = np.linalg.inv([[1 + stretch, shear], [shear, 1 - stretch]])
-    turned = np.stack([np.cos(roll) * dx + np.sin(roll) * dy, np.cos(roll) * dy - np.sin(roll) * dx])
-    along, across = np.tensordot(back, turned, 1)
-    widths = sigma * np.linalg.norm(back, axis=1)
+    back = back @ np.array([[np.cos(roll), np.sin(roll)], [-np.sin(roll), np.cos(roll)]])
+    along, across = np.tensordot(back, np.stack([dx, dy]), 1)
+    widths = np.linalg.norm(back * sigma, axis=1)
     # strip(t) = Phi((half - t) / sigma) - Phi((-half - t) / sigma); square = strip(along) strip(across)
     strips = [ndtr((half - t) / w) - ndtr((-half - t) / w) for t, w in zip((along, across), widths, strict=True)]
     return np.asarray(strips[0] * strips[1])

@@ -153,6 +153,28 @@ class View:
         """
         return self.fit_out(_as_fit(pose)).pose if self != CAMERA else pose
 
+    def motion_in(self, motion: tuple[float, float]) -> tuple[float, float]:
+        """A motion on the sensor, as it is in the view.
+
+        Parameters
+        ----------
+        motion
+            Motion along x and y in px of the sensor, in any time.
+        """
+        x, y = _linear(self)[:2, :2] @ motion
+        return float(x), float(y)
+
+    def motion_out(self, motion: tuple[float, float]) -> tuple[float, float]:
+        """A motion in the view, as it is on the sensor; the inverse of `motion_in`.
+
+        Parameters
+        ----------
+        motion
+            Motion along x and y in px of the view, in any time.
+        """
+        x, y = _linear(self, inverse=True)[:2, :2] @ motion
+        return float(x), float(y)
+
 
 CAMERA = View()
 """The camera's own: frames as they are."""

@@ -73,6 +73,8 @@ class ClockedPairing:
         The light's signal: side of the array, pattern period, order of slots, and patterns of a packet and its header.
     exposure_s
         The camera's exposure in seconds where it is known, else None.
+    drift
+        Motion of the array's image along x and y at the detection, in px per second.
     """
 
     def __init__(
@@ -84,10 +86,12 @@ class ClockedPairing:
         led_gains: NDArray[np.float64],
         signal: SignalSettings,
         exposure_s: float | None,
+        drift: tuple[float, float] = (0.0, 0.0),
     ):
         self.lost = False
         self.first_gain: float | None = None
-        self._start_s, self._time_s, self._pose, self._identity = start_s, time_s, pose, identity
+        self._start_s, self._time_s, self._pose, self._drift = start_s, time_s, pose, drift
+        self._identity = identity
         self._led_gains, self._signal, self._exposure_s = led_gains, signal, exposure_s
         self._late_s = sum_late_s(signal)
         self._light = SlotLight(signal.slot_order)
@@ -131,7 +135,7 @@ class ClockedPairing:
             yield from self._due(self._clock, end)
 
     def header(
-        self, pair: int, poses: Mapping[int, Pose], pose_at: PoseAt, led_gains: NDArray[np.float64]
+        self, pair: int, poses: Mapping[int, PoseAt], pose_at: PoseAt, led_gains: NDArray[np.float64]
     ) -> MeasuredHeader | None:
         """Correct the clock by the header before a pair; see `Pairing`."""
         clock, pattern = self._started, 2 * pair - self._header
@@ -140,7 +144,9 @@ class ClockedPairing:
             return None
         known = np.array(sorted(poses))
         pairs = 0.5 * (_starts(clock, near) - 0.5)
-        there = [poses[int(known[np.argmin(np.abs(known - k))])] for k in pairs]
+        there = [
+            poses[int(known[np.argmin(np.abs(known - k))])](frame.time_s) for k, frame in zip(pairs, near, strict=True)
+        ]
         seen = clock.measure(view_header(near, there, self._signs * led_gains), pattern, again=pattern == 0)
         if not seen or _in_step(clock, self._combination(clock, near, pattern)):
             return None
@@ -204,7 +210,8 @@ class ClockedPairing:
             # the header would have begun before the film
             self.lost = True
             return clock
-        clock.measure(view_header(near, [self._pose] * len(near), self._signs * self._led_gains), 0)
+        there = [_moved(self._pose, self._drift, frame.time_s - self._time_s) for frame in near]
+        clock.measure(view_header(near, there, self._signs * self._led_gains), 0)
         self.lost = clock.explained < EXPLAINED
         if not _in_step(clock, self._combination(clock, near, 0)):
             # the detection took frames to be in step, and so the header for weaker than it is
@@ -297,6 +304,11 @@ def _pair_combination(starts: tuple[float, ...], exposure: float, light: SlotLig
 def _in_step(clock: LightClock, combination: Combination | None) -> bool:
     """Whether frames show a pair's pattern and inverse one by one, as far as the clock can tell."""
     return combination is not None and combination.departure < EXACT + STEP_DEVIATIONS * clock.deviation
+
+
+def _moved(pose: Pose, drift: tuple[float, float], dt: float) -> Pose:
+    """A pose some seconds later, at a motion in px per second."""
+    return pose.moved(dt * drift[0], dt * drift[1])
 
 
 def _cut(frames: list[Frame], window: tuple[int, int, int, int]) -> NDArray[np.float32]:

@@ -174,7 +174,7 @@ class Pairing(Protocol):
         """Yield the numbers of the pairs that can still be read, as there will be no more frames."""
 
     def header(
-        self, pair: int, poses: Mapping[int, Pose], pose_at: PoseAt, led_gains: NDArray[np.float64]
+        self, pair: int, poses: Mapping[int, PoseAt], pose_at: PoseAt, led_gains: NDArray[np.float64]
     ) -> MeasuredHeader | None:
         """Correct the clock by the header before a pair.
 
@@ -183,7 +183,7 @@ class Pairing(Protocol):
         pair
             Number of the first pair of data after the header.
         poses
-            The array's poses in the pairs around the header, by number.
+            The array's pose at times about each pair around the header, by its number.
         pose_at
             Its pose at any time in seconds.
         led_gains

@@ -379,7 +379,11 @@ def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
     inside = model[1, 0] >= 0.5 * model[1, 0].max()
     clipped = (cut[inside] >= frame.full_scale).mean()
     # where only lit LEDs or only dark ones are left, the two images are one: the pseudo-inverse decides
-    return np.append(np.linalg.lstsq(columns, cut.ravel(), rcond=RCOND)[0][:2], clipped)
+    header = np.linalg.lstsq(columns, cut.ravel(), rcond=RCOND)[0][0]
+    all_on = columns[:, 1]
+    # of the background, which may move, only what blur mixes in counts
+    light = all_on @ (cut.ravel() - header * columns[:, 0]) / (all_on @ all_on)
+    return np.array([header, light, clipped])
 
 
 def _mean_over(starts: Floats, exposure: Floats | float, edges: Floats, values: Floats) -> Floats:

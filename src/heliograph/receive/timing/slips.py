@@ -252,7 +252,7 @@ class SlipWatch:
         place, so all pairs that follow must change for the better.
         """
         regular, slipped = self._paired(0, self.lost, slip=False), self._paired(1, self.lost + 1)
-        even = len(slipped.uneven) >= ENOUGH and float(np.mean(slipped.uneven)) < EVEN
+        even = len(slipped.uneven) >= ENOUGH and max(slipped.uneven) < EVEN
         if not self._even_before:
             even &= all(self._even(k + 1) and self._odd(k) for k in range(0, len(self._held) - 2, 2))
         return even and SLIP + slipped.cost < regular.cost

@@ -62,7 +62,7 @@ class SteppedPairing:
     def header(
         self,
         pair: int,
-        poses: Mapping[int, Pose],
+        poses: Mapping[int, PoseAt],
         pose_at: PoseAt,
         led_gains: NDArray[np.float64],
     ) -> None:

@@ -198,8 +198,14 @@ class PoseState:
     tilt: Tilt = field(default_factory=Tilt)
 
     @staticmethod
-    def start(time_s: float, vector: Floats, covariance: Floats, model: MotionModel) -> "PoseState":
-        """State of a pose just found; its rates and the sums' errors are unknown.
+    def start(
+        time_s: float,
+        vector: Floats,
+        covariance: Floats,
+        model: MotionModel,
+        drift: tuple[float, float] = (0.0, 0.0),
+    ) -> "PoseState":
+        """State of a pose just found; its pitch's rate and the sums' errors are unknown.
 
         Parameters
         ----------
@@ -211,9 +217,11 @@ class PoseState:
             Its covariance, (5, 5) or (7, 7).
         model
             How the array may move.
+        drift
+            Rates of x and y in px a second; they may be off by as much as unknown ones.
         """
         mean, full = np.zeros(STATE_SIZE), np.zeros((STATE_SIZE, STATE_SIZE))
-        mean[:POSE_SIZE] = vector[:POSE_SIZE]
+        mean[:POSE_SIZE], mean[5:7] = vector[:POSE_SIZE], drift
         full[:POSE_SIZE, :POSE_SIZE] = covariance[:POSE_SIZE, :POSE_SIZE]
         full[POSE_SIZE:, POSE_SIZE:] = np.diag(np.concatenate([model.start_rates, SUM_ERROR]) ** 2)
         tilted = len(covariance) > POSE_SIZE

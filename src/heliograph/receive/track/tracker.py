@@ -9,6 +9,7 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.detector import Detection
 from heliograph.receive.image.fit import Fit, Prior, fit_array
+from heliograph.receive.image.footprint import image_of
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.robust import robust_std
 from heliograph.receive.image.window import cut_out, window_around
@@ -16,6 +17,7 @@ from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
 from heliograph.receive.track.kalman import (
     HEADER_OBSERVATION,
     POSE_SIZE,
+    RATE_STATES,
     MotionModel,
     PoseState,
     Tilt,
@@ -52,6 +54,9 @@ SLIP = 0.2
 
 SLIP_BLUR = 0.5
 """Pitches of blur that hide single LEDs, as in the detector."""
+
+MOST_SMEAR_PX = 1.5
+"""Most that motion smears a sum: at 2.6 px per pattern; what seems to be faster is an error of the filter."""
 
 LEAST_IN_SIGHT = 0.25
 """Least fraction of the LEDs in sight by which a pose is found: with less an array's place has no hold."""
@@ -157,12 +162,12 @@ class Tracker:
             Where and when its header was found.
         """
         fit = detection.fit
-        state = PoseState.start(detection.time_s, fit.vector, widened(fit.covariance), self._model)
+        state = PoseState.start(detection.time_s, fit.vector, widened(fit.covariance), self._model, detection.drift)
         change = around_leds(detection.led_gains, fit.pose)
         # cells without alternation may be hidden or dead
         return Track(state, fit.gain, fit.gain, detection.led_gains, detection.time_s, change)
 
-    def follow(self, track: Track, pair: FramePair) -> TrackedPair:
+    def follow(self, track: Track, pair: FramePair, header: Floats | None = None) -> TrackedPair:
         """Find the array in the sum of a pair and move the filter on; coast where it is not seen.
 
         Parameters
@@ -171,6 +176,8 @@ class Tracker:
             The array as known before the pair.
         pair
             Frames of a pattern and its inverse.
+        header
+            (n, n) luminances of the header less its inverse, +-1, where the pair is one; None for data.
         """
         predicted = self.predict(track, pair.time_s)
         corner, up, down = self._cut(pair, predicted.pose)
@@ -186,10 +193,16 @@ class Tracker:
         mean, covariance = predicted.expected(observation)
         prior = Prior(np.append(mean, predicted.tilt.mean), covariance, track.gain)
         total = up + down
+        if header is not None and pair.combination is None:
+            left = self._left_by_motion(predicted, pair, corner, total.shape, header * track.shining)
+            total = total - track.data_gain * left
         start = self._unresolved(total, corner, prior, track.shining, unhidden) if self._unsure(predicted) else None
         # a start of its own saves a step
         steps = PAIR_STEPS - (start is not None)
-        fit = fit_array(total, corner, prior, track.shining, steps, panel=True, start=start, open_pixels=unhidden)
+        smear = self._smear(predicted)
+        fit = fit_array(
+            total, corner, prior, track.shining, steps, panel=True, start=start, open_pixels=unhidden, smear=smear
+        )
         seen = _inside(fit, pair.pattern) and self._active(differs, noise, fit.pose, corner, track.gain)
         if seen:
             state = predicted.condition(fit.vector[:POSE_SIZE], fit.covariance, observation)
@@ -218,7 +231,7 @@ class Tracker:
         both = np.zeros((POSE_SIZE + 2, POSE_SIZE + 2))
         both[:POSE_SIZE, :POSE_SIZE], both[POSE_SIZE:, POSE_SIZE:] = covariance, tilt.covariance
         prior = Prior(np.append(mean, tilt.mean), both)
-        fit = fit_array(up - down, corner, prior, weights * track.shining, PAIR_STEPS)
+        fit = fit_array(up - down, corner, prior, weights * track.shining, PAIR_STEPS, smear=self._smear(state))
         if fit.score < HEADER_SCORE:
             return track
         state = state.condition(fit.vector[:POSE_SIZE], fit.covariance[:POSE_SIZE, :POSE_SIZE], HEADER_OBSERVATION)
@@ -254,6 +267,26 @@ class Tracker:
         if time_s <= track.state.time_s:
             return replace(track.state, time_s=time_s)
         return track.state.predict(time_s, self._model)
+
+    def _left_by_motion(
+        self,
+        predicted: PoseState,
+        pair: FramePair,
+        corner: tuple[int, int],
+        shape: tuple[int, int],
+        header: Floats,
+    ) -> Floats:
+        """What a header and its inverse leave in their sum where the array moves between them, for a gain of 1."""
+        # A_1 (1 + h) / 2 + A_2 (1 - h) / 2 = (A_1 + A_2) / 2 + (A_1 h - A_2 h) / 2
+        poses = (predicted.pose_at(frame.time_s) for frame in (pair.pattern, pair.inverted))
+        first, second = (image_of(header, pose, corner, shape) for pose in poses)
+        return 0.5 * (first - second)
+
+    def _smear(self, state: PoseState) -> tuple[float, float]:
+        """Standard deviations in px of the array's motion while a pair's light shone: evenly over two patterns."""
+        # (2 v T_b)^2 / 12, v by the filter
+        x, y = (2 * self._model.period_s / sqrt(12) * np.abs(state.mean[RATE_STATES][:2])).tolist()
+        return min(x, MOST_SMEAR_PX), min(y, MOST_SMEAR_PX)
 
     def _unsure(self, predicted: PoseState) -> bool:
         """Whether the prediction may be a pitch off, so that resolved LEDs would be taken for their neighbours."""
