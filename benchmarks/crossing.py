@@ -1,6 +1,6 @@
 """Arrays that a camera passes sideways: `python -m benchmarks.crossing [--passages 40] [--seed 1]`.
 
-Each passage is the preset "crossing" at a distance (20 to 40 m), speed (25 to 60 km/h), side and turn of the array (up
+Each passage is the preset "crossing" at a distance (15 to 40 m), speed (25 to 60 km/h), side and turn of the array (up
 to 25 degrees, so that the camera is within 35 degrees of its axis) drawn by the seed. The camera looks across its road,
 so the array crosses the sensor from one side to the other. Wrong codewords of sent are counted by layer and by how far
 the image moves from frame to frame.
@@ -18,7 +18,7 @@ from heliograph.signal.settings import LAYERS
 REACH = 0.164
 """Way of the array to either side as a fraction of the distance: all of it stays on the sensor."""
 
-BINS_PX = (0.5, 1.0, 1.5, 2.5)
+BINS_PX = (0.5, 1.0, 1.5, 2.5, 3.5)
 """Bounds of the motions that are counted together, in px from frame to frame."""
 
 
@@ -32,7 +32,7 @@ def draw(rng: np.random.Generator, receiver: str) -> tuple[LinkSettings, float]:
     receiver
         Name of the receiver.
     """
-    distance_m, speed_m_s = rng.uniform(20, 40), rng.uniform(25, 60) / 3.6
+    distance_m, speed_m_s = rng.uniform(15, 40), rng.uniform(25, 60) / 3.6
     side, yaw_deg = float(rng.choice([-1, 1])), rng.uniform(-25, 25)
     half_m = REACH * distance_m
     array = {"x_m": -side * half_m, "y_m": rng.uniform(-0.5, 0.5), "vx_m_s": side * speed_m_s, "yaw_deg": yaw_deg}

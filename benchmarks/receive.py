@@ -14,7 +14,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import Packet, Pose, ReceiveSettings
-from heliograph.receive.acquire.detector import Detection, HeaderSearch
+from heliograph.receive.acquire.detection import Detection, HeaderSearch
 from heliograph.receive.assemblies import plain_parts, plain_receiver
 from heliograph.receive.events import ignore
 from heliograph.receive.image.orientation import Orientation

@@ -16,7 +16,7 @@ from heliograph.experiments.tracking.score import TrackingScore, score, scores
 from heliograph.experiments.tracking.verdicts import BACKGROUND, OURS, findings, rate_finding, rates
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.receive import Pose
-from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.image.fit import Fit
 
 pytestmark = pytest.mark.slow

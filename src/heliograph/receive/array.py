@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.decode.codeword import unread
 from heliograph.receive.events import Observer, TrackEvent
 from heliograph.receive.image.orientation import Orientation

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from heliograph.base.errors import SettingsError
 from heliograph.receive.acquire.coarse import SearchParameters
-from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.phases import PhasedSearch
 from heliograph.receive.acquire.pyramid import PyramidSearch
 from heliograph.receive.acquire.readings import Reading
@@ -211,10 +211,12 @@ def _following(
     reader: MakeReader,
 ) -> Callable[[Detection], ArrayReceiver]:
     """Makes the reception of an array that was found."""
-    tracker = Tracker(signal.side, MotionModel(signal.pattern_period_s, settings.track.acceleration_px))
+    focal_px = settings.calibration.focal_m / settings.calibration.pixel_m
 
     def follow(detection: Detection) -> ArrayReceiver:
         view = View.of(detection.fit.pose, detection.orientation)
+        model = MotionModel(signal.pattern_period_s, settings.track.acceleration_px, focal_px / 2**view.level)
+        tracker = Tracker(signal.side, model)
         seen = detection.seen_in(view)
         return ArrayReceiver(
             seen,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.decode.iterate import EqualiseEvent, ignore
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.view import CAMERA, View

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.candidate import apart
-from heliograph.receive.acquire.detector import Detection, HeaderSearch
+from heliograph.receive.acquire.detection import Detection, HeaderSearch
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.events import DetectEvent, LostEvent, Observer
 from heliograph.receive.image.orientation import UPRIGHT, Orientation

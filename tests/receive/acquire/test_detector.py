@@ -12,7 +12,8 @@ from scenes import drawn_film, film, frame_of, link
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.coarse import SearchParameters
-from heliograph.receive.acquire.detector import Detection, Detector
+from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.acquire.detector import Detector
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings
 

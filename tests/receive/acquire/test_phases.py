@@ -9,7 +9,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.acquire.coarse import SearchParameters
-from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.phases import PhasedSearch
 from heliograph.receive.acquire.pyramid import PyramidSearch
 from heliograph.signal.settings import SignalSettings

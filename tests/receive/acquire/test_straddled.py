@@ -8,7 +8,7 @@ from scenes import film, link
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.coarse import SearchParameters
-from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.straddled import StraddledDetector
 from heliograph.signal.settings import SignalSettings
 

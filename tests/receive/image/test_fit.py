@@ -220,14 +220,14 @@ def test_the_covariance_is_as_true_with_few_pixels_as_with_many() -> None:
 
 def test_an_expected_gain_and_the_pixels_are_weighed_by_their_variances() -> None:
     """Of a far array in strong noise the gain is hardly seen, and the pose is known."""
-    rng, pose, sigma = np.random.default_rng(6), Pose(40.37, 31.81, pitch_at(150), 0.0, 0.55), 200.0
+    rng, pose, sigma = np.random.default_rng(6), Pose(40.37, 31.81, pitch_at(150), 0.0, 0.55), 660.0
     corner, shape = window(pose)
     rows, cols = np.mgrid[: shape[0], : shape[1]].astype(float)
     columns = np.stack([draw(pose, ALL_ON, corner, shape), np.ones(shape), rows, cols]).reshape(4, -1)
     expected = 1.6 * GAIN
-    # 15 % of the expected gain are its standard deviation
+    # half of the expected gain is its standard deviation
     information = np.linalg.inv(np.linalg.inv(columns @ columns.T / sigma**2)[:1, :1])[0, 0]
-    before = (0.15 * expected) ** -2
+    before = (0.5 * expected) ** -2
     want = (information * GAIN + before * expected) / (information + before)
     prior = Prior(pose.vector(), 1e-8 * np.eye(5), expected)
     gains = [

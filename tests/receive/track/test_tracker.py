@@ -11,7 +11,7 @@ from scenes import ALL_ON, SIDE, draw, drawn_film, frame_of, link, pitch_at
 from scipy.ndimage import gaussian_filter1d
 
 from heliograph.receive import Pose, receive_frames
-from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.image.fit import Fit
 from heliograph.receive.timing.frame_pair import FramePair
 from heliograph.receive.track.kalman import MotionModel, PoseState
@@ -93,7 +93,7 @@ def moving_header(drift: float) -> tuple[FramePair, Floats]:
         frames.append(
             frame_of(0.78 * (1 - panel) + 0.8 * draw(pose, 0.5 + 0.5 * sign * header, (0, 0), (60, 60)), k, rng)
         )
-    return FramePair(*frames), header
+    return FramePair(frames[0], frames[1]), header
 
 
 @pytest.mark.parametrize("drift", [-0.8, -0.4, 0.0, 0.4, 0.8])

@@ -18,7 +18,7 @@ from heliograph.link.simulate import Messages, simulate, transmitters
 from heliograph.measure.bench import dithered, lasting, random_messages, window_margin_px
 from heliograph.measure.statistics import Count
 from heliograph.receive import Codeword, Packet, Receiver, make_receiver
-from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.assemblies import soft_parts, soft_reader
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise

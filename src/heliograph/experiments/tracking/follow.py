@@ -5,7 +5,7 @@ from typing import Protocol
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
-from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.timing.frame_pair import FramePair, sum_late_s
 from heliograph.receive.track.kalman import MotionModel
 from heliograph.receive.track.tracker import Tracker

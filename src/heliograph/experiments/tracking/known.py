@@ -14,7 +14,7 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
-from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.image.fit import PANEL_MARGINS
 from heliograph.receive.image.window import cut_out, window_around
 from heliograph.receive.track.kalman import POSE, POSE_SIZE, MotionModel, PoseState

@@ -19,7 +19,8 @@ from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings, default_messages, simulate
 from heliograph.receive import Pose
-from heliograph.receive.acquire.detector import Detection, Detector
+from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.acquire.detector import Detector
 from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.image.window import cut_out
 

@@ -72,6 +72,7 @@ def fit_near(
     weights: Floats,
     tilt: float,
     smooth: float = 0.0,
+    smear: tuple[float, float] = (0.0, 0.0),
 ) -> Fit | None:
     """Fit a header to what alternates, near a pose.
 
@@ -89,6 +90,8 @@ def fit_near(
         Standard deviation of stretch and shear, `UPRIGHT` or `TILTED`.
     smooth
         Pitches by which the pixels are blurred before, so that single LEDs do not show.
+    smear
+        Standard deviations in px along x and y of the array's motion.
 
     Returns
     -------
@@ -107,7 +110,7 @@ def fit_near(
     reach = PLACE_SPREAD * side * start.pitch
     spread = np.diag(np.array([reach, reach, *CANDIDATE_SPREADS, tilt, tilt]) ** 2)
     try:
-        return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, FIT_STEPS)
+        return fit_array(image, (x0, y0), Prior(start.full_vector(), spread), weights, FIT_STEPS, smear=smear)
     except np.linalg.LinAlgError:
         # pixels that give no pose are no array
         return None

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.candidate import (
     HIDDEN_CELL,
+    HIDING_BLUR,
     LEVEL,
     PARTLY_LIT_CELL,
     UPRIGHT,
@@ -16,7 +17,7 @@ from heliograph.receive.acquire.candidate import (
     fit_near,
     lit_cells,
 )
-from heliograph.receive.acquire.coarse import alternation_of
+from heliograph.receive.acquire.coarse import ALTERNATION, DIFFERENCE, alternation_of
 from heliograph.receive.image.fit import Fit
 from heliograph.receive.image.pose import Pose
 from heliograph.signal.header import CELLS
@@ -38,6 +39,13 @@ FIRST_AMPLITUDE, FIRST_SCORE = 0.7, 0.9
 
 Out of step a header may begin amid a frame, and two frames have more noise than four. Chosen; docs/constants.md says
 what half and twice of it cost.
+"""
+
+
+SMEARED_PX = 0.1
+"""Motion in px per pattern from which on a header is fitted as moving: it then smears four frames by 0.09 px.
+
+A blur of 0.5 px grows by 0.008 px from that, less than the error of a fit.
 """
 
 
@@ -88,6 +96,45 @@ def fit_header(
     # a thin post hides parts of cells
     pose = replace(fit.pose, stretch=0.0, shear=0.0)
     return fit_near(change, origin, pose, weights, LEVEL), sound, True
+
+
+def fit_moving(
+    header: list[Frame], fit: Fit, weights: NDArray[np.float64], tilt: float, moved: tuple[float, float]
+) -> Fit:
+    """Fit a header that moves.
+
+    Parameters
+    ----------
+    header
+        The two or four frames that were fitted, one per pattern.
+    fit
+        Their fit as if it stood still.
+    weights
+        (n, n) of the header, +-1, 0 where it is hidden.
+    tilt
+        Standard deviation of stretch and shear.
+    moved
+        Its motion in px per pattern, along x and y.
+
+    Returns
+    -------
+    The fit, its image smeared by the motion; what was given where it moves by less than `SMEARED_PX`, or fits worse.
+    """
+    if max(np.abs(moved)) < SMEARED_PX:
+        return fit
+    weight = np.abs(ALTERNATION if len(header) == 4 else DIFFERENCE[:2])
+    # the variance of the frames' times, each counted as its weight, and of an exposure
+    late = np.arange(len(header)) - 0.5 * (len(header) - 1)
+    patterns = float(np.sqrt(weight @ late**2 / weight.sum() + 1 / 12))
+    smear = patterns * abs(moved[0]), patterns * abs(moved[1])
+    change, origin = alternation_of(header), header[0].origin
+    # the smear was taken for a stretch, by which single LEDs were taken for their neighbours
+    rough = fit_near(change, origin, fit.pose, weights, tilt, HIDING_BLUR, smear)
+    if rough is None:
+        return fit
+    start = replace(rough.pose, blur=fit.pose.blur)
+    again = fit_near(change, origin, start, weights, tilt, smear=smear)
+    return fit if again is None or again.score < fit.score else again
 
 
 def fit_first_pair(header: list[Frame], fit: Fit, weights: NDArray[np.float64], tilt: float) -> tuple[Fit, list[Frame]]:

@@ -9,7 +9,7 @@ from typing import Protocol
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.coarse import SearchParameters
-from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.pyramid import PyramidSearch, level_parameters
 from heliograph.receive.acquire.straddled import StraddledDetector
 from heliograph.receive.image.orientation import Orientation

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame, Pixels
 from heliograph.receive.acquire.coarse import BLOCK_PX, RING, SIDE_STEP, SearchParameters
-from heliograph.receive.acquire.detector import Detection, Detector
+from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.acquire.detector import Detector
 from heliograph.receive.acquire.slots import Due, Slots, in_common
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose

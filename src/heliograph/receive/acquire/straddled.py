@@ -27,7 +27,8 @@ from heliograph.receive.acquire.coarse import (
     combined_means,
     searched_part,
 )
-from heliograph.receive.acquire.detector import Detection, distinct
+from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.acquire.detector import distinct
 from heliograph.receive.acquire.readings import ALL_ON, Headers, headers
 from heliograph.receive.acquire.slots import alike
 from heliograph.receive.image.fit import Fit, header_amplitude

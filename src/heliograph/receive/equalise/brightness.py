@@ -132,7 +132,7 @@ class Brightness:
     values
         (n, n) brightness, 1 for the median LED.
     information
-        (2, n n, n n) sums of the normal equations' matrices over either half of the pairs, in the order of `by_squares`.
+        (2, n n, n n) sums of the normal equations' matrices over each half of the pairs, ordered as by `by_squares`.
     score
         (2, n n) sums of their right sides.
     packets

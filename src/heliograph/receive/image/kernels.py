@@ -130,8 +130,8 @@ def _edge(t, sigma):
 def render_box(pose, half_leds, x0, y0, out, smear_x=0.0, smear_y=0.0):
     """Image of a blurred square of brightness 1 about the array's centre, and its derivatives by the pose.
 
-    A pixel's box counts as its variance, 1/12; the derivatives by blur and tilt are 0. That an edge's width changes with
-    the roll where the smear along x and y differs is left out.
+    A pixel's box counts as its variance, 1/12; the derivatives by blur and tilt are 0. Where the smear along x and y
+    differs, an edge's width changes with the roll: that is left out.
 
     Parameters
     ----------

@@ -382,7 +382,7 @@ def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
     header = np.linalg.lstsq(columns, cut.ravel(), rcond=RCOND)[0][0]
     all_on = columns[:, 1]
     # of the background, which may move, only what blur mixes in counts
-    light = all_on @ (cut.ravel() - header * columns[:, 0]) / (all_on @ all_on)
+    light = all_on @ (cut.ravel() - header * columns[:, 0]) / max(float(all_on @ all_on), TINY)
     return np.array([header, light, clipped])
 
 

@@ -154,9 +154,10 @@ class SlipWatch:
         # LED (column, row) lies at centre + axes ((column, row) - (side - 1) / 2)
         first = pose.x - window[0] - (a + b) * middle, pose.y - window[1] - (c + d) * middle
         grid = np.array([[a, b, first[0]], [c, d, first[1]]])
-        sampled = cv2.warpAffine(
-            cut_out(frame, window), grid, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        )
+        # over all of an LED's square: motion shifts the light of each by its own part of a pattern
+        width = 2 * int(pose.pitch / 2 + 0.25) + 1
+        cut = cv2.blur(cut_out(frame, window), (width, width), borderType=cv2.BORDER_REPLICATE)
+        sampled = cv2.warpAffine(cut, grid, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
         shown = np.asarray(sampled, np.float64).ravel()
         if self._mean is None:
             return _Held(frame, number, shown, None, 0.0, False)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.image.pose import Pose
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, PoseAt, is_data, sum_late_s
 from heliograph.signal.settings import SignalSettings
 

@@ -6,6 +6,7 @@ from pattern to pattern as the light slows down.
 
 from dataclasses import dataclass, field, replace
 from functools import partial
+from math import inf
 
 import numpy as np
 
@@ -49,6 +50,13 @@ ROLL_WALK, BLUR_WALK, TILT_WALK = 0.03, 0.1, 0.01
 A car rolls by a degree or two, and passes the array.
 """
 
+TURN, TURNING_PATTERNS = 0.3, 100.0
+"""Stretch and shear that a turn of the array by 1 rad adds, at most, and patterns over which a turn goes on.
+
+A camera that passes an array sees it turn as fast as it sees it move, by v / f. cos(yaw) changes by sin(yaw): the
+stretch, half of it, by 0.3 at 35 degrees. Headers, which show it, are 100 patterns apart.
+"""
+
 START_RATES = np.array([0.9, 0.9, 1.5e-4])
 """Prior standard deviations of the rates: px, px and ln pitch per pattern.
 
@@ -66,10 +74,14 @@ class MotionModel:
         Pattern period T_b in seconds.
     acceleration_px
         Standard deviation of the image's acceleration by shake, in px per pattern squared.
+    focal_px
+        Focal length in px: what moves by so much as the camera passes it has turned by 1 rad. Of an array that only
+        ever moves with the camera's own turns it is infinite.
     """
 
     period_s: float
     acceleration_px: float
+    focal_px: float = inf
 
     def process_noise(self, dt: float) -> Floats:
         """Q, (10, 10): what the motion adds to the state's covariance as time goes by.
@@ -163,17 +175,22 @@ class Tilt:
     mean: Floats = field(default_factory=partial(np.zeros, 2))
     covariance: Floats = field(default_factory=lambda: UNFITTED_TILT**2 * np.eye(2))
 
-    def later(self, dt: float, model: MotionModel) -> "Tilt":
+    def later(self, dt: float, rates: Floats, model: MotionModel) -> "Tilt":
         """The tilt at a later time.
 
         Parameters
         ----------
         dt
             Seconds from now to that time, at least 0.
+        rates
+            (2,) rates of x and y in px a second.
         model
             How the array may move.
         """
-        return Tilt(self.mean, self.covariance + TILT_WALK**2 * model.walked(dt) * np.eye(2))
+        # a turn that goes on for a time tau adds its square, tau^2, as a walk of the variance tau dt
+        turn = TURN * float(np.hypot(*rates)) / model.focal_px
+        variance = TILT_WALK**2 * model.walked(dt) + turn**2 * TURNING_PATTERNS * model.period_s * dt
+        return Tilt(self.mean, self.covariance + variance * np.eye(2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +259,7 @@ class PoseState:
         f = np.eye(STATE_SIZE)
         f[:3, RATE_STATES] = dt * np.eye(3)
         covariance = f @ self.covariance @ f.T + model.process_noise(dt)
-        return PoseState(time_s, f @ self.mean, covariance, self.tilt.later(dt, model))
+        return PoseState(time_s, f @ self.mean, covariance, self.tilt.later(dt, self.mean[RATE_STATES][:2], model))
 
     def expected(self, observation: Observation) -> tuple[Floats, Floats]:
         """Mean (5,) and covariance (5, 5) of what a fit will show: H x, H P H^T + R.

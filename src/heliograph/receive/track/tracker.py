@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.acquire.detector import Detection
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.image.fit import Fit, Prior, fit_array
 from heliograph.receive.image.footprint import image_of
 from heliograph.receive.image.pose import Pose
@@ -55,8 +55,8 @@ SLIP = 0.2
 SLIP_BLUR = 0.5
 """Pitches of blur that hide single LEDs, as in the detector."""
 
-MOST_SMEAR_PX = 1.5
-"""Most that motion smears a sum: at 2.6 px per pattern; what seems to be faster is an error of the filter."""
+MOST_SMEAR_PX = 2.0
+"""Most that motion smears a sum: at 3.5 px per pattern; what seems to be faster is an error of the filter."""
 
 LEAST_IN_SIGHT = 0.25
 """Least fraction of the LEDs in sight by which a pose is found: with less an array's place has no hold."""

@@ -1,0 +1,126 @@
+"""An array found by its header, and what looks for one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.acquire.header_fit import CLEAR
+from heliograph.receive.acquire.readings import Reading
+from heliograph.receive.image.fit import Fit
+from heliograph.receive.image.orientation import UPRIGHT, Orientation
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.view import View
+
+HIDDEN_REGULARITY = 0.85
+"""Least regularity of an array of which a part may be hidden: it correlates less, but alternates evenly."""
+
+
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """An array found by its header.
+
+    Attributes
+    ----------
+    identity
+        Its number, 0 to 29.
+    start_time_s
+        Start of the header's first pattern in seconds.
+    fit
+        Pose and gain at `time_s`.
+    time_s
+        Middle of the frames fitted, in seconds.
+    score
+        Correlation with the header's image, 0 to 1.
+    regularity
+        Weakest over mean alternation of the header's frames, at most 1.
+    led_gains
+        (n, n), 1, or 0 in cells of the header that are hidden.
+    orientation
+        How the camera sees the array, as far as its header tells.
+    others
+        Other identities and orientations that have the same header, the most plausible first.
+    drift
+        Motion of its image along x and y, in px per second.
+    """
+
+    identity: int
+    start_time_s: float
+    fit: Fit
+    time_s: float
+    score: float
+    regularity: float
+    led_gains: NDArray[np.float64]
+    orientation: Orientation = UPRIGHT
+    others: tuple[Reading, ...] = ()
+    drift: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def readings(self) -> "list[Detection]":
+        """The same for all that its header may mean, the most plausible first."""
+        others = [replace(self, identity=i, orientation=o, others=()) for i, o in self.others]
+        return [replace(self, others=()), *others]
+
+    @property
+    def clear(self) -> bool:
+        """Whether its header leaves no doubt that it is an array."""
+        return self.score >= CLEAR and self.regularity >= HIDDEN_REGULARITY
+
+    def seen_in(self, view: View) -> "Detection":
+        """The same in a view.
+
+        Parameters
+        ----------
+        view
+            View in which the array will be read.
+        """
+        gains, drift = view.orientation.upright(self.led_gains), view.motion_in(self.drift)
+        return replace(self, fit=view.fit_in(self.fit), led_gains=gains, drift=drift)
+
+
+class HeaderSearch(Protocol):
+    """Looks for headers in a stream of frames."""
+
+    def start(self, period_s: float) -> None:
+        """Begin to search frames; it comes before the first of them.
+
+        Parameters
+        ----------
+        period_s
+            Frame period in seconds, above 0.
+        """
+
+    @property
+    def candidates_fitted(self) -> int:
+        """Candidates fitted so far."""
+
+    @property
+    def recent(self) -> Sequence[Frame]:
+        """The last frames, oldest first: enough to hold the header of an array just found."""
+
+    def settle(self, orientation: Orientation) -> None:
+        """Look for arrays of one orientation alone from now on: a camera sees all of them alike.
+
+        Parameters
+        ----------
+        orientation
+            How the camera sees arrays.
+        """
+
+    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
+        """Take the next frame.
+
+        Parameters
+        ----------
+        frame
+            Next frame of the camera, in the order of time.
+        taken
+            Poses of arrays already followed; no array is looked for where they are.
+
+        Returns
+        -------
+        Arrays whose header lies in the last frames.
+        """
