@@ -1,5 +1,7 @@
 """The filter of the pose, beside an independent Kalman filter."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise
@@ -161,6 +163,10 @@ def test_the_tilt_is_kept_apart_and_grows_uncertain() -> None:
     assert later.tilt.mean.tolist() == [-0.1, 0.05]
     assert later.tilt.covariance == pytest.approx(np.diag([1e-5, 2e-5]) + 0.5 * TILT_WALK**2 * np.eye(2))
     assert (later.pose.stretch, later.pose.shear) == (-0.1, 0.05)
+    # an array that passes turns; 100 patterns of T_b at 0.3 / f of its speed
+    passing = PoseState.start(0.0, vector, covariance, MODEL, (300.0, -400.0))
+    turned = passing.predict(0.5, replace(MODEL, focal_px=3000.0)).tilt.covariance - later.tilt.covariance
+    assert turned == pytest.approx((0.3 * 500 / 3000) ** 2 * 0.5 * 100 * PERIOD_S * np.eye(2))
     upright = PoseState.start(0.0, vector[:5], covariance[:5, :5], MODEL)
     assert (upright.pose.stretch, upright.pose.shear) == (0, 0)
     assert upright.tilt.covariance == pytest.approx(Tilt().covariance)

@@ -1,0 +1,57 @@
+"""Arrays that pass sideways, and frames that shake: the image moves by pixels from frame to frame."""
+
+import numpy as np
+import pytest
+from recorder import Recorder
+from scenes import SIDE, draw, frame_of
+
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import default_messages, simulate
+from heliograph.receive import Pose, receive_frames
+from heliograph.receive.timing.light_clock import view_header
+from heliograph.signal.header import header_levels
+
+
+def passing(receiver: str, distance_m: float, speed_m_s: float, yaw_deg: float) -> LinkSettings:
+    """A passage of three packets across the middle of the sensor."""
+    half_m = 0.5 * speed_m_s * 0.305
+    array = {"x_m": -half_m, "y_m": 0.2, "vx_m_s": speed_m_s, "yaw_deg": yaw_deg}
+    channel = {"distance_m": distance_m, "duration_s": 0.305, "arrays": [array]}
+    return load_settings("crossing", {"receive": {"receiver": receiver}, "channel": channel})
+
+
+@pytest.mark.parametrize(
+    ("receiver", "distance_m", "speed_m_s", "yaw_deg"),
+    [
+        ("soft", 30.0, 16.0, 22.0),
+        ("plain", 30.0, 16.0, 22.0),
+        pytest.param("soft", 27.2, 12.96, -7.8, marks=pytest.mark.slow),
+        pytest.param("soft", 18.0, 12.0, -20.0, marks=pytest.mark.slow),
+        pytest.param("soft", 38.0, 8.0, 5.0, marks=pytest.mark.slow),
+        pytest.param("plain", 18.0, 12.0, -20.0, marks=pytest.mark.slow),
+    ],
+)
+def test_an_array_that_passes_is_read(receiver: str, distance_m: float, speed_m_s: float, yaw_deg: float) -> None:
+    """Both receivers took its motion for another phase, a blur or a stretch, and lost it at 1.5 px a frame."""
+    settings, recorder = passing(receiver, distance_m, speed_m_s, yaw_deg), Recorder()
+    frames = [frame for frame, _ in simulate(settings, default_messages(settings), 3, None, 40)]
+    packets = list(receive_frames(frames, settings.signal, settings.receive, recorder))
+    assert [packet.status for packet in packets] == ["ok"] * 3
+    assert len(recorder.found_s) == 1
+
+
+def test_a_background_that_moves_past_does_not_mislead_the_clock() -> None:
+    """The array's brightness was told against its surroundings: a bright edge that comes near made it seem to fall."""
+    rng, header = np.random.default_rng(2), header_levels(5, SIDE) / 2.0 - 1.0
+    frames, poses = [], []
+    for k in range(8):
+        pose = Pose(40.0, 40.0, 2.0, 0.0, 0.55)
+        levels = 0.5 * np.ones((SIDE, SIDE)) + (0.5 * (-1) ** k * header if 2 <= k < 6 else 0.0)
+        # a wall behind, whose edge moves towards the array
+        behind = 0.1 + 0.6 * (np.arange(80) < 8 + 2 * k)
+        panel = draw(pose, np.ones((SIDE, SIDE)), (0, 0), (80, 80))
+        frames.append(frame_of((1 - panel) * behind + 0.3 * draw(pose, levels, (0, 0), (80, 80)), k, rng))
+        poses.append(pose)
+    view = view_header(frames, poses, header)
+    assert np.ptp(view.brightness) < 0.06 * 0.3 * 255
+    assert np.abs(view.alternation[[2, 4]] - 0.15 * 255).max() < 4
