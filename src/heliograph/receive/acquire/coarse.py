@@ -143,7 +143,7 @@ def combined(frames: Sequence[Frame], weights: FrameWeights) -> NDArray[np.float
     frames
         Four frames of one size and place.
     weights
-        One for each.
+        Weight of each frame in the sum.
 
     Returns
     -------
@@ -165,7 +165,7 @@ def combined_means(frames: Sequence[Frame], weights: FrameWeights) -> NDArray[np
     frames
         Four frames of one size and place.
     weights
-        One for each.
+        Weight of each frame in the sum.
 
     Returns
     -------

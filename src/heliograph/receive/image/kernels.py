@@ -144,7 +144,7 @@ def render_box(pose, half_leds, x0, y0, out, smear_x=0.0, smear_y=0.0):
     out
         (6 or 8, rows, columns) as in `render`, overwritten.
     smear_x, smear_y
-        As in `render`.
+        Motion in px, as in `render`.
     """
     rows, cols = out.shape[1], out.shape[2]
     half = half_leds * math.exp(pose[2])
