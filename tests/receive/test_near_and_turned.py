@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from recorder import Recorder
 from scenes import link
 
 from heliograph.base.frames import Frame
@@ -12,6 +13,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import simulate
 from heliograph.measure.bench import block_settings, random_messages
 from heliograph.receive import Packet, receive_frames
+from heliograph.receive.events import DetectEvent
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 
 
@@ -89,3 +91,14 @@ def test_what_a_turned_header_shifted_looks_like_is_fitted_too() -> None:
     settings = replace(settings, channel=replace(settings.channel, arrays=(place,), camera=camera))
     turned = [replace(frame, pixels=np.rot90(frame.pixels, -1)) for frame in frames_of(settings)]
     assert received(settings, turned) == [(1, "ok", ORIENTATIONS[1])]
+
+
+@pytest.mark.parametrize("receiver", ["plain", "soft"])
+def test_an_array_that_fills_the_frame_is_found(receiver: str) -> None:
+    """The light of LEDs at the frame's border was repeated beyond it, and took a tenth of the correlation."""
+    settings, recorder = near(1.88, receiver, "signal.data_pairs=16", identity=15), Recorder()
+    packets = receive_frames(frames_of(settings)[:14], settings.signal, settings.receive, recorder)
+    assert not list(packets)
+    (found,) = [event.detection for event in recorder.of(DetectEvent)]
+    assert (found.identity, found.orientation) == (15, UPRIGHT)
+    assert found.score > 0.99

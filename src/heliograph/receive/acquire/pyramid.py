@@ -160,10 +160,10 @@ def _name(frame: Frame) -> tuple[int, float]:
 
 
 def _rimmed(frame: Frame) -> Frame:
-    """A frame with its border repeated about it: a candidate's ring must be there, and must not alternate."""
+    """A frame with black about it: a candidate's ring must be there, and must not alternate."""
     rim = ceil(2 * RING * LEVEL_SIDE_PX)
     pixels: Pixels = cv2.copyMakeBorder(  # type: ignore[assignment]
-        frame.pixels, rim, rim, rim, rim, cv2.BORDER_REPLICATE
+        frame.pixels, rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=0
     )
     x, y = frame.origin
     return replace(frame, pixels=pixels, origin=(x - rim, y - rim))
