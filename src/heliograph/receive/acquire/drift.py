@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import RCOND, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.candidate import HIDING_BLUR
+from heliograph.receive.image.fit import LEAST_VARIANCE
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import cut_out, window_around
 
@@ -46,7 +47,7 @@ def drift_of(
     pose
         Pose of the array.
     time_s
-        Time of that pose in seconds: the mean of the frames' times.
+        Time of that pose in seconds.
     weights
         (n, n) luminances of the header less its inverse, -1 to 1.
     period_s
@@ -64,7 +65,7 @@ def drift_of(
             _error(frame, pose.moved(*(found[:2] + t * found[2:])), weights)
             for t, frame in zip(times, frames, strict=True)
         ]
-        noise = max(sum(left for *_, left in seen) / len(seen), RCOND)
+        noise = max(sum(left for *_, left in seen) / len(seen), LEAST_VARIANCE)
         matrix, vector = prior.copy(), -prior @ found
         for t, (power, match, _) in zip(times, seen, strict=True):
             both = np.array([[1.0, t], [t, t * t]])
