@@ -67,6 +67,12 @@ GAIN_RATE = 0.1
 GAIN_RATIO = 1.5
 """Most that the gains of sums and of headers differ by: a panel's rim takes or adds a sixth of the light at 60 m."""
 
+MOST_SUM_BLUR = 0.3
+"""Most that a sum's ln blur differs from that of headers: a panel's rim makes it 0.1 at 95 m, before a bright sky.
+
+In hard shake more and more of the panel's edge was taken for blur, until the array was lost.
+"""
+
 FOUND_SPREAD = np.array([1.0, 1.0, 1e-3, 1e-4, 1e-2])
 """Variances added to a detection's pose vector for the motion since its middle: 1 px, and 3 % of the pitch.
 
@@ -205,7 +211,9 @@ class Tracker:
         )
         seen = _inside(fit, pair.pattern) and self._active(differs, noise, fit.pose, corner, track.gain)
         if seen:
-            state = predicted.condition(fit.vector[:POSE_SIZE], fit.covariance, observation)
+            shown = fit.vector[:POSE_SIZE].copy()
+            shown[4] = np.clip(shown[4], predicted.mean[4] - MOST_SUM_BLUR, predicted.mean[4] + MOST_SUM_BLUR)
+            state = predicted.condition(shown, fit.covariance, observation)
             # what hides a part of the array has light of its own
             gain = track.gain if hides else self._gain(track, fit)
             after = replace(track, state=state, last_seen_s=predicted.time_s, gain=gain)
