@@ -111,6 +111,30 @@ def test_a_header_that_moves_is_where_it_is(drift: float) -> None:
     assert abs(found.state.mean[9]) < 0.25
 
 
+def test_a_sum_that_looks_blurred_does_not_lead_astray() -> None:
+    """In hard shake before a bright sky the sum's blur grew from pair to pair, until the array was lost."""
+    tracker, model = Tracker(SIDE, MotionModel(1e-3, 0.1)), MotionModel(1e-3, 0.1)
+    vector = np.array([30.2, 29.7, np.log(0.61), 0.0, np.log(0.5)])
+    state = PoseState.start(0.0, vector, np.diag([0.1, 0.1, 0.01, 0.01, 0.05]) ** 2, model)
+    track, rng = Track(state, 204.0, 204.0, ALL_ON, 0.0, ALL_ON), np.random.default_rng(4)
+    panel = gaussian_filter1d(
+        gaussian_filter1d(draw(Pose(30.2, 29.7, 0.66, 0.0, 0.5), ALL_ON, (0, 0), (60, 60)), 0.9, 0), 0.9, 1
+    )
+    for k in range(60):
+        levels = rng.choice([0.0, 0.25, 0.5, 0.75, 1.0], (SIDE, SIDE), p=np.array([1, 4, 6, 4, 1]) / 16)
+        frames = [
+            frame_of(
+                0.78 * (1 - panel) + 0.8 * draw(Pose(30.2, 29.7, 0.61, 0.0, 0.5), shown, (0, 0), (60, 60)),
+                2 * k + j,
+                rng,
+            )
+            for j, shown in enumerate((levels, 1 - levels))
+        ]
+        track = tracker.follow(track, FramePair(frames[0], frames[1])).track
+    assert abs(track.state.mean[9]) < 0.35
+    assert np.hypot(track.state.pose.x - 30.2, track.state.pose.y - 29.7) < 0.1
+
+
 def test_the_gain_goes_a_tenth_of_its_way_with_each_sum() -> None:
     tracker, track, pair = followed(180.0, 160.0)
     assert (track.gain, track.data_gain, track.last_seen_s) == (160.0, 160.0, 1.5e-3)
