@@ -16,8 +16,7 @@ from heliograph.receive import Packet, receive_frames
 from heliograph.receive.decode.codeword import ERASED
 from heliograph.receive.packet_reader import SoftReader
 from heliograph.receive.plain.reader import PlainReader
-from heliograph.receive.timing.frame_pair import FramePair
-from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
+from heliograph.receive.track.tracker import TrackedPair, Tracker
 
 Floats = NDArray[np.float64]
 
@@ -145,10 +144,10 @@ def test_an_array_whose_pose_has_no_solution_is_found_again(
     settings = link()
     follow, calls = Tracker.follow, itertools.count()
 
-    def failing(self: Tracker, track: Track, pair: FramePair) -> TrackedPair:
+    def failing(self: Tracker, *arguments: Any) -> TrackedPair:
         if next(calls) == 20:
             raise np.linalg.LinAlgError("no solution")
-        return follow(self, track, pair)
+        return follow(self, *arguments)
 
     monkeypatch.setattr(Tracker, "follow", failing)
     packets, recorder = read(film(settings, 304), settings)

@@ -9,7 +9,6 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.image.fit import Fit, Prior, fit_array
-from heliograph.receive.image.footprint import image_of
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.robust import robust_std
 from heliograph.receive.image.window import cut_out, window_around
@@ -286,9 +285,13 @@ class Tracker:
     ) -> Floats:
         """What a header and its inverse leave in their sum where the array moves between them, for a gain of 1."""
         # A_1 (1 + h) / 2 + A_2 (1 - h) / 2 = (A_1 + A_2) / 2 + (A_1 h - A_2 h) / 2
-        poses = (predicted.pose_at(frame.time_s) for frame in (pair.pattern, pair.inverted))
-        first, second = (image_of(header, pose, corner, shape) for pose in poses)
-        return 0.5 * (first - second)
+        from heliograph.receive.image import kernels  # Numba is slow to import
+
+        images = np.empty((2, 6, *shape))
+        for frame, image in zip((pair.pattern, pair.inverted), images, strict=True):
+            pose = predicted.pose_at(frame.time_s)
+            kernels.render(pose.full_vector(), header, float(corner[0]), float(corner[1]), image)
+        return np.asarray(0.5 * (images[0, 0] - images[1, 0]))
 
     def _smear(self, state: PoseState) -> tuple[float, float]:
         """Standard deviations in px of the array's motion while a pair's light shone: evenly over two patterns."""
