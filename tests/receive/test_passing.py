@@ -8,7 +8,7 @@ from scenes import SIDE, draw, frame_of
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import Pose, receive_frames
-from heliograph.receive.timing.light_clock import view_header
+from heliograph.receive.timing.header_view import view_header
 from heliograph.signal.header import header_levels
 
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
 
-from heliograph.receive.timing.light_clock import HeaderView, LightClock
+from heliograph.receive.timing.header_view import HeaderView
+from heliograph.receive.timing.light_clock import LightClock
 from heliograph.signal.formats import words
 from heliograph.signal.header import header_cells
 from heliograph.signal.settings import SignalSettings

@@ -22,7 +22,8 @@ from heliograph.receive.timing.frame_pair import (
     is_data,
     sum_late_s,
 )
-from heliograph.receive.timing.light_clock import EXPLAINED, PATTERNS_AROUND, LightClock, view_header
+from heliograph.receive.timing.header_view import view_header
+from heliograph.receive.timing.light_clock import EXPLAINED, PATTERNS_AROUND, LightClock
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 

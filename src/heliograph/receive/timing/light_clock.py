@@ -10,16 +10,12 @@ over the grid is the measurement. The exposure is constant, so its log likelihoo
 start goes into a Kalman filter of time and rate.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from heliograph.base.arrays import RCOND, TINY, Floats
-from heliograph.base.frames import Frame
-from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import cut_out, window_around
+from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
 from heliograph.receive.timing.combination import SlotLight
+from heliograph.receive.timing.header_view import HeaderView
 from heliograph.signal.formats import words
 from heliograph.signal.header import header_cells
 from heliograph.signal.pwm import SLOTS
@@ -75,46 +71,6 @@ LEAST_DEVIATION = 0.004
 
 It is below the 0.005 to 0.02 T_b to which one header gives the start.
 """
-
-CLIPPED = 0.02
-"""Fraction of an array's pixels at full scale from which on its brightness is not used.
-
-Chosen; docs/constants.md says what half and twice of it cost.
-"""
-
-MOVING_PX = 0.5
-"""Motion in px from frame to frame at which the brightness counts half in power: what lies about an array moves past.
-
-At 1.4 px a bright background changed it by a tenth of the light within a header; at rest random data do by 3 %.
-"""
-
-SURROUNDINGS_PX = 3.0
-"""Pixels around the array against which its brightness is measured: five times the blur of the reference link."""
-
-
-@dataclass(frozen=True, slots=True)
-class HeaderView:
-    """What the frames around a header show.
-
-    Attributes
-    ----------
-    times_s
-        (frames,) starts of the exposures in seconds.
-    alternation
-        (frames,) amplitude of the header in gray levels, negative for its inverse.
-    brightness
-        (frames,) light of the array in gray levels, but for a constant.
-    clipped
-        Whether pixels were at full scale; the brightness is then not used.
-    trust
-        Weight of the brightness, 0 to 1: less where the array moves.
-    """
-
-    times_s: Floats
-    alternation: Floats
-    brightness: Floats
-    clipped: bool = False
-    trust: float = 1.0
 
 
 class LightClock:
@@ -354,54 +310,6 @@ class LightClock:
         bright = np.where(inside, 0.0, np.tile(self._light.mean[:SLOTS] - 0.5, patterns))
         missing = 0.5 * lit * (1 - contrast) * np.where(number % 2, -1.0, 1.0)
         return edges, wave, np.where(later, part * (light - 0.5) - missing, bright)
-
-
-def view_header(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderView:
-    """Measure what the frames around a header show.
-
-    Parameters
-    ----------
-    frames
-        The frames, in the order of time.
-    poses
-        The array's pose in each.
-    lit
-        (n, n) the header, +-1, times the LEDs' gains, 0 to 1.
-    """
-    shown = np.array([_shown(frame, pose, lit) for frame, pose in zip(frames, poses, strict=True)])
-    places = np.array([(pose.x, pose.y) for pose in poses])
-    moved = float(np.median(np.hypot(*np.diff(places, axis=0).T))) if len(poses) > 1 else 0.0
-    return HeaderView(
-        np.array([f.time_s for f in frames]),
-        shown[:, 0],
-        shown[:, 1],
-        shown[:, 2].max() > CLIPPED,
-        1 / float(np.hypot(1, moved / MOVING_PX)),
-    )
-
-
-def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
-    """Amplitudes of the header and of the array all on before an even background.
-
-    The fraction of its pixels that clip.
-    """
-    from heliograph.receive.image import kernels  # Numba is slow to import
-
-    window = window_around(pose, len(lit), SURROUNDINGS_PX)
-    x0, y0, width, height = window
-    cut = cut_out(frame, window)
-    model = np.empty((2, 6, height, width))
-    kernels.render(pose.full_vector(), lit, float(x0), float(y0), model[0])
-    kernels.render(pose.full_vector(), np.abs(lit), float(x0), float(y0), model[1])
-    columns = np.stack([model[0, 0].ravel(), model[1, 0].ravel(), np.ones(cut.size)], axis=1)
-    inside = model[1, 0] >= 0.5 * model[1, 0].max()
-    clipped = (cut[inside] >= frame.full_scale).mean()
-    # where only lit LEDs or only dark ones are left, the two images are one: the pseudo-inverse decides
-    header = np.linalg.lstsq(columns, cut.ravel(), rcond=RCOND)[0][0]
-    all_on = columns[:, 1]
-    # of the background, which may move, only what blur mixes in counts
-    light = all_on @ (cut.ravel() - header * columns[:, 0]) / max(float(all_on @ all_on), TINY)
-    return np.array([header, light, clipped])
 
 
 def _mean_over(starts: Floats, exposure: Floats | float, edges: Floats, values: Floats) -> Floats:
