@@ -142,7 +142,9 @@ def _bounds_of(kind: Any) -> dict[str, Any]:
 
 def _ref(about: Mapping[str, Any]) -> str:
     """Name of the settings class that a schema refers to, or nothing."""
-    return str(about.get("$ref", "")).rpartition("/")[2]
+    # older pydantic wraps a reference that has a default
+    (part,) = about.get("allOf", [about])
+    return str(part.get("$ref", "")).rpartition("/")[2]
 
 
 def _unit(name: str) -> str:
