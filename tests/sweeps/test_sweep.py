@@ -227,10 +227,10 @@ def test_a_store_is_resumed_and_extended(tmp_path: Path, monkeypatch: pytest.Mon
         patch.setattr(runner, "run_job", never)
         assert count(tmp_path) == first
     assert rows(tmp_path) == before
-    longer = count(tmp_path, StopRule(min_errors=50, max_codewords=30))
-    assert longer[0]["layers"]["high"]["codewords"] == 30
+    longer = count(tmp_path, StopRule(min_errors=50, max_codewords=24))
+    assert longer[0]["layers"]["high"]["codewords"] == 24
     assert all(computed == 1 for _, computed in rows(tmp_path))
-    assert longer == count(None, StopRule(min_errors=50, max_codewords=30))
+    assert longer == count(None, StopRule(min_errors=50, max_codewords=24))
 
 
 def test_seed_settings_and_version_are_new_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
