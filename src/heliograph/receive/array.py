@@ -1,4 +1,4 @@
-"""One array's reception: its frames paired, followed, and gathered to packets."""
+"""One array's receiver: its frames paired, followed, and gathered to packets."""
 
 import logging
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose, rim_distance
 from heliograph.receive.image.view import CAMERA, View
 from heliograph.receive.packets import Codeword, Packet, Status
-from heliograph.receive.reading import PacketReader
+from heliograph.receive.reader_protocol import PacketReader
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, Pairing, PoseAt
 from heliograph.receive.timing.light_clock import PATTERNS_AROUND

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from heliograph.base.errors import SettingsError
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.acquire.hypotheses import Hypothesis
 from heliograph.receive.acquire.phases import PhasedSearch
 from heliograph.receive.acquire.pyramid import PyramidSearch
-from heliograph.receive.acquire.readings import Reading
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.soft_combining import SoftBuffer
@@ -16,7 +16,7 @@ from heliograph.receive.events import Observer
 from heliograph.receive.image.view import View
 from heliograph.receive.packet_reader import SoftParts, SoftReader
 from heliograph.receive.plain.reader import PlainReader
-from heliograph.receive.reading import PacketReader
+from heliograph.receive.reader_protocol import PacketReader
 from heliograph.receive.receiver import Parts, StreamReceiver
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.timing.camera_clock import CameraClock, SteppedClock
@@ -163,7 +163,7 @@ def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
     form = PacketFormat(signal)
     decoding = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
     # by identity, not by array: one lost and found again goes on with its carousel
-    buffers: dict[Reading, SoftBuffer] = defaultdict(SoftBuffer)
+    buffers: dict[Hypothesis, SoftBuffer] = defaultdict(SoftBuffer)
 
     def reader(detection: Detection, tracker: Tracker) -> PacketReader:
         buffer = buffers[detection.identity, detection.orientation] if settings.soft.combining else None
@@ -210,7 +210,7 @@ def _following(
     pairing: Callable[[Detection], Pairing],
     reader: MakeReader,
 ) -> Callable[[Detection], ArrayReceiver]:
-    """Makes the reception of an array that was found."""
+    """Makes the receiver of an array that was found."""
     focal_px = settings.calibration.focal_m / settings.calibration.pixel_m
 
     def follow(detection: Detection) -> ArrayReceiver:

@@ -21,7 +21,7 @@ from heliograph.receive.image.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
 from heliograph.receive.packets import Codeword, Packet
-from heliograph.receive.reading import ReadHeader
+from heliograph.receive.reader_protocol import ReadHeader
 from heliograph.receive.settings import Feedback
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.background import SeenHeader

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
 
-from heliograph.receive.timing.header_view import HeaderView
+from heliograph.receive.timing.header_amplitudes import HeaderAmplitudes
 from heliograph.receive.timing.light_clock import LightClock
 from heliograph.signal.formats import words
 from heliograph.signal.header import header_cells
@@ -22,7 +22,7 @@ FINE = 2000
 SLOTS = np.array([15, 11, 5, 1]) / 16
 
 
-def header_view(start: float, exposure: float, period: float, seed: int = 0, form: int = 0) -> HeaderView:
+def header_view(start: float, exposure: float, period: float, seed: int = 0, form: int = 0) -> HeaderAmplitudes:
     """What frames `period` patterns apart show of a header that begins `start` patterns late, by fine sums.
 
     Its second pair signals a format: dimmed cells have the levels 3 and 1.
@@ -45,7 +45,7 @@ def header_view(start: float, exposure: float, period: float, seed: int = 0, for
         part = (steps >= t - start) & (steps < t - start + exposure)
         shown.append((100 * wave[part].mean(), 200 * bright[part].mean() + 31))
     alternation, brightness = (np.array(column, np.float64) for column in zip(*shown, strict=True))
-    return HeaderView(1e-3 * times, alternation, brightness)
+    return HeaderAmplitudes(1e-3 * times, alternation, brightness)
 
 
 @pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37), (0.25, 0.25)])
@@ -116,7 +116,7 @@ def test_what_is_no_header_is_not_explained() -> None:
     rng = np.random.default_rng(3)
     clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
     alternation, brightness = (rng.normal(0, 50, 9) for _ in range(2))
-    clock.measure(HeaderView(np.linspace(-2e-3, 6e-3, 9), alternation, brightness), 0)
+    clock.measure(HeaderAmplitudes(np.linspace(-2e-3, 6e-3, 9), alternation, brightness), 0)
     assert clock.explained < 0.7
 
 
@@ -179,13 +179,13 @@ def test_a_header_that_is_not_seen_leaves_the_clock_alone() -> None:
     before = clock.time_s(50), clock.gain, clock.exposure
     rng = np.random.default_rng(0)
     times = (50.0 + np.arange(-2, 7)) * np.float64(1e-3)
-    assert not clock.measure(HeaderView(times, rng.normal(0, 3, 9), rng.normal(0, 3, 9)), 50)
+    assert not clock.measure(HeaderAmplitudes(times, rng.normal(0, 3, 9), rng.normal(0, 3, 9)), 50)
     assert (clock.time_s(50), clock.gain, clock.exposure) == pytest.approx(before)
 
 
-def unseen(pattern: int) -> HeaderView:
+def unseen(pattern: int) -> HeaderAmplitudes:
     """Frames around a header that is dark."""
-    return HeaderView(1e-3 * (pattern + np.arange(-2.0, 7.0)), np.full(9, 1e-3), np.zeros(9))
+    return HeaderAmplitudes(1e-3 * (pattern + np.arange(-2.0, 7.0)), np.full(9, 1e-3), np.zeros(9))
 
 
 def test_a_rate_well_known_wanders_as_quartz_does() -> None:

@@ -29,7 +29,7 @@ from heliograph.receive.events import DecodeEvent, ignore
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.reading import PacketReader, ReadHeader
+from heliograph.receive.reader_protocol import PacketReader, ReadHeader
 from heliograph.receive.receiver import StreamReceiver
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.pose_refinement import ObservedPacket

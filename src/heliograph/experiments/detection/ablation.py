@@ -17,7 +17,7 @@ from heliograph.receive.acquire.coarse import (
     busy_blocks,
     coarse_candidates,
 )
-from heliograph.receive.acquire.readings import ALL_ON, headers
+from heliograph.receive.acquire.hypotheses import ALL_ON, headers
 from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.image.orientation import UPRIGHT as UPRIGHT_CAMERA
 from heliograph.receive.settings import ReceiveSettings

@@ -259,7 +259,7 @@ def coarse_candidates(
     parameters
         What is looked for.
     cells
-        (identities, 16) cells of the headers, of `readings.Headers`.
+        (identities, 16) cells of the headers, of `hypotheses.Headers`.
     sides
         (sizes,) sides of arrays in px, of `SearchParameters.sides`.
     apart

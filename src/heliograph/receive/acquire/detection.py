@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.header_fit import CLEAR
-from heliograph.receive.acquire.readings import Reading
+from heliograph.receive.acquire.hypotheses import Hypothesis
 from heliograph.receive.image.fit import Fit
 from heliograph.receive.image.orientation import UPRIGHT, Orientation
 from heliograph.receive.image.pose import Pose
@@ -55,11 +55,11 @@ class Detection:
     regularity: float
     led_gains: NDArray[np.float64]
     orientation: Orientation = UPRIGHT
-    others: tuple[Reading, ...] = ()
+    others: tuple[Hypothesis, ...] = ()
     drift: tuple[float, float] = (0.0, 0.0)
 
     @property
-    def readings(self) -> "list[Detection]":
+    def hypotheses(self) -> "list[Detection]":
         """The same for all that its header may mean, the most plausible first."""
         others = [replace(self, identity=i, orientation=o, others=()) for i, o in self.others]
         return [replace(self, others=()), *others]

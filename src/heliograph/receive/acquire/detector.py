@@ -36,7 +36,7 @@ from heliograph.receive.acquire.coarse import (
 from heliograph.receive.acquire.detection import HIDDEN_REGULARITY, Detection
 from heliograph.receive.acquire.drift import drift_of
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header, fit_moving
-from heliograph.receive.acquire.readings import ALL_ON, Headers, Reading, headers
+from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, Hypothesis, headers
 from heliograph.receive.acquire.slots import Due, Slots, alike, before, filled, in_common
 from heliograph.receive.image.fit import Fit, header_amplitude
 from heliograph.receive.image.orientation import ORIENTATIONS, Orientation
@@ -235,7 +235,7 @@ class Detector:
             rough = fit_near(change, origin, start, sign * weights, tilt, HIDING_BLUR)
             if rough is None or rough.score < self._parameters.coarse_score:
                 break
-            found = self._timed(slots, replace(rough.pose, blur=blur), weights, searched.readings[number], tilt)
+            found = self._timed(slots, replace(rough.pose, blur=blur), weights, searched.hypotheses[number], tilt)
             if found is not None and (best is None or found.score > best.score + GAINED):
                 best = found
             if best is not None and best.score >= CLEAR:
@@ -243,7 +243,7 @@ class Detector:
         return best
 
     def _timed(
-        self, slots: Slots, pose: Pose, weights: NDArray[np.float64], readings: tuple[Reading, ...], tilt: float
+        self, slots: Slots, pose: Pose, weights: NDArray[np.float64], hypotheses: tuple[Hypothesis, ...], tilt: float
     ) -> Detection | None:
         """Where the header begins, the start at which its frames alternate most; and the pose in just those frames."""
         shown = [None if frame is None else header_amplitude(frame, pose, weights) for frame in slots]
@@ -277,7 +277,7 @@ class Detector:
         drift = drift_of(frames, fit.pose, middle, led_gains * weights, self._period_s)
         moved = drift[0] * self._period_s, drift[1] * self._period_s
         fit = fit_moving(header, fit, led_gains * weights, LEVEL if level else tilt, moved)
-        (number, seen_as), *others = readings
+        (number, seen_as), *others = hypotheses
         return Detection(number, start_s, fit, middle, fit.score, regularity, led_gains, seen_as, tuple(others), drift)
 
     def _start_s(self, header: Slots) -> float:

@@ -29,7 +29,7 @@ from heliograph.receive.acquire.coarse import (
 )
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.detector import distinct
-from heliograph.receive.acquire.readings import ALL_ON, Headers, headers
+from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, headers
 from heliograph.receive.acquire.slots import alike
 from heliograph.receive.image.fit import Fit, header_amplitude
 from heliograph.receive.image.orientation import ORIENTATIONS, Orientation
@@ -151,7 +151,7 @@ class StraddledDetector:
             return None
         time_s = 0.5 * (frames[0].time_s + frames[-1].time_s)
         start_s = frames[0].time_s + 0.5 * self._light_s
-        (identity, seen_as), *others = self._searched.readings[number]
+        (identity, seen_as), *others = self._searched.hypotheses[number]
         sound = np.ones(weights.shape)
         return Detection(identity, start_s, fit, time_s, fit.score, regularity, sound, seen_as, tuple(others))
 

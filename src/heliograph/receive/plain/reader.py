@@ -9,7 +9,7 @@ from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
 from heliograph.receive.packets import Codeword, Packet
 from heliograph.receive.plain.extract import luminances, normalised, pair_luminances
-from heliograph.receive.reading import ReadHeader
+from heliograph.receive.reader_protocol import ReadHeader
 from heliograph.receive.settings import Equaliser
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.kalman import PoseState

@@ -22,7 +22,7 @@ from heliograph.receive.timing.frame_pair import (
     is_data,
     sum_late_s,
 )
-from heliograph.receive.timing.header_view import view_header
+from heliograph.receive.timing.header_amplitudes import header_amplitudes
 from heliograph.receive.timing.light_clock import EXPLAINED, PATTERNS_AROUND, LightClock
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
@@ -148,7 +148,7 @@ class ClockedPairing:
         there = [
             poses[int(known[np.argmin(np.abs(known - k))])](frame.time_s) for k, frame in zip(pairs, near, strict=True)
         ]
-        seen = clock.measure(view_header(near, there, self._signs * led_gains), pattern, again=pattern == 0)
+        seen = clock.measure(header_amplitudes(near, there, self._signs * led_gains), pattern, again=pattern == 0)
         if not seen or _in_step(clock, self._combination(clock, near, pattern)):
             return None
         inside, combination = self._header_combination(clock, pattern, (0, self._header))
@@ -212,7 +212,7 @@ class ClockedPairing:
             self.lost = True
             return clock
         there = [_moved(self._pose, self._drift, frame.time_s - self._time_s) for frame in near]
-        clock.measure(view_header(near, there, self._signs * self._led_gains), 0)
+        clock.measure(header_amplitudes(near, there, self._signs * self._led_gains), 0)
         self.lost = clock.explained < EXPLAINED
         if not _in_step(clock, self._combination(clock, near, 0)):
             # the detection took frames to be in step, and so the header for weaker than it is

@@ -15,7 +15,7 @@ import numpy as np
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
 from heliograph.receive.timing.combination import SlotLight
-from heliograph.receive.timing.header_view import HeaderView
+from heliograph.receive.timing.header_amplitudes import HeaderAmplitudes
 from heliograph.signal.formats import words
 from heliograph.signal.header import header_cells
 from heliograph.signal.pwm import SLOTS
@@ -178,12 +178,12 @@ class LightClock:
         shown, light = (_mean_over(starts, self.exposure, edges, values) for values in (wave, bright))
         return shown, 0.5 + light
 
-    def measure(self, view: HeaderView, pattern: int, again: bool = False) -> bool:
+    def measure(self, amplitudes: HeaderAmplitudes, pattern: int, again: bool = False) -> bool:
         """Correct the clock by a header.
 
         Parameters
         ----------
-        view
+        amplitudes
             What the frames around it show.
         pattern
             Its first pattern, counted from the header of the detection.
@@ -202,7 +202,7 @@ class LightClock:
         likely = self._evidence > self._evidence.max() - GIVEN_UP
         self._exposures, self._evidence = self._exposures[likely], self._evidence[likely]
         self._prior = self._prior[likely]
-        cost = self._cost(view, offset)
+        cost = self._cost(amplitudes, offset)
         if self._measured and self.explained < EXPLAINED:
             self.gain = gain
             return False
@@ -211,7 +211,7 @@ class LightClock:
         if self._measured:
             cost = cost + 0.5 * (offset / max(spread, LEAST_DEVIATION)) ** 2
         else:
-            cost = cost - self._in_step(view.times_s, offset)
+            cost = cost - self._in_step(amplitudes.times_s, offset)
         by_exposure = -cost.min(1) + np.log(np.exp(cost.min(1)[:, None] - cost).sum(1))
         self._evidence = self._evidence + by_exposure - by_exposure.max()
         chance = np.exp((self._evidence - self._evidence.max() - by_exposure)[:, None] - cost)
@@ -255,15 +255,16 @@ class LightClock:
         self.rate += float(gain[1]) * error_s
         self._covariance = self._covariance + np.outer(gain, gain) * (min(variance, prior) - prior)
 
-    def _cost(self, view: HeaderView, offset: Floats) -> Floats:
+    def _cost(self, amplitudes: HeaderAmplitudes, offset: Floats) -> Floats:
         """Negative log likelihood (exposures, offsets) of starts `offset` patterns after the predicted start."""
-        place = (view.times_s - self.start_s) / self.period_s
+        place = (amplitudes.times_s - self.start_s) / self.period_s
         starts = place - offset[:, None]
-        shown = np.concatenate([2 * view.alternation, view.trust * (view.brightness - view.brightness.mean())])
+        brighter = amplitudes.brightness - amplitudes.brightness.mean()
+        shown = np.concatenate([2 * amplitudes.alternation, amplitudes.trust * brighter])
         # a header of gain g: alternation g wave / 2, brightness g bright and a constant, both linear in what is dimmed
         model = np.stack([self._model(starts, *dim) for dim in ((0, 0), (1, 0), (0, 1))])
-        model[..., len(place) :] *= view.trust
-        if view.clipped:
+        model[..., len(place) :] *= amplitudes.trust
+        if amplitudes.clipped:
             shown, model = shown[: len(place)], model[..., : len(place)]
         model[1:] -= model[0]
         match, norm = model @ shown, np.einsum("aeof,beof->abeo", model, model)

@@ -16,7 +16,7 @@ from heliograph.receive.acquire.coarse import APART, SHIFTED
 from heliograph.receive.image.orientation import Orientation
 from heliograph.signal.header import IDENTITIES, header_cells
 
-Reading = tuple[int, Orientation]
+Hypothesis = tuple[int, Orientation]
 """Identity of an array, and how the camera sees it."""
 
 
@@ -28,14 +28,14 @@ class Headers:
     ----------
     cells
         (headers, 16) of +-1, as the camera sees them; no two are the same.
-    readings
+    hypotheses
         What each may mean, the most plausible first.
     apart
         Least distance of two candidates as a fraction of the side; see `coarse_candidates`.
     """
 
     cells: NDArray[np.float64]
-    readings: tuple[tuple[Reading, ...], ...]
+    hypotheses: tuple[tuple[Hypothesis, ...], ...]
     apart: float = APART
 
 
@@ -52,13 +52,13 @@ def headers(orientations: Sequence[Orientation], other: Sequence[Orientation] = 
     orientations
         How it may see the arrays, the most plausible first.
     other
-        Orientations that are less plausible: their headers are left out, but are readings of those that are the same.
+        Orientations that are less plausible: their headers are left out, but are hypotheses of those that are the same.
     """
-    seen: dict[bytes, list[Reading]] = defaultdict(list)
+    seen: dict[bytes, list[Hypothesis]] = defaultdict(list)
     for orientation in (*orientations, *other):
         for number in range(IDENTITIES):
             seen[orientation.turned(header_cells(number)).tobytes()].append((number, orientation))
-    kept = {cells: readings for cells, readings in seen.items() if readings[0][1] in orientations}
+    kept = {cells: hypotheses for cells, hypotheses in seen.items() if hypotheses[0][1] in orientations}
     cells = np.array([np.frombuffer(one, np.int8) for one in kept], np.float64)
     apart = APART if len(orientations) == 1 else SHIFTED
     return Headers(cells, tuple(map(tuple, kept.values())), apart)

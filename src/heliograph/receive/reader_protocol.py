@@ -1,4 +1,4 @@
-"""What a reader of packets must offer to the reception of an array."""
+"""What a reader of packets must offer to the receiver of an array."""
 
 from dataclasses import dataclass
 from typing import Protocol

@@ -1,4 +1,4 @@
-"""The receptions of one array: one for each way in which its header may be read, until a codeword is right."""
+"""The receivers of one array: one for each way in which its header may be read, until a codeword is right."""
 
 from collections.abc import Iterator, Sequence
 
@@ -8,24 +8,24 @@ from heliograph.receive.image.orientation import UPRIGHT, Orientation
 from heliograph.receive.packets import Packet
 
 
-class ArrayReadings:
+class ArrayHypotheses:
     """An array that is followed, its identity and orientation taken to be any of several until a codeword is right.
 
     Parameters
     ----------
-    receptions
-        A reception for each identity and orientation that the header may mean, the most plausible first.
+    receivers
+        A receiver for each identity and orientation that the header may mean, the most plausible first.
     settled
-        Whether the camera's orientation is known; there is then one reception.
+        Whether the camera's orientation is known; there is then one receiver.
     """
 
-    def __init__(self, receptions: Sequence[ArrayReceiver], settled: bool):
-        self._receptions, self._settled = list(receptions), settled
+    def __init__(self, receivers: Sequence[ArrayReceiver], settled: bool):
+        self._receivers, self._settled = list(receivers), settled
 
     @property
     def leading(self) -> ArrayReceiver:
-        """The most plausible reception; once a codeword was right, the only one."""
-        return self._receptions[0]
+        """The most plausible receiver; once a codeword was right, the only one."""
+        return self._receivers[0]
 
     @property
     def credible(self) -> bool:
@@ -40,7 +40,7 @@ class ArrayReadings:
     @property
     def done(self) -> bool:
         """Whether it is followed no longer."""
-        return not self._receptions or self.leading.done
+        return not self._receivers or self.leading.done
 
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packet it completes.
@@ -50,11 +50,11 @@ class ArrayReadings:
         frame
             The frame, with the time that the clock gives it.
         """
-        yield from self._believed([(one, list(one.push(frame))) for one in self._receptions])
+        yield from self._believed([(one, list(one.push(frame))) for one in self._receivers])
 
     def flush(self) -> Iterator[Packet]:
         """Yield the packet in progress if at least half of its data was seen."""
-        yield from self._believed([(one, list(one.flush())) for one in self._receptions])
+        yield from self._believed([(one, list(one.flush())) for one in self._receivers])
 
     def settle(self, orientation: Orientation) -> bool:
         """Leave out what the camera's orientation rules out.
@@ -66,21 +66,21 @@ class ArrayReadings:
 
         Returns
         -------
-        Whether a reception is left.
+        Whether a receiver is left.
         """
-        left = [one for one in self._receptions if one.orientation == orientation]
+        left = [one for one in self._receivers if one.orientation == orientation]
         if left:
-            self._receptions, self._settled = left, True
+            self._receivers, self._settled = left, True
         return bool(left)
 
     def _believed(self, read: list[tuple[ArrayReceiver, list[Packet]]]) -> Iterator[Packet]:
-        """Packets of the reception of which a codeword was right, else of the upright one."""
+        """Packets of the receiver of which a codeword was right, else of the upright one."""
         proven = next((one for one, _ in read if one.proven), None)
         if proven is not None:
-            self._receptions = [proven]
+            self._receivers = [proven]
         else:
             # what gave up is no longer of interest, but the leading one says when all is over
-            self._receptions[1:] = [one for one in self._receptions[1:] if not one.done]
+            self._receivers[1:] = [one for one in self._receivers[1:] if not one.done]
         for one, packets in read:
             if one is self.leading and self.credible:
                 yield from packets

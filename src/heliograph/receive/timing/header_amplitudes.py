@@ -26,7 +26,7 @@ SURROUNDINGS_PX = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class HeaderView:
+class HeaderAmplitudes:
     """What the frames around a header show.
 
     Attributes
@@ -50,7 +50,7 @@ class HeaderView:
     trust: float = 1.0
 
 
-def view_header(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderView:
+def header_amplitudes(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderAmplitudes:
     """Measure what the frames around a header show.
 
     Parameters
@@ -65,7 +65,7 @@ def view_header(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderVi
     shown = np.array([_shown(frame, pose, lit) for frame, pose in zip(frames, poses, strict=True)])
     places = np.array([(pose.x, pose.y) for pose in poses])
     moved = float(np.median(np.hypot(*np.diff(places, axis=0).T))) if len(poses) > 1 else 0.0
-    return HeaderView(
+    return HeaderAmplitudes(
         np.array([f.time_s for f in frames]),
         shown[:, 0],
         shown[:, 1],
