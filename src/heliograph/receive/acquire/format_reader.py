@@ -140,7 +140,7 @@ class FormatReader:
         poses
             The array's pose in each.
         led_gains
-            (n, n) gains of its LEDs, 0 to 1: hidden cells are not dimmed ones.
+            (n, n) gains of its LEDs, at least 0, 1 for the median LED: hidden cells are not dimmed ones.
         """
         if number == 0:
             self._first = pair, poses
@@ -158,7 +158,7 @@ class FormatReader:
         frames
             Frames of the header, and what each shows of its cells.
         led_gains
-            (n, n) gains of the LEDs, 0 to 1.
+            (n, n) gains of the LEDs, at least 0, 1 for the median LED.
         """
         rows, cols = frames.images.shape[1:]
         a = self._images(frames.pose, led_gains, (*frames.corner, cols, rows))

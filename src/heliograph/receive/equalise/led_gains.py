@@ -1,7 +1,7 @@
 """Gains of the LEDs, learnt from headers: LEDs that are dead, stuck or hidden have none.
 
 In the difference of a header and its inverse the background cancels. An LED that does not follow the pattern is missing
-there, whether dark, lit or hidden. With h the header as +-1 and w the gains of the LEDs, 0 to 1,
+there, whether dark, lit or hidden. With h the header as +-1 and w the gains of the LEDs, at least 0,
 
     d = g A (h w) + n,
 

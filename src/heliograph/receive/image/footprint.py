@@ -38,7 +38,7 @@ class Footprints(NamedTuple):
         Parameters
         ----------
         led_gains
-            (n, n) gains of the LEDs, 0 to 1; None for 1 each.
+            (n, n) gains of the LEDs, at least 0, 1 for the median LED; None for 1 each.
         """
         if led_gains is None:
             return self
@@ -108,7 +108,7 @@ def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[i
     Parameters
     ----------
     levels
-        (n, n) luminances of the LEDs, or their gains, 0 to 1.
+        (n, n) luminances of the LEDs, 0 to 1, or their gains, at least 0, 1 for the median LED.
     pose
         Pose of the array's image on the sensor.
     corner

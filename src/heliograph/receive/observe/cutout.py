@@ -72,7 +72,7 @@ class Cutout:
         Parameters
         ----------
         led_gains
-            (n, n) gains of the LEDs, 0 to 1.
+            (n, n) gains of the LEDs, at least 0, 1 for the median LED.
         """
         return led_gains if self.in_sight is None else led_gains * self.in_sight
 
@@ -96,7 +96,7 @@ class Cutout:
         gain
             Gray levels of the sum of a pair with all LEDs on.
         led_gains
-            (n, n) gains of the LEDs, 0 to 1.
+            (n, n) gains of the LEDs, at least 0, 1 for the median LED.
 
         Returns
         -------

@@ -60,7 +60,7 @@ def measure_noise(cutouts: Sequence[Cutout], gain: float, side: int, led_gains: 
     side
         LEDs in a row.
     led_gains
-        (n, n) gains of the LEDs, 0 to 1; None for 1 each.
+        (n, n) gains of the LEDs, at least 0, 1 for the median LED; None for 1 each.
     """
     if not cutouts:
         return Noise(LEAST_NOISE, LEAST_NOISE)

@@ -237,7 +237,7 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
     side
         LEDs in a row.
     led_gains
-        (n, n) gains of the LEDs, 0 to 1; None for 1 each.
+        (n, n) gains of the LEDs, at least 0, 1 for the median LED; None for 1 each.
     """
     shape, corner = cutout.shape, cutout.corner
     if cutout.in_sight is not None:

@@ -187,7 +187,7 @@ class Pairing(Protocol):
         pose_at
             Its pose at any time in seconds.
         led_gains
-            (n, n) gains of its LEDs, 0 to 1.
+            (n, n) gains of its LEDs, at least 0, 1 for the median LED.
 
         Returns
         -------

@@ -60,7 +60,7 @@ def header_amplitudes(frames: list[Frame], poses: list[Pose], lit: Floats) -> He
     poses
         The array's pose in each.
     lit
-        (n, n) the header, +-1, times the LEDs' gains, 0 to 1.
+        (n, n) the header, +-1, times the LEDs' gains, at least 0, 1 for the median LED.
     """
     shown = np.array([_shown(frame, pose, lit) for frame, pose in zip(frames, poses, strict=True)])
     places = np.array([(pose.x, pose.y) for pose in poses])

@@ -117,7 +117,7 @@ def fit_background(headers: list[SeenHeader], gain: float, led_gains: Floats) ->
     gain
         g, gray levels of the array with all LEDs on.
     led_gains
-        (n, n) gains of the LEDs, 0 to 1.
+        (n, n) gains of the LEDs, at least 0, 1 for the median LED.
     """
     views = [_behind(header, gain, led_gains) for header in headers]
 

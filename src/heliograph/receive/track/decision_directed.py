@@ -89,7 +89,7 @@ class DecisionDirectedTracker:
     gain
         Gray levels of the array with all LEDs on.
     led_gains
-        (n, n) gains of the LEDs, 0 to 1.
+        (n, n) gains of the LEDs, at least 0, 1 for the median LED.
 
     Attributes
     ----------

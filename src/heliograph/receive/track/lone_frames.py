@@ -118,7 +118,7 @@ def lone_cutout(
     gain
         Gray levels of the sum of a pair with all LEDs on.
     led_gains
-        (n, n) gains of the LEDs, 0 to 1.
+        (n, n) gains of the LEDs, at least 0, 1 for the median LED.
 
     Returns
     -------

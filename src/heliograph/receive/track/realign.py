@@ -31,7 +31,7 @@ def realigned(cutouts: Sequence[Cutout | None], led_gains: Floats) -> tuple[list
     cutouts
         One per pair; None where the array was not seen.
     led_gains
-        (n, n) gains of the LEDs, 0 to 1.
+        (n, n) gains of the LEDs, at least 0, 1 for the median LED.
 
     Returns
     -------

@@ -92,7 +92,7 @@ class Track:
     data_gain
         The same as headers show it, where the background cancels.
     led_gains
-        (n, n) gains of its LEDs, 0 to 1.
+        (n, n) gains of its LEDs, at least 0, 1 for the median LED.
     last_seen_s
         Time in seconds when it was last in sight.
     change
