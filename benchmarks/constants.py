@@ -263,8 +263,9 @@ Every numeric constant of the receivers has its origin beside it in the code: an
 This page shows what it is worth: how many codewords more or fewer are read with half and with twice its value, on the
 same films. Whole numbers stay whole. Of numbers from 0.5 to 1.5 the distance from 1 is halved and doubled. 0 means that
 the constant is not critical on these films: they find what a receiver cannot do without, not the last percent. The
-variances of the filter's observations (`DECIDED`, `HEADER_OBSERVATION`) are not in the table. Where it says "not
-measured" a constant came after the table was made. The page is made by
+variances of the filter's observations (`DECIDED`, `HEADER_OBSERVATION`) are not in the table. "Not measured" stands at
+constants that came after the table was made: most of them are for lost frames, posts, LED brightness, and near, turned
+and passing arrays, and no scene here has posts, or near, turned or passing arrays. The page is made by
 
 <!-- skip: next "not run: takes hours, and needs the repository" -->
 
@@ -280,7 +281,7 @@ Codewords read with all constants as they are, by scene (soft receiver where non
 |---|---|
 {scenes}
 
-Codewords read more or fewer ("not measured": constants of near and turned arrays, of which no scene here has any):
+Codewords read more or fewer:
 
 | constant | value | half | twice |
 |---|---|---|---|
