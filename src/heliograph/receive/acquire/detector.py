@@ -1,6 +1,6 @@
 """Detection: arrays found by the header that only they show.
 
-The header and its inverse alternate, so four frames in a row combined as f0 - 3 f1 + 3 f2 - f3 keep the header and
+The header and its inverse alternate, so four frames in a row combined as r_0 - 3 r_1 + 3 r_2 - r_3 keep the header and
 cancel what stands still, drifts or accelerates evenly. The result is correlated with the M-sequences of all identities
 over scale and position. The best candidates are fitted to a fraction of a pixel, and must alternate in step from frame
 to frame.

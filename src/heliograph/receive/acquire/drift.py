@@ -1,8 +1,8 @@
 """How fast a header moves in the image: a camera that passes an array sideways sees it move by pixels a frame.
 
-Each frame of a header shows c_k H + b_k A and an even background: H the header less its inverse, A the array with all
-LEDs on, whatever the camera's phase. About a pose p + v t_k the image is linear in a small error of p and v; all frames
-together give both (Gauss-Newton, c_k and b_k eliminated).
+Frame k of a header shows a_k A (2 Y - 1) + a'_k A 1 and an even background, whatever the camera's phase: Y is the
+header, A the blur matrix. About an even motion the image is linear in small errors of place and motion; all frames
+together give both (Gauss-Newton, a_k and a'_k eliminated).
 """
 
 from collections.abc import Sequence

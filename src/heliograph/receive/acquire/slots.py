@@ -11,10 +11,16 @@ Slots = Sequence[Frame | None]
 """Frames of successive patterns, None for those that are missing."""
 
 FAR_PAST_S = 1e9
-"""Seconds between frames that stand for those before the film: 30 years, so that no clock takes them for frames."""
+"""Seconds by which each frame that fills up the slots before the film lies before the next one.
+
+It is 30 years, so that no clock takes these for frames of the film.
+"""
 
 MISSING_FRAMES = 0.25
-"""Fraction of a header's frames that may be missing: without two of four, data before or after might stand for it."""
+"""Largest fraction of a header's frames that may be missing: one of four.
+
+Were two missing, frames of data before or after might pass for a header.
+"""
 
 Shown = TypeVar("Shown")
 

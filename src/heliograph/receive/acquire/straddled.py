@@ -1,10 +1,10 @@
 """Headers of a camera as fast as the light whose exposures straddle two patterns each.
 
-Half a pattern out of step a frame shows half of a pattern and half of the next. Within a header of h patterns that is
+Half a pattern out of step a frame shows half of a pattern and half of the next. Within a header of N patterns that is
 the same light from every LED: nothing alternates, and `detector` finds nothing. But the frame over its beginning shows
-half of the header, and the frame over its end half of the inverse. With w = h / (h - 2),
+half of the header, and the frame over its end half of the inverse. With w = N / (N - 2),
 
-    2 (f0 - w f1 + w f(h-1) - fh)
+    2 (r_0 - w r_1 + w r_(N-1) - r_N)
 
 is the header less its inverse, and light of the data before and after, which is random. What stands still, drifts or
 accelerates evenly cancels. The frames between are quiet, as those of data never are.
@@ -42,7 +42,7 @@ QUIET = 0.3
 """Most that changes within a header, as a fraction of what changes over it.
 
 A camera out of step by x T_b sees |1 - 2 x| of the header within; from 0.1 on `detector` finds it. Frames of data
-change as much from one to the next as over h patterns. Of noise alone it would be 0.45 for h = 4.
+change as much from one to the next as over N patterns. Of noise alone it would be 0.45 for N = 4.
 """
 
 DATA_SCORE = 0.78
@@ -104,7 +104,7 @@ class StraddledDetector:
         frames = common(list(self._frames))
         if min(frames[0].pixels.shape) < self._sides[0]:
             return []
-        # 2 (f0 - w f1 + w f(h-1) - fh), w = h / (h - 2): the header less its inverse, its levels being +-1/2
+        # 2 (r_0 - w r_1 + w r_(N-1) - r_N), w = N / (N - 2): the header less its inverse, its levels being +-1/2
         ends, weight = [frames[k] for k in (0, 1, -2, -1)], 2 * self._header / (self._header - 2)
         weights = (2.0, -weight, weight, -2.0)
         means = combined_means(ends, weights)

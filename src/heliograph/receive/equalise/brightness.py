@@ -1,11 +1,12 @@
 """Brightness of the LEDs, learnt from decoded data: LEDs of one array differ, and some are dead.
 
-Once symbols are known, the difference of a pair shows how much light each LED gives. With the brightness b of the LEDs,
-their known levels t = T c_k, the share w of each that is in sight, and the symbols u that are not known,
+Once symbols are known, the difference of a pair shows how much light each LED gives. Let beta be the
+brightness of the LEDs, T c_known their light by the known symbols, sight the fraction of each LED in sight, and c_open
+the symbols that are not known. Then
 
-    d = g (A diag(w t) b + o + B_u c_u) + n,
+    d = g (A diag(sight T c_known) beta + o + B_open c_open) + n,
 
-linear in b. Levels are random from pair to pair, so that the pairs of a packet tell neighbours apart that blur has
+linear in beta. Levels are random from pair to pair, so that the pairs of a packet tell neighbours apart that blur has
 mixed. The light of unknown symbols is marginalised, as noise of known colour, and so is what an error of the pose
 makes: a bright background may have pulled it. Normal equations add up over pairs and packets, those of every second
 pair apart: LEDs are unequal where both halves say so, for what errors of the image make differs between them.
@@ -104,7 +105,7 @@ class DecodedPair:
             The pair says nothing of its LEDs: its pose is too far off, or gain and noise are absurd.
         """
         pair, whitened, unknown = self.statistics, self.whitened, self.unknown
-        # N = (B_u, H): G - B^T N (N^T N + s^2 / g^2 P^-1)^-1 N^T B
+        # N = (B_open, F): G - B^T N (N^T N + s^2 / g^2 P^-1)^-1 N^T B
         slopes = self.slopes.reshape(len(self.slopes), -1)
         shown = (whitened.difference - gain * whitened.offset).ravel()
         seen, images = pair.matched - gain * pair.offset, whitened.all_correlated(self.slopes)

@@ -2,9 +2,10 @@
 
 The light of a symbol that is not decoded is noise to all others. Linear MMSE takes it as Gaussian with the variance 1.
 But a symbol is -1 or +1; where a pair shows something of it, it is less uncertain than that. In place of the prior of
-symbol i stands a Gaussian, its *site*, of precision L_i and mean G_i / L_i. The equaliser's estimate without the site
-is the *cavity*. The site is chosen so that site and cavity together have the mean and the variance that the cavity has
-with -1 and +1, each as probable as the turbo decoder says (Minka 2001; for equalisers Santos et al. 2017).
+symbol i stands a Gaussian, its *site*, of precision Lambda_i and mean eta_i / Lambda_i. The equaliser's estimate
+without the site is the *cavity*. The site is chosen so that site and cavity together have the mean and the variance
+that the cavity has with -1 and +1, each as probable as the turbo decoder says (Minka 2001; for equalisers Santos et al.
+2017).
 """
 
 from dataclasses import dataclass
@@ -75,7 +76,7 @@ class ExpectationPropagation:
         llr = 2 * np.arctanh(np.clip(mean, KNOWN_VARIANCE - 1, 1 - KNOWN_VARIANCE)) + 2 * self.cavity_weighted
         both = np.tanh(0.5 * llr)
         spread = np.maximum(1 - both**2, 2 * KNOWN_VARIANCE)
-        # L_i = 1 / variance - L_cavity, G_i = mean / variance - G_cavity
+        # Lambda_i = 1 / variance - Lambda_cavity, eta_i = mean / variance - eta_cavity
         precision, weighted = 1 / spread - self.cavity, both / spread - self.cavity_weighted
         step = np.where(self.cavity == 0, 1.0, np.where(precision > LEAST_PRECISION, DAMPING, 0.0))
         self.precision += step * (precision - self.precision)

@@ -90,11 +90,11 @@ def extrinsic(covariance, posterior, mean, variance, out):
     The estimate m is linear in the symbols: m_i - c_0i = sum_j R_ij (c_j - c_0j) + noise with R = 1 - S V^-1. In the
     statistic
 
-        u_i = m_i - c_0i S_ii / v_i = k c_i - sum_j S_ij / v_j (c_j - c_0j) + noise,   k = 1 - S_ii / v_i,
+        chi_i = m_i - c_0i S_ii / v_i = kappa c_i - sum_j S_ij / v_j (c_j - c_0j) + noise,   kappa = 1 - S_ii / v_i,
 
-    of variance k S_ii, the symbols that weigh most are drawn from +-1 and the rest is Gaussian. With all of them
-    Gaussian the LLR would be 2 u_i / S_ii, too small where few neighbours disturb and their sum has no tails. `FEW` are
-    drawn at first; where the LLR is then between `DOUBTFUL_LLR` and `DECIDED_LLR`, `MANY`.
+    of variance kappa S_ii, the symbols that weigh most are drawn from +-1 and the rest is Gaussian. With all of them
+    Gaussian the LLR would be 2 chi_i / S_ii, too small where few neighbours disturb and their sum has no tails. `FEW`
+    are drawn at first; where the LLR is then between `DOUBTFUL_LLR` and `DECIDED_LLR`, `MANY`.
 
     Parameters
     ----------

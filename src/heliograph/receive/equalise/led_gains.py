@@ -1,13 +1,13 @@
 """Gains of the LEDs, learnt from headers: LEDs that are dead, stuck or hidden have none.
 
 In the difference of a header and its inverse the background cancels. An LED that does not follow the pattern is missing
-there, whether dark, lit or hidden. With h the header as +-1 and w the gains of the LEDs, at least 0,
+there, whether dark, lit or hidden. With Y the header and w the gains of the LEDs, at least 0,
 
-    d = g A (h w) + n,
+    d = g A diag(w) (2 Y - 1) + n,
 
-the equaliser's problem with h w in place of the data: w follows by linear MMSE around w = 1. A bright background may
-have pulled the pose away, and LEDs of a rim would then seem to miss, so the difference that an error of the pose makes
-is marginalised.
+the equaliser's problem with diag(w) (2 Y - 1) in place of the data: w follows by linear MMSE around w = 1. A bright
+background may have pulled the pose away, and LEDs of a rim would then seem to miss, so the difference that an error of
+the pose makes is marginalised.
 """
 
 from dataclasses import dataclass
@@ -176,6 +176,6 @@ def _estimate(seen: PairStatistics, header: Floats, brightness: Floats, gain: fl
     """Gain of each LED, (n, n), by linear MMSE about its brightness."""
     signs = by_squares(header)
     mean = kernels.symbols_of(by_squares(header * brightness))
-    # of h w of the variance s^2 the symbols have the variance 4 s^2, T T^T being 1/4
+    # of diag(w) (2 Y - 1) of the variance s^2 the symbols have the variance 4 s^2, T T^T being 1/4
     symbols = equalise(seen, gain, noise, mean, np.full(mean.size, 4 * LED_GAIN_SPREAD**2)).mean
     return to_grid(kernels.leds_of(symbols) / signs)

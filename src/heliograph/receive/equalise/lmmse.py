@@ -146,7 +146,7 @@ def products(
 
     Returns
     -------
-    (k, k) A^T (1 + g^2 / s^2 B_u B_u^T)^-1 A of the images A.
+    (k, k) A^T (1 + g^2 / s^2 B_open B_open^T)^-1 A of the images A.
     """
     # Woodbury: A^T (1 + g^2 / s^2 B B^T)^-1 A = A^T A - A^T B (B^T B + s^2 / g^2)^-1 B^T A, a matrix of symbols
     flat = images.reshape(len(images), -1)

@@ -278,7 +278,7 @@ class ClockedPairing:
         frames: list[Frame],
         window: tuple[int, int, int, int],
     ) -> FramePair:
-        """Combined pattern and inverse: their sum is all LEDs on, their difference D; times count from `place`."""
+        """Combined pattern and inverse: their sum is all LEDs on, their difference data. Times count from `place`."""
         weights = np.stack([combination.total + combination.difference, combination.total - combination.difference]) / 2
         first, second = np.tensordot(weights, _cut(frames, window), 1).astype(np.float32)
         # a frame's time is the start of its exposure, half a pattern before the middle of its light

@@ -1,13 +1,14 @@
 """Frames of any timing combined to a pattern and its inverse, and what the two then contain.
 
-In units of T_b from the start of a pair, slot j of the pair shows slot j of its pattern, u_j, up to j = 3, then slot
-j - 4 of its inverse, 1 - u_(7 - j). A frame exposed from a to a + tau shows each slot by their overlap,
+Let on_j be 1 where an LED is on in slot j of a pattern, else 0. The first four slots of a pair show on_0 to on_3. The
+other four are those of the inverse: slot j of the inverse shows 1 - on_(3 - j). A frame f shows each slot by the
+overlap omega of its exposure and the slot. Of an LED it shows
 
-    l_f = sum_q sum_r V_fqr u_qr + k_f,
+    l_f = sum_i sum_j omega_fij on_ij + const_f,
 
-where r counts the slots and q the pairs: the one before, this one and the next. Of all differences
-D = sum_f alpha_f l_f in which everything constant cancels, sum_f alpha_f = 0, `combine_pair` takes the one whose slope
-over the pair's levels is largest against noise and light of the pairs before and after.
+where j counts the slots and i the pairs: the one before, this one and the next. A difference d = sum_f alpha_f r_f of
+the frames r_f with sum_f alpha_f = 0 holds nothing that is constant. Of all such differences `combine_pair` takes the
+one whose slope over the pair's levels is largest against noise and light of the pairs before and after.
 """
 
 from dataclasses import dataclass
@@ -52,7 +53,7 @@ It costs a quarter of a dB: 0.1 T_b cost 0.7 dB.
 """
 
 LEAK = 1e-3
-"""Least weight of another pair's slot in D that is subtracted; the pair's own weigh 1/2 each."""
+"""Least weight of another pair's slot in the difference that is subtracted; the pair's own weigh 1/2 each."""
 
 PAIR = 2 * SLOTS
 _EDGES = np.arange(-PAIR, 2 * PAIR + 1) / SLOTS
@@ -67,11 +68,11 @@ class Combination:
     frames
         (k,) numbers of the frames, in the order given.
     difference
-        (k,) weights of D: positive ones make the pattern, negative ones its inverse; each sum to about 1.
+        (k,) weights of the difference: positive ones make the pattern, negative ones its inverse; each sum to about 1.
     total
         (k,) weights of the sum, in which the array is lit most evenly and as brightly as with all LEDs on.
     slots
-        (3, 4) light of each u_r in D: of the pair before, of this one, of the next.
+        (3, 4) light of each on_j in the difference: of the pair before, of this one, of the next.
     levels
         Mean light in the combined pattern and in its inverse for random data; 1/2 each in step.
     sum_time
@@ -79,7 +80,8 @@ class Combination:
     data_times
         Mean times of the data's light in pattern and inverse, likewise.
     dimmed
-        Of a header, what D shows of a cell that is dimmed to signal a format: contrast and light, 1/2 and 0 in step.
+        Of a header, what the difference shows of a cell that is dimmed to signal a format: contrast and light, 1/2 and
+        0 in step.
     """
 
     frames: NDArray[np.intp]
@@ -93,7 +95,7 @@ class Combination:
 
     @property
     def noise(self) -> float:
-        """Noise variance of D, 1 for a difference of two frames."""
+        """Noise variance of the difference, 1 for a difference of two frames."""
         return float(0.5 * (self.difference**2).sum())
 
     @property
@@ -116,7 +118,7 @@ class Combination:
 
     @cached_property
     def leaks(self) -> tuple[Floats | None, Floats | None]:
-        """(16, 4) light in D of the symbols of the pair before and of the next; None where there is none."""
+        """(16, 4) light in the difference of the symbols of the pairs before and after; None where there is none."""
         before, after = (
             partial_exposure.response(slots) if np.abs(slots).max() > LEAK else None for slots in self.slots[[0, 2]]
         )
@@ -142,7 +144,7 @@ class SlotLight:
 
     @cached_property
     def shows(self) -> Floats:
-        """(24, 3, 4): factor of each u_r in each slot of three pairs, 1 in patterns and -1 in inverses."""
+        """(24, 3, 4): factor of each on_j in each slot of three pairs, 1 in patterns and -1 in inverses."""
         out = np.zeros((3 * PAIR, 3, SLOTS))
         for j in range(3 * PAIR):
             q, s = divmod(j, PAIR)
@@ -248,7 +250,7 @@ def _overlaps(starts: Floats, exposure: float) -> tuple[Floats, Floats]:
 
 
 def _difference(shown: Floats, slope: Floats) -> Floats:
-    """Weights of D: alpha = M^-1 (h - mu 1), which maximises (alpha h)^2 / (alpha M alpha) with sum alpha = 0."""
+    """Weights alpha = Q^-1 (theta - mu 1), which maximise (alpha theta)^2 / (alpha Q alpha) with sum alpha = 0."""
     weights, used = np.zeros_like(slope), np.arange(len(slope))
     # what is not linear in the levels, and light of other pairs, counts as noise at first
     rest = partial_exposure.COVARIANCE - np.outer(partial_exposure.SLOPES, partial_exposure.SLOPES)
@@ -257,7 +259,7 @@ def _difference(shown: Floats, slope: Floats) -> Floats:
         matrix += shown[:, q] @ partial_exposure.COVARIANCE @ shown[:, q].T
     while len(used) >= 2:
         h, ones = slope[used], np.ones(len(used))
-        # mu = (1 M^-1 h) / (1 M^-1 1)
+        # mu = (1 Q^-1 theta) / (1 Q^-1 1)
         a, b = np.linalg.solve(matrix[np.ix_(used, used)], np.stack([h, ones], axis=1)).T
         alpha = a - b * (a.sum() / b.sum())
         strong = np.abs(alpha) >= LEAST_WEIGHT * np.abs(alpha).max()

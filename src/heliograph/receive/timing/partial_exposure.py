@@ -1,8 +1,8 @@
 """What an exposure of part of a pattern shows of the four symbols of a square of 2 x 2 LEDs.
 
-PWM lights an LED of level k in the first k slots: slot r of a pattern shows u_r = 1 where k > r, else 0, and slot r of
-the inverse shows 1 - u_(3 - r). Only the sum of all four u_r is the level, which is linear in the symbols. Any other
-sum of w_r u_r is a function of the square's four symbols that holds products of symbols. The four symbols have 16
+PWM lights an LED of level k in the first k slots: slot j of a pattern shows on_j = 1 where k > j, else 0, and slot j of
+the inverse shows 1 - on_(3 - j). Only the sum of all four on_j is the level, which is linear in the symbols. Any other
+sum of lambda_j on_j is a function of the square's four symbols that holds products of symbols. The four symbols have 16
 values in all, few enough to list the *response* to each.
 """
 
@@ -24,24 +24,24 @@ _LEVELS = 2 + VALUES @ SIGNS / 2
 _LIT = (_LEVELS[..., None] > np.arange(SLOTS)).astype(np.float64)
 
 MEAN_LIT = _LIT.mean((0, 1))
-"""(4,) E u_r of random data: 15, 11, 5 and 1 sixteenths."""
+"""(4,) E on_j of random data: 15, 11, 5 and 1 sixteenths."""
 
 COVARIANCE = np.einsum("klr,kls->rs", _LIT - MEAN_LIT, _LIT - MEAN_LIT) / (16 * 4)
-"""(4, 4) of the u_r of an LED."""
+"""(4, 4) of the on_j of an LED."""
 
 SLOPES = COVARIANCE.sum(0)
-"""(4,) cov(u_r, level); as the level's variance is 1, also the slope of u_r over the level."""
+"""(4,) cov(on_j, level); as the level's variance is 1, also the slope of on_j over the level."""
 
 
 def response(weights: Floats) -> Floats:
     """Observed symbols, by the 16 values of the true ones.
 
-    They are the Haar transform of the light sum_r w_r u_r of each LED about its mean.
+    They are the Haar transform of the light sum_j lambda_j on_j of each LED about its mean.
 
     Parameters
     ----------
     weights
-        (4,) w_r; 1/2 each for the whole of a pattern less the whole of its inverse.
+        (4,) lambda_j; 1/2 each for the whole of a pattern less the whole of its inverse.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def response_of_levels(weights: Floats, lit: NDArray[np.bool_]) -> Floats:
     Parameters
     ----------
     weights
-        (4,) w_r, the weight of each slot, as of `response`.
+        (4,) lambda_j, the weight of each slot, as of `response`.
     lit
         (n, n) LEDs that are lit.
 

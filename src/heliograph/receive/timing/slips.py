@@ -1,14 +1,14 @@
 """Frames lost without a gap in their times, found by what they show.
 
 A camera that numbers the frames it delivers says nothing of those it lost. From then on pattern and inverse change
-places. A slip shows itself: of frames u_i about their mean, at the LEDs' places,
+places. A slip shows itself. Let r~_i be frame i less the mean of the frames, at the LEDs' places. Then
 
-    e_ij = |u_i + u_j|^2 / (|u_i|^2 + |u_j|^2)
+    epsilon_ij = |r~_i + r~_j|^2 / (|r~_i|^2 + |r~_j|^2)
 
-is near 0 for a pattern and its inverse, and near 1 for patterns of different pairs. Where something hides the array, e
-says nothing. Where a pair is uneven, the frames after it are awaited, and paired at the least cost: e for each pair,
-`SLIP` for each frame taken as the one left of a pair. A pair that is lost as a whole leaves sums even; the next header
-tells of it, as it comes two patterns early.
+is near 0 for a pattern and its inverse, and near 1 for patterns of different pairs. Where something hides the array,
+epsilon says nothing. Where a pair is uneven, the frames after it are awaited. They are then paired at the least cost:
+epsilon for each pair, `SLIP` for each frame taken as the one left of a pair. A pair that is lost as a whole leaves sums
+even. The next header shows the loss, as it comes two patterns early.
 """
 
 from collections.abc import Iterator
@@ -26,13 +26,13 @@ from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
 EVEN = 0.4
-"""Largest e of an even pair: 4 standard deviations below that of 60 independent values of two patterns.
+"""Largest epsilon of an even pair: 4 standard deviations below that of 60 independent values of two patterns.
 
 Half of it is asked for where a copy is to explain a gap that the times have.
 """
 
 SLIP = 0.45
-"""Cost of a slip: less than half of e of one uneven pair, for two frames lost from two pairs leave only that."""
+"""Cost of a slip: less than half of epsilon of one uneven pair, for two frames lost from two pairs leave only that."""
 
 ENOUGH = 2
 """Least number of even pairs after a slip: one may be even by chance, where the array is hidden."""
@@ -60,7 +60,7 @@ FRESH = 0.1
 """Weight of a pair in the mean of frames: ten pairs count, as in the tracker's gain."""
 
 OFF = 0.2
-"""T_b by which a frame may be out of step for its pairs to be even: e is then 0.08 or less."""
+"""T_b by which a frame may be out of step for its pairs to be even: epsilon is then 0.08 or less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class _Held:
 
 @dataclass(frozen=True, slots=True)
 class _Pairs:
-    """Frames in hand paired: the cost of it, and e of each pair."""
+    """Frames in hand paired: the cost of it, and epsilon of each pair."""
 
     cost: float
     uneven: tuple[float, ...]
@@ -237,7 +237,7 @@ class SlipWatch:
         return number % 2 == 1 and first.number > self._number + 1 and is_data(number // 2, self._signal)
 
     def _uneven(self, place: int) -> float | None:
-        """The measure e of a frame in hand and the next, at most 1; None where one of them shows no pattern."""
+        """The measure epsilon of a frame in hand and the next, at most 1; None where one of them shows no pattern."""
         one, other = self._held[place : place + 2]
         u, v, powers = one.about, other.about, (one.power, other.power)
         if u is None or v is None or not (one.pattern and other.pattern) or min(powers) < LIKE * max(powers):

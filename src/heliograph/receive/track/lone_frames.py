@@ -1,12 +1,12 @@
 """Pairs of which one frame is lost: the other still tells, as the sums of the pairs around are known.
 
-A sum s = r + r' shows all LEDs and the background, whatever is sent. With the sum of the lost pair taken from those
+The sum r + r' shows all LEDs and the background, whatever is sent. With the sum of the lost pair taken from those
 around, what a frame shows is the difference
 
-    r - r' = 2 r - s,
+    r - r' = 2 r - (r + r'),
 
-of the pattern, or s - 2 r of the inverse. A sum moves with the array: what it holds beside the array's light is taken
-along from pose to pose, and the array's light put in at the pose of the frame left.
+r being the frame that is left; of the inverse it is the negative of that. A sum moves with the array: what it holds
+beside the array's light is taken along from pose to pose, and the array's light put in at the pose of the frame left.
 """
 
 from collections.abc import Mapping

@@ -3,10 +3,10 @@
 With the light of the decoded symbols known, the difference of a pair shows where the array is. A small error e of the
 pose has the likelihood of
 
-    d - g (B m + o) = g H e + g B_u (c_u - m_u) + n,   H = d(B_k c_k) / d pose,
+    d - g (B m + o) = g F e + g B_open (c_open - m_open) + n,   F = d(B_known c_known) / d pose,
 
-k being the decoded symbols and u the others, whose light is noise of known colour. Errors of successive pairs are
-correlated: some stay as long as the background does, others come and go with the shake. Both are Gauss-Markov
+known being the decoded symbols and open the others, whose light is noise of known colour. Errors of successive pairs
+are correlated: some stay as long as the background does, others come and go with the shake. Both are Gauss-Markov
 processes, of the sizes that explain the packet best.
 """
 
@@ -211,7 +211,7 @@ class ObservedPacket:
         evidence = dict[int, PoseEvidence]()
         for k, pair in self._decoded(mean, variance, STRIDE).items():
             left = pair.whitened.residual(gain, pair.symbols)
-            # J = g^2 H^T C^-1 H, s = g H^T C^-1 (d - g (B m + o)), C = s^2 + g^2 B_u B_u^T
+            # J = g^2 F^T C^-1 F, q = g F^T C^-1 (d - g (B m + o)), C = s^2 + g^2 B_open B_open^T
             images, scale = np.concatenate([pair.slopes, left[None]]), gain**2 / noise
             part = products(pair.whitened, pair.statistics, images, pair.unknown, scale)
             evidence[k] = PoseEvidence(scale * part[:4, :4], gain / noise * part[:4, 4])
@@ -240,7 +240,7 @@ class PoseEvidence:
     information
         Fisher information J, (4, 4), of x, y (px), ln pitch and roll (rad).
     score
-        s, (4,): slope of the log likelihood by these errors at e = 0.
+        q, (4,): slope of the log likelihood by these errors at e = 0.
     """
 
     information: Floats
@@ -277,7 +277,7 @@ def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats
     if not asked.size:
         return before
     information = block_diag(*(evidence[k].information for k in asked))
-    # about the first poses: J (e - e_0) = s
+    # about the first poses: J (e - e_0) = q
     score = np.concatenate([evidence[k].score for k in asked]) + information @ before[asked].ravel()
     apart = np.abs(np.arange(len(before))[:, None] - asked)
     # two independent Gauss-Markov processes
@@ -286,7 +286,7 @@ def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats
     for slow, fast in sorted(product(SLOW_SIZES, FAST_SIZES), key=lambda sizes: np.hypot(*sizes)):
         covariance = slow**2 * slowly + fast**2 * quickly
         asked_covariance = np.kron(covariance[asked], np.diag(POSE_SPREADS**2))
-        # e = P (1 + J P)^-1 s, ln p = s^T e / 2 - ln det(1 + J P) / 2 and a constant
+        # e = P (1 + J P)^-1 q, ln likelihood = q^T e / 2 - ln det(1 + J P) / 2 and a constant
         matrix = np.eye(score.size) + information @ asked_covariance
         factors = lu_factor(matrix, overwrite_a=True, check_finite=False)
         weights = lu_solve(factors, score, check_finite=False)

@@ -13,19 +13,22 @@ from heliograph.receive.image.pose import Pose
 AROUND_LEDS, AROUND_PX = 5, 4.0
 """Side of the square about an LED whose change counts, in LEDs, and at least in px.
 
-25 LEDs of random data have their mean power to a quarter; fewer pixels than 16 show too few of them after the blur.
+Of random data the mean power of 25 LEDs is within a quarter of its expectation. After the blur, fewer than 16 pixels
+show too few LEDs.
 """
 
 RECENT = 0.25
-"""Weight of a pair in the change of late: with 25 LEDs each and four pairs it is known to a tenth, at most a fifth.
+"""Weight of the newest pair in the recent change of an LED.
 
-A post that passes in 0.1 s hides an LED each 3 ms, so the change of late lags by two or three LEDs.
+With 25 LEDs about each and four pairs, the recent change has an error of a tenth, at most a fifth. A post that passes
+in 0.1 s hides an LED each 3 ms, so the recent change lags by two or three LEDs.
 """
 
 IN_SIGHT = 0.2
-"""Least change of late of an LED in sight, as a fraction of that of the others; four of its deviations below them.
+"""Least recent change of an LED in sight, as a fraction of that of the others.
 
-A rim's LEDs change by half of that of others because of the blur, one in a corner by a third.
+It lies four standard deviations below theirs. Because of the blur an LED of the rim changes half as much as others, one
+in a corner a third as much.
 """
 
 BRIGHT = 0.8
@@ -41,7 +44,7 @@ MOST = 2.0
 def recent_change(
     before: Floats, change: Floats, noise: float, pose: Pose, corner: tuple[int, int], least: float
 ) -> Floats:
-    """Change of each LED of late, as a fraction of that of LEDs in sight.
+    """Recent change of each LED, as a fraction of that of LEDs in sight.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ class Track:
     last_seen_s
         Time in seconds when it was last in sight.
     change
-        (n, n) of `recent_change`: what LEDs have changed of late from pattern to inverse.
+        (n, n) of `recent_change`: how much each LED changed from pattern to inverse in recent pairs.
     """
 
     state: PoseState
@@ -284,7 +284,7 @@ class Tracker:
         header: Floats,
     ) -> Floats:
         """What a header and its inverse leave in their sum where the array moves between them, for a gain of 1."""
-        # A_1 (1 + h) / 2 + A_2 (1 - h) / 2 = (A_1 + A_2) / 2 + (A_1 h - A_2 h) / 2
+        # A_1 Y + A_2 (1 - Y) = (A_1 + A_2) / 2 + (A_1 - A_2) (Y - 1/2), Y being the header
         from heliograph.receive.image import kernels  # Numba is slow to import
 
         images = np.empty((2, 6, *shape))
@@ -330,7 +330,7 @@ class Tracker:
         return float(np.clip(gain, track.data_gain / GAIN_RATIO, track.data_gain * GAIN_RATIO))
 
     def _watch(self, track: Track, change: Floats, noise: float, pose: Pose, corner: tuple[int, int]) -> Track:
-        """The track with what its LEDs have changed of late."""
+        """The track with the recent change of its LEDs."""
         # random data change the light by half of it
         least = FAINT**0.5 * 0.5 * contrast(pose) * track.data_gain
         return replace(track, change=recent_change(track.change, change, noise, pose, corner, least))
