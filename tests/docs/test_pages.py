@@ -25,6 +25,11 @@ def test_glossary_has_its_terms() -> None:
     assert len({term for term, *_ in TERMS}) == len(TERMS)
 
 
+def test_each_symbol_of_the_glossary_stands_for_one_term() -> None:
+    symbols = [one.strip() for _, column, *_ in TERMS for one in re.split("[,;=]", column) if one.strip()]
+    assert [one for one in symbols if symbols.count(one) > 1] == []
+
+
 @pytest.mark.parametrize("row", TERMS, ids=lambda row: row[0].replace(" ", "-"))
 def test_term_is_defined_where_the_glossary_says(row: tuple[str, str, str, str]) -> None:
     where = row[3]
