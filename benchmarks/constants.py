@@ -77,7 +77,16 @@ SCENES: Mapping[str, tuple[str, Sequence[str], str, int]] = {
 """Scenes: preset, changes, receiver, films."""
 
 
-DEFINED = ("ERASED", "LEAST_DISTANCE", "CELL_COUNT", "IMAGE_COUNT", "PIXEL", "WALK_PATTERNS", "TICKS")
+DEFINED = (
+    "ERASED",
+    "LEAST_DISTANCE",
+    "CELL_COUNT",
+    "IMAGE_COUNT",
+    "PIXEL_VARIANCE_PX2",
+    "PIXEL_STD_PX",
+    "WALK_PATTERNS",
+    "TICKS",
+)
 """Constants that follow from a definition: a code's distance, a count of images, a unit. They are not changed."""
 
 

@@ -10,7 +10,7 @@ from heliograph.receive.image.fit import Prior, fit_array
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.timing.frame_pair import FramePair
 from heliograph.receive.track.realign import realigned
-from heliograph.receive.track.sight import IN_SIGHT, open_pixels, recent_change
+from heliograph.receive.track.sight import LEAST_CHANGE_IN_SIGHT, open_pixels, recent_change
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def test_what_a_post_hides_does_not_change(distance_m: float) -> None:
     change = np.ones((SIDE, SIDE))
     for _ in range(30):
         change = recent_change(change, change_of(pair_of(pose, rng, post)), 2.0, pose, (0, 0), 5.0)
-    seen = change >= IN_SIGHT
+    seen = change >= LEAST_CHANGE_IN_SIGHT
     assert not seen[:, :4].any()
     assert seen[:, 9:].all()
     clear = open_pixels(seen.astype(np.float64), pose, (0, 0), SHAPE)
@@ -64,7 +64,7 @@ def test_an_array_in_clear_sight_stays_in_sight() -> None:
     for _ in range(200):
         change = recent_change(change, change_of(pair_of(pose, rng)), 2.0, pose, (0, 0), 5.0)
         least = min(least, float(change.min()))
-    assert least >= IN_SIGHT
+    assert least >= LEAST_CHANGE_IN_SIGHT
 
 
 def test_pixels_that_something_hides_do_not_move_a_fit() -> None:

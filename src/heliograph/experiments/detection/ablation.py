@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.experiments.detection.clutter import ClutterFilm
 from heliograph.receive import Pose
-from heliograph.receive.acquire.candidate import HIDING_BLUR, UPRIGHT, cell_weights, fit_near, plausible
+from heliograph.receive.acquire.candidate import HIDING_BLUR, UPRIGHT_SPREAD, cell_weights, fit_near, plausible
 from heliograph.receive.acquire.coarse import (
     BLOCK_PX,
     alternation_means,
@@ -19,7 +19,7 @@ from heliograph.receive.acquire.coarse import (
 )
 from heliograph.receive.acquire.hypotheses import ALL_ON, headers
 from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
-from heliograph.receive.image.orientation import UPRIGHT as UPRIGHT_CAMERA
+from heliograph.receive.image.orientation import UPRIGHT
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
@@ -95,7 +95,7 @@ class VariantDetector:
         all_on = variant.detector == "all_on"
         self._parameters = replace(usual, coarse_score=0.2, score=0.0, candidates=CANDIDATES, all_on=all_on)
         self._frames_used, self._side = variant.frames, signal.side
-        self._cells = (ALL_ON if self._parameters.all_on else headers((UPRIGHT_CAMERA,))).cells
+        self._cells = (ALL_ON if self._parameters.all_on else headers((UPRIGHT,))).cells
         self._bands = np.array_split(self._parameters.sides(), BANDS)
 
     def candidates(self, film: ClutterFilm) -> list[HeaderCandidate]:
@@ -123,10 +123,10 @@ class VariantDetector:
         number, blur = int(row[4]), self._parameters.blur_px
         weights = float(np.sign(row[0])) * cell_weights(self._cells[number], self._side)
         start = Pose(row[1] - 0.5, row[2] - 0.5, row[3] / self._side, 0.0, blur)
-        rough = fit_near(change, (0, 0), start, weights, UPRIGHT, HIDING_BLUR)
+        rough = fit_near(change, (0, 0), start, weights, UPRIGHT_SPREAD, HIDING_BLUR)
         if rough is None:
             return None
-        fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, UPRIGHT)
+        fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, UPRIGHT_SPREAD)
         if fit is None or fit.score < 0 or not plausible(fit, self._parameters, self._side, full_scale):
             return None
         return HeaderCandidate(fit.score, fit.pose, number)

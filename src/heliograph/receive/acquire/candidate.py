@@ -25,7 +25,7 @@ PLACE_SPREAD = 0.08
 CANDIDATE_SPREADS = (0.1, 0.05, 0.2)
 """Standard deviations of a candidate's ln pitch (sizes are 0.11 apart), roll (3 degrees) and ln blur."""
 
-LEVEL, UPRIGHT, TILTED = 1e-5, 0.01, 0.1
+LEVEL_SPREAD, UPRIGHT_SPREAD, TILTED_SPREAD = 1e-5, 0.01, 0.1
 """Standard deviations of stretch and shear of partly hidden candidates, whose hidden side looks like a tilt; of
 candidates taken to face the camera; and of others.
 
@@ -87,7 +87,7 @@ def fit_near(
     weights
         (n, n) of the header, +-1, 0 where it is hidden.
     tilt
-        Standard deviation of stretch and shear, `UPRIGHT` or `TILTED`.
+        Standard deviation of stretch and shear, `UPRIGHT_SPREAD` or `TILTED_SPREAD`.
     smooth
         Pitches by which the pixels are blurred before, so that single LEDs do not show.
     smear

@@ -24,10 +24,10 @@ RING = 0.12
 GRID = 0.1
 """Step of the places looked at as a fraction of the side: half a step costs a fifth of a cell's overlap."""
 
-APART = 0.5
+APART_SIDES = 0.5
 """Least distance of two candidates as a fraction of the larger one's side: arrays do not overlap."""
 
-SHIFTED = 0.2
+TURNED_APART_SIDES = 0.2
 """The same where headers may be turned: less than a cell, by which one shifted may look like another.
 
 Off the grid, a header then correlates less than another shifted one on it; a fit of both decides.
@@ -244,7 +244,7 @@ def coarse_candidates(
     parameters: SearchParameters,
     cells: NDArray[np.float64],
     sides: NDArray[np.float64],
-    apart: float = APART,
+    apart: float = APART_SIDES,
 ) -> NDArray[np.float64]:
     """Best candidates of a search.
 
@@ -263,7 +263,7 @@ def coarse_candidates(
     sides
         (sizes,) sides of arrays in px, of `SearchParameters.sides`.
     apart
-        Least distance of two candidates as a fraction of the larger one's side, `APART` or `SHIFTED`.
+        Least distance of two candidates as a fraction of the larger one's side, `APART_SIDES` or `TURNED_APART_SIDES`.
 
     Returns
     -------

@@ -17,9 +17,9 @@ from heliograph.base.arrays import TINY
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.candidate import (
     HIDING_BLUR,
-    LEVEL,
-    TILTED,
-    UPRIGHT,
+    LEVEL_SPREAD,
+    TILTED_SPREAD,
+    UPRIGHT_SPREAD,
     apart,
     cell_weights,
     fit_near,
@@ -39,8 +39,7 @@ from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_hea
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, Hypothesis, headers
 from heliograph.receive.acquire.slots import Due, Slots, alike, before, filled, in_common
 from heliograph.receive.image.fit import Fit, header_amplitude
-from heliograph.receive.image.orientation import ORIENTATIONS, Orientation
-from heliograph.receive.image.orientation import UPRIGHT as UPRIGHT_CAMERA
+from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.image.pose import Pose
 from heliograph.signal.settings import SignalSettings
 
@@ -72,13 +71,13 @@ class Detector:
         self._parameters, self._side = parameters, signal.side
         # a lit square may be anything's; a tilted one all the more
         tilted = parameters.impaired and not parameters.all_on
-        self._tilts = (UPRIGHT, TILTED) if tilted else (UPRIGHT,)
+        self._tilts = (UPRIGHT_SPREAD, TILTED_SPREAD) if tilted else (UPRIGHT_SPREAD,)
         self._header = 2 * signal.header_pairs
         self._period_s = signal.pattern_period_s
         self._sides = parameters.sides()
         # turned headers are looked for where there is no upright one: an array that is hard to see might be either
         turned = headers(ORIENTATIONS[1:])
-        self._headers = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT_CAMERA,), ORIENTATIONS[1:]), turned)
+        self._headers = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT,), ORIENTATIONS[1:]), turned)
         self._every = 2 if self._header >= 4 else 1
         self._span = min(self._header, 4)
         self._window = self._header + 2 * SLACK
@@ -271,12 +270,12 @@ class Detector:
             return None
         start_s = self._start_s(there)
         if None not in there[:2] and self._parameters.impaired and self._span > 2:
-            fit, header = fit_first_pair(header, fit, led_gains * weights, LEVEL if level else tilt)
+            fit, header = fit_first_pair(header, fit, led_gains * weights, LEVEL_SPREAD if level else tilt)
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
         frames = [frame for frame in there if frame is not None]
         drift = drift_of(frames, fit.pose, middle, led_gains * weights, self._period_s)
         moved = drift[0] * self._period_s, drift[1] * self._period_s
-        fit = fit_moving(header, fit, led_gains * weights, LEVEL if level else tilt, moved)
+        fit = fit_moving(header, fit, led_gains * weights, LEVEL_SPREAD if level else tilt, moved)
         (number, seen_as), *others = hypotheses
         return Detection(number, start_s, fit, middle, fit.score, regularity, led_gains, seen_as, tuple(others), drift)
 

@@ -31,7 +31,7 @@ DRIFT_PX = 0.9
 PLACE_PX = 1.0
 """Prior standard deviation of the pose's error in px: the fit of moving frames is that of their mean."""
 
-AROUND_PX = 3.0
+DRIFT_MARGIN_PX = 3.0
 """Pixels around the array that count too: five times the blur of the reference link."""
 
 
@@ -83,7 +83,7 @@ def _error(frame: Frame, pose: Pose, weights: Floats) -> tuple[NDArray[np.float6
     """What a frame says of an error of x and y: J^T J, J^T r, and the mean square of r."""
     from heliograph.receive.image import kernels  # Numba is slow to import
 
-    window = window_around(pose, len(weights), AROUND_PX)
+    window = window_around(pose, len(weights), DRIFT_MARGIN_PX)
     x0, y0, width, height = window
     hidden = HIDING_BLUR * pose.pitch
     shown = np.asarray(cv2.GaussianBlur(cut_out(frame, window), (0, 0), hidden), np.float64).ravel()

@@ -10,9 +10,9 @@ from heliograph.base.frames import Frame
 from heliograph.receive.acquire.candidate import (
     HIDDEN_CELL,
     HIDING_BLUR,
-    LEVEL,
+    LEVEL_SPREAD,
     PARTLY_LIT_CELL,
-    UPRIGHT,
+    UPRIGHT_SPREAD,
     cell_weights,
     fit_near,
     lit_cells,
@@ -63,7 +63,7 @@ def fit_header(
     weights
         (n, n) of the header, +-1.
     tilt
-        Standard deviation of stretch and shear, `UPRIGHT` or `TILTED`.
+        Standard deviation of stretch and shear, `UPRIGHT_SPREAD` or `TILTED_SPREAD`.
     score
         Least correlation with the header's image of a detection, 0 to 1.
     even
@@ -76,7 +76,7 @@ def fit_header(
     """
     change, origin, side = alternation_of(header), header[0].origin, len(weights)
     fit, sound = fit_near(change, origin, pose, weights, tilt), np.ones(weights.shape)
-    if fit is None or not HIDDEN_TRIED <= fit.score < CLEAR or not even or tilt > UPRIGHT:
+    if fit is None or not HIDDEN_TRIED <= fit.score < CLEAR or not even or tilt > UPRIGHT_SPREAD:
         return fit, sound, False
     best, lit, led_gains = fit, np.ones(CELLS * CELLS), sound
     for least in (HIDDEN_CELL, PARTLY_LIT_CELL):
@@ -84,7 +84,7 @@ def fit_header(
         pose = replace(best.pose, stretch=0.0, shear=0.0)
         lit = lit * lit_cells(change, origin, pose, led_gains * weights, least).ravel()
         led_gains = cell_weights(lit, side)
-        rest = fit_near(change, origin, pose, led_gains * weights, LEVEL)
+        rest = fit_near(change, origin, pose, led_gains * weights, LEVEL_SPREAD)
         if rest is None or lit.mean() < 1 - HIDDEN:
             break
         best = rest
@@ -95,7 +95,7 @@ def fit_header(
         return fit, sound, False
     # a thin post hides parts of cells
     pose = replace(fit.pose, stretch=0.0, shear=0.0)
-    return fit_near(change, origin, pose, weights, LEVEL), sound, True
+    return fit_near(change, origin, pose, weights, LEVEL_SPREAD), sound, True
 
 
 def fit_moving(

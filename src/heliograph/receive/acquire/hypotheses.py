@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.receive.acquire.coarse import APART, SHIFTED
+from heliograph.receive.acquire.coarse import APART_SIDES, TURNED_APART_SIDES
 from heliograph.receive.image.orientation import Orientation
 from heliograph.signal.header import IDENTITIES, header_cells
 
@@ -36,7 +36,7 @@ class Headers:
 
     cells: NDArray[np.float64]
     hypotheses: tuple[tuple[Hypothesis, ...], ...]
-    apart: float = APART
+    apart: float = APART_SIDES
 
 
 ALL_ON = Headers(np.ones((1, 16)), (((0, Orientation()),),))
@@ -60,5 +60,5 @@ def headers(orientations: Sequence[Orientation], other: Sequence[Orientation] = 
             seen[orientation.turned(header_cells(number)).tobytes()].append((number, orientation))
     kept = {cells: hypotheses for cells, hypotheses in seen.items() if hypotheses[0][1] in orientations}
     cells = np.array([np.frombuffer(one, np.int8) for one in kept], np.float64)
-    apart = APART if len(orientations) == 1 else SHIFTED
+    apart = APART_SIDES if len(orientations) == 1 else TURNED_APART_SIDES
     return Headers(cells, tuple(map(tuple, kept.values())), apart)

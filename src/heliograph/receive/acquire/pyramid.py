@@ -35,7 +35,7 @@ Single LEDs at a pitch of 3.9 px left a header's cells a correlation of 0.50, wh
 2.0 px, on the next level, 0.72 (array of 499 px, `python -m benchmarks.near distances 1 0`).
 """
 
-IN_SIGHT = 0.25
+LEAST_ALTERNATING_PART = 0.25
 """Least part of a near array that alternates: half of its columns and half of its rows are in sight."""
 
 
@@ -113,7 +113,7 @@ class PyramidSearch:
     def _may_hold(self, busy: NDArray[np.bool_], level: int) -> bool:
         """Whether enough of the camera's frames alternates for an array of a level."""
         smallest = self._smallest[level] * 2**level
-        return bool(np.count_nonzero(busy) * BLOCK_PX**2 >= IN_SIGHT * smallest**2)
+        return bool(np.count_nonzero(busy) * BLOCK_PX**2 >= LEAST_ALTERNATING_PART * smallest**2)
 
     def _slots(self, slots: Slots, level: int) -> Slots:
         """Frames that are due, as a level has them."""

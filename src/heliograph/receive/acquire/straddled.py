@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.candidate import UPRIGHT, cell_weights, fit_near, plausible
+from heliograph.receive.acquire.candidate import UPRIGHT_SPREAD, cell_weights, fit_near, plausible
 from heliograph.receive.acquire.coarse import (
     DIFFERENCE,
     SearchParameters,
@@ -32,8 +32,7 @@ from heliograph.receive.acquire.detector import distinct
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, headers
 from heliograph.receive.acquire.slots import alike
 from heliograph.receive.image.fit import Fit, header_amplitude
-from heliograph.receive.image.orientation import ORIENTATIONS, Orientation
-from heliograph.receive.image.orientation import UPRIGHT as UPRIGHT_CAMERA
+from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import common
 from heliograph.signal.settings import SignalSettings
@@ -71,7 +70,7 @@ class StraddledDetector:
         self._header = 2 * signal.header_pairs
         self._sides = parameters.sides()
         # turned ones are looked for only once the camera is known to see them so
-        upright = headers((UPRIGHT_CAMERA,), ORIENTATIONS[1:])
+        upright = headers((UPRIGHT,), ORIENTATIONS[1:])
         self._searched: Headers = ALL_ON if parameters.all_on else upright
         self._frames: deque[Frame] = deque(maxlen=self._header + 1)
         self._fitted = 0
@@ -141,7 +140,7 @@ class StraddledDetector:
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], pitch, 0.0, parameters.blur_px)
         if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
             return None
-        fit = fit_near(change, origin, start, weights, UPRIGHT)
+        fit = fit_near(change, origin, start, weights, UPRIGHT_SPREAD)
         if fit is None or fit.score < DATA_SCORE * parameters.score:
             return None
         if not plausible(fit, parameters, self._side, frames[0].full_scale):

@@ -40,7 +40,7 @@ LINEAR_PX = 0.2
 With poses off by 0.14 px equal LEDs are told to be equal, with 0.28 px they seem to differ by 0.1 (known data, 95 m).
 """
 
-KEEP = 0.9
+BRIGHTNESS_FADE = 0.9
 """Weight of earlier packets for each packet since: ten of them count, one second."""
 
 LEAST_BRIGHTNESS, MOST_BRIGHTNESS = 0.02, 3.0
@@ -53,14 +53,14 @@ Over the strongest bumps of a recorded drive at 95 m each half differed by 0.07 
 0.034 at most, the root of the mean product.
 """
 
-STRIDE, KNOWN_STRIDE = 3, 12
+LEARNING_STRIDE, KNOWN_STRIDE = 3, 12
 """Pairs of which one is learnt from; the second once each LED is known to half of `UNEQUAL`, or LEDs seem equal yet.
 
 Chosen for speed: at 95 m 16 pairs of one packet show each LED to 3 %.
 """
 
 ENOUGH_PACKETS = 5
-"""Packets after which LEDs that seem equal are learnt from fewer pairs: half of what `KEEP` keeps."""
+"""Packets after which LEDs that seem equal are learnt from fewer pairs: half of what `BRIGHTNESS_FADE` keeps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,11 +176,11 @@ class Brightness:
     def stride(self) -> int:
         """Pairs of which one is worth learning from."""
         enough = self.known or (self.packets >= ENOUGH_PACKETS and self.equal_so_far)
-        return KNOWN_STRIDE if enough else STRIDE
+        return KNOWN_STRIDE if enough else LEARNING_STRIDE
 
     def faded(self) -> "Brightness":
         """Trust earlier packets less, as one has gone by."""
-        return replace(self, information=KEEP * self.information, score=KEEP * self.score)
+        return replace(self, information=BRIGHTNESS_FADE * self.information, score=BRIGHTNESS_FADE * self.score)
 
     def differs(self, other: "Brightness") -> bool:
         """Whether it is another than what was taken so far, by more than the light of equal LEDs seems to differ.

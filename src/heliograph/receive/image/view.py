@@ -33,10 +33,10 @@ Half of it, the smallest, is that of 39 m in the reference link, up to which the
 KEPT_PITCH_PX = (1.35, 3.3)
 """Pitches in px between which an array's level is kept: a tenth beyond those at which it would be chosen anew."""
 
-PIXEL = 1 / 12
+PIXEL_VARIANCE_PX2 = 1 / 12
 """Variance of a pixel's own width in squared px: that of an even light over it."""
 
-AROUND = 0.5
+SURROUNDINGS_SIDES = 0.5
 """Sides of an array about it that are reduced or turned with it: as far as frames are combined (`clocked_pairing`)."""
 
 LEAST_BLUR_PX = 0.2
@@ -96,7 +96,7 @@ class View:
         """
         if self == CAMERA:
             return frame
-        frame = _part(frame, window_around(pose, side, AROUND * side * pose.pitch), 2**self.level)
+        frame = _part(frame, window_around(pose, side, SURROUNDINGS_SIDES * side * pose.pitch), 2**self.level)
         for _ in range(self.level):
             frame = halved(frame)
         return frame if self.orientation == UPRIGHT else _upright(frame, self.orientation)
@@ -219,13 +219,13 @@ def reduced_blur(blur: float, level: int) -> float:
         Level of the pyramid, at least 0.
     """
     added = (4**level - 1) / 3
-    return sqrt((blur**2 + PIXEL + added) / 4**level - PIXEL)
+    return sqrt((blur**2 + PIXEL_VARIANCE_PX2 + added) / 4**level - PIXEL_VARIANCE_PX2)
 
 
 def _enlarged_blur(blur: float, level: int) -> float:
     """Blur on the sensor in px, of that on a level."""
     added = (4**level - 1) / 3
-    return sqrt(max(4**level * (blur**2 + PIXEL) - added - PIXEL, LEAST_BLUR_PX**2))
+    return sqrt(max(4**level * (blur**2 + PIXEL_VARIANCE_PX2) - added - PIXEL_VARIANCE_PX2, LEAST_BLUR_PX**2))
 
 
 def _part(frame: Frame, window: Window, grid: int) -> Frame:

@@ -7,7 +7,7 @@ places. A slip shows itself. Let r~_i be frame i less the mean of the frames, at
 
 is near 0 for a pattern and its inverse, and near 1 for patterns of different pairs. Where something hides the array,
 epsilon says nothing. Where a pair is uneven, the frames after it are awaited. They are then paired at the least cost:
-epsilon for each pair, `SLIP` for each frame taken as the one left of a pair. A pair that is lost as a whole leaves sums
+epsilon for each pair, `SLIP_COST` for each frame taken as the one left of a pair. A pair that is lost as a whole leaves sums
 even. The next header shows the loss, as it comes two patterns early.
 """
 
@@ -25,41 +25,41 @@ from heliograph.receive.timing.frame_pair import PoseAt, is_data
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
-EVEN = 0.4
+EVEN_SUM_POWER = 0.4
 """Largest epsilon of an even pair: 4 standard deviations below that of 60 independent values of two patterns.
 
 Half of it is asked for where a copy is to explain a gap that the times have.
 """
 
-SLIP = 0.45
+SLIP_COST = 0.45
 """Cost of a slip: less than half of epsilon of one uneven pair, for two frames lost from two pairs leave only that."""
 
-ENOUGH = 2
+LEAST_EVEN_PAIRS = 2
 """Least number of even pairs after a slip: one may be even by chance, where the array is hidden."""
 
-AWAITED = 9
+AWAITED_FRAMES = 9
 """Frames in hand when a slip is decided on: four pairs with it, and four without."""
 
-HEADER = 0.7
+HEADER_CORRELATION = 0.7
 """Least correlation of each frame of a header with its image, for the numbers to follow it."""
 
-LIKE = 0.25
+POWER_RATIO = 0.25
 """Least power of one frame over another's, and of a frame less its mean over all of it, for both to be patterns.
 
 Random data of 60 independent values differ by less than half, and their mean has 1/64 of the power; something before
 the array is even, or of another brightness.
 """
 
-RIM = 8
+RIM_DIVISOR = 8
 """Part of an array's side that is left out on either side, one in so many: 2 of 16 LEDs.
 
 Before a bright sky a pose off by 0.2 px at 95 m made the rim of even pairs look uneven.
 """
 
-FRESH = 0.1
+MEAN_FRAME_WEIGHT = 0.1
 """Weight of a pair in the mean of frames: ten pairs count, as in the tracker's gain."""
 
-OFF = 0.2
+OUT_OF_STEP_PATTERNS = 0.2
 """T_b by which a frame may be out of step for its pairs to be even: epsilon is then 0.08 or less."""
 
 
@@ -107,7 +107,7 @@ class SlipWatch:
         self.lost = 0
         self._signal = signal
         # without its rim, where a bright background shines in
-        self._inner = slice(signal.side // RIM, signal.side - signal.side // RIM)
+        self._inner = slice(signal.side // RIM_DIVISOR, signal.side - signal.side // RIM_DIVISOR)
         self._signs = (header_levels(identity, signal.side) / 2.0 - 1.0)[self._inner, self._inner].ravel()
         self._held: list[_Held] = []
         self._mean: Floats | None = None
@@ -134,8 +134,8 @@ class SlipWatch:
         self._last_s = frame.time_s
         place = (frame.time_s + self.lost * period_s - origin_s) / period_s
         number = round(place) - self.lost
-        stepped = last_s is None or frame.time_s - last_s > (1 - OFF) * period_s
-        if not (paired and stepped and place > -0.5 and abs(place - round(place)) < OFF):
+        stepped = last_s is None or frame.time_s - last_s > (1 - OUT_OF_STEP_PATTERNS) * period_s
+        if not (paired and stepped and place > -0.5 and abs(place - round(place)) < OUT_OF_STEP_PATTERNS):
             yield from self.flush()
             yield self._timed(frame)
             return
@@ -171,12 +171,12 @@ class SlipWatch:
             return _Held(frame, number, shown, None, 0.0, False)
         about = shown - self._mean
         power, mean = float(about @ about), float(about.sum()) / about.size
-        return _Held(frame, number, shown, about, power, power - about.size * mean**2 > LIKE * power)
+        return _Held(frame, number, shown, about, power, power - about.size * mean**2 > POWER_RATIO * power)
 
     def _ready(self) -> bool:
         """Whether enough frames are in hand to release the first."""
         first = self._held[0]
-        if (first.number + self.lost) % 2 or len(self._held) >= AWAITED:
+        if (first.number + self.lost) % 2 or len(self._held) >= AWAITED_FRAMES:
             return len(self._held) > 1 or not self._left_alone(first)
         return len(self._held) > 1 and (self._gap(0) > 1 or not self._odd(0))
 
@@ -186,19 +186,19 @@ class SlipWatch:
         if len(self._held) == 1:
             yield self._pop()
         elif (first.number + self.lost) % 2:
-            if self._left_alone(first) and self._gap(0) == 1 and self._even(0, EVEN / 2):
+            if self._left_alone(first) and self._gap(0) == 1 and self._even(0, EVEN_SUM_POWER / 2):
                 # the frame that seems missing before it was a copy, which the clock left out
                 self.lost -= 1
             else:
                 yield self._pop()
         elif self._gap(0) > 1:
-            copied = self._gap(0) == 2 and self._even(0, EVEN / 2)
+            copied = self._gap(0) == 2 and self._even(0, EVEN_SUM_POWER / 2)
             yield self._pop()
             self.lost -= copied
         elif not (self._odd(0) and self._slipped()):
             self._even_before = self._mean is None or self._even(0)
             mean = 0.5 * (first.shown + self._held[1].shown)
-            self._mean = mean if self._mean is None else self._mean + FRESH * (mean - self._mean)
+            self._mean = mean if self._mean is None else self._mean + MEAN_FRAME_WEIGHT * (mean - self._mean)
             yield self._pop()
             yield self._pop()
         else:
@@ -223,7 +223,7 @@ class SlipWatch:
         patterns, length = self._signal.packet_patterns, 2 * self._signal.header_pairs
         early = (length - 1 - number + patterns // 2) % patterns - patterns // 2
         last = [self._headers.get(number - k, 0.0) for k in range(length)]
-        if 0 < abs(early) <= length and all((-1) ** (k + 1) * h > HEADER for k, h in enumerate(last)):
+        if 0 < abs(early) <= length and all((-1) ** (k + 1) * h > HEADER_CORRELATION for k, h in enumerate(last)):
             self.lost += early
         self._headers = {k: h for k, h in self._headers.items() if k > number - length}
 
@@ -240,11 +240,11 @@ class SlipWatch:
         """The measure epsilon of a frame in hand and the next, at most 1; None where one of them shows no pattern."""
         one, other = self._held[place : place + 2]
         u, v, powers = one.about, other.about, (one.power, other.power)
-        if u is None or v is None or not (one.pattern and other.pattern) or min(powers) < LIKE * max(powers):
+        if u is None or v is None or not (one.pattern and other.pattern) or min(powers) < POWER_RATIO * max(powers):
             return None
         return min(1 + 2 * float(u @ v) / max(sum(powers), 1e-9), 1.0)
 
-    def _even(self, place: int, least: float = EVEN) -> bool:
+    def _even(self, place: int, least: float = EVEN_SUM_POWER) -> bool:
         """Whether a frame in hand and the next are surely a pair."""
         e = self._uneven(place)
         return e is not None and e < least
@@ -252,7 +252,7 @@ class SlipWatch:
     def _odd(self, place: int) -> bool:
         """Whether a frame in hand and the next are surely none."""
         e = self._uneven(place)
-        return e is not None and e >= EVEN
+        return e is not None and e >= EVEN_SUM_POWER
 
     def _slipped(self) -> bool:
         """Whether the first frame's other half is lost: without it the frames after it make even pairs.
@@ -261,10 +261,10 @@ class SlipWatch:
         place, so all pairs that follow must change for the better.
         """
         regular, slipped = self._paired(0, self.lost, slip=False), self._paired(1, self.lost + 1)
-        even = len(slipped.uneven) >= ENOUGH and max(slipped.uneven) < EVEN
+        even = len(slipped.uneven) >= LEAST_EVEN_PAIRS and max(slipped.uneven) < EVEN_SUM_POWER
         if not self._even_before:
             even &= all(self._even(k + 1) and self._odd(k) for k in range(0, len(self._held) - 2, 2))
-        return even and SLIP + slipped.cost < regular.cost
+        return even and SLIP_COST + slipped.cost < regular.cost
 
     def _paired(self, place: int, lost: int, slip: bool = True) -> _Pairs:
         """The frames in hand from one on, paired at the least cost; the first is left alone only if it may `slip`."""
@@ -277,4 +277,4 @@ class SlipWatch:
         if not slip:
             return paired
         slipped = self._paired(place + 1, lost + 1)
-        return min(paired, _Pairs(SLIP + slipped.cost, slipped.uneven), key=lambda one: one.cost)
+        return min(paired, _Pairs(SLIP_COST + slipped.cost, slipped.uneven), key=lambda one: one.cost)

@@ -55,7 +55,7 @@ BACKGROUND_SPREAD = 5.0
 Chosen; docs/constants.md says what half and twice of it cost.
 """
 
-FRESH = 0.2
+BACKGROUND_WEIGHT = 0.2
 """Weight of a frame in the background: five frames of a changing scene count."""
 
 
@@ -167,7 +167,7 @@ class DecisionDirectedTracker:
         precision[range(POSE_SIZE, start.size), range(POSE_SIZE, start.size)] = spreads**-2
         matrix, rhs, score = self._equations(frame, state, start)
         found = start + np.linalg.solve(matrix + precision, rhs)
-        self._background = self._background + FRESH * (found[POSE_SIZE + 1 :] - self._background)
+        self._background = self._background + BACKGROUND_WEIGHT * (found[POSE_SIZE + 1 :] - self._background)
         after = np.asarray(np.linalg.inv(matrix + precision)[:POSE_SIZE, :POSE_SIZE], np.float64)
         vector = np.append(found[:POSE_SIZE], state.tilt.mean)
         return Fit(vector, after, float(found[POSE_SIZE]), score)

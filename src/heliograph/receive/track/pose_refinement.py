@@ -36,7 +36,7 @@ SMALLER_SIZE_MARGIN = 2.0
 SLOW_PAIRS, FAST_PAIRS = 200.0, 8.0
 """Correlation lengths in pairs: 0.4 s, in which a background passes, and 16 ms, half a period of shake at 30 Hz."""
 
-STRIDE = 3
+REFINING_STRIDE = 3
 """Pairs of which one is asked: errors of its neighbours are nearly its own."""
 
 LEAST_PX = 0.01
@@ -209,7 +209,7 @@ class ObservedPacket:
     def _pose_errors(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Floats:
         """Errors (pairs, 4) in x, y, ln pitch and roll of the poses that the sums gave."""
         evidence = dict[int, PoseEvidence]()
-        for k, pair in self._decoded(mean, variance, STRIDE).items():
+        for k, pair in self._decoded(mean, variance, REFINING_STRIDE).items():
             left = pair.whitened.residual(gain, pair.symbols)
             # J = g^2 F^T C^-1 F, q = g F^T C^-1 (d - g (B m + o)), C = s^2 + g^2 B_open B_open^T
             images, scale = np.concatenate([pair.slopes, left[None]]), gain**2 / noise

@@ -10,34 +10,34 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
 
-AROUND_LEDS, AROUND_PX = 5, 4.0
+SQUARE_LEDS, SQUARE_PX = 5, 4.0
 """Side of the square about an LED whose change counts, in LEDs, and at least in px.
 
 Of random data the mean power of 25 LEDs is within a quarter of its expectation. After the blur, fewer than 16 pixels
 show too few LEDs.
 """
 
-RECENT = 0.25
+RECENT_PAIR_WEIGHT = 0.25
 """Weight of the newest pair in the recent change of an LED.
 
 With 25 LEDs about each and four pairs, the recent change has an error of a tenth, at most a fifth. A post that passes
 in 0.1 s hides an LED each 3 ms, so the recent change lags by two or three LEDs.
 """
 
-IN_SIGHT = 0.2
+LEAST_CHANGE_IN_SIGHT = 0.2
 """Least recent change of an LED in sight, as a fraction of that of the others.
 
 It lies four standard deviations below theirs. Because of the blur an LED of the rim changes half as much as others, one
 in a corner a third as much.
 """
 
-BRIGHT = 0.8
+BRIGHT_QUANTILE = 0.8
 """Quantile of the LEDs' changes that stands for one in sight: a fifth of the array is enough."""
 
-FAINT = 0.1
+LEAST_DATA_POWER = 0.1
 """Least of that quantile, as a fraction of the power that random data have: below it all are hidden."""
 
-MOST = 2.0
+MOST_CHANGE = 2.0
 """Most that a pair counts for an LED in sight, as a multiple of that quantile."""
 
 
@@ -63,7 +63,7 @@ def recent_change(
 
     Returns
     -------
-    (n, n), 0 to `MOST`.
+    (n, n), 0 to `MOST_CHANGE`.
     """
     side = len(before)
     middle, axes = 0.5 * (side - 1), pose.axes
@@ -78,9 +78,9 @@ def recent_change(
         borderMode=cv2.BORDER_REPLICATE,
     )
     around = around_leds(np.asarray(sampled, np.float64), pose)
-    bright = int(BRIGHT * (around.size - 1))
+    bright = int(BRIGHT_QUANTILE * (around.size - 1))
     others = max(float(np.partition(around, bright, axis=None)[bright]), least**2)
-    return before + RECENT * (np.minimum(around / others, MOST) - before)
+    return before + RECENT_PAIR_WEIGHT * (np.minimum(around / others, MOST_CHANGE) - before)
 
 
 def around_leds(values: Floats, pose: Pose) -> Floats:
@@ -93,7 +93,7 @@ def around_leds(values: Floats, pose: Pose) -> Floats:
     pose
         Pose of the array, whose pitch says how many LEDs a square holds.
     """
-    width = min(max(AROUND_LEDS, int(np.ceil(AROUND_PX / pose.pitch)) | 1), len(values) - 1 | 1)
+    width = min(max(SQUARE_LEDS, int(np.ceil(SQUARE_PX / pose.pitch)) | 1), len(values) - 1 | 1)
     return np.asarray(cv2.blur(values, (width, width), borderType=cv2.BORDER_REFLECT), np.float64)
 
 

@@ -22,12 +22,18 @@ from heliograph.receive.track.kalman import (
     Tilt,
     sum_observation,
 )
-from heliograph.receive.track.sight import FAINT, IN_SIGHT, around_leds, open_pixels, recent_change
+from heliograph.receive.track.sight import (
+    LEAST_CHANGE_IN_SIGHT,
+    LEAST_DATA_POWER,
+    around_leds,
+    open_pixels,
+    recent_change,
+)
 
 WINDOW_MARGIN_PITCHES, WINDOW_MARGIN_PX = 1.5, 1.5
 """Width of the surroundings that are fitted with the array: they hold its edge, the panel's and the background."""
 
-PIXEL = 12**-0.5
+PIXEL_STD_PX = 12**-0.5
 """Standard deviation in pixels of a pixel's own width."""
 
 NOISY = 1.5
@@ -48,10 +54,10 @@ PAIR_STEPS = 3
 RESOLVED_PX = 1.0
 """Pitch in px from which on single LEDs show in a sum."""
 
-SLIP = 0.2
+UNSURE_PITCHES = 0.2
 """Standard deviation of the prediction, in pitches, from which on LEDs may be taken for their neighbours."""
 
-SLIP_BLUR = 0.5
+UNRESOLVED_BLUR_PITCHES = 0.5
 """Pitches of blur that hide single LEDs, as in the detector."""
 
 MOST_SMEAR_PX = 2.0
@@ -109,7 +115,7 @@ class Track:
     @property
     def in_sight(self) -> Floats:
         """1 for LEDs in sight, 0 for those that something hides, (n, n)."""
-        return (self.change >= IN_SIGHT).astype(np.float64)
+        return (self.change >= LEAST_CHANGE_IN_SIGHT).astype(np.float64)
 
     @property
     def shining(self) -> Floats:
@@ -303,14 +309,14 @@ class Tracker:
         """Whether the prediction may be a pitch off, so that resolved LEDs would be taken for their neighbours."""
         spread = float(np.sqrt(predicted.covariance[:2, :2].diagonal().max()))
         pitch = predicted.pose.pitch
-        return pitch > RESOLVED_PX and spread > SLIP * pitch
+        return pitch > RESOLVED_PX and spread > UNSURE_PITCHES * pitch
 
     def _unresolved(
         self, total: Floats, corner: tuple[int, int], prior: Prior, led_gains: Floats, unhidden: Floats | None
     ) -> Floats:
         """Start of the fit, found on pixels so blurred that no LED can be taken for its neighbour."""
         pose = Pose.from_vector(prior.vector)
-        sigma = SLIP_BLUR * pose.pitch
+        sigma = UNRESOLVED_BLUR_PITCHES * pose.pitch
         vector, covariance = prior.vector.copy(), prior.covariance.copy()
         vector[4] = np.log(np.hypot(pose.blur, sigma))
         covariance[[0, 1], [0, 1]] += pose.pitch**2
@@ -332,7 +338,7 @@ class Tracker:
     def _watch(self, track: Track, change: Floats, noise: float, pose: Pose, corner: tuple[int, int]) -> Track:
         """The track with the recent change of its LEDs."""
         # random data change the light by half of it
-        least = FAINT**0.5 * 0.5 * contrast(pose) * track.data_gain
+        least = LEAST_DATA_POWER**0.5 * 0.5 * contrast(pose) * track.data_gain
         return replace(track, change=recent_change(track.change, change, noise, pose, corner, least))
 
     def _cut(self, pair: FramePair, pose: Pose) -> tuple[tuple[int, int], Floats, Floats]:
@@ -369,7 +375,7 @@ def contrast(pose: Pose) -> float:
         Pose of the array, of which pitch and blur count.
     """
     # along x and y alike: int (box * Gaussian)^2 / w = erf u - (1 - exp(-u^2)) / (sqrt(pi) u), u = w / 2 s
-    u = pose.pitch / float(np.hypot(pose.blur, PIXEL))
+    u = pose.pitch / float(np.hypot(pose.blur, PIXEL_STD_PX))
     return erf(u) - (1 - exp(-(u**2))) / (sqrt(pi) * u)
 
 
