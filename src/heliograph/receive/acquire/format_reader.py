@@ -34,7 +34,7 @@ LEAST_DISTANCE = 4
 UNDECIDED = 0.25
 """Least power by which another format must explain more than the agreed one, over that in which two words differ.
 
-Halfway between two words it is 1/4 of their squared distance: nearer ones are not told apart.
+Halfway between two words it is 1/4 of their squared distance: nearer ones cannot be distinguished.
 """
 
 

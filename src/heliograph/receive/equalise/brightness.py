@@ -37,14 +37,14 @@ them away."""
 LINEAR_PX = 0.2
 """Error of a pose in px up to which its slope describes what it makes: half the width of an LED's image at 95 m.
 
-With poses off by 0.14 px equal LEDs are told to be equal, with 0.28 px they seem to differ by 0.1 (known data, 95 m).
+With poses off by 0.14 px equal LEDs are found to be equal, with 0.28 px they seem to differ by 0.1 (known data, 95 m).
 """
 
 BRIGHTNESS_FADE = 0.9
 """Weight of earlier packets for each packet since: ten of them count, one second."""
 
 LEAST_BRIGHTNESS, MOST_BRIGHTNESS = 0.02, 3.0
-"""Bounds of an estimate. A dead LED keeps a fiftieth, so that what it shows can be told and it can come back."""
+"""Bounds of an estimate. A dead LED keeps a fiftieth: evidence is divided by the brightness, so the LED can return."""
 
 UNEQUAL = 0.05
 """Rms difference from 1 on which the halves of the pairs agree, from which on LEDs count as unequal.

@@ -174,7 +174,7 @@ def fit_array(
         vector[:free] += np.clip(step[:free], -limit, limit)
         linear = linear + step[free:]
         near = _rim_px(step[:free], vector, len(weights)) < CLOSE_PX and abs(step[4]) < CLOSE_BLUR
-        # pitch and blur of a header, by which distances are told, go on in small steps
+        # pitch and blur of a header, from which distances are measured, go on in small steps
         if panel and near and abs(step[free]) < CLOSE_GAIN * abs(linear[0]):
             break
         scene.place(vector)

@@ -1,6 +1,6 @@
 """The light's clock in the camera's time, measured by each header and carried on between headers.
 
-Two things tell the phase of a frame. First, how much of the header less its inverse it shows, -1 to 1: the mean over
+Two things show the phase of a frame. First, how much of the header less its inverse it shows, -1 to 1: the mean over
 the exposure of a square wave that is 0 outside the header. Second, the array's brightness: PWM lights random data
 brightly at the start of a pattern and dimly at its end (15, 11, 5 and 1 sixteenths of the LEDs in the four slots), but
 a header evenly. Cells that are dimmed to signal a format change both; the fraction of such cells is estimated too.
@@ -22,7 +22,7 @@ from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import SignalSettings
 
 PATTERNS_AROUND = 2
-"""Patterns before and after a header whose frames count too: its two ends tell most about the start."""
+"""Patterns before and after a header whose frames count too: its two ends say most about the start."""
 
 DEVIATION = 0.03
 """Standard deviation of random data projected on a header, and of their brightness, as a fraction of the light.
@@ -222,7 +222,7 @@ class LightClock:
         return True
 
     def _in_step(self, times_s: Floats, offset: Floats) -> Floats:
-        """Prior log odds of starts (offsets,) where frames about a first header are missing, which may tell little.
+        """Prior log odds of starts (offsets,) where frames about a first header are missing, which may say little.
 
         The camera is as likely in step as not, so one start has the weight of all others together.
         """
@@ -249,11 +249,11 @@ class LightClock:
             self._measured = True
             return
         prior = self._covariance[0, 0]
-        # the likelihood held the prior: x += P H^T S^-1 (posterior - prior), P += G (C - S) G^T
-        gain = self._covariance[:, 0] / prior
+        # the likelihood held the prior: x += P H^T S^-1 (posterior - prior), P += K (C - S) K^T
+        kalman_gain = self._covariance[:, 0] / prior
         self.start_s += error_s
-        self.rate += float(gain[1]) * error_s
-        self._covariance = self._covariance + np.outer(gain, gain) * (min(variance, prior) - prior)
+        self.rate += float(kalman_gain[1]) * error_s
+        self._covariance = self._covariance + np.outer(kalman_gain, kalman_gain) * (min(variance, prior) - prior)
 
     def _cost(self, amplitudes: HeaderAmplitudes, offset: Floats) -> Floats:
         """Negative log likelihood (exposures, offsets) of starts `offset` patterns after the predicted start."""

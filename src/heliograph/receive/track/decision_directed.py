@@ -200,7 +200,7 @@ class DecisionDirectedTracker:
     def _decided(self, pair: PairStatistics, gain: float) -> tuple[Floats, NDArray[np.intp]]:
         """Means of the symbols, 0 where they are not decided, and the numbers of these."""
         size = self._side**2
-        # LLR = 2 G: with the others as Gaussian fewer symbols are decided than with disturbers drawn from +-1
+        # LLR = 2 eta_cavity: with the others as Gaussian fewer symbols are decided than with disturbers drawn from +-1
         mean = np.tanh(equalise(pair, gain, self.noise.lit, np.zeros(size), np.ones(size)).extrinsic[1])
         decided = np.abs(mean) > DECIDED_MEAN
         return np.where(decided, mean, 0.0), np.flatnonzero(~decided)

@@ -14,7 +14,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
 
 POSE_SIZE, RATE_STATES, STATE_SIZE = 5, slice(5, 8), 10
-"""Parts of the state: the pose vector (x, y, ln pitch, roll, ln blur); the rates a second of its first three; and the
+"""Parts of the state: the pose vector (x, y, ln pitch, roll, ln blur); the rates per second of its first three; and the
 systematic errors of ln pitch and ln blur in sums, where the panel's rim looks like another size of the array."""
 
 UNFITTED_TILT = 1e-3
@@ -116,7 +116,7 @@ class MotionModel:
 
     @property
     def start_rates(self) -> Floats:
-        """Prior standard deviations of the rates a second, (3,)."""
+        """Prior standard deviations of the rates per second, (3,)."""
         return START_RATES / self.period_s
 
 
@@ -183,7 +183,7 @@ class Tilt:
         dt
             Seconds from now to that time, at least 0.
         rates
-            (2,) rates of x and y in px a second.
+            (2,) rates of x and y in px per second.
         model
             How the array may move.
         """
@@ -202,7 +202,7 @@ class PoseState:
     time_s
         Its time in seconds.
     mean
-        (10,) pose vector, rates a second of its first three, errors of ln pitch and ln blur in sums.
+        (10,) pose vector, rates per second of its first three, errors of ln pitch and ln blur in sums.
     covariance
         (10, 10) covariance of `mean`.
     tilt
@@ -235,7 +235,7 @@ class PoseState:
         model
             How the array may move.
         drift
-            Rates of x and y in px a second; they may be off by as much as unknown ones.
+            Rates of x and y in px per second; they may be off by as much as unknown ones.
         """
         mean, full = np.zeros(STATE_SIZE), np.zeros((STATE_SIZE, STATE_SIZE))
         mean[:POSE_SIZE], mean[5:7] = vector[:POSE_SIZE], drift
@@ -287,11 +287,11 @@ class PoseState:
         observation
             Which part of the state the fit observed.
         """
-        # S = H P H^T + R, G = P H^T S^-1; x += G (z - H x); P += G (C - S) G^T
+        # S = H P H^T + R, K = P H^T S^-1; x += K (z - H x); P += K (C - S) K^T
         mean, shown = self.expected(observation)
-        gain = np.linalg.solve(shown, observation.matrix @ self.covariance).T
-        full = self.covariance + gain @ (covariance - shown) @ gain.T
-        return replace(self, mean=self.mean + gain @ (vector - mean), covariance=0.5 * (full + full.T))
+        kalman_gain = np.linalg.solve(shown, observation.matrix @ self.covariance).T
+        full = self.covariance + kalman_gain @ (covariance - shown) @ kalman_gain.T
+        return replace(self, mean=self.mean + kalman_gain @ (vector - mean), covariance=0.5 * (full + full.T))
 
     @property
     def pose(self) -> Pose:

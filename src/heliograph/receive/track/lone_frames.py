@@ -1,4 +1,4 @@
-"""Pairs of which one frame is lost: the other still tells, as the sums of the pairs around are known.
+"""Pairs of which one frame is lost: the other still shows the data, as the sums of the pairs around are known.
 
 The sum r + r' shows all LEDs and the background, whatever is sent. With the sum of the lost pair taken from those
 around, what a frame shows is the difference
