@@ -1,5 +1,6 @@
 """A candidate of the coarse search fitted: its pose, and cells of its header that are hidden."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -7,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.acquire.coarse import RING, SIDE_STEP, SearchParameters
+from heliograph.receive.acquire.coarse import APART_SIDES, RING, SIDE_STEP, SearchParameters
 from heliograph.receive.image.fit import Fit, Prior, fit_array
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import window_around
@@ -63,6 +64,21 @@ def cell_weights(cells: NDArray[np.float64], side: int) -> Floats:
     (n, n).
     """
     return np.asarray(np.kron(cells.reshape(CELLS, CELLS), np.ones((side // CELLS, side // CELLS))), np.float64)
+
+
+def followed(start: Pose, taken: Sequence[Pose], side: int) -> bool:
+    """Whether a candidate is one of the arrays that are followed, by `APART_SIDES`.
+
+    Parameters
+    ----------
+    start
+        Pose of the candidate.
+    taken
+        Poses of the arrays followed.
+    side
+        LEDs in a row.
+    """
+    return any(np.hypot(start.x - p.x, start.y - p.y) < APART_SIDES * side * p.pitch for p in taken)
 
 
 def fit_near(

@@ -23,6 +23,7 @@ from heliograph.receive.acquire.candidate import (
     apart,
     cell_weights,
     fit_near,
+    followed,
     plausible,
 )
 from heliograph.receive.acquire.coarse import (
@@ -227,7 +228,7 @@ class Detector:
         number, sign = int(row[4]), float(np.sign(row[0]))
         weights, blur = cell_weights(searched.cells[number], self._side), self._parameters.blur_px
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], row[3] / self._side, 0.0, blur)
-        if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
+        if followed(start, taken, self._side):
             return None
         best: Detection | None = None
         for tilt in self._tilts:

@@ -23,6 +23,9 @@ PATTERNS_KEPT = 4
 The light's clock asks for two on either side, and two to spare.
 """
 
+SLOW_PHASES = 4
+"""Phases tried for a camera of fewer than two frames per pattern: one of them is within 1/8 pattern of any header's."""
+
 
 class PhasedSearch:
     """Thins frames out to streams of one frame per pattern at several phases, each with a detector of its own.
@@ -165,4 +168,4 @@ class _Nearest:
 
 def _phases(rate: float) -> int:
     """Streams for a camera of `rate` frames per pattern: the fewer frames to choose from, the more phases are tried."""
-    return 4 if rate < 2 else max(2, math.floor(rate))
+    return SLOW_PHASES if rate < 2 else max(2, math.floor(rate))

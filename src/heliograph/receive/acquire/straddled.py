@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.candidate import UPRIGHT_SPREAD, cell_weights, fit_near, plausible
+from heliograph.receive.acquire.candidate import UPRIGHT_SPREAD, cell_weights, fit_near, followed, plausible
 from heliograph.receive.acquire.coarse import (
     DIFFERENCE,
     SearchParameters,
@@ -138,7 +138,7 @@ class StraddledDetector:
         weights = cell_weights(self._searched.cells[number], self._side)
         pitch = row[3] / self._side
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], pitch, 0.0, parameters.blur_px)
-        if any(np.hypot(start.x - p.x, start.y - p.y) < 0.5 * self._side * p.pitch for p in taken):
+        if followed(start, taken, self._side):
             return None
         fit = fit_near(change, origin, start, weights, UPRIGHT_SPREAD)
         if fit is None or fit.score < DATA_SCORE * parameters.score:

@@ -24,6 +24,9 @@ FIRST_LOADING = 1e-6
 LEAST_INFORMATION = 1e-3
 """Added to the diagonal before it is loaded: of images that are 0 all over something must be left to solve for."""
 
+LEAST_RESIDUAL = 0.5
+"""Least standard deviation of residuals in gray levels by which they are weighed: the largest error of rounding."""
+
 LEAST_VARIANCE = 0.08
 """Least variance of a pixel in squared gray levels: that of rounding to whole levels, 1/12."""
 
@@ -265,8 +268,8 @@ class _Scene:
 
 
 def _noise_of(residual: Floats) -> float:
-    """Standard deviation of residuals, at least half a gray level."""
-    return max(robust_std(residual), 0.5)
+    """Standard deviation of residuals, at least `LEAST_RESIDUAL`."""
+    return max(robust_std(residual), LEAST_RESIDUAL)
 
 
 def _loaded(matrix: Floats, loading: float) -> Floats:

@@ -19,6 +19,9 @@ Window = tuple[int, int, int, int]
 RIM_PX = 2.0
 """Pixels beyond the array on which LEDs of its rim shine: 4 standard deviations of the reference link's blur."""
 
+HALF_LIT = 0.5
+"""Light of a pixel within an array, at least, as a fraction of the brightest one's: a blurred edge has half of it."""
+
 
 class PlacedPixels(Protocol):
     """Pixels with their place on the sensor: a `Frame`, or frames combined."""

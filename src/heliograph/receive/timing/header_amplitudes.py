@@ -7,7 +7,7 @@ import numpy as np
 from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import cut_out, window_around
+from heliograph.receive.image.window import HALF_LIT, cut_out, window_around
 
 CLIPPED = 0.02
 """Fraction of an array's pixels at full scale from which on its brightness is not used.
@@ -88,7 +88,7 @@ def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
     kernels.render(pose.full_vector(), lit, float(x0), float(y0), model[0])
     kernels.render(pose.full_vector(), np.abs(lit), float(x0), float(y0), model[1])
     columns = np.stack([model[0, 0].ravel(), model[1, 0].ravel(), np.ones(cut.size)], axis=1)
-    inside = model[1, 0] >= 0.5 * model[1, 0].max()
+    inside = model[1, 0] >= HALF_LIT * model[1, 0].max()
     clipped = (cut[inside] >= frame.full_scale).mean()
     # where only lit LEDs or only dark ones are left, the two images are one: the pseudo-inverse decides
     header = np.linalg.lstsq(columns, cut.ravel(), rcond=RCOND)[0][0]

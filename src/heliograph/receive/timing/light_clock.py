@@ -72,6 +72,9 @@ LEAST_DEVIATION = 0.004
 It is below the 0.005 to 0.02 T_b to which one header gives the start.
 """
 
+GAP_PATTERNS = 1.5
+"""Time between two frames in patterns from which on one is missing: halfway between one pattern and two."""
+
 
 class LightClock:
     """The light's clock in the camera's time.
@@ -228,7 +231,7 @@ class LightClock:
         """
         steps = np.diff(times_s) / self.period_s
         odds = np.zeros(len(offset))
-        if np.abs(steps - np.round(steps)).max() < STEP_TOLERANCE and steps.max() > 1.5:
+        if np.abs(steps - np.round(steps)).max() < STEP_TOLERANCE and steps.max() > GAP_PATTERNS:
             late = float((times_s[0] - self.start_s) / self.period_s)
             odds[np.argmin(np.abs(offset - (late - round(late))))] = np.log(len(offset))
         return odds

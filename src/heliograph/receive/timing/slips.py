@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import RIM_PX, cut_out, window_around
@@ -61,6 +61,13 @@ MEAN_FRAME_WEIGHT = 0.1
 
 OUT_OF_STEP_PATTERNS = 0.2
 """T_b by which a frame may be out of step for its pairs to be even: epsilon is then 0.08 or less."""
+
+
+WIDER_PX = 0.5
+"""Pixels by which an LED's square is taken wider than its pitch, before the nearest odd width of a mean is taken.
+
+Motion widens the light of an LED, so a pitch of 1.5 px has a mean over 3 px already.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +170,7 @@ class SlipWatch:
         first = pose.x - window[0] - (a + b) * middle, pose.y - window[1] - (c + d) * middle
         grid = np.array([[a, b, first[0]], [c, d, first[1]]])
         # over all of an LED's square: motion shifts the light of each by its own part of a pattern
-        width = 2 * int(pose.pitch / 2 + 0.25) + 1
+        width = 2 * int((pose.pitch + WIDER_PX) / 2) + 1
         cut = cv2.blur(cut_out(frame, window), (width, width), borderType=cv2.BORDER_REPLICATE)
         sampled = cv2.warpAffine(cut, grid, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
         shown = np.asarray(sampled[self._inner, self._inner], np.float64).ravel()
@@ -214,7 +221,7 @@ class SlipWatch:
         length = 2 * self._signal.header_pairs
         near = (number + length) % self._signal.packet_patterns < 3 * length
         if near and first.about is not None:
-            self._headers[number] = float(first.about @ self._signs) / max(first.power * self._signs.size, 1e-9) ** 0.5
+            self._headers[number] = float(first.about @ self._signs) / max(first.power * self._signs.size, TINY) ** 0.5
             self._follow_header(number)
         return out
 
@@ -242,7 +249,7 @@ class SlipWatch:
         u, v, powers = one.about, other.about, (one.power, other.power)
         if u is None or v is None or not (one.pattern and other.pattern) or min(powers) < POWER_RATIO * max(powers):
             return None
-        return min(1 + 2 * float(u @ v) / max(sum(powers), 1e-9), 1.0)
+        return min(1 + 2 * float(u @ v) / max(sum(powers), TINY), 1.0)
 
     def _even(self, place: int, least: float = EVEN_SUM_POWER) -> bool:
         """Whether a frame in hand and the next are surely a pair."""

@@ -18,7 +18,7 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.footprint import image_of
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import RIM_PX, covered, cut_out, window_around
+from heliograph.receive.image.window import HALF_LIT, RIM_PX, covered, cut_out, window_around
 from heliograph.receive.observe.cutout import RING_PX, Cutout
 from heliograph.receive.timing.frame_pair import LoneFrame
 from heliograph.receive.track.kalman import POSE_SIZE, RATE_STATES, PoseState
@@ -136,7 +136,7 @@ def lone_cutout(
     steady = [_background(seen[k], lone.late_s - late_s, gain, led_gains, state.pose, corner, shape) for k in chosen]
     total = gain * lit + np.mean(steady, axis=0)
     shown = 2 * cut_out(lone.frame, (x, y, cols, rows)) - total
-    inside = lit > 0.5 * lit.max()
+    inside = lit > HALF_LIT * lit.max()
     if abs(shown[inside].mean()) > UNEVEN * gain:
         return None
     # 4 s^2 of the frame and 2 s^2 / k of k sums, over the 2 s^2 of a difference of two frames

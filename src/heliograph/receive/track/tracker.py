@@ -78,6 +78,16 @@ MOST_SUM_BLUR = 0.3
 In hard shake more and more of the panel's edge was taken for blur, until the array was lost.
 """
 
+INSIDE_EDGE_PX, BESIDE_EDGE_PX = 0.5, 1.0
+"""Pixels inside and beside an array's edge that are left out where its change is compared with that beside it.
+
+A pixel whose centre is 0.5 px inside is inside as a whole. A blur of 0.5 px leaves 2 % of the light 1 px beside an
+edge.
+"""
+
+LEAST_HALF_PX = 1.5
+"""Half the side in px, at least, of the square whose change counts: 3 px, however small an array seems."""
+
 FOUND_SPREAD = np.array([1.0, 1.0, 1e-3, 1e-4, 1e-2])
 """Variances added to a detection's pose vector for the motion since its middle: 1 px, and 3 % of the pitch.
 
@@ -349,13 +359,13 @@ class Tracker:
     def _active(self, change: Floats, noise: float, pose: Pose, corner: tuple[int, int], gain: float) -> bool:
         """Whether pattern and inverse differ where the array should be: a hidden or dark array shows no change."""
         away, half = _away(change, pose, corner), 0.5 * self._side * pose.pitch
-        inner = change[away <= max(half - 1, 1) + 0.5]
+        inner = change[away <= max(half - INSIDE_EDGE_PX, LEAST_HALF_PX)]
         least = ACTIVITY * contrast(pose) * gain
         return bool(inner.size and inner @ inner >= inner.size * (least**2 + NOISY * noise**2))
 
     def _noise(self, change: Floats, pose: Pose, corner: tuple[int, int]) -> float:
         """Standard deviation of the difference around the array."""
-        around = change[_away(change, pose, corner) > 0.5 * self._side * pose.pitch + 1]
+        around = change[_away(change, pose, corner) > 0.5 * self._side * pose.pitch + BESIDE_EDGE_PX]
         return robust_std(around) if around.size else 0.0
 
 
