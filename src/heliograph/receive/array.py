@@ -35,8 +35,9 @@ HEADER_SEEN = 0.5
 ENOUGH_SEEN = 0.5
 """Least fraction of a packet's data that must have been seen.
 
-Below it a packet that the film's end cuts off is not given out, and one without a right codeword is "no_array". Chosen;
-docs/constants.md says what half and twice of it cost.
+Below it a packet that the film's end cuts off is not given out, and one without a right codeword is "no_array". Of
+data half of which is erased no code of a rate above 1/2 can be read. Half of it loses none of 192 codewords; twice of
+it, all of the data, loses 20, all of cameras out of step (docs/constants.md).
 """
 
 ASTRAY = 0.5

@@ -16,7 +16,11 @@ from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.view import View
 
 HIDDEN_REGULARITY = 0.85
-"""Least regularity of an array of which a part may be hidden: it correlates less, but alternates evenly."""
+"""Least regularity of an array of which a part may be hidden: it correlates less, but alternates evenly.
+
+A format may dim half of the cells to a half in the second pair of a header. The four frames then have the amplitudes
+1, -1, 0.75 and -0.75; the weakest change over the mean one is 1.5 / 1.75 = 0.86. Its cost was not measured.
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,7 +63,9 @@ RATE_WALK = 6.3e-8
 EXPLAINED = 0.7
 """Least part of the power in a header's amplitudes that the header must explain; of clutter it explains less.
 
-Chosen; docs/constants.md says what half and twice of it cost.
+Eight frames about a header of four patterns show 16 numbers. Of white noise a model of 4 parameters explains about a
+quarter; of a header in clear sight nearly all is explained. With 0.85 and with 0.4 none of 192 codewords is lost
+(docs/constants.md).
 """
 
 LEAST_DEVIATION = 0.004

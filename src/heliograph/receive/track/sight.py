@@ -35,10 +35,17 @@ BRIGHT_QUANTILE = 0.8
 """Quantile of the LEDs' changes that stands for one in sight: a fifth of the array is enough."""
 
 LEAST_DATA_POWER = 0.1
-"""Least of that quantile, as a fraction of the power that random data have: below it all are hidden."""
+"""Least of that quantile, as a fraction of the power that random data have: below it all are hidden.
+
+The change then has sqrt(0.1) = 0.32 of the amplitude of data. So LEDs may be three times dimmer than the gain says.
+"""
 
 MOST_CHANGE = 2.0
-"""Most that a pair counts for an LED in sight, as a multiple of that quantile."""
+"""Most that a pair counts for an LED in sight, as a multiple of that quantile.
+
+It bounds how long a hidden LED counts as in sight, whatever was seen of it: 2 * 0.75^n is below `LEAST_CHANGE_IN_SIGHT`
+after nine pairs. From 1, which the LED at that quantile has, it takes six.
+"""
 
 
 def recent_change(
