@@ -7,8 +7,8 @@ places. A slip shows itself. Let r~_i be frame i less the mean of the frames, at
 
 is near 0 for a pattern and its inverse, and near 1 for patterns of different pairs. Where something hides the array,
 epsilon says nothing. Where a pair is uneven, the frames after it are awaited. They are then paired at the least cost:
-epsilon for each pair, `SLIP_COST` for each frame taken as the one left of a pair. A pair that is lost as a whole leaves sums
-even. The next header shows the loss, as it comes two patterns early.
+epsilon for each pair, `SLIP_COST` for each frame taken as the one left of a pair. A pair that is lost as a whole leaves
+sums even. The next header shows the loss, as it comes two patterns early.
 """
 
 from collections.abc import Iterator
