@@ -45,6 +45,16 @@ def test_poses_that_are_off_before_a_bright_sky_are_no_slips(seed: int) -> None:
     assert watch.lost == 0
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_poses_wrong_for_two_pairs_are_no_slips(seed: int) -> None:
+    watch, found = SlipWatch(3, SIGNAL), []
+    for k, frame in enumerate(before_a_sky(80, seed)):
+        # as where the array passes fast and its motion is not known yet
+        wrong = POSE.moved(1.8 * (-1) ** k, 1.2) if 24 <= k < 28 else POSE
+        found += watch.push(frame, 0.0, lambda _, pose=wrong: pose, True)  # type: ignore[misc]
+    assert [round(frame.time_s * 1e3) for frame in [*found, *watch.flush()]] == list(range(80))
+
+
 @pytest.mark.parametrize("gone", [41, 50, 63])
 def test_a_frame_lost_without_a_gap_is_missed_at_once(gone: int) -> None:
     frames = before_a_sky(120, 1)

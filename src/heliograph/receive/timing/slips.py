@@ -37,6 +37,13 @@ SLIP_COST = 0.45
 LEAST_EVEN_PAIRS = 2
 """Least number of even pairs after a slip: one may be even by chance, where the array is hidden."""
 
+MOST_SLIPS = 2
+"""Most frames taken as lost of those in hand.
+
+Where a frame in 50 is lost, three of ten are lost once in 1000 times. At the start of a fast passage poses may be wrong
+for two pairs. Four slips would explain these.
+"""
+
 AWAITED_FRAMES = 9
 """Frames in hand when a slip is decided on: four pairs with it, and four without."""
 
@@ -92,10 +99,11 @@ class _Held:
 
 @dataclass(frozen=True, slots=True)
 class _Pairs:
-    """Frames in hand paired: the cost of it, and epsilon of each pair."""
+    """Frames in hand paired: the cost of it, epsilon of each pair, and the frames taken as the ones left of a pair."""
 
     cost: float
     uneven: tuple[float, ...]
+    slips: int
 
 
 class SlipWatch:
@@ -273,6 +281,7 @@ class SlipWatch:
         """
         regular, slipped = self._paired(0, self.lost, slip=False), self._paired(1, self.lost + 1)
         even = len(slipped.uneven) >= LEAST_EVEN_PAIRS and max(slipped.uneven) < EVEN_SUM_POWER
+        even &= slipped.slips < MOST_SLIPS
         if not self._even_before:
             even &= all(self._even(k + 1) and self._odd(k) for k in range(0, len(self._held) - 2, 2))
         return even and SLIP_COST + slipped.cost < regular.cost
@@ -280,12 +289,13 @@ class SlipWatch:
     def _paired(self, place: int, lost: int, slip: bool = True) -> _Pairs:
         """The frames in hand from one on, paired at the least cost; the first is left alone only if it may `slip`."""
         if place >= len(self._held) - 1:
-            return _Pairs(0.0, ())
+            return _Pairs(0.0, (), 0)
         if (self._held[place].number + lost) % 2 or self._gap(place) > 1:
             return self._paired(place + 1, lost)
         e, rest = self._uneven(place), self._paired(place + 2, lost)
-        paired = rest if e is None else _Pairs(e + rest.cost, (e, *rest.uneven))
+        paired = rest if e is None else _Pairs(e + rest.cost, (e, *rest.uneven), rest.slips)
         if not slip:
             return paired
         slipped = self._paired(place + 1, lost + 1)
-        return min(paired, _Pairs(SLIP_COST + slipped.cost, slipped.uneven), key=lambda one: one.cost)
+        slipped = _Pairs(SLIP_COST + slipped.cost, slipped.uneven, slipped.slips + 1)
+        return min(paired, slipped, key=lambda one: one.cost)
