@@ -120,7 +120,7 @@ def decode_iteratively(
             if buffer is not None:
                 buffer.keep_packet(packet.earlier)
             packet = alone
-    words = {name: tuple(layer.words) for name, layer in packet.layers.items()}
+    words = {name: layer.words for name, layer in packet.layers.items()}
     decoded = DecodedPacket(words, observed, *packet.expected(), packet.channel)
     if buffer is not None:
         packet.remember(buffer)
@@ -200,8 +200,11 @@ class _Packet:
             if number == 0 and buffer is not None:
                 self.add_earlier(buffer)
             observe(EqualiseEvent(self.identity, number, {name: layer.llr for name, layer in self.layers.items()}))
-            for name, layer in self.layers.items():
-                decode_layer(layer, name, self.identity, self.options, self.feedback in ("soft", "propagation"))
+            soft = self.feedback in ("soft", "propagation")
+            self.layers = {
+                name: decode_layer(layer, name, self.identity, self.options, soft)
+                for name, layer in self.layers.items()
+            }
             left = self.open
             self.information = np.concatenate([information(one.llr + one.earlier_llr) for one in self.layers.values()])
             if not left.any() or self.feedback == "none":
@@ -259,15 +262,13 @@ class _Packet:
 
     def forget_guesses(self) -> None:
         """Drop what is fed back of codewords that are not decoded."""
-        for layer in self.layers.values():
-            layer.forget_guesses()
+        self.layers = {name: layer.without_guesses() for name, layer in self.layers.items()}
         if self.propagation:
             self.propagation.forget()
 
     def add_earlier(self, buffer: SoftBuffer) -> None:
         """Add what was seen earlier: of the packet as a whole, or else of each of its codewords."""
-        for layer in self.layers.values():
-            layer.remember_own()
+        self.layers = {name: layer.with_own() for name, layer in self.layers.items()}
         if not self.combined:
             own = [llr for layer in self.layers.values() for llr in layer.own]
             self.earlier = buffer.take_packet(self.form.format, own)
@@ -277,14 +278,15 @@ class _Packet:
                 self.propagation.forget()
             self.equalise()
             return
-        for name, layer in self.layers.items():
-            layer.add_earlier(np.stack([buffer.codeword((name, layer.form.code), own) for own in layer.own]))
+        self.layers = {
+            name: layer.with_earlier(np.stack([buffer.codeword((name, layer.form.code), own) for own in layer.own]))
+            for name, layer in self.layers.items()
+        }
 
     def doubt(self) -> None:
         """Take nothing for decoded that only earlier packets support: they may be others."""
         if self.earlier is not None:
-            for layer in self.layers.values():
-                layer.doubt()
+            self.layers = {name: layer.doubted() for name, layer in self.layers.items()}
 
     def remember(self, buffer: SoftBuffer) -> None:
         """Keep what this packet shows of the codewords that it alone did not give.
@@ -333,8 +335,8 @@ class _Packet:
             moments += moments_of(pair, estimate)
         self.channel = channel.updated(moments, self.combined)
         parts = self.mapper.bits(llr, [layer.mean() for layer in self.layers.values()])
-        for layer, part in zip(self.layers.values(), parts, strict=True):
-            layer.take(part)
+        pairs = zip(self.layers.items(), parts, strict=True)
+        self.layers = {name: layer.equalised(part) for (name, layer), part in pairs}
 
 
 def _equalise_combined(

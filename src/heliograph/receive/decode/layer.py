@@ -31,7 +31,7 @@ when other layers are known (105 of 685 that began below it, at rest from 105 to
 """
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Layer:
     """What is known of a layer's codewords.
 
@@ -46,7 +46,7 @@ class Layer:
     variance
         (codewords, E) variance of each.
     own
-        (codewords, E) LLRs of this packet alone, by which codewords are told apart: 0 but for distinguishing bits.
+        (codewords, E) LLRs of this packet alone that tell one codeword from another: 0 but for distinguishing bits.
     earlier_llr
         (codewords, E) LLRs of earlier packets with the same codeword.
     words
@@ -59,7 +59,7 @@ class Layer:
     variance: Floats
     own: Floats
     earlier_llr: Floats
-    words: list[Codeword]
+    words: tuple[Codeword, ...]
 
     @classmethod
     def unknown(cls, form: LayerFormat) -> "Layer":
@@ -71,42 +71,47 @@ class Layer:
             How the layer fills its packet.
         """
         shape = form.codewords, form.code.length
-        return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), np.zeros(shape), np.zeros(shape), [])
+        return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), np.zeros(shape), np.zeros(shape), ())
 
     @property
     def open(self) -> list[int]:
         """Numbers of the codewords that are not decoded."""
         return [i for i in range(len(self.llr)) if not self.words or self.words[i].status == "crc_fail"]
 
-    def take(self, sent: Floats) -> None:
-        """Take the LLRs of a new equalisation.
+    def equalised(self, sent: Floats) -> "Layer":
+        """The layer with the LLRs of a new equalisation.
 
         Parameters
         ----------
         sent
             (pairs, symbols) LLRs of the bits as they were sent, that is whitened.
         """
-        self.llr = self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR))
+        return replace(self, llr=self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR)))
 
-    def add_earlier(self, earlier: Floats) -> None:
-        """Take the LLRs of earlier packets with the same codewords.
+    def with_earlier(self, earlier: Floats) -> "Layer":
+        """The layer with the LLRs of earlier packets of the same codewords.
 
         Parameters
         ----------
         earlier
             (codewords, E) sums of their LLRs, whitening undone; 0 where a codeword was not seen before.
         """
-        self.earlier_llr = earlier
+        return replace(self, earlier_llr=earlier)
 
-    def remember_own(self) -> None:
-        """Keep the LLRs of the first equalisation, by which codewords are told apart."""
-        self.own = np.where(self.form.code.distinguishing, self.llr, 0.0)
+    def with_own(self) -> "Layer":
+        """The layer whose present LLRs, those of the first equalisation, tell its codewords from others."""
+        return replace(self, own=np.where(self.form.code.distinguishing, self.llr, 0.0))
 
-    def doubt(self) -> None:
-        """Take codewords for not decoded with which this packet's own LLRs are not consistent."""
-        for i, (word, own) in enumerate(zip(self.words, self.own, strict=True)):
-            if word.status != "crc_fail" and not consistent(own, coded_signs(self.form.code, word)):
-                self.words[i] = replace(word, status="crc_fail", block=None)
+    def doubted(self) -> "Layer":
+        """The layer where codewords with which this packet's own LLRs are not consistent count as not decoded."""
+        code = self.form.code
+        words = (
+            replace(word, status="crc_fail", block=None)
+            if word.status != "crc_fail" and not consistent(own, coded_signs(code, word))
+            else word
+            for word, own in zip(self.words, self.own, strict=True)
+        )
+        return replace(self, words=tuple(words))
 
     def unsure(self, number: int) -> bool:
         """Whether a codeword is not decoded, or only with the help of earlier packets.
@@ -123,11 +128,12 @@ class Layer:
         known = self.variance.max(1) == 0
         return [LARGEST_LLR * soft if sure else llr for llr, soft, sure in zip(self.llr, self.soft, known, strict=True)]
 
-    def forget_guesses(self) -> None:
-        """Drop what is fed back of the codewords that are not decoded."""
-        for i, word in enumerate(self.words):
-            if word.status == "crc_fail":
-                self.soft[i], self.variance[i] = 0.0, 1.0
+    def without_guesses(self) -> "Layer":
+        """The layer without what is fed back of the codewords that are not decoded."""
+        failed = [i for i, word in enumerate(self.words) if word.status == "crc_fail"]
+        soft, variance = self.soft.copy(), self.variance.copy()
+        soft[failed], variance[failed] = 0.0, 1.0
+        return replace(self, soft=soft, variance=variance)
 
     def mean(self) -> Floats:
         """(pairs, symbols) mean of each bit as it was sent."""
@@ -138,13 +144,13 @@ class Layer:
         return self.form.interleave(self.variance)
 
 
-def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feedback: bool) -> None:
-    """Decode the codewords still open, and note what is known of their bits by now.
+def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feedback: bool) -> Layer:
+    """Decode the codewords still open.
 
     Parameters
     ----------
     layer
-        The layer; its words, means and variances are brought up to date.
+        The layer before.
     name
         Name of the layer: "high", "middle" or "low".
     identity
@@ -153,18 +159,27 @@ def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feed
         Algorithm of the channel decoder, and its most iterations.
     feedback
         Whether soft values of failed codewords are fed back.
+
+    Returns
+    -------
+    The layer with its words, and with means and variances of their bits. LLRs of earlier packets are 0 for a codeword
+    that was decoded without them, as theirs may be another one.
     """
     code, words = layer.form.code, dict(enumerate(layer.words))
-    for i, (word, extrinsic) in _decoded(layer, name, identity, options).items():
-        words[i] = replace(word, raw=hard(layer.llr[i]))
-        if word.status != "crc_fail":
-            layer.soft[i], layer.variance[i] = coded_signs(code, word), 0.0
+    soft, variance, earlier = layer.soft.copy(), layer.variance.copy(), layer.earlier_llr.copy()
+    for i, attempt in _attempts(layer, name, identity, options).items():
+        words[i] = replace(attempt.word, raw=hard(layer.llr[i]))
+        if attempt.alone:
+            earlier[i] = 0.0
+        if words[i].status != "crc_fail":
+            soft[i], variance[i] = coded_signs(code, words[i]), 0.0
         elif not feedback:
-            layer.soft[i], layer.variance[i] = 0.0, 1.0
+            soft[i], variance[i] = 0.0, 1.0
         else:
-            layer.soft[i] = np.tanh(0.5 * TRUST * extrinsic)
-            layer.variance[i] = np.maximum(1 - layer.soft[i] ** 2, 2 * KNOWN_VARIANCE)
-    layer.words = [words[i] for i in range(len(layer.llr))]
+            soft[i] = np.tanh(0.5 * TRUST * attempt.extrinsic)
+            variance[i] = np.maximum(1 - soft[i] ** 2, 2 * KNOWN_VARIANCE)
+    known = tuple(words[i] for i in range(len(layer.llr)))
+    return replace(layer, soft=soft, variance=variance, earlier_llr=earlier, words=known)
 
 
 def coded_signs(code: Code, word: Codeword) -> Floats:
@@ -180,20 +195,35 @@ def coded_signs(code: Code, word: Codeword) -> Floats:
     return np.asarray(1.0 - 2.0 * code.encode(word.bits))
 
 
-Attempt = tuple[Codeword, Floats]
-"""A codeword, and the extrinsic LLRs (E,) of its coded bits."""
+@dataclass(frozen=True, slots=True)
+class _Attempt:
+    """What the decoder made of a codeword.
+
+    Attributes
+    ----------
+    word
+        The codeword.
+    extrinsic
+        (E,) extrinsic LLRs of its coded bits.
+    alone
+        Whether LLRs of earlier packets were left out that there were.
+    """
+
+    word: Codeword
+    extrinsic: Floats
+    alone: bool = False
 
 
-def _decoded(layer: Layer, name: str, identity: int, options: Decoding) -> dict[int, Attempt]:
+def _attempts(layer: Layer, name: str, identity: int, options: Decoding) -> dict[int, _Attempt]:
     """Attempts at the open codewords, by number."""
     code, open_ = layer.form.code, layer.open
     tried = _decode(code, (layer.llr + layer.earlier_llr)[open_], identity, name, options)
     found = dict(zip(open_, tried, strict=True))
-    doubtful = [i for i, (word, _) in found.items() if _doubtful(layer, i, word)]
-    for i, (word, extrinsic) in zip(doubtful, _decode(code, layer.llr[doubtful], identity, name, options), strict=True):
+    doubtful = [i for i, one in found.items() if _doubtful(layer, i, one.word)]
+    for i, one in zip(doubtful, _decode(code, layer.llr[doubtful], identity, name, options), strict=True):
         # the earlier packets' codeword may be another one than this
-        if found[i][0].status != "crc_fail" or word.status != "crc_fail":
-            layer.earlier_llr[i], found[i] = 0.0, (word, extrinsic)
+        if found[i].word.status != "crc_fail" or one.word.status != "crc_fail":
+            found[i] = replace(one, alone=True)
     return found
 
 
@@ -204,7 +234,7 @@ def _doubtful(layer: Layer, number: int, word: Codeword) -> bool:
     return word.status == "crc_fail" or not consistent(layer.own[number], coded_signs(layer.form.code, word))
 
 
-def _decode(code: Code, llr: Floats, identity: int, name: str, options: Decoding) -> list[Attempt]:
+def _decode(code: Code, llr: Floats, identity: int, name: str, options: Decoding) -> list[_Attempt]:
     """Attempts at codewords of LLRs (codewords, E).
 
     They are decoded together, which takes no longer than one of them; where all are hopeless, one iteration must do.
@@ -227,4 +257,4 @@ def _decode(code: Code, llr: Floats, identity: int, name: str, options: Decoding
         codeword_of(DecodedBlock(bits, int(count), float(margin)), one, identity, name)
         for (bits, count, margin), one in zip(decoded, llr, strict=True)
     ]
-    return list(zip(words, extrinsic, strict=True))
+    return [_Attempt(word, one) for word, one in zip(words, extrinsic, strict=True)]
