@@ -17,7 +17,7 @@ from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import EqualiseEvent, decode_iteratively, ignore
-from heliograph.receive.decode.soft_combining import SoftBuffer
+from heliograph.receive.decode.soft_combining import SharedBuffer
 from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image.reference import blur_matrix
 from heliograph.receive.observe.reference import pair_model, transform
@@ -151,17 +151,19 @@ def decoded(
     packet: Sequence[PairStatistics | None] | KnownPoses,
     feedback: Feedback = "propagation",
     channel: GainAndNoise | None = None,
-    buffer: SoftBuffer | None = None,
+    buffer: SharedBuffer | None = None,
     identity: int = IDENTITY,
     observe: Callable[[EqualiseEvent], None] = ignore,
 ) -> Words:
-    """What the soft receiver reads of a packet."""
+    """What the soft receiver reads of a packet; what it cannot read is kept in the buffer."""
     observed = packet if isinstance(packet, KnownPoses) else KnownPoses(packet)
     options = Decoding("log-map")
     with one_thread():  # as in the receiver
-        return decode_iteratively(
-            observed, channel or GainAndNoise(GAIN, NOISE), FORM, identity, options, buffer, feedback, observe
-        ).words
+        earlier, channel = buffer.content if buffer else None, channel or GainAndNoise(GAIN, NOISE)
+        read = decode_iteratively(observed, channel, FORM, identity, options, earlier, feedback, observe)
+    if buffer is not None and read.buffer is not None:
+        buffer.keep(read.buffer)
+    return read.words
 
 
 def right(words: Words, blocks: Blocks) -> list[bool]:

@@ -11,7 +11,7 @@ from heliograph.receive.acquire.phases import PhasedSearch
 from heliograph.receive.acquire.pyramid import PyramidSearch
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.soft_combining import SoftBuffer
+from heliograph.receive.decode.soft_combining import SharedBuffer
 from heliograph.receive.events import Observer
 from heliograph.receive.image.view import View
 from heliograph.receive.packet_reader import SoftParts, SoftReader
@@ -168,7 +168,7 @@ def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
     form = PacketFormat(signal)
     decoding = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
     # by identity, not by array: one lost and found again goes on with its carousel
-    buffers: dict[Hypothesis, SoftBuffer] = defaultdict(SoftBuffer)
+    buffers: dict[Hypothesis, SharedBuffer] = defaultdict(SharedBuffer)
 
     def reader(detection: Detection, tracker: Tracker) -> PacketReader:
         buffer = buffers[detection.identity, detection.orientation] if settings.soft.combining else None

@@ -13,7 +13,7 @@ from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import decode_iteratively
 from heliograph.receive.decode.observed import DecodedPacket
-from heliograph.receive.decode.soft_combining import SoftBuffer
+from heliograph.receive.decode.soft_combining import SharedBuffer
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
@@ -66,7 +66,7 @@ class SoftParts:
 
     form: PacketFormat
     tracker: Tracker
-    buffer: SoftBuffer | None
+    buffer: SharedBuffer | None
     options: Decoding
     feedback: Feedback
     observe: Observer
@@ -162,33 +162,30 @@ class SoftReader:
     def decode(self) -> dict[str, tuple[Codeword, ...]]:
         """Codewords by layer, of all pairs kept."""
         check_mode(self._format_reader.number(self._gain))
-        form, buffer = self._known(), self._parts.buffer
-        led_gains = self._gains()
-        first = None if buffer is None else buffer.copy()
-        decoded = self._attempt(form, led_gains, first)
+        form, led_gains = self._known(), self._gains()
+        decoded = self._attempt(form, led_gains)
         words = decoded.words
         if _open(words) and led_gains.doubtful:
             # a header before a bright background may have made LEDs seem dead that are not
-            second = None if buffer is None else buffer.copy()
-            sound = self._attempt(form, LedGains.sound(self._side), second)
+            sound = self._attempt(form, LedGains.sound(self._side))
             if _open(sound.words) < _open(words):
-                led_gains, first, decoded = LedGains.sound(self._side), second, sound
+                led_gains, decoded = LedGains.sound(self._side), sound
             words = {name: tuple(map(_better, words[name], sound.words[name])) for name in words}
         if _open(words) and not form.single:
             # what shines beside the array may have pulled the poses that sums show
             cutouts, largest_px = realigned(self._cutouts, led_gains.values)
             if largest_px > PULLED_PX:
-                self._cutouts, third = cutouts, None if buffer is None else buffer.copy()
-                again = self._attempt(form, led_gains, third)
+                self._cutouts = cutouts
+                again = self._attempt(form, led_gains)
                 if _open(again.words) < _open(words):
-                    first, decoded = third, again
+                    decoded = again
                 words = {name: tuple(map(_better, words[name], again.words[name])) for name in words}
         if self._led_gains is not None and (_open(words) or not led_gains.brightness.settled):
             channel = decoded.channel
             learnt = decoded.observed.learnt(decoded.mean, decoded.variance, channel.gain, channel.noise)
             self._led_gains = replace(led_gains, brightness=learnt)
-        if buffer is not None and first is not None:
-            buffer.become(first)
+        if self._parts.buffer is not None and decoded.buffer is not None:
+            self._parts.buffer.keep(decoded.buffer)
         return words
 
     def shown(self, packet: Packet) -> DecodeEvent:
@@ -235,15 +232,14 @@ class SoftReader:
             self._parts.tracker, (late_s, self._late_s), self._headers, track.data_gain, track.shining
         )
 
-    def _attempt(
-        self, form: PacketFormat, led_gains: LedGains, buffer: SoftBuffer | None
-    ) -> DecodedPacket[ObservedPacket]:
+    def _attempt(self, form: PacketFormat, led_gains: LedGains) -> DecodedPacket[ObservedPacket]:
         """Decode all that was kept, LEDs having given gains."""
         parts, noise = self._parts, self._noise(led_gains.values)
         observed = ObservedPacket.of(self._with_lone(led_gains.values), noise, form, led_gains)
         channel = GainAndNoise(min(self._gain, self._full_scale), noise.lit, self._full_scale)
+        earlier = None if parts.buffer is None else parts.buffer.content
         return decode_iteratively(
-            observed, channel, form, self._identity, parts.options, buffer, parts.feedback, parts.observe
+            observed, channel, form, self._identity, parts.options, earlier, parts.feedback, parts.observe
         )
 
     def _with_lone(self, led_gains: Floats) -> list[Cutout | None]:

@@ -31,7 +31,7 @@ from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import ERASED
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import EqualiseEvent
-from heliograph.receive.decode.soft_combining import SoftBuffer
+from heliograph.receive.decode.soft_combining import SharedBuffer
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image.reference import blur_matrix
@@ -121,12 +121,12 @@ def test_a_packet_never_seen_is_not_right() -> None:
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_the_gain_is_estimated_along_with_the_symbols(factor: float) -> None:
-    blocks, events, buffer = random_blocks(0), list[EqualiseEvent](), SoftBuffer()
+    blocks, events, buffer = random_blocks(0), list[EqualiseEvent](), SharedBuffer()
     packet = KnownPoses(statistics_of(blocks, 120))
     words = decoded(packet, channel=GainAndNoise(factor * GAIN, NOISE), buffer=buffer, observe=events.append)
     # the low layer is not read, so the packet is kept, in units of its gain
     assert right(words, blocks) == [True, True, True, False]
-    kept = buffer.take_packet(FORM.format, [llr for layer in events[0].llr.values() for llr in layer])
+    kept = buffer.content.same_packet(FORM.format, [llr for layer in events[0].llr.values() for llr in layer])
     assert kept is not None
     # with each layer that is known it comes nearer
     errors = [abs(gain / GAIN - 1) for gain in (*(channel.gain for channel in packet.channels), kept.gain)]

@@ -6,7 +6,7 @@ from known_packets import FORM, GAIN, Words, decoded, random_blocks, right, stat
 from numpy.typing import NDArray
 
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
-from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer, consistent
+from heliograph.receive.decode.soft_combining import BufferedPacket, SharedBuffer, SoftBuffer, consistent
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.signal.block import Block
 from heliograph.signal.formats import AGREED, Format
@@ -37,7 +37,7 @@ def statuses(words: Words) -> list[str]:
 @pytest.mark.parametrize("number", range(3))
 @pytest.mark.slow
 def test_a_packet_that_comes_again_is_read(number: int) -> None:
-    blocks, buffer = random_blocks(number), SoftBuffer()
+    blocks, buffer = random_blocks(number), SharedBuffer()
     first, second, third = (statistics_of(blocks, FAR, 10 * number + k) for k in range(3))
     assert right(decoded(first, buffer=buffer), blocks) == [True, False, False, False]
     assert right(decoded(second, buffer=buffer), blocks)[:3] == [True, True, True]
@@ -49,7 +49,7 @@ def test_a_packet_that_comes_again_is_read(number: int) -> None:
 @pytest.mark.slow
 def test_pairs_seen_only_once_are_taken_from_that_sighting(number: int) -> None:
     """At 105 m the low layer needs more pairs than either sighting has."""
-    blocks, buffer = random_blocks(number), SoftBuffer()
+    blocks, buffer = random_blocks(number), SharedBuffer()
     first, second = (statistics_of(blocks, 105, 10 * number + k) for k in range(2))
     early, late = [*first[:14], *[None] * 10], [*[None] * 10, *second[10:]]
     assert not all(right(decoded(early, buffer=buffer), blocks))
@@ -60,7 +60,7 @@ def test_pairs_seen_only_once_are_taken_from_that_sighting(number: int) -> None:
 @pytest.mark.parametrize("number", range(2))
 @pytest.mark.slow
 def test_another_packet_is_not_taken_for_it(number: int) -> None:
-    buffer = SoftBuffer()
+    buffer = SharedBuffer()
     decoded(statistics_of(random_blocks(2 * number), FAR, 1), buffer=buffer)
     blocks = random_blocks(2 * number + 1)
     packet = statistics_of(blocks, 140, number)
@@ -71,29 +71,28 @@ def test_another_packet_is_not_taken_for_it(number: int) -> None:
 
 @pytest.mark.slow
 def test_a_codeword_in_other_company_is_added_to() -> None:
-    rng, buffer, blocks = np.random.default_rng(6), SoftBuffer(), random_blocks(0)
+    rng, buffer, blocks = np.random.default_rng(6), SharedBuffer(), random_blocks(0)
     kind, others = ("middle", FORM.layers["middle"].code), list[Floats]()
     for _ in range(CODEWORDS - 2):
         others.append(rng.choice([-3.0, 3.0], FORM.layers["middle"].code.length))
-        buffer.keep_codeword(kind, others[-1], np.zeros_like(others[-1]))
+        buffer.keep(buffer.content.with_codeword(kind, others[-1], np.zeros_like(others[-1])))
     sent, words = blocks, Words()
     for seed in range(1, 4):
         sent = {**random_blocks(seed), "middle": blocks["middle"]}
         words = decoded(statistics_of(sent, FAR - 3, seed), buffer=buffer)
     assert right(words, sent)[1:3] == [True, True]
     # of each of the two one sum is kept, so there is room for all others
-    assert all(np.array_equal(buffer.codeword(kind, other), other) for other in others)
+    assert all(np.array_equal(buffer.content.same_codeword(kind, other), other) for other in others)
 
 
 def test_only_packets_of_one_format_are_joined() -> None:
-    llrs, buffer = [random_llrs(np.random.default_rng(0))], SoftBuffer()
+    llrs = [random_llrs(np.random.default_rng(0))]
     packet = BufferedPacket(AGREED, tuple(llrs), (None,))
-    buffer.keep_packet(packet)
-    assert buffer.take_packet(Format(high=0.5), llrs) is None
-    assert buffer.take_packet(AGREED, [-llrs[0]]) is None
-    assert buffer.take_packet(AGREED, llrs) is packet
-    # who took it keeps it anew
-    assert buffer.take_packet(AGREED, llrs) is None
+    buffer = SoftBuffer().with_packet(packet)
+    assert buffer.same_packet(Format(high=0.5), llrs) is None
+    assert buffer.same_packet(AGREED, [-llrs[0]]) is None
+    assert buffer.same_packet(AGREED, llrs) is packet
+    assert buffer.without(packet).same_packet(AGREED, llrs) is None
 
 
 def test_a_codeword_that_contradicts_makes_another_packet() -> None:
@@ -111,7 +110,7 @@ def test_packets_that_share_a_codeword_are_told_apart() -> None:
     count = 0
     for distance_m, pairs in ((150, 3), (180, 5), (180, 24), (240, 10)):
         first = random_blocks(50)
-        second, buffer = {**random_blocks(51), "high": first["high"]}, SoftBuffer()
+        second, buffer = {**random_blocks(51), "high": first["high"]}, SharedBuffer()
         for seed in (1, 2):
             assert right(decoded(statistics_of(first, FAR, seed), buffer=buffer), first)[0]
         packet = [*statistics_of(second, distance_m, 3)[:pairs], *[None] * (PAIRS - pairs)]
@@ -127,7 +126,7 @@ def test_packets_that_share_a_codeword_are_told_apart() -> None:
 @pytest.mark.slow
 def test_blocks_that_are_much_alike_are_told_apart() -> None:
     """Texts that differ in a digit: each sighting gives what it gives without a buffer, and nothing of another."""
-    buffer, alone, together = SoftBuffer(), 0, 0
+    buffer, alone, together = SharedBuffer(), 0, 0
     for number in range(6):
         text = [b"%05d km/h, %8.3f m" % (line, number) for line in range(2)]
         blocks = {
@@ -155,7 +154,7 @@ def of_gain(statistics: list[PairStatistics | None], gain: float) -> list[PairSt
 @pytest.mark.slow
 def test_sightings_of_other_gain_and_noise_are_weighed_as_such(gain: float, noise: float) -> None:
     """A noisy sighting adds little, and one of dimmer light is scaled: neither takes away."""
-    blocks, buffer = random_blocks(0), SoftBuffer()
+    blocks, buffer = random_blocks(0), SharedBuffer()
     first = of_gain(statistics_of(blocks, FAR, 1, noise=noise * (GAIN / gain) ** 2), gain / GAIN)
     decoded(first, channel=GainAndNoise(gain, noise), buffer=buffer)
     second = statistics_of(blocks, FAR - 3, 2)
@@ -190,40 +189,40 @@ def test_a_joined_packet_is_the_sum_in_the_units_of_the_later_one() -> None:
 
 @pytest.mark.slow
 def test_what_is_decoded_is_not_added_to_and_nothing_is_not_kept() -> None:
-    rng, blocks, buffer = np.random.default_rng(7), random_blocks(0), SoftBuffer()
+    rng, blocks, full = np.random.default_rng(7), random_blocks(0), SoftBuffer()
     kinds = [(name, layer.code) for name, layer in FORM.layers.items()]
     codewords = {kind: [rng.choice([-3.0, 3.0], kind[1].length) for _ in range(CODEWORDS)] for kind in kinds}
     packets = [[random_llrs(rng)] for _ in range(PACKETS)]
     for kind, kept in codewords.items():
         for llr in kept:
-            buffer.keep_codeword(kind, llr, np.zeros_like(llr))
+            full = full.with_codeword(kind, llr, np.zeros_like(llr))
     for llrs in packets:
-        buffer.keep_packet(BufferedPacket(Format(high=0.5), tuple(llrs), (None,) * PAIRS))
+        full = full.with_packet(BufferedPacket(Format(high=0.5), tuple(llrs), (None,) * PAIRS))
+    buffer = SharedBuffer()
+    buffer.keep(full)
     for seed in range(3):
         assert all(right(decoded(statistics_of(blocks, 60, seed), buffer=buffer), blocks))
     decoded([None] * PAIRS, buffer=buffer)
     # nothing came in the place of what the full buffer holds
     for kind, kept in codewords.items():
-        assert all(np.array_equal(buffer.codeword(kind, llr), llr) for llr in kept)
-    assert all(buffer.take_packet(Format(high=0.5), llrs) is not None for llrs in packets)
+        assert all(np.array_equal(buffer.content.same_codeword(kind, llr), llr) for llr in kept)
+    assert all(buffer.content.same_packet(Format(high=0.5), llrs) is not None for llrs in packets)
 
 
-def test_a_copy_changes_independently() -> None:
-    rng, buffer = np.random.default_rng(3), SoftBuffer()
+def test_what_is_kept_is_in_the_new_buffer_alone() -> None:
+    rng = np.random.default_rng(3)
     llr, kind = random_llrs(rng), ("high", FORM.layers["high"].code)
     packet = BufferedPacket(AGREED, (random_llrs(rng),), (None,) * PAIRS)
-    buffer.keep_codeword(kind, llr, np.zeros(400))
-    other = buffer.copy()
-    other.keep_codeword(kind, -llr, np.zeros(400))
-    other.keep_packet(packet)
-    assert not buffer.codeword(kind, -llr).any()
-    assert buffer.take_packet(AGREED, packet.llrs) is None
-    assert (buffer.codeword(kind, llr) == llr).all()
-    buffer.become(other)
-    assert (buffer.codeword(kind, -llr) == -llr).all()
-    assert buffer.take_packet(AGREED, packet.llrs) is packet
-    # and so does what was taken over
-    assert other.take_packet(AGREED, packet.llrs) is packet
+    buffer = SoftBuffer().with_codeword(kind, llr, np.zeros(400))
+    other = buffer.with_codeword(kind, -llr, np.zeros(400)).with_packet(packet)
+    assert not buffer.same_codeword(kind, -llr).any()
+    assert buffer.same_packet(AGREED, packet.llrs) is None
+    assert (buffer.same_codeword(kind, llr) == llr).all()
+    assert (other.same_codeword(kind, llr) == llr).all()
+    assert (other.same_codeword(kind, -llr) == -llr).all()
+    assert other.same_packet(AGREED, packet.llrs) is packet
+    assert other.without(packet).same_packet(AGREED, packet.llrs) is None
+    assert other.same_packet(AGREED, packet.llrs) is packet
 
 
 def test_a_sum_takes_the_place_of_its_parts() -> None:
@@ -231,10 +230,10 @@ def test_a_sum_takes_the_place_of_its_parts() -> None:
     llr = random_llrs(rng)
     others = [random_llrs(rng) for _ in range(CODEWORDS - 1)]
     for one in (*others, llr):
-        buffer.keep_codeword(kind, one, np.zeros(400))
-    buffer.keep_codeword(kind, llr, buffer.codeword(kind, llr))
-    assert (buffer.codeword(kind, llr) == 2 * llr).all()
-    assert all((buffer.codeword(kind, one) == one).all() for one in others)
+        buffer = buffer.with_codeword(kind, one, np.zeros(400))
+    buffer = buffer.with_codeword(kind, llr, buffer.same_codeword(kind, llr))
+    assert (buffer.same_codeword(kind, llr) == 2 * llr).all()
+    assert all((buffer.same_codeword(kind, one) == one).all() for one in others)
 
 
 def test_a_packet_must_support_what_others_helped_to_read() -> None:
@@ -254,16 +253,16 @@ def test_the_number_of_codewords_is_bounded() -> None:
     rng, buffer = np.random.default_rng(5), SoftBuffer()
     kind, llrs = ("high", FORM.layers["high"].code), [random_llrs(rng) for _ in range(CODEWORDS + 3)]
     for llr in llrs:
-        buffer.keep_codeword(kind, llr, np.zeros(400))
-    assert [bool(buffer.codeword(kind, llr).any()) for llr in llrs] == [False] * 3 + [True] * CODEWORDS
+        buffer = buffer.with_codeword(kind, llr, np.zeros(400))
+    assert [bool(buffer.same_codeword(kind, llr).any()) for llr in llrs] == [False] * 3 + [True] * CODEWORDS
 
 
 def test_the_number_of_packets_is_bounded() -> None:
     rng, buffer = np.random.default_rng(2), SoftBuffer()
     llrs = [random_llrs(rng) for _ in range(PACKETS + 3)]
     for llr in llrs:
-        buffer.keep_packet(BufferedPacket(AGREED, (llr,), (None,) * PAIRS))
-    found = [buffer.take_packet(AGREED, [llr]) is not None for llr in llrs]
+        buffer = buffer.with_packet(BufferedPacket(AGREED, (llr,), (None,) * PAIRS))
+    found = [buffer.same_packet(AGREED, [llr]) is not None for llr in llrs]
     assert found == [False] * 3 + [True] * PACKETS
 
 

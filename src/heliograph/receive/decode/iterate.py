@@ -100,7 +100,7 @@ def decode_iteratively(
     options
         Algorithm of the channel decoder, and its most iterations.
     buffer
-        What was seen of this array's codewords before; what cannot be decoded is kept there. None adds nothing.
+        What was seen of this array's codewords before; None adds nothing, and nothing is kept.
     feedback
         What the equaliser gets back from the decoder; see `SoftSettings`. Propagation is for pairs in step.
     observe
@@ -108,7 +108,7 @@ def decode_iteratively(
 
     Returns
     -------
-    Its codewords, and what was found of its symbols.
+    Its codewords, what was found of its symbols, and the buffer with what could not be decoded.
     """
     packet = _Packet.begin(observed.statistics, channel, form, identity, options, feedback)
     observed = packet.decode(observed, buffer, observe)
@@ -118,13 +118,12 @@ def decode_iteratively(
         observed = alone.decode(observed, None, observe)
         if alone.open.sum() < packet.open.sum():
             if buffer is not None:
-                buffer.keep_packet(packet.earlier)
+                buffer = buffer.without(packet.earlier).with_packet(packet.earlier)
             packet = alone
     words = {name: layer.words for name, layer in packet.layers.items()}
-    decoded = DecodedPacket(words, observed, *packet.expected(), packet.channel)
-    if buffer is not None:
-        packet.remember(buffer)
-    return decoded
+    (mean, variance), channel = packet.expected(), packet.channel
+    after = None if buffer is None else packet.added_to(buffer)
+    return DecodedPacket(words, observed, mean, variance, channel, after)
 
 
 @dataclass(slots=True)
@@ -271,7 +270,7 @@ class _Packet:
         self.layers = {name: layer.with_own() for name, layer in self.layers.items()}
         if not self.combined:
             own = [llr for layer in self.layers.values() for llr in layer.own]
-            self.earlier = buffer.take_packet(self.form.format, own)
+            self.earlier = buffer.same_packet(self.form.format, own)
         if self.earlier is not None:
             self.replace(self.statistics)
             if self.propagation:
@@ -279,7 +278,9 @@ class _Packet:
             self.equalise()
             return
         self.layers = {
-            name: layer.with_earlier(np.stack([buffer.codeword((name, layer.form.code), own) for own in layer.own]))
+            name: layer.with_earlier(
+                np.stack([buffer.same_codeword((name, layer.form.code), own) for own in layer.own])
+            )
             for name, layer in self.layers.items()
         }
 
@@ -288,29 +289,32 @@ class _Packet:
         if self.earlier is not None:
             self.layers = {name: layer.doubted() for name, layer in self.layers.items()}
 
-    def remember(self, buffer: SoftBuffer) -> None:
-        """Keep what this packet shows of the codewords that it alone did not give.
+    def added_to(self, buffer: SoftBuffer) -> SoftBuffer:
+        """The buffer with what this packet shows of the codewords that it alone did not give.
 
         It is equalised once more with the decoded codewords known and no guess of the others: a guess fed back would
         count once more each time its codeword is seen. To a codeword that is decoded nothing is added.
         """
+        if self.earlier is not None:
+            # it is the newest now, or part of this packet's sum
+            buffer = buffer.without(self.earlier)
         if not self.open.any() or all(one is None for one in self.statistics):
-            if self.earlier is not None:
-                buffer.keep_packet(self.earlier)
-            return
+            return buffer if self.earlier is None else buffer.with_packet(self.earlier)
         self.forget_guesses()
         self.equalise()
         if not self.combined:
             llrs = tuple(llr for layer in self.layers.values() for llr in layer.known_llrs())
             statistics, channel = tuple(self.statistics), self.channel
-            buffer.keep_packet(BufferedPacket(self.form.format, llrs, statistics, channel.gain, channel.noise))
+            packet = BufferedPacket(self.form.format, llrs, statistics, channel.gain, channel.noise)
+            buffer = buffer.with_packet(packet)
         if self.earlier is not None:
             # LLRs of one packet seen several times would count again with each
-            return
+            return buffer
         for name, layer in self.layers.items():
             for i in range(len(layer.words)):
                 if layer.unsure(i):
-                    buffer.keep_codeword((name, layer.form.code), layer.llr[i], layer.earlier_llr[i])
+                    buffer = buffer.with_codeword((name, layer.form.code), layer.llr[i], layer.earlier_llr[i])
+        return buffer
 
     def equalise(self) -> None:
         """Equalise every pair with what is known now, then estimate the gain again."""

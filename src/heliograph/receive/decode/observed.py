@@ -6,6 +6,7 @@ from typing import Generic, Protocol, Self, TypeVar
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
+from heliograph.receive.decode.soft_combining import SoftBuffer
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packets import Codeword
 
@@ -61,6 +62,8 @@ class DecodedPacket(Generic[ObservedT]):
         (pairs, n^2) mean, -1 to 1, and variance, 0 to 1, of each symbol; in the single mode by pattern.
     channel
         Gain in gray levels and noise, as they were estimated at last.
+    buffer
+        What was seen of this array's codewords, this packet included; None where none was given.
     """
 
     words: dict[str, tuple[Codeword, ...]]
@@ -68,3 +71,4 @@ class DecodedPacket(Generic[ObservedT]):
     mean: Floats
     variance: Floats
     channel: GainAndNoise
+    buffer: SoftBuffer | None

@@ -5,9 +5,8 @@ is one better observation, equalised as a whole. Of a codeword that is sent agai
 LLRs of one and the same packet would not add: the light of its other layers disturbs them alike each time.
 """
 
-from collections import defaultdict, deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -110,33 +109,23 @@ class BufferedPacket:
         return _along(found, expected)
 
 
+@dataclass(frozen=True, slots=True)
 class SoftBuffer:
-    """Codewords and packets of one array that were seen but not decoded."""
+    """Codewords and packets of one array that were seen but not decoded.
 
-    def __init__(self) -> None:
-        self._kept: dict[Kind, deque[Floats]] = defaultdict(lambda: deque(maxlen=CODEWORDS_KEPT))
-        self._packets: deque[BufferedPacket] = deque(maxlen=PACKETS_KEPT)
+    Attributes
+    ----------
+    packets
+        Packets not decoded as a whole, the oldest first; their statistics are summed over all times they were seen.
+    codewords
+        LLRs (E,) of codewords by layer and code, the oldest first; each is summed over all times it was seen.
+    """
 
-    def copy(self) -> "SoftBuffer":
-        """A buffer of the same content that changes independently."""
-        other = SoftBuffer()
-        other.become(self)
-        return other
+    packets: tuple[BufferedPacket, ...] = ()
+    codewords: Mapping[Kind, tuple[Floats, ...]] = field(default_factory=dict)
 
-    def become(self, other: "SoftBuffer") -> None:
-        """Take over the content of another buffer, in place of one's own.
-
-        Parameters
-        ----------
-        other
-            The buffer whose content is copied; it stays as it is.
-        """
-        self._packets = other._packets.copy()
-        self._kept.clear()
-        self._kept.update({kind: kept.copy() for kind, kept in other._kept.items()})
-
-    def take_packet(self, form: Format, llrs: Sequence[Floats]) -> BufferedPacket | None:
-        """Take out the packet that is seen again.
+    def same_packet(self, form: Format, llrs: Sequence[Floats]) -> BufferedPacket | None:
+        """Find the packet that is seen again.
 
         Parameters
         ----------
@@ -147,28 +136,13 @@ class SoftBuffer:
 
         Returns
         -------
-        The earlier packet, which is no longer in the buffer; None where none is the same.
+        The packet as seen earlier; None where none is the same.
         """
-        alike = [(packet.likeness(llrs), packet) for packet in self._packets if packet.format == form]
+        alike = [(packet.likeness(llrs), packet) for packet in self.packets if packet.format == form]
         best, found = max(alike, key=lambda one: one[0], default=(0.0, None))
-        if found is None or best < SAME:
-            return None
-        others = [packet for packet in self._packets if packet is not found]
-        self._packets.clear()
-        self._packets.extend(others)
-        return found
+        return None if best < SAME else found
 
-    def keep_packet(self, packet: BufferedPacket) -> None:
-        """Keep a packet, in place of the oldest.
-
-        Parameters
-        ----------
-        packet
-            A packet not decoded as a whole, its statistics summed over all times it was seen.
-        """
-        self._packets.append(packet)
-
-    def codeword(self, kind: Kind, llr: Floats) -> Floats:
+    def same_codeword(self, kind: Kind, llr: Floats) -> Floats:
         """Sum of the LLRs (E,) of earlier times a codeword was seen; zeros where there are none.
 
         Parameters
@@ -178,15 +152,35 @@ class SoftBuffer:
         llr
             (E,) its LLRs as seen now, 0 but for distinguishing bits.
         """
-        kept = self._kept[kind]
+        kept = self.codewords.get(kind, ())
         agreements = [agreement(llr, other)[0] for other in kept]
         best = int(np.argmax(agreements)) if agreements else -1
         if best < 0 or agreements[best] < SAME:
             return np.zeros_like(llr)
         return kept[best]
 
-    def keep_codeword(self, kind: Kind, llr: Floats, earlier: Floats) -> None:
-        """Keep a codeword that this packet alone did not give.
+    def without(self, packet: BufferedPacket) -> "SoftBuffer":
+        """The buffer less a packet.
+
+        Parameters
+        ----------
+        packet
+            A packet as `same_packet` gave it.
+        """
+        return replace(self, packets=tuple(other for other in self.packets if other is not packet))
+
+    def with_packet(self, packet: BufferedPacket) -> "SoftBuffer":
+        """The buffer and a packet, which takes the place of the oldest where there is no room.
+
+        Parameters
+        ----------
+        packet
+            A packet not decoded as a whole, its statistics summed over all times it was seen.
+        """
+        return replace(self, packets=(*self.packets, packet)[-PACKETS_KEPT:])
+
+    def with_codeword(self, kind: Kind, llr: Floats, earlier: Floats) -> "SoftBuffer":
+        """The buffer and a codeword that this packet alone did not give, in place of the oldest where there is no room.
 
         Parameters
         ----------
@@ -195,12 +189,33 @@ class SoftBuffer:
         llr
             (E,) this packet's LLRs.
         earlier
-            (E,) those of earlier times, as `codeword` gave them; the sum takes their place.
+            (E,) those of earlier times, as `same_codeword` gave them; the sum takes their place.
         """
-        kept = self._kept[kind]
-        rest = [other for other in kept if not np.array_equal(other, earlier)]
-        kept.clear()
-        kept.extend([*rest, llr + earlier])
+        rest = (other for other in self.codewords.get(kind, ()) if not np.array_equal(other, earlier))
+        kept = (*rest, llr + earlier)[-CODEWORDS_KEPT:]
+        return replace(self, codewords={**self.codewords, kind: kept})
+
+
+class SharedBuffer:
+    """Hands a buffer on from reader to reader of an array, also to those of the array lost and found again."""
+
+    def __init__(self) -> None:
+        self._content = SoftBuffer()
+
+    @property
+    def content(self) -> SoftBuffer:
+        """The buffer after the last packet that was decoded; empty before the first."""
+        return self._content
+
+    def keep(self, buffer: SoftBuffer) -> None:
+        """Hand another buffer on from now on.
+
+        Parameters
+        ----------
+        buffer
+            The buffer after a packet that was decoded.
+        """
+        self._content = buffer
 
 
 def agreement(a: Floats, b: Floats) -> tuple[float, float]:
