@@ -150,7 +150,7 @@ def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feed
     Parameters
     ----------
     layer
-        The layer before.
+        The layer with the LLRs of the last equalisation; it stays as it was.
     name
         Name of the layer: "high", "middle" or "low".
     identity
