@@ -31,16 +31,28 @@ SAME = 5.5
 By chance 2e-8 of different codewords agree as far, in coded bits that differ by chance.
 """
 
+ALIKE = 0.5
+"""Agreement of two packets from which on they may be the same, as a fraction of what is expected if they are.
+
+The mean is 1 for the same packet and 0 for another one; this is the middle.
+"""
+
 CONTRADICTION = 2.0
-"""Standard deviations by which the agreement of a codeword must fall below half of what is expected, to contradict.
+"""Standard deviations by which the agreement of a codeword must fall below `ALIKE` of what is expected, to contradict.
 
 The same codeword falls by 2 below all of what is expected in 2 % of cases, and more rarely below half of it.
 """
 
 CONSISTENT = 0.6
-"""Least agreement of LLRs with their codeword, as a fraction of the agreement expected, less 3 standard deviations.
+"""Least agreement of LLRs with their codeword, as a fraction of the agreement expected, less `CONSISTENT_SPREADS`.
 
 The mean is 1 for the codeword that was sent, and 0.6 for one that differs from it in a fifth of the bits.
+"""
+
+CONSISTENT_SPREADS = 3.0
+"""Standard deviations by which LLRs may agree less with their codeword than `CONSISTENT` asks.
+
+The codeword that was sent falls by 3 below all of what is expected in 0.13 % of cases, and more rarely below 0.6 of it.
 """
 
 SUPPORT = 4.0
@@ -103,8 +115,8 @@ class BufferedPacket:
         found, expected = np.array([agreement(a, b) for a, b in zip(llrs, self.llrs, strict=True)]).T
         # packets of a carousel may share a codeword that is decoded: then the others must agree
         open_ = np.array([bool((np.abs(llr) < LARGEST_LLR).any()) for llr in self.llrs])
-        least = 0.5 * float(np.linalg.norm(expected[open_]))
-        if (found < 0.5 * expected - CONTRADICTION).any() or _along(found[open_], expected[open_]) < least:
+        least = ALIKE * float(np.linalg.norm(expected[open_]))
+        if (found < ALIKE * expected - CONTRADICTION).any() or _along(found[open_], expected[open_]) < least:
             return 0.0
         return _along(found, expected)
 
@@ -255,7 +267,7 @@ def consistent(llr: Floats, signs: Floats) -> bool:
     # E[soft * sign] = soft^2 where the LLRs are calibrated, and 0 of another codeword, with the variance sum soft^2
     expected = float((soft**2).sum())
     spread = float(np.sqrt((soft**2 * (1 - soft**2)).sum()))
-    return float(soft @ signs) > max(CONSISTENT * expected - 3 * spread, SUPPORT * expected**0.5)
+    return float(soft @ signs) > max(CONSISTENT * expected - CONSISTENT_SPREADS * spread, SUPPORT * expected**0.5)
 
 
 def _along(found: Floats, expected: Floats) -> float:
