@@ -58,9 +58,9 @@ def errors(motion: tuple[float, float], late: tuple[float, float] | None = None)
         rates = 1e3 * motion[0], 1e3 * motion[1]
         track = expected(pose.moved(0.06, -0.04), frame.time_s, rates)
         decided = decisions.follow(track, FramePair(before, frame))
-        assert decided.tracked.seen
-        found.append(decided.tracked.fit.vector[:2] - (x, y))
-        scores.append(decided.tracked.fit.score)
+        assert decided.seen
+        found.append(decided.fit.vector[:2] - (x, y))
+        scores.append(decided.fit.score)
     return np.array(found), np.array(scores)
 
 
@@ -90,7 +90,7 @@ def test_cutouts_have_the_poses_of_their_light() -> None:
     frames = framed(pose.moved(-0.5, 0.2), levels[0], 10, rng), framed(pose, levels[1], 11, rng)
     track = expected(pose, frames[1].time_s, (500.0, -200.0))
     decided = tracker_of((mean_late_s, data_late_s)).follow(track, FramePair(*frames))
-    state = decided.tracked.state
+    state = decided.state
     for frame, cutout in zip(frames, decided.cutouts, strict=True):
         (data,) = cutout.poses
         assert cutout.mean_light_pose is not None
@@ -126,14 +126,14 @@ def test_what_hides_the_array_is_not_followed() -> None:
     decisions, plain = tracker_of(), tracker_of()
     gray, more = (frame_of(np.full((80, 80), 0.8), k, rng) for k in (10, 11))
     track = expected(pose, more.time_s)
-    hidden = decisions.follow(track, FramePair(gray, more)).tracked
+    hidden = decisions.follow(track, FramePair(gray, more))
     assert not hidden.seen
     assert hidden.track.last_seen_s == track.last_seen_s
     assert np.array_equal(hidden.state.mean, track.state.mean)
     pair = FramePair(framed(pose, first, 12, rng), framed(pose, second, 13, rng))
     after, alone = (one.follow(expected(pose, pair.inverted.time_s), pair) for one in (decisions, plain))
     assert np.array_equal(after.cutouts[1].difference, alone.cutouts[1].difference)
-    assert after.tracked.seen
+    assert after.seen
 
 
 def test_noise_is_that_of_twice_a_frame() -> None:

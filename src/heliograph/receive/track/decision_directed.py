@@ -62,18 +62,15 @@ BACKGROUND_WEIGHT = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class DecidedPair:
-    """Two frames of data without inverses.
+class DecidedPair(TrackedPair):
+    """Two frames of data without inverses, and the array as the second of them shows it.
 
     Attributes
     ----------
-    tracked
-        The array as the second of them shows it.
     cutouts
         The two frames less their background.
     """
 
-    tracked: TrackedPair
     cutouts: tuple[Cutout, Cutout]
 
 
@@ -136,7 +133,7 @@ class DecisionDirectedTracker:
             after = replace(track, state=self._tracker.predict(track, pair.inverted.time_s))
         # the earlier pose too is known better now
         cutouts = self._cutout(pair.pattern, after.state), self._cutout(pair.inverted, after.state)
-        return DecidedPair(TrackedPair(track, after, fit, seen), cutouts)
+        return DecidedPair(track, after, fit, seen, cutouts)
 
     def _step(self, track: Track, frame: AnyFrame) -> tuple[Fit, PoseState]:
         """Find the array in a frame; the state given it."""
