@@ -9,6 +9,7 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.acquire.header import header_score, header_weights
+from heliograph.receive.assumptions import Assumption, ReadPacket, read_packet
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import decode_iteratively
@@ -22,7 +23,6 @@ from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
 from heliograph.receive.packets import Codeword, Packet
 from heliograph.receive.reader_protocol import ReadHeader
-from heliograph.receive.readings import Assumption, Reading, read_packet
 from heliograph.receive.settings import Feedback
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.background import SeenHeader
@@ -294,7 +294,7 @@ class SoftReader:
         # of pairs out of step the sum is uneven, but not that of a header
         return Noise(min(measure_noise([even], gain, self._side, values).lit, noise.lit), noise.dark)
 
-    def _learnt(self, reading: Reading) -> LedGains | None:
+    def _learnt(self, reading: ReadPacket) -> LedGains | None:
         """Gains of the LEDs after a packet was read."""
         led_gains, decoded = reading.assumed.led_gains, reading.decoded
         if self._led_gains is None or (not reading.open and led_gains.brightness.settled):

@@ -8,13 +8,13 @@ from known_packets import FORM
 from numpy.typing import NDArray
 from scenes import SIDE
 
-from heliograph.receive import Codeword, Pose, readings
+from heliograph.receive import Codeword, Pose, assumptions
+from heliograph.receive.assumptions import Assumption, all_leds_sound, read_packet
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.observed import DecodedPacket
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise
-from heliograph.receive.readings import Assumption, all_leds_sound, read_packet
 from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.signal.packet import PacketFormat
 
@@ -52,7 +52,7 @@ def moved(cutouts: Sequence[Cutout | None], led_gains: Floats) -> tuple[list[Cut
 def test_a_packet_is_read_until_nothing_is_open(
     results: list[str], open_: int, best: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(readings, "realigned", moved)
+    monkeypatch.setattr(assumptions, "realigned", moved)
     packets, tried = [decoded(result) for result in results], list[Assumption]()
 
     def decode(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
@@ -84,7 +84,7 @@ def test_leds_that_all_shine_are_not_assumed_once_more() -> None:
 
 
 def test_leds_that_seem_dead_are_assumed_to_shine() -> None:
-    reading = readings.Reading.of(Assumption(SEEMS_DEAD, [None]), decoded("-"))
+    reading = assumptions.ReadPacket.of(Assumption(SEEMS_DEAD, [None]), decoded("-"))
     other = all_leds_sound(reading)
     assert other is not None
     assert (other.led_gains.values == 1).all()

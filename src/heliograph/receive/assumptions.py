@@ -35,7 +35,7 @@ class Assumption:
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class ReadPacket:
     """A packet as it was read.
 
     Attributes
@@ -56,7 +56,7 @@ class Reading:
     tried: Sequence[Cutout | None]
 
     @classmethod
-    def of(cls, assumed: Assumption, decoded: DecodedPacket[ObservedPacket]) -> "Reading":
+    def of(cls, assumed: Assumption, decoded: DecodedPacket[ObservedPacket]) -> "ReadPacket":
         """A reading with the codewords that it gave.
 
         Parameters
@@ -73,7 +73,7 @@ class Reading:
         """Codewords that are not decoded."""
         return sum(word.status == "crc_fail" for by in self.words.values() for word in by)
 
-    def or_rather(self, later: "Reading") -> "Reading":
+    def or_rather(self, later: "ReadPacket") -> "ReadPacket":
         """The later reading if it leaves fewer codewords open, else this one; with the codewords of both.
 
         Parameters
@@ -86,7 +86,7 @@ class Reading:
         return replace(best, words=words, tried=later.tried)
 
 
-def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[ObservedPacket]]) -> Reading:
+def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[ObservedPacket]]) -> ReadPacket:
     """Read a packet, and where codewords stay open, once more under each other assumption that there is reason for.
 
     Parameters
@@ -100,15 +100,15 @@ def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[
     -------
     The reading that leaves the fewest codewords open, the earliest of several, with the codewords of all.
     """
-    reading = Reading.of(first, decode(first))
+    reading = ReadPacket.of(first, decode(first))
     for otherwise in (all_leds_sound, poses_by_power):
         assumed = otherwise(reading) if reading.open else None
         if assumed is not None:
-            reading = reading.or_rather(Reading.of(assumed, decode(assumed)))
+            reading = reading.or_rather(ReadPacket.of(assumed, decode(assumed)))
     return reading
 
 
-def all_leds_sound(reading: Reading) -> Assumption | None:
+def all_leds_sound(reading: ReadPacket) -> Assumption | None:
     """Assume that no LED is dead or hidden: a header before a bright background may make sound ones seem so.
 
     Parameters
@@ -124,7 +124,7 @@ def all_leds_sound(reading: Reading) -> Assumption | None:
     return replace(reading.assumed, led_gains=LedGains.sound(len(led_gains.sight))) if led_gains.doubtful else None
 
 
-def poses_by_power(reading: Reading) -> Assumption | None:
+def poses_by_power(reading: ReadPacket) -> Assumption | None:
     """Assume the array where the differences have their power: what shines beside it may have pulled sums' poses.
 
     Parameters
