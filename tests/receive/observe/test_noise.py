@@ -79,3 +79,15 @@ def test_of_nothing_the_noise_is_that_of_rounding() -> None:
     none = measure_noise([], GAIN, SIDE)
     assert (none.lit, none.dark) == pytest.approx((1 / 6, 1 / 6))
     assert noise_beside([], SIDE) == pytest.approx(1 / 6)
+
+
+def test_noise_that_motion_hides_is_not_taken_for_none() -> None:
+    rng, cutouts = np.random.default_rng(9), []
+    poses = moving(40, 0.02, (1.2, 0.4))
+    for _ in range(12):
+        # a light that shines in a part of an exposure moves less than it: sums are more even than expected
+        x = 0.5 + 0.2 * (T @ rng.choice([-1.0, 1.0], SYMBOLS)).reshape(SIDE, SIDE)
+        cutouts.append(take_cutout(noisy(pair_of(poses, x), np.full((60, 60), 2.0), rng), poses, SIDE))
+    noise = measure_noise(cutouts, GAIN, SIDE)
+    # twice too much costs little; a thirtieth of it made wrong symbols certain
+    assert noise.lit > 2 * 2.0**2

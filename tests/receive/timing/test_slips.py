@@ -47,7 +47,8 @@ def test_poses_that_are_off_before_a_bright_sky_are_no_slips(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_poses_wrong_for_two_pairs_are_no_slips(seed: int) -> None:
-    watch, found = SlipWatch(3, SIGNAL), []
+    watch = SlipWatch(3, SIGNAL)
+    found: list[Frame] = []
     for k, frame in enumerate(before_a_sky(80, seed)):
         # as where the array passes fast and its motion is not known yet
         wrong = POSE.moved(1.8 * (-1) ** k, 1.2) if 24 <= k < 28 else POSE

@@ -24,6 +24,13 @@ BESIDE = 1e-3
 LEAST_NOISE = 1 / 6
 """Variance in squared gray levels that rounding alone gives a difference of two frames, 2 / 12."""
 
+MOVED_ERROR = 0.2
+"""Fraction of what motion leaves of the data in a sum to which that is known.
+
+LEDs shine in a part of an exposure only, so motion moves each by its own part. Less noise than this fraction is not
+seen beside it, and the difference of pattern and inverse errs by as much.
+"""
+
 ENOUGH_PIXELS = 4000
 """Pixels inside the array that give its noise to about 3 %, as many differences of sums have that spread."""
 
@@ -73,10 +80,11 @@ def measure_noise(cutouts: Sequence[Cutout], gain: float, side: int, led_gains: 
     else:
         parts = [_variance(uneven[0].residual)]
     total, count = np.array(parts).sum(0)
-    lit = float(total) / max(float(count), 1.0) - float(np.mean([one.moved for one in uneven]))
+    unevenness, moved = float(total) / max(float(count), 1.0), float(np.mean([one.moved for one in uneven]))
+    lit = max(unevenness - moved, MOVED_ERROR * moved, LEAST_NOISE)
     beside = np.concatenate([_beside(cutout, side) for cutout in cutouts])
     dark = float((beside**2).mean()) if beside.size else 0.0
-    return Noise(max(lit, LEAST_NOISE), max(dark, LEAST_NOISE))
+    return Noise(lit, max(dark, LEAST_NOISE))
 
 
 def noise_beside(cutouts: Sequence[Cutout], side: int) -> float:
