@@ -1,4 +1,4 @@
-"""Which LEDs are in sight, and poses by the power of differences."""
+"""Which LEDs are in sight, and fits without pixels that something hides."""
 
 import numpy as np
 import pytest
@@ -7,9 +7,7 @@ from scenes import SIDE, draw, frame_of, pitch_at
 
 from heliograph.receive import Pose
 from heliograph.receive.image.fit import Prior, fit_array
-from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.timing.frame_pair import FramePair
-from heliograph.receive.track.realign import realigned
 from heliograph.receive.track.sight import LEAST_CHANGE_IN_SIGHT, open_pixels, recent_change
 
 Floats = NDArray[np.float64]
@@ -80,16 +78,3 @@ def test_pixels_that_something_hides_do_not_move_a_fit() -> None:
     pulled = fit_array(total, (0, 0), prior, np.ones((SIDE, SIDE)), 6, panel=True)
     assert abs(found.pose.x - pose.x) < 0.1
     assert abs(found.pose.x - pose.x) < 0.2 * abs(pulled.pose.x - pose.x)
-
-
-@pytest.mark.parametrize("distance_m", [50.0, 95.0])
-def test_poses_that_are_off_go_to_where_the_differences_have_their_power(distance_m: float) -> None:
-    rng, pose = np.random.default_rng(6), pose_at(distance_m)
-    wrong = pose.moved(-1.3, 0.7)
-    cutouts: list[Cutout | None] = [take_cutout(pair_of(pose, rng), (wrong, wrong), SIDE) for _ in range(24)]
-    cutouts[5] = None
-    moved, largest = realigned(cutouts, np.ones((SIDE, SIDE)))
-    assert largest == pytest.approx(np.hypot(1.3, 0.7), abs=0.4)
-    assert moved[5] is None
-    places = np.array([(one.middle.x - pose.x, one.middle.y - pose.y) for one in moved if one is not None])
-    assert np.abs(places).max() < 0.4
