@@ -1,0 +1,158 @@
+"""The search of a pyramid's levels: every size is looked for on one of them, and found where it is on the sensor."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes import SIDE, draw, frame_of
+
+from heliograph.base.frames import Frame
+from heliograph.receive import Pose
+from heliograph.receive.acquire.coarse import SearchParameters
+from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.acquire.pyramid import PyramidSearch, level_parameters
+from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT
+from heliograph.receive.image.view import View
+from heliograph.signal.header import header_levels
+from heliograph.signal.settings import SignalSettings
+
+SEARCH = SearchParameters(
+    min_side_px=8.0, max_side_px=512.0, min_contrast=0.03, score=0.9, regularity=0.5, candidates=6, blur_px=0.55
+)
+
+ORIGIN = (13, 7)
+SHAPE = (210, 250)
+
+NEAR = Pose(100.3, 108.7, 7.2, 0.01, 1.6)
+FAR = Pose(222.4, 40.2, 1.3, 0.0, 0.6)
+
+LIGHT = 0.25
+"""Part of full scale of an unresolved array: single LEDs of the near one are four times as bright."""
+
+
+@pytest.mark.parametrize("largest", [20.0, 64.0, 65.0, 90.0, 130.0, 512.0, 1000.0])
+@pytest.mark.parametrize("side", [8, 16, 32])
+def test_every_size_is_looked_for_on_a_level(side: int, largest: float) -> None:
+    levels = level_parameters(replace(SEARCH, max_side_px=largest), side)
+    # in px of the sensor
+    spans = [(2**k * one.min_side_px, 2**k * one.max_side_px) for k, one in enumerate(levels)]
+    assert spans[0][0] == 8.0
+    assert max(span[1] for span in spans) == pytest.approx(largest)
+    for finer, coarser in pairwise(spans):
+        # neither a gap nor a level of sizes that others have all of
+        assert coarser[0] <= finer[1] <= coarser[1]
+    assert all(least <= most for least, most in spans)
+
+
+@pytest.mark.parametrize(("side", "finest_px"), [(8, 32.0), (16, 64.0), (32, 64.0)])
+def test_single_leds_hardly_show_on_a_level(side: int, finest_px: float) -> None:
+    finest, *reduced = level_parameters(SEARCH, side)
+    assert finest.max_side_px == finest_px
+    assert reduced
+    assert all(one.max_side_px <= 0.7 * finest_px for one in reduced)
+
+
+def test_what_is_small_is_looked_for_in_the_cameras_frames_alone() -> None:
+    (only,) = level_parameters(replace(SEARCH, max_side_px=64.0), SIDE)
+    assert only == replace(SEARCH, max_side_px=64.0)
+
+
+def test_levels_begin_with_the_blur_that_they_show() -> None:
+    for k, one in enumerate(level_parameters(SEARCH, SIDE)):
+        assert one.blur_px == pytest.approx(View(k).pose_in(Pose(0, 0, 20, 0, 0.55)).blur)
+        assert (one.min_contrast, one.score, one.candidates) == (0.03, 0.9, 6)
+
+
+def header_of(identity: int) -> NDArray[np.float64]:
+    """LEDs of a header, 0 to 1."""
+    return header_levels(identity) / 4.0
+
+
+def frames_of(*arrays: tuple[Pose, int], motion: tuple[float, float] = (0.0, 0.0), count: int = 8) -> list[Frame]:
+    """A film's header of two pairs, and dark frames after it; arrays move by px a frame."""
+    rng, out = np.random.default_rng(0), []
+    for k in range(count):
+        light = np.full(SHAPE, 0.1)
+        for pose, identity in arrays:
+            lit = header_of(identity) if k % 2 == 0 else 1 - header_of(identity)
+            if k < 4:
+                light += LIGHT * draw(pose.moved((k - 1.5) * motion[0], (k - 1.5) * motion[1]), lit, ORIGIN, SHAPE)
+        out.append(frame_of(light, k, rng, ORIGIN))
+    return out
+
+
+def search_of(
+    frames: list[Frame], taken: tuple[Pose, ...] = (), search: PyramidSearch | None = None
+) -> tuple[dict[int, Detection], int]:
+    """What is found by its identity, and how many detections that were."""
+    search = search or PyramidSearch(SEARCH, SignalSettings())
+    search.start(1e-3)
+    found = [one for frame in frames for one in search.push(frame, taken)]
+    return {one.identity: one for one in found}, len(found)
+
+
+@pytest.mark.parametrize("pose", [NEAR, FAR])
+def test_an_array_is_found_where_it_is_on_the_sensor(pose: Pose) -> None:
+    found, count = search_of(frames_of((pose, 11)))
+    assert count == 1
+    fit = found[11].fit
+    assert fit.vector[:2] == pytest.approx([pose.x, pose.y], abs=0.05)
+    assert fit.pose.pitch == pytest.approx(pose.pitch, rel=0.003)
+    assert fit.pose.blur == pytest.approx(pose.blur, rel=0.1)
+    assert fit.gain == pytest.approx(LIGHT * 255, rel=0.03)
+    assert found[11].start_time_s == pytest.approx(0.0)
+    # as sure as the noise allows, on the sensor too
+    assert 1e-8 < fit.covariance[0, 0] < 0.05**2
+
+
+def test_its_drift_is_that_on_the_sensor() -> None:
+    found, _ = search_of(frames_of((NEAR, 11), motion=(0.9, -0.5)))
+    assert found[11].drift == pytest.approx((900.0, -500.0), abs=60.0)
+
+
+def test_near_and_far_arrays_are_found_at_once() -> None:
+    found, count = search_of(frames_of((NEAR, 11), (FAR, 20)))
+    assert count == 2
+    for identity, pose in ((11, NEAR), (20, FAR)):
+        assert found[identity].fit.vector[:3] == pytest.approx([pose.x, pose.y, np.log(pose.pitch)], abs=0.05)
+
+
+@pytest.mark.parametrize(("taken", "left"), [((NEAR,), {20}), ((FAR,), {11}), ((NEAR, FAR), set())])
+def test_what_is_followed_is_not_found_again(taken: tuple[Pose, ...], left: set[int]) -> None:
+    found, count = search_of(frames_of((NEAR, 11), (FAR, 20)), taken)
+    assert set(found) == left
+    assert count == len(left)
+
+
+def test_a_settled_search_finds_other_orientations_no_longer() -> None:
+    frames = frames_of((NEAR, 11))
+    for orientation, known in ((UPRIGHT, {11}), (ORIENTATIONS[1], set())):
+        search = PyramidSearch(SEARCH, SignalSettings())
+        search.settle(orientation)
+        found, _ = search_of(frames, search=search)
+        assert {one.identity for one in found.values() if one.orientation == UPRIGHT} == known
+
+
+@pytest.mark.parametrize("pose", [NEAR, FAR])
+def test_candidates_of_all_levels_count(pose: Pose) -> None:
+    search = PyramidSearch(SEARCH, SignalSettings())
+    assert search.candidates_fitted == 0
+    search_of(frames_of((pose, 11)), search=search)
+    assert search.candidates_fitted >= 1
+
+
+@pytest.mark.parametrize("pose", [NEAR, FAR])
+def test_a_frame_after_a_gap_shows_an_array_once(pose: Pose) -> None:
+    """The gap is searched first, and then the frame."""
+    search = PyramidSearch(SEARCH, SignalSettings())
+    found = [search.push(frame) for frame in frames_of((pose, 11), count=12) if frame.index != 6]
+    assert max(map(len, found)) == 1
+
+
+def test_the_last_frames_are_the_cameras_own() -> None:
+    search, frames = PyramidSearch(SEARCH, SignalSettings()), frames_of((NEAR, 11), count=12)
+    search_of(frames, search=search)
+    assert [one.index for one in search.recent] == list(range(4, 12))
+    assert all(one.pixels is frames[one.index].pixels for one in search.recent)
