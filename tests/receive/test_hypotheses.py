@@ -1,0 +1,125 @@
+"""Several receivers of one array, of which the first right codeword leaves one."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from heliograph.base.frames import Frame
+from heliograph.receive.array import ArrayReceiver
+from heliograph.receive.hypotheses import ArrayHypotheses
+from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
+
+FRAME = Frame(0, 0.0, np.zeros((4, 4), np.uint8))
+
+
+@dataclass
+class Scripted:
+    """Stands for an array's receiver: each frame and the end give a packet of its name."""
+
+    name: str
+    orientation: Orientation
+    proven: bool = False
+    sure: bool = True
+    done: bool = False
+    proves_at: int = 99
+    frames: list[Frame] = field(default_factory=list)
+
+    def push(self, frame: Frame) -> Iterator[Any]:
+        self.frames.append(frame)
+        self.proven |= len(self.frames) >= self.proves_at
+        yield f"{self.name}{len(self.frames)}"
+
+    def flush(self) -> Iterator[Any]:
+        yield f"{self.name} at the end"
+
+
+def array_of(*receivers: Scripted, settled: bool = False) -> ArrayHypotheses:
+    return ArrayHypotheses([cast(ArrayReceiver, one) for one in receivers], settled)
+
+
+def pushed(array: ArrayHypotheses) -> list[Any]:
+    return list(array.push(FRAME))
+
+
+def test_until_a_codeword_is_right_the_first_speaks_and_all_read() -> None:
+    a, b = Scripted("a", UPRIGHT), Scripted("b", ORIENTATIONS[2])
+    array = array_of(a, b)
+    assert pushed(array) == ["a1"]
+    assert pushed(array) == ["a2"]
+    assert array.leading is cast(Any, a)
+    assert (len(a.frames), len(b.frames)) == (2, 2)
+    assert [*cast(Any, array.flush())] == ["a at the end"]
+
+
+def test_the_one_whose_codeword_is_right_is_left_alone() -> None:
+    a, b, c = (Scripted(name, way) for name, way in zip("abc", ORIENTATIONS[:3], strict=True))
+    b.proves_at = 2
+    array = array_of(a, b, c)
+    assert pushed(array) == ["a1"]
+    # the packet that proves it is its own
+    assert pushed(array) == ["b2"]
+    assert pushed(array) == ["b3"]
+    assert (len(a.frames), len(b.frames), len(c.frames)) == (2, 3, 2)
+    assert array.leading is cast(Any, b)
+
+
+def test_of_two_that_are_right_at_once_the_more_plausible_stays() -> None:
+    a, b = Scripted("a", ORIENTATIONS[1], proves_at=1), Scripted("b", ORIENTATIONS[2], proves_at=1)
+    array = array_of(a, b)
+    assert pushed(array) == ["a1"]
+    assert array.leading is cast(Any, a)
+
+
+@pytest.mark.parametrize(
+    ("orientation", "settled", "proven", "credible"),
+    [
+        (UPRIGHT, False, False, True),
+        (ORIENTATIONS[3], False, False, False),
+        (ORIENTATIONS[3], True, False, True),
+        (ORIENTATIONS[3], False, True, True),
+    ],
+)
+def test_turned_arrays_are_believed_by_a_right_codeword(
+    orientation: Orientation, settled: bool, proven: bool, credible: bool
+) -> None:
+    array = array_of(Scripted("a", orientation, proven=proven), settled=settled)
+    assert array.credible == credible
+    # what is not believed is read in silence
+    assert pushed(array) == (["a1"] if credible else [])
+
+
+def test_settling_leaves_out_other_orientations_in_order() -> None:
+    receivers = [Scripted(name, way) for name, way in zip("abcd", (*ORIENTATIONS[:3], ORIENTATIONS[1]), strict=True)]
+    array = array_of(*receivers)
+    assert array.settle(ORIENTATIONS[1])
+    assert array.credible
+    assert pushed(array) == ["b1"]
+    assert [len(one.frames) for one in receivers] == [0, 1, 0, 1]
+
+
+def test_settling_on_what_no_receiver_has_changes_nothing() -> None:
+    array = array_of(Scripted("a", ORIENTATIONS[1]), Scripted("b", ORIENTATIONS[2]))
+    assert not array.settle(ORIENTATIONS[5])
+    assert not array.credible
+    assert array.leading.orientation == ORIENTATIONS[1]
+
+
+def test_what_gave_up_is_read_no_longer_and_the_first_says_when_all_is_over() -> None:
+    a, b, c = Scripted("a", UPRIGHT), Scripted("b", ORIENTATIONS[1], done=True), Scripted("c", ORIENTATIONS[2])
+    array = array_of(a, b, c)
+    for _ in range(2):
+        pushed(array)
+    assert (len(a.frames), len(b.frames), len(c.frames)) == (2, 1, 2)
+    assert not array.done
+    a.done = True
+    pushed(array)
+    assert array.done
+    assert array.leading is cast(Any, a)
+
+
+@pytest.mark.parametrize("sure", [False, True])
+def test_it_is_as_sure_as_its_first(sure: bool) -> None:
+    assert array_of(Scripted("a", UPRIGHT, sure=sure), Scripted("b", UPRIGHT, sure=not sure)).sure == sure
