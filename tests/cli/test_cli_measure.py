@@ -61,11 +61,14 @@ def test_drives_and_empty_clips(call: Call, data: Path) -> None:
     clip, imu = data / "driving" / "day-motorway.mp4", data / "motion" / "car-imu.csv"
     drive = succeeded(
         call("drives", clip, "--imu", imu, "--margin", "16", "--set", "channel.distance_m=40",
-             "--set", "channel.duration_s=0.15")
+             "--set", "channel.duration_s=0.05", "--set", "signal.data_pairs=16")
     ).splitlines()  # fmt: skip
-    assert drive[0] == "day-motorway.mp4: 150 frames"
+    assert drive[0] == "day-motorway.mp4: 50 frames"
     assert drive[-1] == "  false codewords 0, false packets 0"
-    empty = succeeded(call("empty", clip, "--imu", imu, "--native", "--frames", "20")).splitlines()
+    empty = succeeded(
+        call("empty", clip, "--imu", imu, "--native", "--frames", "20", "--set", "channel.camera.width=480",
+             "--set", "channel.camera.height=270")
+    ).splitlines()  # fmt: skip
     assert empty[0].startswith("day-motorway.mp4: 0/20 (< 1.5e-01) detections")
     assert empty[1].startswith("in all, a frame: 0/20 ")
 

@@ -24,9 +24,9 @@ READ_FROM = {75: ("high",), 52: ("high", "middle"), 45: ("high", "middle", "low"
 FILMED_MARGIN_PX = 16
 """Only the array and so many px about it are filmed, which is faster than whole frames."""
 
-NATIVE_FRAMES = 60
-MOST_NATIVE_DETECTIONS = 3
-"""In 60 frames: one in twenty. A false detection costs a little time, a right codeword out of one is a false word."""
+NATIVE_FRAMES = 40
+MOST_NATIVE_DETECTIONS = 2
+"""In 40 frames: one in twenty. A false detection costs a little time, a right codeword out of one is a false word."""
 
 SMALL = (
     "channel.camera.width=192",
@@ -59,7 +59,7 @@ def test_layers_are_read_over_real_footage_and_shake(data: Path, clip: str, dist
 @pytest.mark.slow
 def test_a_clip_played_natively_has_no_packet(data: Path, clip: str) -> None:
     # short packets: one that a false detection begins ends within the clip
-    small = ("signal.data_pairs=16", "channel.camera.width=480", "channel.camera.height=270")
+    small = ("signal.data_pairs=8", "channel.camera.width=480", "channel.camera.height=270")
     found = real_input.empty(scene(data, clip, 3, *small), NATIVE_FRAMES, native=True)
     assert found.detections.trials == NATIVE_FRAMES
     assert (found.right.errors, found.words) == (0, 0)
