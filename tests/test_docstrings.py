@@ -1,4 +1,4 @@
-"""Public functions, methods and classes of the packages in HELD describe their parameters and errors."""
+"""Public functions, methods and classes of the packages in HELD describe parameters, shapes of arrays, and errors."""
 
 import ast
 import re
@@ -17,6 +17,12 @@ ERRORS = {"HeliographError", "SettingsError", "MediaError", "ValueError"}
 
 FEWEST_WORDS = 4
 """Words of which a description has at least so many: "The array's." tells neither what it is nor its unit."""
+
+ARRAY = re.compile(r"(NDArray\[.*\]|Floats|Pixels)( \| .*)?")
+"""An annotation of one array, not of several in a list or by name."""
+
+SHAPED = re.compile(r"\(\.\.\.\)|\([^()]*,[^()]*\)|\b(arrays?|shapes?|scalars?)\b", re.I)
+"""What tells an array's shape: "(rows, columns)", "(n,)", "(...)", or words that say whose it is."""
 
 PUBLIC_MAGIC = ("__call__",)
 """Magic methods that are called by hand, and so described."""
@@ -81,6 +87,38 @@ def parameters(node: Function, method: bool) -> list[str]:
     return names[1:] if method and not static else names
 
 
+def arrays(node: Definition) -> set[str]:
+    """Parameters and fields that are arrays by their annotation."""
+    annotated: dict[str, ast.expr | None] = {}
+    for one in constructors(node) if isinstance(node, ast.ClassDef) else [node]:
+        annotated |= {a.arg: a.annotation for a in (*one.args.posonlyargs, *one.args.args, *one.args.kwonlyargs)}
+    if isinstance(node, ast.ClassDef):
+        annotated |= {
+            n.target.id: n.annotation
+            for n in node.body
+            if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)
+        }
+    return {name for name, said in annotated.items() if said is not None and ARRAY.fullmatch(ast.unparse(said))}
+
+
+def shapeless(doc: str, node: Definition) -> list[str]:
+    """Arrays of which neither their item nor what comes before all items tells the shape.
+
+    An item that names another place, as `render`, has its shape there.
+    """
+    head = re.split(r"\n[^\n]+\n-{3,}\n", doc)[0]
+    if SHAPED.search(head):
+        return []
+    items = [item for title in ("Parameters", "Attributes") for item in section(doc, title).items()]
+    names = [
+        name.strip()
+        for line, text in items
+        if not SHAPED.search(f"{line} {text}") and not re.search(r"(?<!`)`\w", text)
+        for name in line.partition(" : ")[0].split(",")
+    ]
+    return [name for name in names if name in arrays(node)]
+
+
 def is_dataclass(node: ast.ClassDef) -> bool:
     return any(re.match(r"(dataclass|checked)\b", ast.unparse(d)) for d in node.decorator_list) or any(
         ast.unparse(base) == "NamedTuple" for base in node.bases
@@ -137,6 +175,8 @@ def problems(name: str, node: Definition, items: dict[str, Definition]) -> Itera
         yield f"{name}: not described: {', '.join(missing)}"
     if short := [item for title in ("Parameters", "Attributes") for item in too_short(doc, title)]:
         yield f"{name}: says too little: {', '.join(short)}"
+    if unshaped := shapeless(doc, node):
+        yield f"{name}: shape not told: {', '.join(unshaped)}"
     if unsaid := errors - listed(doc, "Raises"):
         yield f"{name}: not under Raises: {', '.join(sorted(unsaid))}"
 
@@ -210,6 +250,47 @@ def short(x):
     x
         The array's.
     """
+
+def image(a: Floats, b: Floats, c: NDArray[np.uint8] | None, d: list[Floats], e: Floats, f: float):
+    """Tell how large some are.
+
+    Parameters
+    ----------
+    a
+        (rows, columns) gray levels.
+    b
+        Gray levels of the pixels.
+    c : ndarray of uint8, shape (..., K)
+        Bits of the blocks.
+    d
+        Gray levels of several pixels.
+    e
+        Gray levels, as in `frame`.
+    f
+        Gray level (the lowest) of all.
+    """
+
+class Pose:
+    """Places at any times; all arrays have one shape.
+
+    Attributes
+    ----------
+    x_m
+        Column of the centre in m.
+    """
+
+    x_m: Floats
+
+class Seen:
+    """Places seen by the camera, with a parenthesis (of prose).
+
+    Attributes
+    ----------
+    x_m
+        Column of the centre in m.
+    """
+
+    x_m: Floats
 
 def wrong():
     """Raise without saying so."""
@@ -294,6 +375,8 @@ def test_each_fault_is_found() -> None:
         "m.bare: no docstring",
         "m.two: not described: y",
         "m.short: says too little: x",
+        "m.image: shape not told: b",
+        "m.Seen: shape not told: x_m",
         "m.wrong: not under Raises: ValueError",
         "m.Made: not described: b",
         "m.Made: not under Raises: SettingsError",

@@ -35,7 +35,7 @@ class ExpectationPropagation:
     cavity
         Lambda of the cavities, (patterns, symbols); 0 for pairs that have not been equalised.
     cavity_weighted
-        eta of the cavities, likewise.
+        eta of the cavities, (patterns, symbols); likewise 0.
     """
 
     precision: Floats

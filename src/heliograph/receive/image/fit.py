@@ -139,7 +139,7 @@ def fit_array(
         Whether a panel darker or brighter than the background may surround the LEDs: it does in a sum of frames, and
         cancels in a difference.
     start
-        Pose vector to start from, as long as the prior's; None starts at the prior.
+        Pose vector to start from, (5,) or (7,) as the prior's; None starts at the prior.
     resolved
         Whether LEDs may show singly. If not, the array is an even square with all LEDs on, which is faster.
     open_pixels
