@@ -1,5 +1,6 @@
 """Other systems: their patterns, their counts and their ranges."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from heliograph.experiments.systems.curves import CURVES, error_free_m, range_m
 from heliograph.experiments.systems.schemes import ENOUGH, SCHEMES, SIDE, BitCounts, count_bits
 from heliograph.link.settings import LinkSettings
 from heliograph.measure.statistics import Count
+from heliograph.receive.equalise.threads import one_thread
 
 
 @pytest.mark.parametrize("key", SCHEMES)
@@ -33,14 +35,19 @@ def test_bits_of_a_pattern() -> None:
 
 
 @pytest.fixture
-def short_films(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Films of 16 pairs of data: what is read of a pair does not depend on how many there are."""
+def short_films(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Films of 16 pairs of data, read by one thread: what is read of a pair does not depend on how many there are.
+
+    Beside other tests, threads take ten times as long for matrices so small.
+    """
 
     def short(distance_m: float, rng: np.random.Generator) -> LinkSettings:
         settings = static_link(distance_m, rng)
         return replace(settings, signal=replace(settings.signal, data_pairs=16))
 
     monkeypatch.setattr(schemes, "static_link", short)
+    with one_thread():
+        yield
 
 
 @pytest.mark.slow
