@@ -50,7 +50,14 @@ def test_a_far_array_is_read_in_the_cameras_frames() -> None:
     assert CAMERA.frame(frame, POSE, 16) is frame
 
 
-@pytest.mark.parametrize("pitch", [3.5, 7.0, 15.0, 31.0])
+def test_the_nearest_arrays_are_not_reduced_further() -> None:
+    view = View.of(Pose(0, 0, 31.0))
+    assert view.pose_in(Pose(0, 0, 31.0)).pitch == pytest.approx(31.0 / 8)
+    assert view.suits(view.pose_in(Pose(0, 0, 40.0)))
+    assert not view.suits(view.pose_in(Pose(0, 0, 10.0)))
+
+
+@pytest.mark.parametrize("pitch", [3.5, 7.0, 9.0])
 def test_the_view_chosen_suits(pitch: float) -> None:
     pose = Pose(0, 0, pitch)
     view = View.of(pose)
