@@ -1,5 +1,10 @@
 """Posts that pass before an array: `python -m benchmarks.poles [--passages 300] [--seed 1] [--receivers plain,soft]`.
 
+With `--brief` the array is 50 m away, and a post hides it, or parts of it, during up to a quarter of the pairs of one
+packet. Counted are the codewords of that packet.
+
+Else:
+
 Each passage is a film of its own. Distance (40 to 95 m), speed (0 to 50 km/h), road (A to C), background, place of the
 array, and the post's time (0.1 to 1 s from the first touch to the last, even in its logarithm), width (1 to 3 arrays),
 gray level, side and start are drawn at random by the seed. Counted are codewords right, codewords that "plain" reads
@@ -22,6 +27,7 @@ from heliograph.link.simulate import default_messages, simulate
 from heliograph.measure.statistics import Count
 from heliograph.receive import make_receiver
 from heliograph.receive.packets import Packet
+from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS
 
 MARGIN_PX = 40
@@ -134,6 +140,24 @@ def draw(rng: np.random.Generator, spans_s: tuple[float, float] = (0.1, 1.0)) ->
     return Passage(load_settings("paper", {"channel": channel}), post, int(rng.integers(2**31)))
 
 
+def draw_brief(rng: np.random.Generator) -> Passage:
+    """Draw a passage at 50 m whose post passes within the data of packet 1, during at most a quarter of its pairs.
+
+    Parameters
+    ----------
+    rng
+        Source of randomness.
+    """
+    passage = draw(rng)
+    signal = passage.settings.signal
+    span_s = rng.uniform(0.05, 0.25) * 2 * signal.data_pairs * signal.pattern_period_s
+    first_s = signal.packet_s + 2 * signal.header_pairs * signal.pattern_period_s
+    start_s = rng.uniform(first_s, 2 * signal.packet_s - span_s)
+    channel = replace(passage.settings.channel, distance_m=50.0, duration_s=2 * signal.packet_s + 0.012)
+    post = replace(passage.post, start_s=start_s, end_s=start_s + span_s)
+    return replace(passage, settings=replace(passage.settings, channel=channel), post=post)
+
+
 def receive(passage: Passage, frames: Sequence[Frame], receiver: str) -> list[Packet]:
     """Packets that a receiver gives.
 
@@ -191,8 +215,12 @@ def main() -> None:
     parser.add_argument("--passages", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--receivers", default="plain,soft")
+    parser.add_argument("--brief", action="store_true", help="posts of up to a quarter of a packet, at 50 m")
     given = parser.parse_args()
     names = given.receivers.split(",")
+    if given.brief:
+        count_brief(given.passages, given.seed, names)
+        return
     words = {name: Counter[str]() for name in names}
     clear, lost = {name: Count() for name in names}, Count()
     for k in range(given.passages):
@@ -209,6 +237,29 @@ def main() -> None:
         print(f"{name}: right {dict(words[name])}; first packet in clear sight not whole {_text(clear[name])}")
     if lost.trials:
         print(f"right with plain but not with soft {_text(lost)}")
+
+
+def count_brief(passages: int, seed: int, names: Sequence[str]) -> None:
+    """Count codewords lost of packets that a post hides during up to a quarter of their pairs.
+
+    Parameters
+    ----------
+    passages, seed
+        How many, and of which seed.
+    names
+        Names of the receivers.
+    """
+    lost = {(name, layer): Count() for name in names for layer in LAYERS}
+    for k in range(passages):
+        passage = draw_brief(np.random.default_rng((seed, k)))
+        frames = list(passage.frames())
+        for name in names:
+            found = Counter(layer for number, layer, _ in right(passage, receive(passage, frames, name)) if number == 1)
+            for layer in LAYERS:
+                sent = PacketFormat(passage.settings.signal).layers[layer].codewords
+                lost[name, layer].add(sent, sent - found[layer])
+    for name in names:
+        print(f"{name}: lost " + ", ".join(f"{layer} {_text(lost[name, layer])}" for layer in LAYERS))
 
 
 def _text(count: Count) -> str:
