@@ -26,7 +26,7 @@ from heliograph.receive.reader_protocol import ReadHeader
 from heliograph.receive.settings import Feedback
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.background import SeenHeader
-from heliograph.receive.track.decision_directed import DecidedPair, DecisionDirectedTracker
+from heliograph.receive.track.decision_directed import DecisionDirectedTracker
 from heliograph.receive.track.lone_frames import SeenPair, lone_cutout
 from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
@@ -201,11 +201,10 @@ class SoftReader:
     def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
         """Keep a pair; see `PacketReader`."""
         track, data, light = tracked.track, self._data, self._light
-        decided = tracked.cutouts if isinstance(tracked, DecidedPair) else None
-        cutouts = decided or (self._cutout(pair, track, self._gains()),)
+        cutouts = tracked.cutouts or (self._cutout(pair, track, self._gains()),)
         self._light = replace(light, gain=track.data_gain, full_scale=pair.pattern.full_scale)
         self._data = replace(data, cutouts={**data.cutouts, **dict(enumerate(cutouts, len(cutouts) * place))})
-        if decided is None and pair.combination is None:
+        if not tracked.cutouts and pair.combination is None:
             self._light = replace(self._light, sum_gain=track.gain)
             self._data = replace(self._data, seen={**data.seen, place: SeenPair(tracked.state, cutouts[0])})
         poses = tuple(pose for cutout in cutouts for pose in cutout.poses)

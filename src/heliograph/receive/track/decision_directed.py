@@ -5,7 +5,7 @@ known. Their light, the light of the levels' mean and the background have an ima
 of the undecided symbols is noise of known colour, so a guess made at a wrong pose does not confirm that pose.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,19 +61,6 @@ BACKGROUND_WEIGHT = 0.2
 """Weight of a frame in the background: five frames of a changing scene count."""
 
 
-@dataclass(frozen=True, slots=True)
-class DecidedPair(TrackedPair):
-    """Two frames of data without inverses, and the array as the second of them shows it.
-
-    Attributes
-    ----------
-    cutouts
-        The two frames less their background.
-    """
-
-    cutouts: tuple[Cutout, Cutout]
-
-
 class DecisionDirectedTracker:
     """Follows an array through the data of a packet without inverses.
 
@@ -110,7 +97,7 @@ class DecisionDirectedTracker:
         self.noise = Noise(2 * seen.lit, max(2 * seen.dark, 4 * found.variance))
 
     @one_thread()
-    def follow(self, track: Track, pair: FramePair) -> DecidedPair:
+    def follow(self, track: Track, pair: FramePair) -> TrackedPair:
         """Find the array in two frames and move the filter on; coast where it is not seen.
 
         Parameters
@@ -133,7 +120,7 @@ class DecisionDirectedTracker:
             after = replace(track, state=self._tracker.predict(track, pair.inverted.time_s))
         # the earlier pose too is known better now
         cutouts = self._cutout(pair.pattern, after.state), self._cutout(pair.inverted, after.state)
-        return DecidedPair(track, after, fit, seen, cutouts)
+        return TrackedPair(track, after, fit, seen, cutouts)
 
     def _step(self, track: Track, frame: AnyFrame) -> tuple[Fit, PoseState]:
         """Find the array in a frame; the state given it."""

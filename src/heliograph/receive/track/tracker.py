@@ -12,6 +12,7 @@ from heliograph.receive.image.fit import Fit, Prior, fit_array
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.robust import robust_std
 from heliograph.receive.image.window import cut_out, window_around
+from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
 from heliograph.receive.track.kalman import (
     HEADER_OBSERVATION,
@@ -149,12 +150,15 @@ class TrackedPair:
         The fit of the sum.
     seen
         Whether the array was in sight.
+    cutouts
+        Of data without inverses, the two frames less their background; else none.
     """
 
     before: Track
     track: Track
     fit: Fit
     seen: bool
+    cutouts: tuple[Cutout, ...] = ()
 
     @property
     def state(self) -> PoseState:
