@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     )
     from heliograph.signal.code import register_code
     from heliograph.signal.settings import SignalSettings
+    from heliograph.sweeps.plot import plot_rates
     from heliograph.sweeps.sweep import sweep
     from heliograph.transmit import Transmitter
 
@@ -50,6 +51,7 @@ _HOMES = {
     "make_receiver": "receive",
     "open_film": "media",
     "own_settings": "receive",
+    "plot_rates": "sweeps.plot",
     "receive_frames": "receive",
     "register_background": "channel.parts",
     "register_code": "signal.code",
@@ -79,6 +81,7 @@ __all__ = [
     "make_receiver",
     "open_film",
     "own_settings",
+    "plot_rates",
     "receive_frames",
     "register_background",
     "register_code",

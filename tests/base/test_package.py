@@ -55,7 +55,7 @@ def test_sweep_is_there_without_the_extra() -> None:
     code = "import sys; sys.modules['xarray'] = None\nimport heliograph as h\n"
     code += "try: h.sweep({})\nexcept h.HeliographError as error: print(error)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
-    assert out.stdout.strip() == "a Dataset needs xarray: install heliograph[analysis]"
+    assert out.stdout.strip() == "a Dataset needs xarray: pip install xarray pandas h5netcdf"
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

@@ -13,7 +13,7 @@ MISSED = LayerCounts.of_missed(2)
 
 def block(distance_m: float, counts: LayerCounts) -> BlockCounts:
     layers = {**no_errors(), "low": counts}
-    return BlockCounts(layers, {distance_m: layers}, {"high": 0, "middle": 0, "low": 800}, 1, 2, 3, 0.02, 20)
+    return BlockCounts(layers, {distance_m: layers}, {"high": 0, "middle": 0, "low": 800}, 5, 4, 1, 2, 3, 0.02, 20)
 
 
 def test_a_packet_is_one_cluster_of_errors() -> None:
@@ -51,6 +51,7 @@ def test_blocks_add_up_by_layer_and_by_distance() -> None:
     assert {start: layers["low"] for start, layers in total.bins.items()} == {40.0: READ + READ, 70.0: MISSED}
     assert total.payload_bits == {"high": 0, "middle": 0, "low": 2400}
     assert (total.false_codewords, total.false_packets, total.duplicates, total.frames) == (3, 6, 9, 60)
+    assert (total.packets, total.detected) == (15, 12)
     assert total.film_s == pytest.approx(0.06)
     assert total.codewords == 6
 

@@ -1,10 +1,12 @@
 """Sweeps within one process: what varies, when a point ends, what is kept."""
 
+import csv
 import json
 import sqlite3
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,9 +19,10 @@ from heliograph.base.errors import HeliographError, MediaError, SettingsError
 from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.signal.settings import LAYERS
-from heliograph.sweeps import dataset, executors, runner, sweep
+from heliograph.sweeps import bar, dataset, executors, plot, reach, runner, sweep
 from heliograph.sweeps import points as points_module
 from heliograph.sweeps.executors import Result, Work
+from heliograph.sweeps.plan import laid_over as laid
 from heliograph.sweeps.plan import plan
 from heliograph.sweeps.points import Point, run_job
 from heliograph.sweeps.store import NAME, Store
@@ -416,8 +419,182 @@ def test_units_follow_from_names(key: str, unit: str) -> None:
 
 def test_a_lacking_extra_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "xarray", None)
-    with pytest.raises(HeliographError, match="heliograph\\[analysis\\]"):
+    with pytest.raises(HeliographError, match="needs xarray: pip install xarray pandas h5netcdf"):
         sweep.sweep({})
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(HeliographError, match="heliograph\\[cluster\\]"):
+    with pytest.raises(HeliographError, match=r"pip install 'dask\[distributed\]'"):
         executors.open_workers(None, "tcp://127.0.0.1:8786")
+
+
+def altered(folder: Path, statement: str, *values: Any) -> None:
+    """A store with a block of the first point, altered by hand."""
+    with Store(folder) as store:
+        store.note(points()[0])
+        store.add(points()[0], 0, fake_counts(4, 2), 1.0)
+    with sqlite3.connect(folder / NAME) as db:
+        db.execute(statement, values)
+    db.close()
+
+
+def counted(change: Callable[[Any], Any]) -> str:
+    plain = fake_counts(4, 2).to_plain()
+    return json.dumps(change(plain) or plain)
+
+
+def deep(count: int) -> str:
+    return "[" * count + "]" * count
+
+
+CHANGED: dict[str, Callable[[Any], Any]] = {
+    "a list": lambda plain: [1],
+    "a text": lambda plain: "counts",
+    "a lacking name": lambda plain: plain.pop("frames") and None,
+    "one name more": lambda plain: plain.update(extra=1),
+    "a lacking layer": lambda plain: plain["layers"].pop("low") and None,
+    "layers in a list": lambda plain: plain.update(layers=[1]),
+    "a layer of another name": lambda plain: plain["layers"].update(lowest=plain["layers"].pop("low")),
+    "a lacking count": lambda plain: plain["layers"]["low"].pop("bits") and None,
+    "a text for a count": lambda plain: plain["layers"]["low"].update(codewords="4"),
+    "a broken count": lambda plain: plain["layers"]["low"].update(codewords=4.5),
+    "a yes for a count": lambda plain: plain["layers"]["low"].update(codewords=True),
+    "less than none": lambda plain: plain["layers"]["low"].update(codewords=-4, codeword_errors=-4),
+    "more wrong than sent": lambda plain: plain["layers"]["low"].update(codeword_errors=5),
+    "more bits wrong than read": lambda plain: plain["layers"]["low"].update(bit_errors=1),
+    "more missed than wrong": lambda plain: plain["layers"]["low"].update(missed=3),
+    "squares without errors": lambda plain: plain["layers"]["low"].update(bit_squares=3),
+    "an immense count": lambda plain: plain["layers"]["low"].update(codewords=10**400),
+    "bins in a mapping": lambda plain: plain.update(bins={"a": 1}),
+    "a bin of one": lambda plain: plain.update(bins=[[1]]),
+    "a bin at a text": lambda plain: plain.update(bins=[["near", plain["layers"]]]),
+    "payload of one": lambda plain: plain.update(payload_bits=7),
+    "a film without end": lambda plain: plain.update(film_s=float("inf")),
+    "a film that is no number": lambda plain: plain.update(film_s=float("nan")),
+    "no film": lambda plain: plain.update(film_s=None),
+    "more found than sent": lambda plain: plain.update(detected=1),
+}
+
+
+@pytest.mark.parametrize(
+    ("statement", "values"),
+    [
+        *(("UPDATE blocks SET counts = ?", (counted(change),)) for change in CHANGED.values()),
+        *(("UPDATE blocks SET counts = ?", (text,)) for text in ("", "{", "null", "7", deep(50_000), b"\xff\x00")),
+        *(("UPDATE blocks SET seconds = ?", (value,)) for value in ("soon", -1.0, float("inf"), b"1")),
+        ("UPDATE blocks SET block = ?", ("first",)),
+        ("UPDATE blocks SET counts = CAST(x'ff' AS TEXT)", ()),
+        ("ALTER TABLE blocks DROP COLUMN seconds", ()),
+        ("ALTER TABLE points DROP COLUMN settings", ()),
+        ("PRAGMA user_version = 7", ()),
+    ],
+    ids=lambda value: str(value)[:40],
+)
+def test_an_altered_store_is_refused_in_one_line(statement: str, values: Any, tmp_path: Path) -> None:
+    altered(tmp_path, statement, *values)
+    (tmp_path / "points.json").write_text("earlier")
+    tally = PointTally(points()[0], StopRule(max_codewords=1))
+    with pytest.raises(MediaError, match="choose another folder") as caught:
+        sweep.count([tally], tmp_path, workers=1)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400
+    assert (tmp_path / "points.json").read_text() == "earlier"
+    assert tally.blocks == 0
+
+
+def test_workers_that_are_not_there_leave_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(HeliographError, match="no address"):
+        sweep.count([PointTally(points()[0], StopRule())], tmp_path / "out", None, "nowhere")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_arrays_that_nobody_looks_for_are_named() -> None:
+    grid_of = {"signal.side": [8, 16, 32], "channel.distance_m": [70, 2]}
+    text = reach.not_looked_for(plan(grid_of))
+    assert text.startswith("2 of 6 points have an array that is not looked for (signal.side=8, channel.distance_m=70: ")
+    assert "signal.side=32, channel.distance_m=2: 933 px a side, looked for are 8 to 512 px" in text
+    assert reach.not_looked_for(plan({"receiver": ["soft"]}, "static", laid(["signal.side=8"]))) == ""
+    drive = plan({"channel.stop_m": [30, 65]}, "paper", laid(["signal.side=8", "channel.distance_m=70"]))
+    assert [bool(reach.not_looked_for([point])) for point in drive] == [False, True]
+
+
+def test_more_workers_than_the_cores_can_feed_are_not_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(executors, "cores", lambda: 2)
+    assert [executors.enough_workers(n) for n in (1, 2, 4, 5, 64)] == [1, 2, 4, 4, 4]
+    assert "64 workers are more than 2 cores can feed: 4 are started" in executors.fewer_workers(64)
+    assert executors.fewer_workers(4) == executors.fewer_workers(None) == ""
+    with closing(executors.open_workers(64)) as crew:
+        assert crew.slots == 4
+    monkeypatch.setattr(sweep, "count", interrupt)
+    with pytest.warns(UserWarning, match="4 are started"):
+        sweep_interrupted()
+
+
+def sweep_interrupted() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        sweep.sweep({}, workers=64)
+
+
+def interrupt(*_: Any) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.slow
+def test_an_array_that_was_not_found_is_told_from_one_that_was_not_read(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="channel.distance_m=70: 6.67 px a side"):
+        data = sweep.sweep(
+            {"channel.distance_m": [40, 70, 71]}, set={**laid(["signal.side=8"])}, max_codewords=2, output=tmp_path
+        )
+    assert data.packets.values.tolist() == [2, 2, 2]
+    assert data.detected.values.tolist() == [2, 0, 0]
+    reports = json.loads((tmp_path / "points.json").read_text())
+    assert [(r["packets"], r["detected"]) for r in reports] == [(2, 2), (2, 0), (2, 0)]
+    table = list(csv.DictReader((tmp_path / "points.csv").read_text().splitlines()))
+    assert [row["detected"] for row in table] == ["2"] * 3 + ["0"] * 6
+    raw = data.sel({"channel.distance_m": 40})
+    assert (raw.raw_bits > 0).all()
+    assert (raw.raw_ber == raw.raw_errors / raw.raw_bits).all()
+    assert (raw.raw_ber_low <= raw.raw_ber).all()
+    assert (raw.raw_ber <= raw.raw_ber_high).all()
+    assert float(table[0]["raw_ber_high"]) == float(raw.raw_ber_high.sel(layer="high"))
+    axes = plot.plot_rates(data, "raw_ber")
+    assert axes.get_xlabel() == "channel.distance_m (m)"
+    crosses = [line.get_xdata().tolist() for line in axes.lines if line.get_marker() == "x"]
+    assert crosses == [[70, 71]] * 3
+    axes.figure.savefig(tmp_path / "plot.png")
+
+
+def test_a_plot_has_a_line_for_each_choice_and_names_what_is_wrong(tmp_path: Path) -> None:
+    vary = {"receiver": ["plain", "soft"], "channel.distance_m": [40, 70]}
+    tallies = [PointTally(point, StopRule()) for point in plan(vary, "static", SMALL)]
+    for number, tally in enumerate(tallies):
+        tally.add(0, replace(fake_counts(10, number), packets=1, detected=1), 1.0)
+    data = dataset.to_dataset(vary, tallies)
+    axes = plot.plot_rates(data)
+    assert axes.get_legend_handles_labels()[1] == [f"{r}, {layer}" for r in vary["receiver"] for layer in LAYERS]
+    lines = {str(line.get_label()): line.get_ydata().tolist() for line in axes.lines}
+    assert lines["plain, high"] == pytest.approx([clopper_pearson(0, 10)[1], 0.1])
+    assert lines["soft, low"] == pytest.approx([0.2, 0.3])
+    one = plot.plot_rates(data.sel(layer="low", receiver="soft"))
+    assert one.get_legend_handles_labels()[1] == ["low"]
+    plot.plot_rates(data, along="receiver").figure.savefig(tmp_path / "plot.png")
+    with pytest.raises(HeliographError, match="there are ber, raw_ber, fer"):
+        plot.plot_rates(data, "per")
+    with pytest.raises(
+        HeliographError, match=r"nothing varies by 'channel\.x'; there are receiver, channel\.distance_m"
+    ):
+        plot.plot_rates(data, along="channel.x")
+    with pytest.raises(HeliographError, match="nothing varies in this Dataset"):
+        plot.plot_rates(data.isel({"receiver": 0, "channel.distance_m": 0}))
+
+
+def test_progress_is_shown_on_a_terminal_or_when_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tallies = [PointTally(points()[0], StopRule())]
+    monkeypatch.setenv("FORCE_COLOR", "1")  # what Rich takes for a terminal
+    said = "0 of 1 points"
+    for shown, terminal, text in ((None, False, ""), (None, True, said), (False, True, ""), (True, False, said)):
+        monkeypatch.setattr(bar, "on_a_terminal", lambda terminal=terminal: terminal)
+        with bar.bar(1, shown) as advance:
+            advance(tallies)
+        assert text in (err := capsys.readouterr().err)
+        assert bool(err) == bool(text)

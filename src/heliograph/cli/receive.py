@@ -156,7 +156,8 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
         console.say("no array found")
     for array in report["arrays"]:
         console.say(
-            f"array {array['id']}: {array['packets']} packets, frames {array['first_frame']} to {array['last_frame']}"
+            f"array {array['id']}: {array['packets']} packets, frames {array['first_frame']} to {array['last_frame']}, "
+            f"{array['first_distance_m']:.1f} m to {array['last_distance_m']:.1f} m away"
         )
         for layer, t in array["layers"].items():
             console.say(f"  {layer:6} {t['ok']} codewords read, {t['failed']} not, {t['bytes']} bytes")

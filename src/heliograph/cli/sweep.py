@@ -17,12 +17,6 @@ if TYPE_CHECKING:
     from heliograph.sweeps.runner import PointProgress
     from heliograph.sweeps.tally import PointTally
 
-SCALE = 1000
-"""Parts of a point in the progress bar."""
-
-SPEED_PERIOD_S = 3600.0
-"""Time in s over which the speed is averaged that the time left is estimated from."""
-
 
 def run_sweep(
     vary: list[str] | None,
@@ -37,14 +31,17 @@ def run_sweep(
     as_json: bool,
 ) -> None:
     """Count errors over a grid of settings; whatever ends it, what was counted before is kept and shown."""
-    from heliograph.sweeps.executors import THREAD_LIMITS
+    from heliograph.sweeps.executors import THREAD_LIMITS, fewer_workers
 
     os.environ.update(THREAD_LIMITS)  # NumPy is not imported yet
     from heliograph.sweeps.plan import plan
+    from heliograph.sweeps.reach import not_looked_for
     from heliograph.sweeps.tally import PointTally, StopRule
 
     points = plan(_varied(vary), preset, _over(file, assignments), seed, *recordings)
     tallies = [PointTally(point, StopRule(**limits)) for point in points]
+    for text in filter(None, (not_looked_for(points), fewer_workers(crew[0]))):
+        console.complain(text)
     logging.disable(logging.CRITICAL)  # what is lost of a cluster is said in one line
     ending = _run(tallies, output, crew)
     if isinstance(ending, Exception) and not any(tally.blocks for tally in tallies):
@@ -94,43 +91,34 @@ def _over(file: Path | None, assignments: list[str] | None) -> Any:
 @contextlib.contextmanager
 def _progress(points: int) -> "Iterator[PointProgress]":
     """A bar with the time left on a terminal, a line now and then in a log."""
-    if not sys.stderr.isatty():
+    from heliograph.sweeps.bar import bar, on_a_terminal
+
+    if on_a_terminal():
+        with bar(points) as show:
+            yield show
+    else:
         lines = console.Lines("sweeping, points", points)
         yield lambda tallies: lines(sum(tally.fraction for tally in tallies))
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    # a block may take longer than Rich's half a minute, without which it has no speed
-    screen = Console(stderr=True)
-    with Progress(*columns, console=screen, transient=True, speed_estimate_period=SPEED_PERIOD_S) as bar:
-        task = bar.add_task("sweeping", total=SCALE * points)
-
-        def show(tallies: "Sequence[PointTally]") -> None:
-            done = f"{sum(t.done for t in tallies)} of {points} points"
-            bar.update(task, description=done, completed=round(SCALE * sum(t.fraction for t in tallies)))
-
-        yield show
 
 
 def _show(tallies: "Sequence[PointTally]") -> None:
-    """A line per point and layer: codewords wrong, error rates with intervals, or bounds where no error was met."""
+    """A line per point and layer: codewords wrong, error rates with intervals or bounds, packets found."""
     rows = [row for tally in tallies for row in _rows(tally)]
-    head = [*tallies[0].point.choice, "layer", "wrong", "of", "FER (95 %)", "BER (95 %)", "net bit/s"]
+    head = [*tallies[0].point.choice, "layer", "wrong", "of", "FER (95 %)", "BER (95 %)", "found", "net bit/s"]
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
     for cells in [head, *rows]:
         console.say("  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
 
 
 def _rows(tally: "PointTally") -> "Iterator[list[str]]":
-    """The net rate, which is of all layers, stands beside the first."""
+    """Packets found and net rate, which are of all layers, stand beside the first."""
     net = tally.net_bits_per_second
     rate = "no data" if net is None else f"{net:.0f}"
+    found = f"{tally.total.detected}/{tally.total.packets}"
     for name, layer in tally.total.layers.items():
         counts = [str(layer.codeword_errors), str(layer.codewords), _text(layer.words), _text(layer.decoded)]
-        yield [*map(str, tally.point.choice.values()), name, *counts, rate]
-        rate = ""
+        yield [*map(str, tally.point.choice.values()), name, *counts, found, rate]
+        found = rate = ""
 
 
 def _text(count: "Count") -> str:

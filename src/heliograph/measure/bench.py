@@ -180,11 +180,14 @@ def _counts(reception: Reception, settings: LinkSettings) -> BlockCounts:
     errors = reception.errors
     assert errors is not None  # the truth is known
     bins = errors.bins()
+    packets, detected = errors.detected()
     arrays = [reception.arrays[n] for n in settings.transmit.identities if n in reception.arrays]
     return BlockCounts(
         layers=pooled(bins.values()),
         bins=bins,
         payload_bits={name: _payload_bits(arrays, name) for name in LAYERS},
+        packets=packets,
+        detected=detected,
         false_codewords=errors.false_codewords,
         false_packets=errors.false_packets,
         duplicates=errors.duplicates,

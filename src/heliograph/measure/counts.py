@@ -1,6 +1,6 @@
 """Counts of errors by layer, of a packet, a film or a whole sweep."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Self
 
@@ -112,6 +112,9 @@ class LayerCounts:
 Layers = Mapping[str, LayerCounts]
 """Counts by layer."""
 
+MOST_NUMBER = 1e12
+"""Bound of seconds and metres that are read from a file; anything so large was never counted."""
+
 
 def no_errors() -> dict[str, LayerCounts]:
     """Nothing counted, for each layer."""
@@ -147,6 +150,8 @@ class BlockCounts:
         Payload of the codewords read, in bits, by layer.
     false_codewords
         Codewords accepted as right that were not sent.
+    packets, detected
+        Packets filmed whole, all arrays; those of them whose header was found, or of which anything was read.
     false_packets, duplicates
         Packets received that were not sent, and those received again.
     film_s
@@ -158,6 +163,8 @@ class BlockCounts:
     layers: Layers = field(default_factory=no_errors)
     bins: Mapping[float, Layers] = field(default_factory=dict)
     payload_bits: Mapping[str, int] = field(default_factory=lambda: dict.fromkeys(LAYERS, 0))
+    packets: int = 0
+    detected: int = 0
     false_codewords: int = 0
     false_packets: int = 0
     duplicates: int = 0
@@ -175,6 +182,8 @@ class BlockCounts:
             pooled([self.layers, other.layers]),
             {start: pooled(one.bins[start] for one in (self, other) if start in one.bins) for start in starts},
             {name: bits + other.payload_bits[name] for name, bits in self.payload_bits.items()},
+            self.packets + other.packets,
+            self.detected + other.detected,
             self.false_codewords + other.false_codewords,
             self.false_packets + other.false_packets,
             self.duplicates + other.duplicates,
@@ -194,14 +203,73 @@ class BlockCounts:
         ----------
         plain
             Plain values of `to_plain`, as they are or read from JSON.
+
+        Raises
+        ------
+        ValueError
+            They are not what `to_plain` gives: something is missing, has another type, or cannot have been counted.
         """
-        bins = {float(start): _layers(layers) for start, layers in plain["bins"]}
-        return cls(**{**plain, "layers": _layers(plain["layers"]), "bins": bins})
+        _check_names("a block", plain, {one.name for one in fields(cls)})
+        if not isinstance(plain["bins"], Sequence):
+            raise ValueError("bins are a list")
+        bins = {}
+        for one in plain["bins"]:
+            if not isinstance(one, Sequence) or len(one) != 2:
+                raise ValueError("a bin is its start and its layers")
+            bins[_number("the start of a bin", one[0])] = _layers(one[1])
+        _check_names("payload_bits", plain["payload_bits"], set(LAYERS))
+        payload = {name: _whole(f"payload_bits of {name}", plain["payload_bits"][name]) for name in LAYERS}
+        rest = {one.name: _whole(one.name, plain[one.name]) for one in fields(cls) if one.type in (int, "int")}
+        if rest["detected"] > rest["packets"]:
+            raise ValueError("more packets are detected than were sent")
+        film_s = _number("film_s", plain["film_s"])
+        return cls(layers=_layers(plain["layers"]), bins=bins, payload_bits=payload, film_s=film_s, **rest)
 
 
 def _plain(layers: Layers) -> dict[str, Any]:
     return {name: asdict(counts) for name, counts in layers.items()}
 
 
-def _layers(plain: Mapping[str, Any]) -> Layers:
-    return {name: LayerCounts(**counts) for name, counts in plain.items()}
+def _layers(plain: Any) -> Layers:
+    _check_names("layers", plain, set(LAYERS))
+    return {name: _layer(name, plain[name]) for name in LAYERS}
+
+
+def _layer(name: str, plain: Any) -> LayerCounts:
+    """Counts of a layer from plain values; a ValueError where they cannot have been counted."""
+    _check_names(f"layer {name}", plain, {one.name for one in fields(LayerCounts)})
+    found = LayerCounts(**{key: _whole(f"{key} of {name}", value) for key, value in plain.items()})
+    within = (
+        ("bit_errors", found.bit_errors, found.bits),
+        ("raw_errors", found.raw_errors, found.raw_bits),
+        ("codeword_errors", found.codeword_errors, found.codewords),
+        ("missed", found.missed, found.codeword_errors),
+        ("packets", found.packets, found.bits),
+        ("bit_squares", found.bit_squares, found.bit_errors**2),
+        ("raw_squares", found.raw_squares, found.raw_errors**2),
+    )
+    for key, value, most in within:
+        if value > most:
+            raise ValueError(f"{key} of {name} is at most {most}, not {value}")
+    return found
+
+
+def _check_names(what: str, plain: Any, wanted: set[str]) -> None:
+    if not isinstance(plain, Mapping):
+        raise ValueError(f"{what} has names and values")
+    odd = sorted(wanted.symmetric_difference(map(str, plain)))
+    if odd:
+        raise ValueError(f"{what} {'lacks' if odd[0] in wanted else 'does not have'} '{odd[0][:40]}'")
+
+
+def _whole(what: str, value: Any) -> int:
+    """A count as SQLite and NumPy hold it."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**63:
+        raise ValueError(f"{what} is a whole number from 0")
+    return value
+
+
+def _number(what: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < MOST_NUMBER:
+        raise ValueError(f"{what} is a number from 0")
+    return float(value)

@@ -1,6 +1,6 @@
 """Error counting: packets received against packets sent, by layer and distance."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -32,6 +32,8 @@ class _Sent:
     """Of the best reception of it; empty if nothing was received."""
     right: int = 0
     """Codewords read rightly in it."""
+    found: bool = False
+    """Whether the receiver found its header."""
 
 
 class ErrorCounter:
@@ -91,6 +93,20 @@ class ErrorCounter:
             if abs(place - 0.5) < sent.off_middle:
                 sent.distance_m, sent.off_middle = distance, abs(place - 0.5)
 
+    def found(self, identity: int, start_time_s: float) -> None:
+        """Take a header that the receiver found; one that was not sent is not looked at.
+
+        Parameters
+        ----------
+        identity
+            Number of the array, 0 to 29.
+        start_time_s
+            Start of the header by the camera's clock in s; the truth up to its last frame must have been seen.
+        """
+        sent = self._sent_at(identity, start_time_s)
+        if sent is not None:
+            sent[2].found = True
+
     def received(self, packet: Packet) -> None:
         """Count a packet against the truth.
 
@@ -99,15 +115,11 @@ class ErrorCounter:
         packet
             A packet as the receiver hands it out; the truth up to its last frame must have been seen.
         """
-        if packet.identity not in self._settings.transmit.identities:
+        place = self._sent_at(packet.identity, packet.start_time_s)
+        if place is None:
             self._count_false(packet)
             return
-        array = self._settings.transmit.identities.index(packet.identity)
-        number, _ = self._packet_at(array, self._true_time(packet.start_time_s) + 0.5 * self._packet_s(array))
-        sent = self._sent[array].get(number)
-        if sent is None:
-            self._count_false(packet)
-            return
+        array, number, sent = place
         counts, right = self._compare(self._senders[array], number, packet)
         self.duplicates += bool(sent.counts)
         if not sent.counts or right > sent.right:
@@ -120,12 +132,15 @@ class ErrorCounter:
         whatever was read of it.
         """
         bins: dict[int, list[Layers]] = {}
-        for array, packets in enumerate(self._sent):
-            for number, sent in packets.items():
-                if self._whole(array, sent) and (sent.counts or not sent.hidden):
-                    layers = sent.counts or self._missed(array, number)
-                    bins.setdefault(int(sent.distance_m // BIN_M), []).append(layers)
+        for array, number, sent in self._counted():
+            layers = sent.counts or self._missed(array, number)
+            bins.setdefault(int(sent.distance_m // BIN_M), []).append(layers)
         return {key * BIN_M: pooled(bins[key]) for key in sorted(bins)}
+
+    def detected(self) -> tuple[int, int]:
+        """Number of packets that `bins` count, and of those whose header was found or of which anything was read."""
+        found = [bool(sent.counts) or sent.found for _, _, sent in self._counted()]
+        return len(found), sum(found)
 
     def report(self) -> list[dict[str, Any]]:
         """The bins as plain values, for JSON."""
@@ -137,6 +152,22 @@ class ErrorCounter:
     def total(self) -> Layers:
         """All bins together, by layer."""
         return pooled(self.bins().values())
+
+    def _counted(self) -> Iterator[tuple[int, int, _Sent]]:
+        """Packets that are counted: array, number of the packet, and what was received of it."""
+        for array, packets in enumerate(self._sent):
+            for number, sent in packets.items():
+                if self._whole(array, sent) and (sent.counts or not sent.hidden):
+                    yield array, number, sent
+
+    def _sent_at(self, identity: int, start_time_s: float) -> tuple[int, int, _Sent] | None:
+        """Array, number and record of the packet that begins at a time of the camera's clock; None if none does."""
+        if identity not in self._settings.transmit.identities:
+            return None
+        array = self._settings.transmit.identities.index(identity)
+        number, _ = self._packet_at(array, self._true_time(start_time_s) + 0.5 * self._packet_s(array))
+        sent = self._sent[array].get(number)
+        return None if sent is None else (array, number, sent)
 
     def _compare(self, sender: Transmitter, number: int, packet: Packet) -> tuple[Layers, int]:
         """Counts of a packet, and how many of its codewords are right; false ones are counted."""

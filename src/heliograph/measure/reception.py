@@ -12,6 +12,7 @@ from heliograph.link.simulate import Messages
 from heliograph.link.truth import FrameTruth
 from heliograph.measure.errors import ErrorCounter
 from heliograph.receive import Codeword, Packet, make_receiver
+from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.events import DetectEvent
 from heliograph.receive.receivers import AnyObserver
 from heliograph.signal.block import payload_bytes
@@ -59,6 +60,8 @@ class ArrayTally:
     ----------
     first_frame, last_frame
         Numbers of the frame in which its first packet begins and of that in which its newest ends.
+    first_distance_m, last_distance_m
+        Distance of the array at its first and at its newest packet in m, as the receiver finds it.
     packets
         Number of packets counted so far.
     layers
@@ -66,7 +69,9 @@ class ArrayTally:
     """
 
     first_frame: int
+    first_distance_m: float
     last_frame: int = 0
+    last_distance_m: float = 0.0
     packets: int = 0
     layers: dict[str, LayerTally] = field(default_factory=lambda: {name: LayerTally() for name in LAYERS})
 
@@ -78,7 +83,7 @@ class ArrayTally:
         packet
             A packet of this array, after those before it.
         """
-        self.last_frame = packet.last_frame
+        self.last_frame, self.last_distance_m = packet.last_frame, packet.distance_m
         self.packets += 1
         for name, words in packet.layers.items():
             tally = self.layers[name]
@@ -132,6 +137,19 @@ class Reception:
             if truth.index >= index:
                 break
 
+    def found(self, detection: Detection) -> None:
+        """Count a detection.
+
+        Parameters
+        ----------
+        detection
+            What the receiver takes for an array, whatever it may mean.
+        """
+        self.detections += 1
+        if self.errors is not None:
+            for one in detection.hypotheses:
+                self.errors.found(one.identity, one.start_time_s)
+
     def add(self, packet: Packet) -> Iterator[Message]:
         """Count a packet and yield the messages it completes.
 
@@ -144,7 +162,8 @@ class Reception:
             return
         if self.errors is not None:
             self.errors.received(packet)
-        self.arrays.setdefault(packet.identity, ArrayTally(packet.first_frame)).add(packet)
+        new = ArrayTally(packet.first_frame, packet.distance_m)
+        self.arrays.setdefault(packet.identity, new).add(packet)
         for words in packet.layers.values():
             yield from _completed(self._reassembler, words)
 
@@ -206,7 +225,8 @@ def receive_film(
     """
 
     def counted(event: Any) -> None:
-        reception.detections += isinstance(event, DetectEvent)
+        if isinstance(event, DetectEvent):
+            reception.found(event.detection)
         if observe is not None:
             observe(event)
 
@@ -242,4 +262,5 @@ def _completed(reassembler: Reassembler, words: Iterable[Codeword]) -> Iterator[
 
 
 def _plain(identity: int, tally: ArrayTally) -> dict[str, Any]:
-    return {"id": identity, **asdict(tally)}
+    distances = {name: round(getattr(tally, name), 3) for name in ("first_distance_m", "last_distance_m")}
+    return {"id": identity, **asdict(tally), **distances}

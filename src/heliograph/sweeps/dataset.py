@@ -41,20 +41,26 @@ COUNTS = {
     "codewords": "codewords sent",
     "codeword_errors": "codewords not read rightly, missed ones included",
     "missed": "codewords of packets not received at all",
-    "packets": "packets received",
+    "packets_read": "packets received whose bits are counted",
     "bit_squares": "sum of the squares of the bit errors of a packet",
     "raw_squares": "sum of the squares of the raw errors of a packet",
 }
 
 ERROR_RATES = {
     "ber": "bit error rate after the turbo decoder",
+    "raw_ber": "bit error rate before the turbo decoder",
     "fer": "codeword error rate",
 }
 
 INTERVAL_METHODS = {
     "ber": "Clopper-Pearson at the effective number of bits, as bits of a packet fail together",
+    "raw_ber": "Clopper-Pearson at the effective number of bits, as bits of a packet fail together",
     "fer": "Clopper-Pearson",
 }
+
+
+ANALYSIS = ("xarray", "pandas", "h5netcdf")
+"""Packages of the extra "analysis"."""
 
 
 def need_xarray() -> None:
@@ -63,12 +69,12 @@ def need_xarray() -> None:
     Raises
     ------
     HeliographError
-        It is not.
+        It is not; the message names the packages to install.
     """
     try:
         import xarray  # noqa: F401 - only whether it is there
     except ImportError:
-        raise HeliographError("a Dataset needs xarray: install heliograph[analysis]") from None
+        raise HeliographError(f"a Dataset needs xarray: pip install {' '.join(ANALYSIS)}") from None
 
 
 def unit(key: str) -> str:
@@ -111,6 +117,8 @@ def to_dataset(vary: Mapping[str, Sequence[Any]], tallies: Sequence[PointTally])
 _PLAIN = (
     ("net_bits_per_second", "bit/s", "payload of codewords read, by time of film"),
     ("film_seconds", "s", "length of the films"),
+    ("packets", "1", "packets filmed whole"),
+    ("detected", "1", "packets of these whose header was found, or of which anything was read"),
     ("false_codewords", "1", "codewords taken for right that were not sent"),
     ("false_packets", "1", "packets received that were not sent"),
     ("duplicates", "1", "packets received again"),

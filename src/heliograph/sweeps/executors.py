@@ -56,8 +56,36 @@ class Workers(Protocol):
         """Stop at once; what is not finished is lost."""
 
 
+MOST_PER_CORE = 2
+"""Most worker processes for each core: more begin late, as they share the cores, and compute no faster."""
+
+
+def enough_workers(count: int) -> int:
+    """Worker processes to start where some are asked for: no more than the cores can feed.
+
+    Parameters
+    ----------
+    count
+        Worker processes asked for, 1 or more.
+    """
+    return min(count, MOST_PER_CORE * cores())
+
+
+def fewer_workers(count: int | None) -> str:
+    """A line that says how many workers start in place of those asked for; empty where all of them do.
+
+    Parameters
+    ----------
+    count
+        Worker processes asked for; None: one for each core.
+    """
+    if count is None or count <= enough_workers(count):
+        return ""
+    return f"{count} workers are more than {cores()} cores can feed: {enough_workers(count)} are started"
+
+
 def open_workers(count: int | None = None, scheduler: str | None = None) -> Workers:
-    """Workers as asked for.
+    """Workers as asked for, but no more than `enough_workers`.
 
     Parameters
     ----------
@@ -79,7 +107,7 @@ def open_workers(count: int | None = None, scheduler: str | None = None) -> Work
         count = cores()
     if count < 1:
         raise HeliographError(f"a sweep takes at least 1 worker, not {count}")
-    return Here() if count == 1 else Pool(count)
+    return Here() if count == 1 else Pool(enough_workers(count))
 
 
 def each(
@@ -104,9 +132,10 @@ def each(
         A worker process was lost. What a job raises is raised here, and the rest is dropped.
     """
     todo = list(works)
-    if min(count, len(todo)) <= 1:
+    crew = min(enough_workers(count), len(todo))
+    if crew <= 1:
         return list(_reported((job(work) for work in todo), len(todo), done))
-    with contextlib.closing(Pool(min(count, len(todo)))) as pool:
+    with contextlib.closing(Pool(crew)) as pool:
         futures = [pool.submit(job, work) for work in todo]
         try:
             for _ in _reported((future.result() for future in as_completed(futures)), len(todo), done):
@@ -224,7 +253,7 @@ class Cluster:
         try:
             from distributed import Client
         except ImportError:
-            raise HeliographError("--scheduler needs Dask: install heliograph[cluster]") from None
+            raise HeliographError("a Dask scheduler needs Dask: pip install 'dask[distributed]'") from None
         if not re.fullmatch(r"\w+://.+:\d+", address):
             raise HeliographError(f"'{address}' is no address of a scheduler; write one such as tcp://127.0.0.1:8786")
         try:

@@ -27,6 +27,26 @@ def silent(tallies: Sequence[PointTally], /) -> None:
     """
 
 
+def recall_all(tallies: Sequence[PointTally], store: Store) -> None:
+    """Count what the store holds of each point, and keep the points' settings in it.
+
+    Parameters
+    ----------
+    tallies
+        One a point; the blocks are counted in them.
+    store
+        Results so far.
+
+    Raises
+    ------
+    MediaError
+        The store cannot be read or written, or is damaged.
+    """
+    for tally in tallies:
+        store.note(tally.point)
+        _recall(tally, store)
+
+
 def run(tallies: Sequence[PointTally], store: Store, workers: Workers, progress: PointProgress = silent) -> None:
     """Count until all points have enough; the tallies hold the results so far at any time.
 
@@ -46,9 +66,6 @@ def run(tallies: Sequence[PointTally], store: Store, workers: Workers, progress:
     HeliographError
         A block cannot be computed, or workers are lost again and again.
     """
-    for tally in tallies:
-        store.note(tally.point)
-        _recall(tally, store)
     progress(tallies)
     flying: dict[Future[dict[str, Any]], tuple[PointTally, int]] = {}
     losses = 0

@@ -9,10 +9,11 @@ import json
 import sqlite3
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from heliograph.base.config import to_mapping
 from heliograph.base.errors import MediaError
-from heliograph.measure.counts import BlockCounts
+from heliograph.measure.counts import MOST_NUMBER, BlockCounts
 from heliograph.sweeps.points import Point, build
 
 NAME = "results.sqlite"
@@ -141,12 +142,29 @@ class Store:
         Raises
         ------
         MediaError
-            The file cannot be read.
+            The file cannot be read, or a row is not what `add` wrote.
         """
         question = "SELECT block, counts, seconds FROM blocks WHERE key = ? AND block >= ? ORDER BY block"
         with self._clear():
             rows = self._db.execute(question, (point.key, first)).fetchall()
-        return {block: (BlockCounts.from_plain(json.loads(counts)), seconds) for block, counts, seconds in rows}
+        return {block: self._counted(point, block, counts, seconds) for block, counts, seconds in rows}
+
+    def _counted(self, point: Point, block: Any, counts: Any, seconds: Any) -> tuple[BlockCounts, float]:
+        """A row's values; a MediaError where they were altered or damaged."""
+        try:
+            if not isinstance(block, int):
+                raise ValueError("its number is no whole number")
+            if not isinstance(seconds, (int, float)) or not 0 <= seconds < MOST_NUMBER:
+                raise ValueError("its computing time is no number from 0")
+            if not isinstance(counts, str):
+                raise ValueError("its counts are no text")
+            return BlockCounts.from_plain(json.loads(counts)), float(seconds)
+        except (ValueError, RecursionError) as error:
+            reason = "its counts are no JSON" if isinstance(error, (json.JSONDecodeError, RecursionError)) else error
+            raise MediaError(
+                f"{self.path or 'the store'} is damaged in block {str(block)[:20]} of {point.text}: {reason}; move the "
+                "file away to count anew, or choose another folder"
+            ) from None
 
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[None]:

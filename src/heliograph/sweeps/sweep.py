@@ -1,16 +1,20 @@
 """Sweeps: error rates over a grid of settings, as a function and as files."""
 
+import contextlib
 import csv
 import io
 import json
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from heliograph.base.files import write_whole
-from heliograph.sweeps.executors import open_workers
+from heliograph.sweeps.bar import bar
+from heliograph.sweeps.executors import fewer_workers, open_workers
 from heliograph.sweeps.plan import laid_over, plan
-from heliograph.sweeps.runner import PointProgress, run, silent
+from heliograph.sweeps.reach import not_looked_for
+from heliograph.sweeps.runner import PointProgress, recall_all, run, silent
 from heliograph.sweeps.store import Store
 from heliograph.sweeps.tally import PointTally, StopRule
 from heliograph.sweeps.vary import listed
@@ -32,6 +36,7 @@ def sweep(
     max_seconds: float | None = None,
     background: Path | str | None = None,
     imu: Path | str | None = None,
+    progress: bool | None = None,
 ) -> "xarray.Dataset":
     """Error rates over a grid of settings as an xarray Dataset.
 
@@ -56,15 +61,23 @@ def sweep(
         When a point has enough: wrong codewords, codewords and computing time in s, as of `StopRule`.
     background, imu
         Files of footage and of motion for the channel; None where there are none.
+    progress
+        Whether a bar shows how far it is; None: on a terminal only.
 
     Returns
     -------
-    Dataset with a dimension for each varied key and "layer"; units and provenance in its attributes.
+    Dataset with a dimension for each varied key and "layer"; units and provenance in its attributes. `plot_rates` draws
+    it.
 
     Raises
     ------
     HeliographError
-        A setting is wrong, or the extra "analysis" is not installed.
+        A setting is wrong, or xarray is not installed.
+
+    Warns
+    -----
+    UserWarning
+        Points have arrays too small or too large to be looked for, or fewer workers start than were asked for.
     """
     from heliograph.sweeps.dataset import need_xarray, to_dataset
 
@@ -73,7 +86,10 @@ def sweep(
     grid = listed(vary)
     points = plan(grid, preset, laid_over(set), seed, _path(background), _path(imu))
     tallies = [PointTally(point, rule) for point in points]
-    count(tallies, _path(output), None if scheduler and workers == 1 else workers, scheduler)
+    for text in filter(None, (not_looked_for(points), fewer_workers(workers))):
+        warnings.warn(text, stacklevel=2)
+    with bar(len(tallies), progress) as advance:
+        count(tallies, _path(output), None if scheduler and workers == 1 else workers, scheduler, advance)
     return to_dataset(grid, tallies)
 
 
@@ -94,13 +110,19 @@ def count(
         Folder of the store; None keeps nothing.
     workers, scheduler
         Number of worker processes, or address of a Dask scheduler, as for `open_workers`.
+
+    Raises
+    ------
+    HeliographError
+        There are no such workers, the store cannot be read or written, or a block cannot be computed. In the first two
+        cases nothing is written.
     """
-    with Store(output) as store:
-        crew = open_workers(workers, scheduler)
+    # workers that are not there leave no folder behind
+    with contextlib.closing(open_workers(workers, scheduler)) as crew, Store(output) as store:
+        recall_all(tallies, store)
         try:
             run(tallies, store, crew, progress)
         finally:
-            crew.close()
             if output is not None:
                 write_results(output, tallies)
 
@@ -123,7 +145,12 @@ def write_results(folder: Path, tallies: Sequence[PointTally]) -> None:
     reports = [tally.report() for tally in tallies]
     write_whole(folder / "points.json", (json.dumps(reports, indent=1) + "\n").encode())
     rows = [
-        {**point["settings"], "layer": name, **_flat(layer), "net_bits_per_second": point["net_bits_per_second"]}
+        {
+            **point["settings"],
+            "layer": name,
+            **_flat(layer),
+            **{key: point[key] for key in ("packets", "detected", "net_bits_per_second")},
+        }
         for point in reports
         for name, layer in point["layers"].items()
     ]
@@ -137,7 +164,7 @@ def write_results(folder: Path, tallies: Sequence[PointTally]) -> None:
 def _flat(layer: Mapping[str, Any]) -> dict[str, Any]:
     """A layer's report with intervals as two columns each."""
     flat = {name: value for name, value in layer.items() if not name.endswith("_ci")}
-    for rate in ("ber", "fer"):
+    for rate in ("ber", "raw_ber", "fer"):
         flat[f"{rate}_low"], flat[f"{rate}_high"] = layer[f"{rate}_ci"]
     return flat
 

@@ -141,6 +141,8 @@ class PointTally:
             "settings": dict(self.point.choice),
             "layers": {name: layer_report(layer) for name, layer in total.layers.items()},
             "net_bits_per_second": self.net_bits_per_second,
+            "packets": total.packets,
+            "detected": total.detected,
             "false_codewords": total.false_codewords,
             "false_packets": total.false_packets,
             "duplicates": total.duplicates,
@@ -166,16 +168,17 @@ def layer_report(counts: LayerCounts) -> dict[str, Any]:
     """Counts of a layer with their rates and 95 % intervals; None where nothing was counted.
 
     Intervals are Clopper-Pearson's, of the bit error rate at the effective number of bits, since bits of a packet fail
-    together (see `Clustered`). "ber_is_bound" and "fer_is_bound" mark where no error was met: the rate 0 then means no
-    more than that it is below the interval's upper end.
+    together (see `Clustered`). "ber" is that after the turbo decoder, "raw_ber" that before it. "ber_is_bound",
+    "raw_ber_is_bound" and "fer_is_bound" mark where no error was met: the rate 0 then means no more than that it is
+    below the interval's upper end. "packets_read" are the packets whose bits are counted.
 
     Parameters
     ----------
     counts
         What was counted of the layer, at a whole point or in a distance bin.
     """
-    out: dict[str, Any] = asdict(counts)
-    for name, count in (("ber", counts.decoded), ("fer", counts.words)):
+    out: dict[str, Any] = {"packets_read" if name == "packets" else name: n for name, n in asdict(counts).items()}
+    for name, count in (("ber", counts.decoded), ("raw_ber", counts.raw), ("fer", counts.words)):
         out[name] = count.rate if count.trials else None
         out[f"{name}_ci"] = list(count.interval())
         out[f"{name}_is_bound"] = count.trials > 0 and not count.errors

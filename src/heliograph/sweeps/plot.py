@@ -1,0 +1,96 @@
+"""Error rates of a Dataset as a picture: points with intervals, bounds where no error was met."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from heliograph.base.errors import HeliographError
+from heliograph.signal.settings import LAYERS
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.axes import Axes
+
+RATES = {"ber": "bit error rate", "raw_ber": "raw bit error rate", "fer": "codeword error rate"}
+
+MARKS = "osD^vP*X"
+
+
+def plot_rates(
+    data: "xarray.Dataset", rate: str = "fer", along: str | None = None, axes: "Axes | None" = None
+) -> "Axes":
+    """Draw an error rate of a sweep over one of its keys, a line for each layer and each choice of the other keys.
+
+    Each point has its 95 % interval. An arrow down from a point means that no error was met: the rate is below it. A
+    cross at the lower edge marks a choice at which no packet was found at all, so that its rate says nothing of a link.
+
+    Parameters
+    ----------
+    data
+        Dataset of `sweep`, or a part of it.
+    rate
+        "ber" after the decoder, "raw_ber" before it, or "fer" of codewords.
+    along
+        Key on the horizontal axis; None: the first that has numbers and more than one value, else the first.
+    axes
+        Where to draw; None: in a figure of its own, which is ``plot_rates(...).figure``.
+
+    Returns
+    -------
+    The axes.
+
+    Raises
+    ------
+    HeliographError
+        There is no such rate or key, or nothing varies.
+    """
+    if rate not in RATES:
+        raise HeliographError(f"there is no rate '{rate}'; there are {', '.join(RATES)}")
+    keys = [str(key) for key in data[rate].dims if key != "layer"]
+    key = _along(data, keys) if along is None else along
+    if key not in keys:
+        raise HeliographError(f"nothing varies by '{key}'; there {'is' if len(keys) == 1 else 'are'} {', '.join(keys)}")
+    if axes is None:
+        from matplotlib.figure import Figure
+
+        axes = Figure(figsize=(7, 4.5), layout="constrained").add_subplot()
+    others = [other for other in keys if other != key]
+    layers = [str(name) for name in np.atleast_1d(data["layer"].values)]
+    lines = data if "layer" in data[rate].dims else data.expand_dims("layer")
+    for number, place in enumerate(np.ndindex(*(data.sizes[other] for other in others))):
+        part = lines.isel(dict(zip(others, place, strict=True)))
+        about = ", ".join(str(part[other].values) for other in others)
+        for layer in layers:
+            label = ", ".join(filter(None, (about, layer)))
+            _line(axes, part.sel(layer=layer), rate, key, label, (LAYERS.index(layer), number))
+    unit = data[key].attrs.get("units", "1")
+    axes.set(xlabel=key if unit == "1" else f"{key} ({unit})", ylabel=RATES[rate], yscale="log")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small")
+    return axes
+
+
+def _along(data: "xarray.Dataset", keys: list[str]) -> str:
+    if not keys:
+        raise HeliographError("nothing varies in this Dataset: there is no axis to draw along")
+    several = [key for key in keys if data.sizes[key] > 1 and np.issubdtype(data[key].dtype, np.number)]
+    return (several or keys)[0]
+
+
+def _line(axes: "Axes", part: Any, rate: str, key: str, label: str, style: tuple[int, int]) -> None:
+    """A line of points: errors with intervals, arrows for bounds, crosses where nothing was found."""
+    layer, number = style
+    x, y = part[key].values, part[rate].values
+    low, high = part[f"{rate}_low"].values, part[f"{rate}_high"].values
+    bound, found = part[f"{rate}_is_bound"].values.astype(bool), part["detected"].values > 0
+    shown = np.where(bound, high, y)
+    counted = ~np.isnan(y) & found
+    look: dict[str, Any] = {"color": f"C{layer}", "marker": MARKS[number % len(MARKS)]}
+    axes.plot(x[counted], shown[counted], lw=1, label=label, **look)
+    seen = counted & ~bound
+    axes.errorbar(x[seen], y[seen], [y[seen] - low[seen], high[seen] - y[seen]], fmt="none", ecolor=f"C{layer}", lw=1)
+    bounds = counted & bound
+    reach = [shown[bounds] * 0.5, np.zeros(bounds.sum())]
+    axes.errorbar(x[bounds], shown[bounds], reach, fmt="none", ecolor=f"C{layer}", uplims=True, lw=1)
+    if (~found).any():
+        axes.plot(x[~found], np.full((~found).sum(), 0.02), "x", color="k", transform=axes.get_xaxis_transform())
