@@ -1,6 +1,7 @@
 """The paper's experiments as a whole: names, folders, report, interruption."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,7 +11,7 @@ from typer.testing import CliRunner
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.cli.main import app
 from heliograph.experiments import reproduce as book
-from heliograph.experiments.result import Context, ExperimentResult, Finding
+from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
 
 
 def test_all_experiments_by_default_and_each_once() -> None:
@@ -47,6 +48,9 @@ def test_report_pictures_and_data(tmp_path: Path) -> None:
     assert {f["verdict"] for f in findings} <= {"holds", "differs", "shown"}
     assert all(f["claim"] in page.replace("&#x27;", "'").replace("&quot;", '"') for f in findings)
     assert not list(tmp_path.glob(".*"))
+    again = CliRunner().invoke(app, ["reproduce", "fig5", "table1", "--quick", "--output", str(tmp_path)])
+    assert "2 of 2 experiments were done before" in again.output
+    assert (tmp_path / "report.html").read_text(encoding="utf-8") == page
 
 
 def test_what_was_done_before_an_interruption_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,3 +66,73 @@ def test_what_was_done_before_an_interruption_is_kept(tmp_path: Path, monkeypatc
         book.reproduce(["fig5", "fig3"], Context(), tmp_path, lambda key, title: None)
     assert "12 of 13" in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "12 of 13 \\| more" in (tmp_path / "report.md").read_text(encoding="utf-8")
+
+
+EARLIER = ExperimentResult(
+    "fig5", "first", "text", [Finding("claim", "12 of 13", "holds")], (),
+    [Table("table", ["a"], [["1"]])], {"n": [1, 2.5, None]}, [(b"\x89PNG", "a picture")],
+)  # fmt: skip
+
+
+def runs(monkeypatch: pytest.MonkeyPatch, broken: bool = False) -> list[str]:
+    """Names of the experiments that are run from now on; where it is broken, the second meets Ctrl-C."""
+    begun: list[str] = []
+
+    def run(name: str) -> ExperimentResult:
+        begun.append(name)
+        if broken and len(begun) == 2:
+            raise KeyboardInterrupt
+        return replace(EARLIER, key={"packet": "fig5", "received": "fig3"}[name.rpartition(".")[2]])
+
+    monkeypatch.setattr(book, "import_module", lambda name: SimpleNamespace(run=lambda _: run(name)))
+    return begun
+
+
+def reproduced(context: Context, folder: Path) -> list[ExperimentResult]:
+    before = book.done_before(["fig5", "fig3"], context, folder)
+    return book.reproduce(["fig5", "fig3"], context, folder, lambda key, title: None, before)
+
+
+def test_an_interrupted_run_goes_on_with_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    context = Context(seed=3)
+    assert book.done_before(["fig5"], context, tmp_path / "none") == {}
+    runs(monkeypatch, broken=True)
+    with pytest.raises(KeyboardInterrupt):
+        reproduced(context, tmp_path)
+    begun = runs(monkeypatch)
+    results = reproduced(context, tmp_path)
+    assert begun == ["heliograph.experiments.patterns.received"]
+    assert results == [EARLIER, replace(EARLIER, key="fig3")]
+    page = (tmp_path / "report.html").read_bytes()
+    assert reproduced(context, tmp_path) == results
+    assert len(begun) == 1
+    assert (tmp_path / "report.html").read_bytes() == page
+
+
+@pytest.mark.parametrize("change", ["seed", "quick", "clip", "code", "picture", "json", "no mapping"])
+def test_what_was_done_otherwise_or_is_damaged_is_run_again(
+    change: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs(monkeypatch)
+    reproduced(context := Context(), tmp_path)
+    if change == "seed":
+        context = Context(seed=1)
+    elif change == "quick":
+        context = Context(quick=False)
+    elif change == "clip":
+        (tmp_path / "a.mp4").write_bytes(b"film")
+        context = Context(clips={"a": tmp_path / "a.mp4"})
+    elif change == "code":
+        monkeypatch.setattr(book, "build", lambda: "0.0.0")
+    elif change == "picture":
+        (tmp_path / "fig5-1.png").unlink()
+    else:
+        (tmp_path / "fig5.json").write_text({"json": "{", "no mapping": "[1]"}[change])
+    assert "fig5" not in book.done_before(["fig5", "fig3"], context, tmp_path)
+
+
+def test_recordings_that_are_not_there_leave_no_folder(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["reproduce", "fig5", "--data", str(tmp_path / "none"), "--output", str(out)])
+    assert isinstance(result.exception, MediaError)
+    assert not out.exists()

@@ -3,13 +3,21 @@
 import contextlib
 import json
 import math
+import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
+
+LONGEST = 600
+"""Most characters of a message: some quote what was typed, or a file, which may be of any length."""
+
+NARROWEST = 40
+"""Least characters of a line of prose on a terminal."""
 
 EVERY_S = 60.0
 """Time between two lines of progress in a log: what is done sooner says nothing."""
@@ -21,9 +29,21 @@ def say(text: str) -> None:
     sys.stdout.flush()
 
 
+def say_prose(text: str) -> None:
+    """A line of text as a result; on a terminal it is broken between words, and the lines that follow are set in."""
+    if sys.stdout.isatty():
+        width = max(NARROWEST, shutil.get_terminal_size().columns - 1)
+        text = textwrap.fill(text, width, subsequent_indent=" " * 4, break_on_hyphens=False)
+    say(text)
+
+
 def complain(text: str) -> None:
-    """A line about what went wrong; one line, whatever the text quotes."""
-    sys.stderr.write(f"heliograph: {' '.join(text.splitlines())}\n")
+    """A line about what went wrong; one line, and no longer than can be read, whatever the text quotes."""
+    line = " ".join(text.splitlines())
+    if len(line) > LONGEST:
+        half = LONGEST // 2
+        line = f"{line[:half]} ... {line[-half:]}"  # what is wrong stands in front, the cure at the end
+    sys.stderr.write(f"heliograph: {line}\n")
 
 
 def say_json(value: Any) -> None:

@@ -11,14 +11,22 @@ def run_reproduce(
     figures: list[str], quick: bool, output: Path, data: Path | None, seed: int, workers: int | None
 ) -> None:
     """Run the paper's experiments and write their report."""
-    from heliograph.experiments.reproduce import chosen, recordings_in, reproduce
+    from heliograph.experiments.reproduce import chosen, done_before, recordings_in, reproduce
     from heliograph.experiments.result import Context
-    from heliograph.sweeps.executors import cores
+    from heliograph.sweeps.executors import cores, fewer_workers
 
     keys = chosen(figures)
+    known = {"quick": quick, "seed": seed, "workers": workers or cores(), **recordings_in(data)}
     with clear_write_errors(output):
         output.mkdir(parents=True, exist_ok=True)
-    known = {"quick": quick, "seed": seed, "workers": workers or cores(), **recordings_in(data)}
+    if fewer := fewer_workers(workers):
+        console.complain(fewer)
+    before = done_before(keys, Context(**known), output)
+    if before:
+        console.complain(
+            f"{len(before)} of {len(keys)} experiments were done before and are taken from {output}; "
+            "choose another --output to run them again"
+        )
     try:
         with console.progress("reproducing", len(keys)) as advance:
             done = 0
@@ -29,13 +37,15 @@ def run_reproduce(
                 advance(done)
 
             context = Context(**known, progress=lambda _, part: advance(done + part))
-            results = reproduce(keys, context, output, begin)
+            results = reproduce(keys, context, output, begin, before)
     except KeyboardInterrupt:
-        console.complain(f"interrupted; {output} holds the experiments done so far")
+        console.complain(
+            f"interrupted; {output} holds the experiments done so far, and the same command goes on from there"
+        )
         sys.exit(console.INTERRUPTED)
     for result in results:
         for finding in result.findings:
-            console.say(f"{result.key:8} {finding.verdict:8} {finding.claim} Measured: {finding.ours}")
+            console.say_prose(f"{result.key:8} {finding.verdict:8} {finding.claim} Measured: {finding.ours}")
     if quick:
         console.say("a quick run: the intervals are wide")
     console.say(f"look at {output / 'report.html'}")

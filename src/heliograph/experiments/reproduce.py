@@ -2,16 +2,19 @@
 
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from heliograph.base import registry
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.base.files import write_whole
 from heliograph.experiments.report import Report
-from heliograph.experiments.result import Context, ExperimentResult, Finding
+from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
+from heliograph.sweeps.points import Recorded, build
 
 EXPERIMENTS = {
     "fig3": ("patterns.received", "received image at 10 m and 70 m"),
@@ -90,8 +93,36 @@ def recordings_in(folder: Path | None) -> dict[str, Any]:
     return {"clips": clips, "imu": imu if imu.is_file() else None}
 
 
+def done_before(keys: Sequence[str], context: Context, folder: Path) -> dict[str, ExperimentResult]:
+    """Results that an earlier run left in a folder, by name: of the same effort, seed, recordings and code alone.
+
+    Parameters
+    ----------
+    keys
+        Names of `EXPERIMENTS` and `FURTHER`.
+    context
+        Effort, seed and recordings.
+    folder
+        Where `reproduce` writes; it need not exist. A file of it that is damaged counts as none.
+
+    Raises
+    ------
+    MediaError
+        A recording cannot be read.
+    """
+    if not folder.is_dir():
+        return {}
+    run = _run(context)
+    found = ((key, _read_parts(folder, key, run)) for key in keys)
+    return {key: result for key, result in found if result is not None}
+
+
 def reproduce(
-    keys: Sequence[str], context: Context, folder: Path, begin: Callable[[str, str], None]
+    keys: Sequence[str],
+    context: Context,
+    folder: Path,
+    begin: Callable[[str, str], None],
+    before: Mapping[str, ExperimentResult] | None = None,
 ) -> list[ExperimentResult]:
     """Run experiments and write the report again after each, so that an interrupted run leaves what it had.
 
@@ -104,18 +135,27 @@ def reproduce(
     folder
         Gets report.html, its claims as report.md, pictures (NAME-1.png, ...) and data (NAME.json).
     begin
-        Called with name and title before each.
+        Called with name and title before each that is run.
+    before
+        Results of an earlier run, which are not run again; see `done_before`.
     """
-    results: list[ExperimentResult] = []
-    for key in keys:
+    run, done = _run(context), dict(before or {})
+    todo = [key for key in keys if key not in done]
+    if not todo:
+        _write_pages(folder, [done[key] for key in keys], context)
+    for key in todo:
         module, title = {**EXPERIMENTS, **FURTHER}[key]
         begin(key, title)
         result = import_module(f"heliograph.experiments.{module}").run(context)
-        _write_parts(folder, result)
-        results.append(result)
-        write_report(folder / "report.html", results, context)
-        write_whole(folder / "report.md", markdown(results, context).encode())
-    return results
+        _write_parts(folder, result, run)
+        done[key] = result
+        _write_pages(folder, [done[key] for key in keys if key in done], context)
+    return [done[key] for key in keys]
+
+
+def _write_pages(folder: Path, results: Sequence[ExperimentResult], context: Context) -> None:
+    write_report(folder / "report.html", results, context)
+    write_whole(folder / "report.md", markdown(results, context).encode())
 
 
 def write_report(path: Path, results: Sequence[ExperimentResult], context: Context) -> None:
@@ -178,21 +218,68 @@ def _add(page: Report, result: ExperimentResult) -> None:
     page.text(result.text)
     for finding in result.findings:
         page.text(f"{finding.verdict}: {finding.claim} Measured: {finding.ours} {finding.why}".rstrip())
-    for figure, caption in result.pictures:
-        page.figure(figure, caption)
+    for picture, caption in _drawn(result):
+        page.picture(picture, caption)
     for table in result.tables:
         page.text(table.title)
         page.table(table.head, table.rows)
 
 
-def _write_parts(folder: Path, result: ExperimentResult) -> None:
-    """Pictures and data of a result, each file whole or not at all."""
-    for number, (figure, _) in enumerate(result.pictures, 1):
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", dpi=130, bbox_inches="tight")
-        write_whole(folder / f"{result.key}-{number}.png", picture.getvalue())
-    content = {"title": result.title, "findings": [_plain(f) for f in result.findings], "data": result.data}
+def _run(context: Context) -> dict[str, Any]:
+    """All that results depend on, as plain values."""
+    recordings = {**context.clips, **({"motion": context.imu} if context.imu else {})}
+    digests = {name: Recorded.of(path).digest for name, path in recordings.items()}
+    parts = registry.digest()
+    return {"code": build(), "parts": parts, "quick": context.quick, "seed": context.seed, "recordings": digests}
+
+
+def _drawn(result: ExperimentResult) -> list[tuple[bytes, str]]:
+    """Pictures of a result as PNG files, with their captions."""
+    found = list(result.drawn)
+    for figure, caption in result.pictures:
+        out = io.BytesIO()
+        figure.savefig(out, format="png", dpi=130, bbox_inches="tight")
+        found.append((out.getvalue(), caption))
+    return found
+
+
+def _write_parts(folder: Path, result: ExperimentResult, run: Mapping[str, Any]) -> None:
+    """Pictures and data of a result, each file whole or not at all; the data last, as they tell that all is there."""
+    pictures = _drawn(result)
+    for number, (picture, _) in enumerate(pictures, 1):
+        write_whole(folder / f"{result.key}-{number}.png", picture)
+    content = {
+        "title": result.title,
+        "findings": [_plain(f) for f in result.findings],
+        "data": result.data,
+        "text": result.text,
+        "tables": [asdict(table) for table in result.tables],
+        "captions": [caption for _, caption in pictures],
+        "run": run,
+    }
     write_whole(folder / f"{result.key}.json", json.dumps(content, indent=1).encode())
+
+
+def _read_parts(folder: Path, key: str, run: Mapping[str, Any]) -> ExperimentResult | None:
+    """What `_write_parts` wrote; None where it is not there, is damaged, or is of another run."""
+    try:
+        content = json.loads((folder / f"{key}.json").read_bytes())
+        if content["run"] != run:
+            return None
+        captions = [str(caption) for caption in content["captions"]]
+        pictures = [(folder / f"{key}-{number}.png").read_bytes() for number in range(1, len(captions) + 1)]
+        return ExperimentResult(
+            key,
+            content["title"],
+            content["text"],
+            [Finding(**finding) for finding in content["findings"]],
+            (),
+            [Table(**table) for table in content["tables"]],
+            content["data"],
+            list(zip(pictures, captions, strict=True)),
+        )
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
 
 
 def _plain(finding: Finding) -> dict[str, str]:

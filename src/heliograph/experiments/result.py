@@ -78,6 +78,8 @@ class ExperimentResult:
         Tables of the measurements, each with its heading.
     data
         The numbers of pictures and tables as plain values, for JSON.
+    drawn
+        PNG files of plots that an earlier run drew, each with a caption.
     """
 
     key: str
@@ -87,6 +89,7 @@ class ExperimentResult:
     pictures: Sequence[tuple["Figure", str]] = ()
     tables: Sequence[Table] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
+    drawn: Sequence[tuple[bytes, str]] = ()
 
 
 def quiet(title: str, done: float, /) -> None:
