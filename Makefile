@@ -1,11 +1,12 @@
-# make install | demo | test | test-quick | test-lowest | lint | docs | settings | bench | vectors
+# make install | demo | test | test-quick | test-lowest | test-wheel | lint | docs | settings | bench | vectors
 # (PYTHON picks the interpreter that makes .venv)
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 LOWEST := .venv-lowest
+WHEEL := .wheel
 
-.PHONY: install demo test test-quick test-lowest lint docs settings bench vectors clean
+.PHONY: install demo test test-quick test-lowest test-wheel lint docs settings bench vectors clean
 
 install: $(STAMP)
 
@@ -44,6 +45,14 @@ $(LOWEST)/.installed: pyproject.toml scripts/lowest_versions.py
 		--constraint $(LOWEST)/constraints.txt --editable '.[dev]'
 	touch $@
 
+# the wheel alone, in an empty environment without the tools of developers, and away from the sources
+test-wheel: install
+	rm -rf $(WHEEL)
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir $(WHEEL) .
+	$(PYTHON) -m venv $(WHEEL)/venv
+	$(WHEEL)/venv/bin/python -m pip install --quiet --disable-pip-version-check $(WHEEL)/*.whl
+	cd $(WHEEL) && sh -e $(CURDIR)/scripts/try_wheel.sh venv/bin/heliograph
+
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -57,4 +66,4 @@ vectors: install
 	$(BIN)/python scripts/make_vectors.py
 
 clean:
-	rm -rf .venv $(LOWEST) demo
+	rm -rf .venv $(LOWEST) $(WHEEL) demo

@@ -1,0 +1,20 @@
+# Try an installed command: film a tenth of a second, read it by both receivers, and show the demonstration.
+# sh -e scripts/try_wheel.sh COMMAND, in a folder that may be written to
+unset PYTHONPATH
+command=$1
+short="--set channel.duration_s=0.12 --set channel.distance_m=50 --set channel.camera.height=256"
+
+says() {
+    grep --quiet "$1" said.txt || { echo "the command did not say: $1"; cat said.txt; exit 1; }
+}
+
+$command --version
+$command simulate drive.mkv $short
+for receiver in plain soft; do
+    $command receive drive.mkv --receiver $receiver --truth drive.mkv.truth.npz > said.txt
+    says "array 0: 1 packets"
+    says "high   1 codewords read, 0 not"
+done
+$command demo --output demo $short > said.txt
+says "array 0: 1 packets"
+test -s demo/report.html
