@@ -1,11 +1,13 @@
 """Files appear whole or not at all."""
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
 
 from heliograph.base.errors import MediaError
-from heliograph.base.files import whole_file, write_whole
+from heliograph.base.files import clear_write_errors, whole_file, write_whole
 
 
 def test_a_file_takes_its_place_when_all_went_well(tmp_path: Path) -> None:
@@ -37,7 +39,24 @@ def test_whatever_goes_wrong_leaves_the_old_file(tmp_path: Path, error: BaseExce
 def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for target in (tmp_path / "none" / "a", tmp_path / "file" / "a", tmp_path):
-        with pytest.raises(MediaError, match=r"cannot write .*; make room or choose another place"):
+        with pytest.raises(MediaError, match=r"cannot write .*y; choose another place"):
             write_whole(target, b"x")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     assert not list(tmp_path.parent.glob(".*partial"))
+
+
+@pytest.mark.parametrize(
+    ("number", "cure"),
+    [
+        (errno.ENOSPC, "No space left on device; make room or choose another place"),
+        (errno.EDQUOT, "; make room or choose another place"),
+        (errno.EFBIG, "File too large; make room or choose another place"),
+        (errno.EACCES, "Permission denied; ask for the right to write there, or choose another place"),
+        (errno.EROFS, "Read-only file system; choose another place"),
+    ],
+)
+def test_the_cure_is_that_of_the_error(number: int, cure: str) -> None:
+    with pytest.raises(MediaError) as caught, clear_write_errors(Path("a")):
+        raise OSError(number, os.strerror(number))
+    assert str(caught.value).startswith("cannot write a: ")
+    assert str(caught.value).endswith(cure)

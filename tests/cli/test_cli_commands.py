@@ -3,7 +3,9 @@
 import json
 import os
 import pty
+import re
 import subprocess
+import sys
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,6 +16,7 @@ import numpy as np
 import pytest
 from cli_runs import COMMAND, Run, called, failed, heliograph, lasting, names, succeeded
 
+import heliograph as heliograph_package
 from heliograph.cli import console
 from heliograph.link.settings import PRESETS
 from heliograph.media import create_film, open_film
@@ -47,7 +50,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_receive_writes_messages_packets_and_summary(film: Path, tmp_path: Path) -> None:
     out = succeeded(heliograph("receive", film, "--receiver", "plain", "--output", "out", cwd=tmp_path))
     assert out.startswith("400 frames in ")
-    assert "array 0: 4 packets, frames 0 to 399" in out
+    assert re.search(r"array 0: 4 packets, frames 0 to 399, (49\.\d|50\.\d) m to (49\.\d|50\.\d) m away\n", out)
     assert "message out/array-0-high-0.bin" in out
     assert names(tmp_path / "out") == [
         "array-0-high-0.bin", "array-0-low-0.bin", "array-0-middle-0.bin", "packets.jsonl", "summary.json"
@@ -70,7 +73,10 @@ def test_json_is_one_object_as_agreed(film: Path, tmp_path: Path, call: Call) ->
     assert report["frames"] == 400
     assert report["frames_per_second"] == pytest.approx(400 / report["seconds"], rel=0.01)
     (array,) = report["arrays"]
-    assert set(array) == {"id", "first_frame", "last_frame", "packets", "layers"}
+    assert set(array) == {
+        "id", "first_frame", "last_frame", "first_distance_m", "last_distance_m", "packets", "layers"
+    }  # fmt: skip
+    assert array["first_distance_m"] == pytest.approx(50, abs=0.5)
     assert (array["id"], array["first_frame"], array["last_frame"], array["packets"]) == (0, 0, 399, 4)
     assert list(array["layers"]) == ["high", "middle", "low"]
     assert array["layers"]["high"] == {"ok": 4, "failed": 0, "bytes": 4 * len(HIGH)}
@@ -164,9 +170,53 @@ def test_presets_are_listed_and_printed(tmp_path: Path, call: Call) -> None:
 
 def test_demo_shows_what_arrived(tmp_path: Path) -> None:
     out = succeeded(heliograph("demo", "--output", "d", *lasting(0.1), cwd=tmp_path))
+    assert out.splitlines()[0] == "d/drive.mp4: a film of 100 frames, about 1 MB"
     assert "array 0: 1 packets; codewords read: high 1/1" in out
     assert out.splitlines()[-1] == "look at d/report.html"
     assert {"report.html", "drive.mp4", "drive.mp4.truth.npz", "array-0-high-0.txt"} <= set(names(tmp_path / "d"))
+
+
+def test_the_version_is_told_and_python_runs_the_command(tmp_path: Path) -> None:
+    told = f"heliograph {heliograph_package.__version__}\n"
+    assert succeeded(heliograph("--version", cwd=tmp_path)) == told
+    module = [sys.executable, "-m", "heliograph"]
+    assert subprocess.run([*module, "--version"], capture_output=True, text=True, check=True).stdout == told
+    wrong = subprocess.run([*module, "simulat"], capture_output=True, text=True, check=False)
+    assert wrong.stderr.startswith("heliograph: No such command 'simulat'")
+    assert wrong.stderr.endswith("see 'heliograph --help'\n")
+
+
+def test_shells_complete_commands_and_options(tmp_path: Path) -> None:
+    for words, found in (("heliograph si", "simulate"), ("heliograph receive --tr", "--truth")):
+        asked = {
+            "_HELIOGRAPH_COMPLETE": "complete_bash",
+            "COMP_WORDS": words,
+            "COMP_CWORD": str(len(words.split()) - 1),
+        }
+        run = subprocess.run(COMMAND, capture_output=True, text=True, env={**os.environ, **asked}, check=False)
+        assert (run.stdout.split(), run.stderr) == ([found], "")
+
+
+def test_prose_is_broken_on_a_terminal_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = "fig13    holds    " + "0 of 1000 codewords, " * 80
+    console.say_prose(text)
+    assert capsys.readouterr().out == text + "\n"
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")
+    console.say_prose(text)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) < 80
+    assert " ".join(" ".join(lines).split()) == " ".join(text.split())
+
+
+def test_a_message_that_quotes_too_much_is_cut_in_its_middle(capsys: pytest.CaptureFixture[str]) -> None:
+    console.complain(f"unknown setting '{'x' * 5000}'; did you mean 'y'?")
+    line = capsys.readouterr().err
+    assert len(line) < 640
+    assert line.startswith("heliograph: unknown setting 'xxx")
+    assert line.endswith("did you mean 'y'?\n")
 
 
 def test_help_and_no_arguments(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Write files that appear whole or not at all."""
 
 import contextlib
+import errno
 import os
 import uuid
 from collections.abc import Iterator
@@ -78,4 +79,17 @@ def clear_write_errors(path: Path) -> Iterator[None]:
     except MediaError:
         raise
     except OSError as error:
-        raise MediaError(f"cannot write {path}: {error.strerror or error}; make room or choose another place") from None
+        raise MediaError(f"cannot write {path}: {error.strerror or error}; {_cure(error)}") from None
+
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Errors of a disk or a quota that is full."""
+
+
+def _cure(error: OSError) -> str:
+    """What helps where something cannot be written."""
+    if error.errno in FULL:
+        return "make room or choose another place"
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return "ask for the right to write there, or choose another place"
+    return "choose another place"

@@ -1,8 +1,10 @@
 """heliograph demo."""
 
+import contextlib
 import sys
 from pathlib import Path
 
+from heliograph.base.errors import HeliographError
 from heliograph.base.files import clear_write_errors
 from heliograph.cli import console
 from heliograph.cli.simulate import scene_from
@@ -18,12 +20,22 @@ def run_demo(
     imu: Path | None,
 ) -> None:
     """Simulate, receive, report."""
-    from heliograph.experiments.demo.drive import run
+    from heliograph.experiments.demo.drive import film_bytes, run
+    from heliograph.link.film import frames_of
 
     settings, recordings = scene_from(preset, file, assignments, background, imu)
+    new = not output.exists()
     with clear_write_errors(output):
         output.mkdir(parents=True, exist_ok=True)
-    demonstration = run(output, settings, seed, recordings, console.progress)
+    size = max(1, round(film_bytes(settings) / 1e6))
+    console.say(f"{output / 'drive.mp4'}: a film of {frames_of(settings)} frames, about {size} MB")
+    try:
+        demonstration = run(output, settings, seed, recordings, console.progress)
+    except HeliographError:
+        if new:
+            with contextlib.suppress(OSError):
+                output.rmdir()  # unless something is in it
+        raise
     report = demonstration.counts
     for array in report["arrays"]:
         layers = ", ".join(f"{n} {t['ok']}/{t['ok'] + t['failed']}" for n, t in array["layers"].items())

@@ -13,12 +13,14 @@ from heliograph.base.registry import load_parts
 from heliograph.cli import console, measure, options
 
 app = typer.Typer(
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 
 app.add_typer(measure.app, name="measure")
+
+NAME = "heliograph"
+"""What the command is called, also as ``python -m heliograph``."""
 
 TyperError: type[Exception] = getattr(typer, "TyperException", typer.BadParameter.__mro__[2])
 """What a wrong command line raises: before Typer 0.27, Click's exception at the root of `typer.BadParameter`."""
@@ -26,11 +28,15 @@ TyperError: type[Exception] = getattr(typer, "TyperException", typer.BadParamete
 High = Annotated[Path | None, options.message_option("high")]
 Middle = Annotated[Path | None, options.message_option("middle")]
 Low = Annotated[Path | None, options.message_option("low")]
+Version = Annotated[
+    bool,
+    typer.Option("--version", help="Print the version and end.", is_eager=True, callback=options.say_version),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
 @app.callback(invoke_without_command=True)
-def main(context: typer.Context, load: options.Load = None) -> None:
+def main(context: typer.Context, load: options.Load = None, version: Version = False) -> None:  # noqa: ARG001
     """Data sent by an LED array, received by a high-speed camera on a moving car."""
     for file in load or ():
         load_parts(file)
@@ -263,7 +269,7 @@ def run() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the receiver's matrices are too small to share among threads
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # told to end: as tidy as after Ctrl-C
     try:
-        status = app(standalone_mode=False)
+        status = app(standalone_mode=False, prog_name=NAME)
     except HeliographError as error:
         console.complain(str(error))
         sys.exit(1)

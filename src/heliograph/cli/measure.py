@@ -196,8 +196,10 @@ def timing_loss() -> None:
 def _context(workers: int | None, progress: Callable[[float], None] = lambda _: None) -> "Context":
     """Workers as asked for; `progress` gets the fraction done."""
     from heliograph.experiments.result import Context
-    from heliograph.sweeps.executors import cores, limit_threads
+    from heliograph.sweeps.executors import cores, fewer_workers, limit_threads
 
+    if fewer := fewer_workers(workers):
+        console.complain(fewer)
     limit_threads()
     return Context(quick=False, workers=workers or cores(), progress=lambda _, done: progress(done))
 

@@ -1,13 +1,17 @@
 """Options that several commands share, and how they become settings."""
 
+import contextlib
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from heliograph import __version__
 from heliograph.base.config import parse_assignment, parse_toml
 from heliograph.base.errors import MediaError, SettingsError
+from heliograph.cli import console
 
 if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings
@@ -99,6 +103,29 @@ def read_toml(file: Path) -> dict[str, Any]:
         raise SettingsError(f"the settings {file} are no text; write TOML in UTF-8") from None
     except SettingsError as error:
         raise SettingsError(f"{file}: {error}") from None
+
+
+def say_version(wanted: bool) -> None:
+    """Print the version and end, where that is asked for."""
+    if wanted:
+        console.say(f"heliograph {__version__}")
+        raise typer.Exit
+
+
+def refuse_to_replace(output: Path, inputs: Iterable[Path | None]) -> None:
+    """Check that a file to be written is none of those that are read.
+
+    Raises
+    ------
+    MediaError
+        It is one of them: it would be lost.
+    """
+    for path in filter(None, inputs):
+        same = False
+        with contextlib.suppress(OSError):  # one of them is not there
+            same = output.samefile(path)
+        if same:
+            raise MediaError(f"{output} is read and would be written: give the output another name")
 
 
 def help_unless_command(context: typer.Context) -> None:

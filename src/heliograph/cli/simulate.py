@@ -27,6 +27,8 @@ def run_simulate(
     from heliograph.link.film import frames_of, write_film
     from heliograph.link.truth import truth_path
 
+    for written_file in (film, truth_path(film)):
+        options.refuse_to_replace(written_file, (*files, background, imu, file))
     settings, recordings = scene_from(preset, file, assignments, background, imu)
     messages = options.read_messages(settings, *files)
     written = 0

@@ -30,6 +30,7 @@ def run_transmit(
     from heliograph.link.simulate import transmitters
     from heliograph.signal import pwm
 
+    options.refuse_to_replace(output, (*files, file))
     # one array speaks, however many the preset's scene has
     changes = [*(assignments or ()), "channel.arrays=[{}]", f"transmit.identities=[{identity}]"]
     settings = options.settings_from(preset, file, changes)

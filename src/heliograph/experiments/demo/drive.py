@@ -22,6 +22,9 @@ from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import open_film
 from heliograph.signal.message import Message
 
+FILM_BYTES_PER_PIXEL = 0.07
+"""Bytes of a pixel in the film: 0.067 over the whole drive before the drawn street, 0.13 where all is noise."""
+
 CUT_OUTS = 8
 """Moments at which the array is cut out for the report."""
 
@@ -44,6 +47,18 @@ def demo_messages(settings: LinkSettings) -> list[Messages]:
     )
     content = {"high": [warning.encode()], "middle": [(details * 3).encode()], "low": [_map_picture()]}
     return [content for _ in settings.transmit.identities]
+
+
+def film_bytes(settings: LinkSettings) -> int:
+    """About how large the film of the demonstration becomes, in bytes.
+
+    Parameters
+    ----------
+    settings
+        The link, whose camera and length of film count.
+    """
+    camera = settings.channel.camera
+    return round(frames_of(settings) * camera.width * camera.height * FILM_BYTES_PER_PIXEL)
 
 
 @dataclass(frozen=True)
@@ -82,7 +97,7 @@ def run(folder: Path, settings: LinkSettings, seed: int, recordings: Recordings,
     """
     film = folder / "drive.mp4"
     with bar("simulating", frames_of(settings)) as advance:
-        count = write_film(film, settings, demo_messages(settings), seed, recordings, advance, lossless=True)
+        count = write_film(film, settings, demo_messages(settings), seed, recordings, advance)
     truth = open_truth(truth_path(film))
     recorder = TrackRecorder([int(k) for k in np.linspace(0.02, 0.98, CUT_OUTS) * count])
     reception = Reception(truth)
