@@ -568,7 +568,7 @@ def test_an_array_that_was_not_found_is_told_from_one_that_was_not_read(tmp_path
 
 
 def test_a_plot_has_a_line_for_each_choice_and_names_what_is_wrong(tmp_path: Path) -> None:
-    vary = {"receiver": ["plain", "soft"], "channel.distance_m": [40, 70]}
+    vary: dict[str, list[Any]] = {"receiver": ["plain", "soft"], "channel.distance_m": [40, 70]}
     tallies = [PointTally(point, StopRule()) for point in plan(vary, "static", SMALL)]
     for number, tally in enumerate(tallies):
         tally.add(0, replace(fake_counts(10, number), packets=1, detected=1), 1.0)

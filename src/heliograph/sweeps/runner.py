@@ -35,7 +35,7 @@ def recall_all(tallies: Sequence[PointTally], store: Store) -> None:
     tallies
         One a point; the blocks are counted in them.
     store
-        Results so far.
+        The file of results, whose blocks of these points are read.
 
     Raises
     ------
