@@ -208,7 +208,7 @@ def measure(chosen: Sequence[Constant], keep: Path | None) -> dict[str, dict[str
         folder.mkdir()
         films(folder)
         shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
-        results.setdefault("as it is", {})["1"] = _run(copy, folder, fresh=False)
+        results.setdefault("as it is", {})["1"] = _run(copy, folder)
         for constant in chosen:
             rows = results.setdefault(constant.key, {})
             for factor in ("0.5", "2"):
@@ -217,7 +217,7 @@ def measure(chosen: Sequence[Constant], keep: Path | None) -> dict[str, dict[str
                 path = copy / constant.path.relative_to(PACKAGE)
                 text = path.read_text()
                 path.write_text(text[: constant.start] + constant.scaled(float(factor)) + text[constant.end :])
-                rows[factor] = _run(copy, folder, fresh=path.stem == "kernels")
+                rows[factor] = _run(copy, folder)
                 path.write_text(text)
                 print(constant.key, factor, _difference(rows[factor], results["as it is"]["1"]), flush=True)
                 if keep:
@@ -225,16 +225,15 @@ def measure(chosen: Sequence[Constant], keep: Path | None) -> dict[str, dict[str
     return results
 
 
-def _run(copy: Path, folder: Path, fresh: bool) -> dict[str, list[int]] | str:
-    """Counts of a copy of the package, in a process of its own; machine code is made afresh where kernels changed."""
-    with tempfile.TemporaryDirectory() as cache:
-        env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(copy.parent), str(PACKAGE.parents[1])])}
-        env |= {"OPENBLAS_NUM_THREADS": "1", "NUMBA_CACHE_DIR": cache if fresh else str(folder.parent / "cache")}
-        command = [sys.executable, "-m", "benchmarks.constants", "--count", str(folder)]
-        try:
-            done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=600, check=False)
-        except subprocess.TimeoutExpired:
-            return "takes more than ten times as long"
+def _run(copy: Path, folder: Path) -> dict[str, list[int]] | str:
+    """Counts of a copy of the package, in a process of its own; what a constant changes is compiled anew."""
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(copy.parent), str(PACKAGE.parents[1])])}
+    env |= {"OPENBLAS_NUM_THREADS": "1", "NUMBA_CACHE_DIR": str(folder.parent / "cache")}
+    command = [sys.executable, "-m", "benchmarks.constants", "--count", str(folder)]
+    try:
+        done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=600, check=False)
+    except subprocess.TimeoutExpired:
+        return "takes more than ten times as long"
     if done.returncode:
         return (done.stderr.strip().splitlines() or ["fails"])[-1][:120]
     found: dict[str, list[int]] = json.loads(done.stdout.splitlines()[-1])

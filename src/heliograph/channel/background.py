@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Gray
+from heliograph.base.compiled import compiled
 from heliograph.base.errors import SettingsError
 from heliograph.channel.drawn_street import draw_scene
 from heliograph.channel.footage import Footage
@@ -39,7 +39,7 @@ _WHITE = 255
 """Gray level of white in images of 8 bits."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def warp(
     light: NDArray[np.float32],
     corner: tuple[int, int],

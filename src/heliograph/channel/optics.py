@@ -4,10 +4,10 @@ import math
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
+from heliograph.base.compiled import compiled
 
 REACH_SIGMA = 5.0
 """An LED's image is cut this many standard deviations from its centre; 2 Phi(-5) = 6e-7 of the light is lost along an
@@ -93,7 +93,7 @@ def _sectors(k: int, rings: int) -> tuple[float, int]:
     return 2 / 3 * (outer**3 - inner**3) / (outer**2 - inner**2) * float(np.sinc(1 / count)), count
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def _phi(z: float, table: Floats) -> float:
     """Return Phi(z) by straight lines between the samples of the table."""
     place = (z + LIMIT_SIGMA) * PER_SIGMA
@@ -105,7 +105,7 @@ def _phi(z: float, table: Floats) -> float:
     return float(table[k] + (place - k) * (table[k + 1] - table[k]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def _fractions(out: Floats, first: int, last: int, centre: float, sigma: float, table: Floats) -> None:
     """Write the fraction of a 1-D Gaussian on each of the pixels first..last."""
     # integral over a pixel = Phi((i + 1/2 - x) / sigma) - Phi((i - 1/2 - x) / sigma)
@@ -116,7 +116,7 @@ def _fractions(out: Floats, first: int, last: int, centre: float, sigma: float, 
         low = high
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def _span(centre: float, sigma: float, start: int, size: int) -> tuple[int, int]:
     """Return the first and the last pixel that a Gaussian reaches within a window."""
     first = math.ceil(centre - REACH_SIGMA * sigma - 0.5)
@@ -124,7 +124,7 @@ def _span(centre: float, sigma: float, start: int, size: int) -> tuple[int, int]
     return max(start, first), min(start + size - 1, last)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def _deposit(
     light: NDArray[np.float32],
     corner: tuple[int, int],
@@ -148,7 +148,7 @@ def _deposit(
             row[j - corner[0]] += np.float32(g * across[j - left])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def _image(h: Floats, a: float, b: float) -> tuple[float, float, float, float, float, float, float]:
     """Return image (x, y), depth z and Jacobian (dx/da, dx/db, dy/da, dy/db) of a point of the array's plane."""
     z = h[2, 0] * a + h[2, 1] * b + h[2, 2]
@@ -159,7 +159,7 @@ def _image(h: Floats, a: float, b: float) -> tuple[float, float, float, float, f
     return x, y, z, xa, xb, ya, yb
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def _velocity(drift: Floats, a: float, b: float, x: float, y: float, z: float) -> tuple[float, float]:
     """Return the velocity of the image of a point of the array's plane in px/s."""
     vz = drift[2, 0] * a + drift[2, 1] * b + drift[2, 2]
@@ -168,7 +168,7 @@ def _velocity(drift: Floats, a: float, b: float, x: float, y: float, z: float) -
     return vx / z, vy / z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def add_leds(
     light: NDArray[np.float32],
     corner: tuple[int, int],
@@ -248,7 +248,7 @@ def add_leds(
                 _deposit(light, corner, at, sigma, flux / halves, scratch, table)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def cover(
     light: NDArray[np.float32],
     corner: tuple[int, int],

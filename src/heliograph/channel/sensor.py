@@ -8,9 +8,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from heliograph.base.compiled import compiled
 from heliograph.base.frames import Pixels
 from heliograph.channel.settings import SensorSettings
 
@@ -54,7 +54,7 @@ _LN2 = np.float32(math.log(2))
 """ln 2 in single precision."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def _mix64(x: np.uint64) -> np.uint64:
     """Mix 64 bits: the finaliser of splitmix64 (Steele, Lea, Flood 2014)."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -62,7 +62,7 @@ def _mix64(x: np.uint64) -> np.uint64:
     return x ^ (x >> np.uint64(31))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def _mix32(x: np.uint32) -> np.uint32:
     """Mix 32 bits with low bias (finaliser and constants by C. Wellons, hash-prospector)."""
     x = np.uint32(x ^ (x >> np.uint32(16)))
@@ -72,14 +72,14 @@ def _mix32(x: np.uint32) -> np.uint32:
     return np.uint32(x ^ (x >> np.uint32(16)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def _row_key(seed: np.uint64, frame: int, row: int) -> np.uint64:
     """Return 64 random bits for one row of one frame."""
     key = _mix64(seed + _GOLDEN_64 * np.uint64(frame + 1))
     return _mix64(key + _GOLDEN_64 * np.uint64(row + 1))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def _normal(key: np.uint64, column: int) -> np.float32:
     """Return a standard normal variable for a row's key and a column, by Box and Muller; right to 6.6 sigma."""
     step = np.uint32(np.uint32(column) * _GOLDEN_32)
@@ -105,7 +105,7 @@ def _normal(key: np.uint64, column: int) -> np.float32:
     return np.float32(radius * sine)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _poisson(mean: float, key: np.uint64, column: int) -> int:
     """Return a Poisson variable for a row's key and a column, by inversion; for means up to some tens."""
     bits = _mix64(key ^ (_POISSON_STEP * np.uint64(column + 1)))
@@ -119,7 +119,7 @@ def _poisson(mean: float, key: np.uint64, column: int) -> int:
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _read_out(
     out: NDArray[Any],
     light: NDArray[np.float32],

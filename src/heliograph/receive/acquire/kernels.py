@@ -3,12 +3,12 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from heliograph.base.arrays import TINY
+from heliograph.base.compiled import compiled
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def combined(f0, f1, f2, f3, weights, out):
     """Weighted sum of four frames.
 
@@ -28,7 +28,7 @@ def combined(f0, f1, f2, f3, weights, out):
             o[j] = w0 * np.float32(a[j]) + w1 * np.float32(b[j]) + w2 * np.float32(c[j]) + w3 * np.float32(d[j])
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def combined_means(f0, f1, f2, f3, weights, size, out):
     """Mean magnitude over blocks of a weighted sum of four frames, which is not written down.
 
@@ -61,7 +61,7 @@ def combined_means(f0, f1, f2, f3, weights, size, out):
             out[bi, bj] = total / np.float32(size * size)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _corner(integral, y, x):
     """Integral image between its grid points."""
     i, j = int(y), int(x)
@@ -71,7 +71,7 @@ def _corner(integral, y, x):
     return top + fy * (low - top)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _box(integral, y, x, height, width):
     return (
         _corner(integral, y + height, x + width)
@@ -81,13 +81,13 @@ def _box(integral, y, x, height, width):
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _to_grid(start, step):
     """How far the next multiple of a step is from a start."""
     return math.ceil(start / step - TINY) * step - start
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def search(total, square, busy, block, cells, sides, contrast, threshold, ring_width, grid, apart, corner, best):
     """Correlate what alternates with all headers over scale and position.
 
@@ -163,7 +163,7 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, ring_w
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _keep(best, found, apart, score, x, y, side, identity):
     """Insert a candidate unless a better one lies on the same place; drop worse ones there."""
     i = 0

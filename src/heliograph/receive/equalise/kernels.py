@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from heliograph.base.arrays import TINY
+from heliograph.base.compiled import compiled
 
 FEW, MANY = 2, 6
 """Disturbing symbols that are drawn from -1 and +1: at first, and in a second evaluation.
@@ -24,7 +24,7 @@ LEAST_REST = 0.02
 """Least part of the variance left to the Gaussian once symbols are drawn: rounding in float32 may leave less."""
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def precision(gram, unknown, scale, inverse, floor, size):
     """Posterior precision scale G + V^-1 of the unknown symbols; only the upper triangle is filled.
 
@@ -66,7 +66,7 @@ def precision(gram, unknown, scale, inverse, floor, size):
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def mirror(upper, out):
     """Fill a symmetric matrix from its upper triangle.
 
@@ -83,7 +83,7 @@ def mirror(upper, out):
         out[i, i:] = upper[i, i : out.shape[0]]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def extrinsic(covariance, posterior, mean, variance, out):
     """Extrinsic LLR of each symbol of a linear MMSE estimate.
 
@@ -120,7 +120,7 @@ def extrinsic(covariance, posterior, mean, variance, out):
                 break
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _heaviest(row, inverse, i, which):
     """Write the numbers of the symbols that disturb symbol i most, the strongest first; return how many there are."""
     most = np.zeros(which.shape[0], np.float32)
@@ -136,7 +136,7 @@ def _heaviest(row, inverse, i, which):
     return np.count_nonzero(most)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _mixture(u, k, power, row, drawn, mean, variance, states):
     """Ln p(u|c=+1) / p(u|c=-1) of u = k c - sum S_ij / v_j (c_j - c_0j) + rest, whose variance is `power` beside k c.
 

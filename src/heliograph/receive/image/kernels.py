@@ -6,8 +6,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from heliograph.base.compiled import compiled
 from heliograph.receive.image.normal import normal
 
 RENDER_REACH = 4.0
@@ -17,7 +17,7 @@ FOOTPRINT_REACH = 3.7
 """The same of `footprints`, whose arrays the equaliser multiplies: 2e-4 of the light lies beyond."""
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _axis(centre, sigma, first, count, g, dg, ds):
     """Part of a Gaussian on `count` pixels from `first` on, and its derivatives by centre and by ln sigma."""
     # g_j = Phi((j + 1/2 - c) / sigma) - Phi((j - 1/2 - c) / sigma)
@@ -33,7 +33,7 @@ def _axis(centre, sigma, first, count, g, dg, ds):
         cdf, pdf, zpdf = cdf_next, pdf_next, z * pdf_next
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _tilt(pose):
     """Stretch and shear of a pose vector (5,) or (7,)."""
     if pose.shape[0] == 7:
@@ -41,7 +41,7 @@ def _tilt(pose):
     return 0.0, 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def render(pose, weights, x0, y0, out, smear_x=0.0, smear_y=0.0):
     """Image of LEDs and its derivatives by the pose; an unresolved array of weights 1 has the image 1.
 
@@ -114,7 +114,7 @@ def render(pose, weights, x0, y0, out, smear_x=0.0, smear_y=0.0):
                         out[7, top + i, left + j] += by_x * hx + by_y * hy
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _edge(t, sigma):
     """Phi(t / sigma) and its derivative by t."""
     z = t / sigma
@@ -126,7 +126,7 @@ def _edge(t, sigma):
     return cdf, pdf / sigma
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def render_box(pose, half_leds, x0, y0, out, smear_x=0.0, smear_y=0.0):
     """Image of a blurred square of brightness 1 about the array's centre, and its derivatives by the pose.
 
@@ -185,7 +185,7 @@ def render_box(pose, half_leds, x0, y0, out, smear_x=0.0, smear_y=0.0):
             out[4, i, j] = across * by_along - along * by_across
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def normal_equations(image, shapes, plane, linear, rough, matrix, vector):
     """Gauss-Newton normal equations of image = linear . (shapes(pose), plane), weighted by Tukey's biweight.
 
@@ -247,7 +247,7 @@ def normal_equations(image, shapes, plane, linear, rough, matrix, vector):
     return mass, loss
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def residuals(image, shapes, plane, linear, out):
     """Residuals of a fit, image - linear . (shapes(pose), plane).
 
@@ -267,7 +267,7 @@ def residuals(image, shapes, plane, linear, out):
             out[i, j] = _residual(image, shapes, plane, linear, i, j)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _residual(image, shapes, plane, linear, i, j):
     m = shapes.shape[0]
     r = image[i, j]
@@ -289,7 +289,7 @@ def footprint_width(sigma: float) -> int:
     return 2 * math.ceil(FOOTPRINT_REACH * sigma + 0.5) + 1
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def footprints(pose, rows, cols, across, down, first):
     """Light of each LED by column and by row of a window; an unresolved array with all LEDs on has the image 1.
 
@@ -322,7 +322,7 @@ def footprints(pose, rows, cols, across, down, first):
         _row_of_light(y, pose[8], first[k, 1], rows, pitch, down[k])
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _row_of_light(centre, sigma, first, count, scale, out):
     """Part of a Gaussian on each pixel from `first` on, times a scale; 0 beyond the window's `count` pixels."""
     # g_j = Phi((j + 1/2 - c) / sigma) - Phi((j - 1/2 - c) / sigma)
@@ -333,7 +333,7 @@ def _row_of_light(centre, sigma, first, count, scale, out):
         cdf = after
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def add_image(leds, across, down, first, out):
     """Add the image of LEDs to another.
 
@@ -356,7 +356,7 @@ def add_image(leds, across, down, first, out):
                 out[y + i, x + j] += w * across[n, j]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _overlap(a, b, shift, width):
     """Sum of a[i + shift] b[i]."""
     total = 0.0
@@ -365,7 +365,7 @@ def _overlap(a, b, shift, width):
     return total
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def squared_difference(across_1, down_1, first_1, across_2, down_2, first_2):
     """Squared distance of two blur matrices, |A_1 - A_2|^2 over all LEDs and pixels.
 

@@ -3,8 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from scipy.special import ndtr
+
+from heliograph.base.compiled import compiled
 
 _FARTHEST, _NODES = 8, 64
 """Standard deviations to which the table of the normal distribution goes, where 6e-16 is left, and its nodes in each.
@@ -16,7 +17,7 @@ _Z = np.arange(-_FARTHEST * _NODES, _FARTHEST * _NODES + 1) / _NODES
 _CDF, _PDF = ndtr(_Z), np.exp(-0.5 * _Z**2) / math.sqrt(2.0 * math.pi)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def normal(z):
     """Normal distribution by a table, in a fifth of the time of erf and exp.
 

@@ -8,10 +8,11 @@ LEDs, so the transform of a matrix of LEDs goes square by square. LEDs come in t
 import math
 
 import numpy as np
-from numba import njit
+
+from heliograph.base.compiled import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def weight_roots(light, first, lit, dark, ring, out):
     """Roots of the weights of a window's columns or rows, W = lit / s^2 with s^2 = dark + (lit - dark) f.
 
@@ -41,7 +42,7 @@ def weight_roots(light, first, lit, dark, ring, out):
         out[j] = math.sqrt(lit / (dark + (lit - dark) * f)) if inside else 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def weighted(light, first, root, out):
     """LEDs' light times the root of each pixel's weight.
 
@@ -60,14 +61,14 @@ def weighted(light, first, root, out):
             out[k, i] = light[k, i] * root[j] if 0 <= j < root.shape[0] else 0.0
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _haar(a, b, c, d):
     """A square of LEDs (0, 0), (0, 1), (1, 0), (1, 1) to its four symbols: 1/4 H t H^T."""
     q = np.float32(0.25)  # which leaves the sums in their own precision
     return q * (a + b + c + d), q * (a - b + c - d), q * (a + b - c - d), q * (a - b - c + d)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def correlate(image, across, down, first, out):
     """B^T image: correlation of an image with that of each symbol.
 
@@ -96,7 +97,7 @@ def correlate(image, across, down, first, out):
         out[q], out[squares + q], out[2 * squares + q], out[3 * squares + q] = _haar(led[0], led[1], led[2], led[3])
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def correlate_all(images, across, down, first, out):
     """`correlate` of many images at once.
 
@@ -129,7 +130,7 @@ def correlate_all(images, across, down, first, out):
             out[q, m], out[squares + q, m], out[2 * squares + q, m], out[3 * squares + q, m] = a, b, c, d
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def leds_of(symbols):
     """Levels of LEDs about their mean, (n n,): t = 1/4 H^T D H.
 
@@ -146,7 +147,7 @@ def leds_of(symbols):
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def symbols_of(leds):
     """Symbols of LEDs, (n n,), the inverse of `leds_of`: D = H t H^T.
 
@@ -163,7 +164,7 @@ def symbols_of(leds):
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def spread(light, first, out):
     """Write LEDs' light by column or by row at its place, LEDs of equal place in their squares together.
 
@@ -182,7 +183,7 @@ def spread(light, first, out):
             row[first[k] + i] = light[k, i]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def gram(across, down, out):
     """B^T B of the symbols: <led_i, led_j> = <across_i, across_j> <down_i, down_j>, Haar transformed on both sides.
 
@@ -205,7 +206,7 @@ def gram(across, down, out):
             a[j], b[j], c[j], d[j] = _haar(a[j], b[j], c[j], d[j])
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def add_light(across, down, first, out):
     """Add B, the light of each symbol on each pixel.
 
@@ -231,7 +232,7 @@ def add_light(across, down, first, out):
                 pixel[3 * squares + q] += d * value
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def motion_compensated(difference, total, lit, gain, x, y, out):
     """Difference of a pair less (x, y) . grad b, b = (total - gain lit) / 2 the background.
 
@@ -258,7 +259,7 @@ def motion_compensated(difference, total, lit, gain, x, y, out):
             out[i, j] = difference[i, j] - 0.5 * (x * across / (right - left) + y * down / (low - up))
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def add_information(gram, levels, weight, out):
     """Add what a pair says of its LEDs' light: weight l_i l_j <led_i, led_j>, with 16 T G T^T = <led_i, led_j>.
 

@@ -3,10 +3,11 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from heliograph.base.compiled import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def sample_cubic(image, points, out):
     """Image between its pixels by cubic convolution (Keys 1981, a = -1/2); the border repeats.
 

@@ -12,8 +12,8 @@ drops the branch not taken.
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from heliograph.base.compiled import compiled
 from heliograph.signal.turbo.tiles import LANES as L
 from heliograph.signal.turbo.trellis import STATES, TAIL, TAIL_BITS
 
@@ -38,7 +38,7 @@ _TAIL_IS_ZERO = np.ascontiguousarray(1 - TAIL, dtype=np.float32)
 """(8, 6) 1 where a tail bit of a final state is 0."""
 
 # "contract" alone: additions keep their order, so a block's result does not depend on its lane
-_compile = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+_compile = compiled(error_model="numpy", fastmath={"contract", "nsz"})
 
 # ln(1 + exp(-x)) = q(x)^8 on 0 <= x <= 16 within 5e-5, q = _Q0 + _Q1 x + ... + _Q5 x^5 fitted by minimax; the eighth
 # root keeps the polynomial short, as it falls only to exp(-2) at x = 16

@@ -7,9 +7,9 @@ a number tile * 16 + lane for each block in question.
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from heliograph.base.compiled import compiled
 from heliograph.signal.turbo.options import LLR_LIMIT
 
 LANES = 16
@@ -21,7 +21,7 @@ _RUN = 16
 """Values of one block written in a run: 16 float32 fill a cache line of 64 bytes. With 8 and with 32 the speed of
 decoding was the same within its noise."""
 
-_compile = njit(cache=True, nogil=True, error_model="numpy")
+_compile = compiled(error_model="numpy")
 
 
 def zeros(blocks: int, rows: int) -> NDArray[np.float32]:
