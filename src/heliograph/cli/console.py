@@ -10,6 +10,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from heliograph.base.compile_time import clock
+
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
 
@@ -69,16 +71,15 @@ class Lines:
 
     def __call__(self, done: float) -> None:
         """Take the number done, parts included; the first may be of work done before."""
-        now = time.monotonic()
-        began, before = self._first = self._first or (now, done)
-        if now - self._said < EVERY_S:
+        began, before = self._first = self._first or (clock(), done)
+        if time.monotonic() - self._said < EVERY_S:
             return
-        self._said = now
+        self._said = time.monotonic()
         text = f"{self._title}: {done:.1f}".removesuffix(".0")
         if self._total:
             text += f" of {self._total}"
             if done > before:
-                left = (now - began) * (self._total - done) / (done - before)
+                left = (clock() - began) * (self._total - done) / (done - before)
                 text += f", about {math.ceil(left / 60)} min left"
         sys.stderr.write(text + "\n")
         sys.stderr.flush()
@@ -94,6 +95,6 @@ def progress(title: str, total: int | None) -> Iterator[Callable[[float], None]]
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True, get_time=clock) as bar:
         task = bar.add_task(title, total=total)
         yield lambda done: bar.update(task, completed=done)

@@ -4,6 +4,7 @@ import contextlib
 import sys
 from collections.abc import Iterator, Sequence
 
+from heliograph.base.compile_time import clock
 from heliograph.sweeps.runner import PointProgress, silent
 from heliograph.sweeps.tally import PointTally
 
@@ -44,7 +45,8 @@ def bar(points: int, shown: bool | None = None) -> Iterator[PointProgress]:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     # a block may take longer than Rich's half a minute, without which it has no speed
     screen = Console(stderr=True, force_terminal=shown or None)
-    with Progress(*columns, console=screen, transient=True, speed_estimate_period=SPEED_PERIOD_S) as progress:
+    period = SPEED_PERIOD_S
+    with Progress(*columns, console=screen, transient=True, speed_estimate_period=period, get_time=clock) as progress:
         task = progress.add_task("sweeping", total=SCALE * points)
 
         def show(tallies: Sequence[PointTally]) -> None:
