@@ -7,6 +7,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive.acquire.candidate import apart
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
 from heliograph.receive.array import ArrayReceiver
+from heliograph.receive.equalise.threads import in_one_thread
 from heliograph.receive.events import DetectEvent, LostEvent, Observer
 from heliograph.receive.hypotheses import ArrayHypotheses
 from heliograph.receive.image.orientation import UPRIGHT, Orientation
@@ -66,11 +67,13 @@ class StreamReceiver:
         HeliographError
             The frame comes before the last one, or the camera's rate does not fit the light's.
         """
-        for timed in self._parts.clock.push(frame):
-            yield from self._take(timed)
+        return in_one_thread(packet for timed in self._parts.clock.push(frame) for packet in self._take(timed))
 
     def finish(self) -> Iterator[Packet]:
         """End of the film: yield the packets in progress of which enough was seen."""
+        return in_one_thread(self._finish())
+
+    def _finish(self) -> Iterator[Packet]:
         for timed in self._parts.clock.flush():
             yield from self._take(timed)
         for array in self._arrays:

@@ -72,6 +72,10 @@ def make_receiver(
 ) -> Receiver:
     """Make the receiver that the settings name, before its first frame.
 
+    A receiver is for one thread at a time. Receivers in several threads share nothing that they change: each reads what
+    it reads alone. Settings, frames and packets may be shared. While a receiver takes a frame, BLAS has one thread in
+    the whole process.
+
     Parameters
     ----------
     signal

@@ -1,22 +1,99 @@
-"""One thread for the equaliser's algebra.
+"""One thread for the receivers' algebra.
 
-A BLAS that shares matrices of 256 rows among threads is many times slower.
+A BLAS that shares matrices of 256 rows among threads is many times slower, and rounds otherwise than in one.
 """
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
+from typing import Any, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
+Item = TypeVar("Item")
+
 
 @lru_cache(maxsize=1)  # finding the libraries takes some milliseconds
-def _libraries() -> ThreadpoolController:
-    return ThreadpoolController()
+def _libraries() -> list[Any]:
+    blas: list[Any] = ThreadpoolController().select(user_api="blas").lib_controllers
+    return blas
+
+
+class _Holders:
+    """Blocks that hold BLAS to one thread. Its number of threads is the process's, so the last to leave restores it."""
+
+    def __init__(self) -> None:
+        self._lock, self._count = threading.Lock(), 0
+        self._before: list[int] = []
+
+    def enter(self) -> None:
+        with self._lock:
+            if not self._count:
+                self._before = [library.num_threads for library in _libraries()]
+                for library in _libraries():
+                    _set(library, 1)
+            self._count += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._count -= 1
+            if not self._count:
+                for library, before in zip(_libraries(), self._before, strict=True):
+                    _set(library, before)
+
+
+def _set(library: Any, threads: int) -> None:
+    """Set a library's number of threads. From 3.8 on threadpoolctl heeds one thread alone, until that lets go."""
+    let_go = getattr(library, "clear_controlling_thread", None)
+    if let_go:
+        let_go(force=True)
+    library.set_num_threads(threads)
+    if let_go:
+        let_go(force=True)
+
+
+_holders = _Holders()
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Hold BLAS to one thread within a ``with`` block."""
-    with _libraries().limit(limits=1, user_api="blas"):
+    """Hold BLAS to one thread within a ``with`` block.
+
+    Several threads of a process may be in such blocks at a time: the first to enter limits BLAS, and the last to leave
+    gives it back the number of threads it had. A BLAS built with OpenMP keeps a number for each thread; there the first
+    thread alone is limited.
+    """
+    _holders.enter()
+    try:
         yield
+    finally:
+        _holders.leave()
+
+
+def in_one_thread(items: Iterator[Item]) -> Iterator[Item]:
+    """Hold BLAS to one thread while an item is made, not while the caller has it.
+
+    Parameters
+    ----------
+    items
+        What makes them, one by one.
+
+    Yields
+    ------
+    Item
+        The same items.
+    """
+    while True:
+        with one_thread():
+            item = next(items, _END)
+        if isinstance(item, _End):
+            return
+        yield item
+
+
+class _End:
+    """No item is left."""
+
+
+_END = _End()
