@@ -56,6 +56,17 @@ def test_poses_wrong_for_two_pairs_are_no_slips(seed: int) -> None:
     assert [round(frame.time_s * 1e3) for frame in [*found, *watch.flush()]] == list(range(80))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pose_that_comes_back_at_once_is_no_slip(seed: int) -> None:
+    watch = SlipWatch(3, SIGNAL)
+    found: list[Frame] = []
+    for k, frame in enumerate(before_a_sky(80, seed)):
+        # as after a post: the pose has drifted off, and is found again between the two frames of a pair
+        at = POSE.moved(1.8, -1.2) if 28 <= k <= 40 else POSE
+        found += watch.push(frame, 0.0, lambda _, pose=at: pose, True)  # type: ignore[misc]
+    assert [round(frame.time_s * 1e3) for frame in [*found, *watch.flush()]] == list(range(80))
+
+
 @pytest.mark.parametrize("gone", [41, 50, 63])
 def test_a_frame_lost_without_a_gap_is_missed_at_once(gone: int) -> None:
     frames = before_a_sky(120, 1)

@@ -44,6 +44,12 @@ Where a frame in 50 is lost, three of ten are lost once in 1000 times. At the st
 for two pairs. Four slips would explain these.
 """
 
+CORRECTED_PITCHES = 0.25
+"""Pitches by which a pose may change before a frame in hand is viewed again: a pair is then still even, by its blur.
+
+After a post the pose may come back by 2 px at once. A frame viewed before and one after it look like no pair.
+"""
+
 AWAITED_FRAMES = 9
 """Frames in hand when a slip is decided on: four pairs with it, and four without."""
 
@@ -85,12 +91,13 @@ Motion widens the light of an LED, so a pitch of 1.5 px has a mean over 3 px alr
 class _Held:
     """A frame whose number is not decided.
 
-    Its own number by its time; what it shows at the LEDs' places, and about the mean of frames; the power of the
-    latter, and whether it may be a pattern's.
+    Its own number by its time; the array's pose when it was viewed; what it shows at the LEDs' places, and about the
+    mean of frames; the power of the latter, and whether it may be a pattern's.
     """
 
     frame: Frame
     number: int
+    pose: Pose
     shown: Floats
     about: Floats | None
     power: float
@@ -158,6 +165,8 @@ class SlipWatch:
             yield from self.flush()
             yield self._timed(frame)
             return
+        # what has come since may have corrected the poses at which frames in hand were viewed
+        self._held = [self._corrected(one, pose_at(one.frame.time_s + self.lost * period_s)) for one in self._held]
         self._held.append(self._viewed(frame, number, pose_at(frame.time_s + self.lost * period_s)))
         while self._held and self._ready():
             yield from self._release()
@@ -173,6 +182,11 @@ class SlipWatch:
             return frame
         return replace(frame, time_s=frame.time_s + self.lost * self._signal.pattern_period_s)
 
+    def _corrected(self, held: _Held, pose: Pose) -> _Held:
+        """A frame in hand, viewed again where the array is now known to have been elsewhere."""
+        off_px = float(np.hypot(pose.x - held.pose.x, pose.y - held.pose.y))
+        return held if off_px < CORRECTED_PITCHES * pose.pitch else self._viewed(held.frame, held.number, pose)
+
     def _viewed(self, frame: Frame, number: int, pose: Pose) -> _Held:
         """What a frame shows of an array at a pose."""
         side = self._signal.side
@@ -187,10 +201,10 @@ class SlipWatch:
         sampled = cv2.warpAffine(cut, grid, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
         shown = np.asarray(sampled[self._inner, self._inner], np.float64).ravel()
         if self._mean is None:
-            return _Held(frame, number, shown, None, 0.0, False)
+            return _Held(frame, number, pose, shown, None, 0.0, False)
         about = shown - self._mean
         power, mean = float(about @ about), float(about.sum()) / about.size
-        return _Held(frame, number, shown, about, power, power - about.size * mean**2 > POWER_RATIO * power)
+        return _Held(frame, number, pose, shown, about, power, power - about.size * mean**2 > POWER_RATIO * power)
 
     def _ready(self) -> bool:
         """Whether enough frames are in hand to release the first."""
