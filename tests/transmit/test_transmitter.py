@@ -122,11 +122,11 @@ def test_every_size_of_block_brings_the_messages() -> None:
 
 
 def test_refusals() -> None:
-    with pytest.raises(ValueError, match="layers are high, middle, low, not top"):
+    with pytest.raises(SettingsError, match="layers are high, middle, low, not top"):
         Transmitter(SMALL, 0, {"top": [b""]})
-    with pytest.raises(ValueError, match="identity is 0 to 29, not 30"):
+    with pytest.raises(SettingsError, match="identity is a whole number, 0 to 29, not 30"):
         Transmitter(SMALL, 30, {})
-    with pytest.raises(ValueError, match="at most 65536 bytes, not 65537"):
+    with pytest.raises(SettingsError, match="at most 65536 bytes, not 65537"):
         Transmitter(SignalSettings(side=8, data_pairs=20), 0, {"high": [bytes(65537)]})
     with pytest.raises(SettingsError, match=r"raise signal\.data_pairs"):
         Transmitter(SignalSettings(side=4, data_pairs=10), 0, {})

@@ -1,12 +1,25 @@
 """A camera frame: its pixels, the time of its exposure, and its place on the sensor."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.errors import HeliographError
+
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 """Gray levels, shape (rows, columns)."""
+
+BITS = {np.dtype(np.uint8): (8, 8), np.dtype(np.uint16): (9, 16)}
+"""Fewest and most bits of a gray level by the type of the pixels."""
+
+LATEST_S = 1e10
+"""Largest magnitude of a time in s: 317 years. Times of day count from 1970 in some cameras, which is 1.8e9 s; larger
+numbers are in other units, such as ns."""
+
+LATEST_INDEX = 1 << 62
+"""Largest magnitude of a frame's number: it and its neighbours are whole numbers of 64 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +38,12 @@ class Frame:
         Bits of a gray level, 8 to 16; full scale is ``2**bits - 1``.
     origin
         (x, y) on the sensor of ``pixels[0, 0]`` in pixels; (0, 0) for a whole frame, else the window's corner.
+
+    Raises
+    ------
+    HeliographError
+        The pixels are no gray levels, or time, number, bits or corner are none. Levels are not looked at, so that a
+        frame costs microseconds.
     """
 
     index: int
@@ -33,7 +52,85 @@ class Frame:
     bits: int = 8
     origin: tuple[int, int] = (0, 0)
 
+    def __post_init__(self) -> None:
+        _check_pixels(self.pixels, self.bits)
+        if not (_is_whole(self.index) and abs(self.index) <= LATEST_INDEX):
+            raise HeliographError(f"a frame's index is its number, a whole one, not {_brief(self.index)}")
+        if not (isinstance(self.time_s, (int, float, np.integer, np.floating)) and abs(self.time_s) <= LATEST_S):
+            raise HeliographError(
+                f"a frame's time_s is a time in seconds, at most {LATEST_S:g}, not {_brief(self.time_s)}; number the "
+                f"frames and divide by their rate where the camera gives no times"
+            )
+        if not (isinstance(self.origin, tuple) and len(self.origin) == 2 and all(map(_is_whole, self.origin))):
+            raise HeliographError(
+                f"a frame's origin is (x, y) on the sensor in whole pixels, a tuple, not {_brief(self.origin)}"
+            )
+
     @property
     def full_scale(self) -> int:
         """Largest gray level, ``2**bits - 1``."""
         return (1 << self.bits) - 1
+
+
+def check_next(frame: Frame, last: Frame | None) -> None:
+    """Check that a frame shows something, and that it is one of the same camera as the frame before.
+
+    Parameters
+    ----------
+    frame
+        What is given for a frame.
+    last
+        The frame before; None for the first.
+
+    Raises
+    ------
+    HeliographError
+        It is no `Frame`, has no pixels, or differs from the last one in type or bits; or both are whole frames of
+        different sizes.
+    """
+    if not isinstance(frame, Frame):
+        raise HeliographError(
+            f"a receiver takes heliograph.Frame, not {type(frame).__name__}; write Frame(index, time_s, pixels)"
+        )
+    if not frame.pixels.size:
+        raise HeliographError(f"frame {frame.index} has no pixels: its shape is {frame.pixels.shape}; leave it out")
+    if last is None:
+        return
+    if frame.bits != last.bits or frame.pixels.dtype != last.pixels.dtype:
+        raise HeliographError(
+            f"all frames have the same bits: frame {frame.index} has {frame.bits} ({frame.pixels.dtype}), the one "
+            f"before {last.bits} ({last.pixels.dtype}); take a new receiver where the camera changes"
+        )
+    if frame.pixels.shape != last.pixels.shape and frame.origin == last.origin == (0, 0):
+        sizes = " after ".join(f"{one.pixels.shape[1]}x{one.pixels.shape[0]}" for one in (frame, last))
+        raise HeliographError(
+            f"all whole frames have the same size: frame {frame.index} has {sizes} pixels; give windows their origin "
+            f"on the sensor, or take a new receiver where the camera changes"
+        )
+
+
+def _check_pixels(pixels: Any, bits: Any) -> None:
+    if not isinstance(pixels, np.ndarray):
+        raise HeliographError(f"a frame's pixels are a NumPy array, not {type(pixels).__name__}; use numpy.asarray")
+    if pixels.ndim != 2:
+        raise HeliographError(
+            f"a frame's pixels are gray levels of shape (rows, columns), not {pixels.shape}; turn colours into gray, "
+            f"such as by cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)"
+        )
+    if pixels.dtype not in BITS:
+        raise HeliographError(
+            f"a frame's pixels are uint8 or uint16, not {pixels.dtype}; scale them to gray levels and use astype"
+        )
+    least, most = BITS[pixels.dtype]
+    if not (_is_whole(bits) and least <= bits <= most):
+        held = "8 bits" if least == most else f"{least} to {most} bits"
+        raise HeliographError(f"gray levels of {pixels.dtype} have {held}, not {_brief(bits)}; say bits= of the frame")
+
+
+def _is_whole(value: Any) -> bool:
+    return type(value) is int or isinstance(value, np.integer)
+
+
+def _brief(value: Any) -> str:
+    text = repr(value) if isinstance(value, (str, float, int, np.number)) else type(value).__name__
+    return " ".join(text.split())[:40]

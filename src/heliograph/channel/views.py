@@ -249,7 +249,8 @@ def windows(block: FrameBlock, camera: CameraSettings, roi: int | None) -> NDArr
 
     Returns
     -------
-    (b, 4) int64: first x, first y, last x, last y on the sensor. Without an array ahead it is pixel (0, 0) alone.
+    (b, 4) int64: first x, first y, last x, last y on the sensor. Without an array ahead it is pixel (1, 0) alone: what
+    begins with pixel (0, 0) is the whole sensor, as a receiver takes it.
     """
     whole = np.array([0, 0, camera.width - 1, camera.height - 1])
     if roi is None:
@@ -261,4 +262,8 @@ def windows(block: FrameBlock, camera: CameraSettings, roi: int | None) -> NDArr
         high = np.where(view.ahead[:, None], np.maximum(high, np.ceil(view.bounds[:, 1])), high)
     none = np.isinf(low)  # no array ahead: one pixel in the corner
     edges = np.hstack([np.where(none, 0, low - roi), np.where(none, 0, high + roi)])
-    return np.clip(edges, 0, np.tile(whole[2:], 2)).astype(np.int64)
+    parts = np.clip(edges, 0, np.tile(whole[2:], 2)).astype(np.int64)
+    corner = (parts[:, :2] == 0).all(1) & (parts != whole).any(1)
+    parts[corner, 0] = 1
+    parts[:, 2] = np.maximum(parts[:, 2], parts[:, 0])
+    return parts

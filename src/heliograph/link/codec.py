@@ -6,6 +6,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.base.errors import HeliographError
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.signal.header import IDENTITIES, header_levels
 from heliograph.signal.message import Message, Reassembler
@@ -32,8 +33,16 @@ def encode(
     -------
     (patterns, n, n) uint8 levels 0 to 4, each pattern followed by its inverse: as many whole packets as the longest
     message takes.
+
+    Raises
+    ------
+    HeliographError
+        A layer or the identity is unknown, a message is no bytes or too long, or the settings are no `SignalSettings`.
     """
-    sender = Transmitter(settings or SignalSettings(), identity, {name: [data] for name, data in messages.items()})
+    if not isinstance(messages, Mapping):
+        raise HeliographError(f'messages are bytes by layer, such as {{"high": b"..."}}, not {type(messages).__name__}')
+    listed = {name: [data] for name, data in messages.items()}
+    sender = Transmitter(_signal(settings), identity, listed)
     layers = sender.format.layers
     needed = [-(-len(data) // (layers[n].payload_bytes * layers[n].codewords)) for n, data in messages.items()]
     return np.concatenate(list(islice(sender.packets(), max([1, *needed]))))
@@ -45,27 +54,56 @@ def decode(luminances: ArrayLike, settings: SignalSettings | None = None) -> Ite
     Parameters
     ----------
     luminances
-        (patterns, n, n) in any unit, noisy or not; the first is the first of a packet.
+        (patterns, n, n) real numbers in any unit, noisy or not; the first is the first of a packet. NaN and infinite
+        ones are erasures: nothing is known of that LED in that pattern.
     settings
         The signal; the default is the reference link's.
 
     Raises
     ------
-    ValueError
-        The array has another shape than whole packets have.
+    HeliographError
+        The luminances are no real numbers, or have another shape than whole packets have; or the settings are no
+        `SignalSettings`.
     """
-    form = PacketFormat(settings or SignalSettings())
+    form = PacketFormat(_signal(settings))
     side, size = form.settings.side, form.settings.packet_patterns
-    x = np.asarray(luminances, dtype=np.float64)
-    if x.ndim != 3 or x.shape[1:] != (side, side) or not len(x) or len(x) % size:
-        raise ValueError(f"expected (patterns, {side}, {side}) with whole packets of {size}, not {x.shape}")
+    return _messages(_numbers(luminances, side, size).reshape(-1, size, side, side), form)
+
+
+def _messages(packets: NDArray[np.float64], form: PacketFormat) -> Iterator[Message]:
     reassembler = Reassembler()
-    for packet in x.reshape(-1, size, side, side):
+    for packet in packets:
         change = packet[0::2] - packet[1::2]
-        header, data = np.split(change, [form.settings.header_pairs])
-        words = decode_packet(data, np.ones(len(data), bool), form, _identity_of(header), Decoding())
+        known = np.isfinite(change)
+        # an LED of which nothing is known is as likely brighter as darker
+        header, data = np.split(np.where(known, change, 0.0), [form.settings.header_pairs])
+        seen = known[form.settings.header_pairs :].any((1, 2))
+        words = decode_packet(data, seen, form, _identity_of(header), Decoding())
         blocks = [word.block for layer in words.values() for word in layer if word.block]
         yield from filter(None, map(reassembler.add, blocks))
+
+
+def _signal(settings: SignalSettings | None) -> SignalSettings:
+    if not isinstance(settings, SignalSettings | None):
+        raise HeliographError(
+            f"settings are SignalSettings, not {type(settings).__name__}; those of a link are .signal"
+        )
+    return settings or SignalSettings()
+
+
+def _numbers(luminances: ArrayLike, side: int, size: int) -> NDArray[np.float64]:
+    """Luminances as numbers of at most 1, erased ones as NaN."""
+    try:
+        x = np.asarray(luminances)
+        x = x.astype(np.float64, casting="same_kind" if x.dtype.kind != "O" else "unsafe")
+    except (ValueError, TypeError, OverflowError):  # of ragged lists, text, complex numbers
+        raise HeliographError(f"luminances are real numbers of shape (patterns, {side}, {side})") from None
+    if x.ndim != 3 or x.shape[1:] != (side, side) or not len(x) or len(x) % size:
+        raise HeliographError(f"expected (patterns, {side}, {side}) with whole packets of {size}, not {x.shape}")
+    known = np.isfinite(x)
+    largest = np.abs(x, where=known, out=np.zeros_like(x)).max()
+    # nothing but their ratios counts, and the squares of very large ones would be infinite
+    return np.where(known, x, np.nan) / (largest or 1.0)
 
 
 def _identity_of(header: NDArray[np.float64]) -> int:

@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 
-from heliograph.base.errors import HeliographError, SettingsError
+from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
 from heliograph.channel import Footage, ImuTrace, Truth, film
 from heliograph.link.settings import LinkSettings
@@ -63,19 +64,21 @@ def transmitters(settings: LinkSettings, messages: Sequence[Messages]) -> list[T
     Raises
     ------
     SettingsError
-        A message is too long, there are too many, or a packet is too small for a codeword.
+        There is not one entry for each array, a message is too long, there are too many, or a packet is too small for
+        a codeword.
     """
-    pairs = zip(settings.transmit.identities, messages, strict=True)
-    return [_transmitter(settings, identity, content) for identity, content in pairs]
+    identities = settings.transmit.identities
+    if isinstance(messages, Mapping) or not isinstance(messages, Sequence) or len(messages) != len(identities):
+        raise SettingsError(
+            f"messages are a list of what each array sends, one for each of the {len(identities)} in "
+            f"transmit.identities, not {_counted(messages)}"
+        )
+    signal, formats = settings.signal, settings.transmit.formats
+    return [Transmitter(signal, who, content, formats) for who, content in zip(identities, messages, strict=True)]
 
 
-def _transmitter(settings: LinkSettings, identity: int, messages: Messages) -> Transmitter:
-    try:
-        return Transmitter(settings.signal, identity, messages, settings.transmit.formats)
-    except HeliographError:
-        raise
-    except ValueError as error:
-        raise SettingsError(f"array {identity}: {error}; send less, or cut it up") from None
+def _counted(messages: object) -> str:
+    return f"{len(messages)}" if isinstance(messages, (list, tuple)) else f"a {type(messages).__name__}"
 
 
 def simulate(
@@ -99,7 +102,13 @@ def simulate(
         Real background and motion; None where there are none.
     roi_margin_px
         None for whole frames; else only the arrays' surroundings, this many px wider than they.
+
+    Raises
+    ------
+    SettingsError
+        The arguments are no settings, messages, seed or recordings, do not fit each other, or lack a recording.
     """
+    _check(settings, seed, recordings, roi_margin_px)
     recordings = recordings or Recordings()
     return film(
         settings.channel,
@@ -111,3 +120,18 @@ def simulate(
         imu=recordings.imu,
         roi_margin_px=roi_margin_px,
     )
+
+
+def _check(settings: object, seed: object, recordings: object, roi_margin_px: object) -> None:
+    if not isinstance(settings, LinkSettings):
+        raise SettingsError(f"settings are those of load_settings(...), not {settings!r:.60}")
+    if not (_is_whole(seed) and seed >= 0):
+        raise SettingsError(f"a seed is a whole number, at least 0, not {seed!r:.60}")
+    if not isinstance(recordings, Recordings | None):
+        raise SettingsError(f"recordings are heliograph.link.simulate.Recordings, not {type(recordings).__name__}")
+    if roi_margin_px is not None and not _is_whole(roi_margin_px):
+        raise SettingsError(f"roi_margin_px is a whole number of pixels, not {roi_margin_px!r:.60}")
+
+
+def _is_whole(value: object) -> TypeGuard[int]:
+    return isinstance(value, (int, np.integer))

@@ -195,7 +195,7 @@ class FilmWriter:
 
     def _check(self, frame: Frame) -> None:
         check_pixels(frame, self.spec)
-        if not np.isfinite(frame.time_s) or frame.time_s <= self._last_time_s:
+        if frame.time_s <= self._last_time_s:
             raise MediaError(f"frames must follow each other in time: got {frame.time_s} s after {self._last_time_s} s")
 
 
@@ -215,8 +215,6 @@ def check_pixels(frame: Frame, spec: FilmSpec) -> None:
         It does not fit.
     """
     pixels, dtype = frame.pixels, np.dtype(np.uint8 if spec.bits == 8 else np.uint16)
-    if pixels.ndim != 2:
-        raise MediaError(f"a frame has the shape (rows, columns), got {pixels.shape}: films are gray")
     if pixels.shape != (spec.height, spec.width):
         got = f"{pixels.shape[1]}x{pixels.shape[0]}"
         raise MediaError(f"the film is {spec.width}x{spec.height} pixels, the frame is {got}")

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from heliograph.base.frames import Frame
+from heliograph.base.frames import Frame, check_next
 from heliograph.receive.acquire.candidate import apart
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
 from heliograph.receive.array import ArrayReceiver
@@ -53,6 +53,7 @@ class StreamReceiver:
         self._arrays: list[ArrayHypotheses] = []
         self._orientation: Orientation | None = None
         self._started = False
+        self._last: Frame | None = None
 
     @property
     def candidates_fitted(self) -> int:
@@ -65,9 +66,17 @@ class StreamReceiver:
         Raises
         ------
         HeliographError
-            The frame comes before the last one, or the camera's rate does not fit the light's.
+            It is no frame, or one of another camera than the last; it comes before the last one, or the camera's rate
+            does not fit the light's. The receiver stays as it was, and can be finished.
         """
-        return in_one_thread(packet for timed in self._parts.clock.push(frame) for packet in self._take(timed))
+        return in_one_thread(self._checked(frame))
+
+    def _checked(self, frame: Frame) -> Iterator[Packet]:
+        """Take a camera's frame, if it may follow the last one."""
+        check_next(frame, self._last)
+        self._last = frame
+        for timed in self._parts.clock.push(frame):
+            yield from self._take(timed)
 
     def finish(self) -> Iterator[Packet]:
         """End of the film: yield the packets in progress of which enough was seen."""

@@ -1,9 +1,10 @@
 """The transmitter: messages by layer -> an endless sequence of timed LED patterns (section 12 of the air interface)."""
 
+import operator
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as checked
 
 from heliograph.base.config import CONFIG
+from heliograph.base.errors import SettingsError
 from heliograph.signal.block import Block
 from heliograph.signal.formats import AGREED, Format
 from heliograph.signal.header import IDENTITIES
@@ -88,10 +90,9 @@ class Transmitter:
 
     Raises
     ------
-    ValueError
-        A layer or the identity is unknown, or the messages of a layer are too many or too long.
     SettingsError
-        A format does not go with the signal's settings.
+        A layer or the identity is unknown, the messages of a layer are no bytes, too many or too long, or a format does
+        not go with the signal's settings.
     """
 
     def __init__(
@@ -101,17 +102,24 @@ class Transmitter:
         messages: Mapping[str, Sequence[bytes]],
         formats: Sequence[Format] = (),
     ):
-        unknown = set(messages) - set(LAYERS)
-        if unknown:
-            raise ValueError(f"layers are {', '.join(LAYERS)}, not {', '.join(sorted(unknown))}")
+        _check_messages(messages)
         self.formats = tuple(PacketFormat(settings, one) for one in formats or (AGREED,))
-        self.identity = identity_of(identity).number
+        try:
+            self.identity = identity_of(operator.index(identity)).number
+        except (TypeError, ValueError):
+            raise SettingsError(f"an identity is a whole number, 0 to {IDENTITIES - 1}, not {identity!r}") from None
         # each size of blocks has a carousel of its own (section 8)
         self._carousels = {
-            (name, layer.payload_bytes): Carousel(identity, name, messages.get(name, ()), layer.payload_bytes)
+            (name, layer.payload_bytes): self._carousel(name, messages.get(name, ()), layer.payload_bytes)
             for form in self.formats
             for name, layer in form.layers.items()
         }
+
+    def _carousel(self, name: str, messages: Sequence[bytes], room: int) -> Carousel:
+        try:
+            return Carousel(self.identity, name, [bytes(data) for data in messages], room)
+        except ValueError as error:
+            raise SettingsError(f"array {self.identity}: {error}; send less, or cut it up") from None
 
     @property
     def format(self) -> PacketFormat:
@@ -175,3 +183,18 @@ class Transmitter:
             single = part == "data" and self.format_of(index // settings.packet_patterns).single
             inverted = bool(index % 2) and not single
             yield TimedPattern(index, index * settings.pattern_period_s, part, inverted, levels)
+
+
+def _check_messages(messages: Any) -> None:
+    if not isinstance(messages, Mapping):
+        raise SettingsError(f'messages are lists of bytes by layer, such as {{"high": [b"..."]}}, not {messages!r:.60}')
+    for name, listed in messages.items():
+        if name not in LAYERS:
+            raise SettingsError(f"layers are {', '.join(LAYERS)}, not {name!s:.60}")
+        if isinstance(listed, (str, bytes, bytearray)) or not isinstance(listed, Sequence):
+            raise SettingsError(f"the {name} layer has a list of messages, not {type(listed).__name__}; write [b'...']")
+        for data in listed:
+            if not isinstance(data, (bytes, bytearray, memoryview)):
+                raise SettingsError(
+                    f"a message of the {name} layer is bytes, not {type(data).__name__}; text.encode() makes them"
+                )

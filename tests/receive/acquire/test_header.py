@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scenes import SIDE, draw, pitch_at
 
-from heliograph.base.frames import Frame
+from heliograph.base.arrays import Floats
 from heliograph.receive import Pose
 from heliograph.receive.acquire.header import header_score, header_weights
 from heliograph.receive.timing.combination import combine_header
-from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.timing.frame_pair import CombinedFrame, FramePair
 from heliograph.signal.formats import words
 from heliograph.signal.header import header_levels
 
@@ -39,8 +40,11 @@ def test_combined_frames_show_dimmed_cells_by_contrast_and_light() -> None:
 @pytest.mark.parametrize("part", [1.0, 0.5, 0.0, -1.0])
 def test_the_score_is_the_amplitude_over_the_arrays_light(part: float) -> None:
     pose = Pose(30.2, 29.7, pitch_at(60.0), 0.01, 0.55)
+
+    def light(levels: Floats) -> NDArray[np.float32]:
+        return (20 + 100 * draw(pose, levels, (0, 0), (60, 60))).astype(np.float32)
+
     up, down = (
-        Frame(k, k * 1e-3, 20 + 100 * draw(pose, 1 + sign * part * SIGNS, (0, 0), (60, 60)))  # type: ignore[arg-type]
-        for k, sign in enumerate((1, -1))
+        CombinedFrame(k, k * 1e-3, light(1 + sign * part * SIGNS), (0, 0), 255) for k, sign in enumerate((1, -1))
     )
     assert header_score(FramePair(up, down), pose, SIGNS, 200.0) == pytest.approx(part, abs=0.01)
