@@ -49,6 +49,8 @@ def open_film(path: str | os.PathLike[str], *, expand_range: bool = False, rate_
         raise MediaError(f"{path} is a folder: give a film in it")
     if not path.exists():
         raise MediaError(f"there is no file {path}: check the name")
+    if not path.is_file():
+        raise MediaError(f"{path} is a pipe or a device: save the film to a file first")
     try:
         with path.open("rb") as file:
             head = file.read(len(hdf5.SIGNATURE))

@@ -1,6 +1,7 @@
 """Films in HDF5: a dataset of frames, one a chunk and without a filter, and a dataset of their times."""
 
 import json
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -9,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from heliograph.base.errors import MediaError
-from heliograph.base.frames import Frame
-from heliograph.media.reader import FilmReader
-from heliograph.media.record import FilmSpec
+from heliograph.base.frames import BITS, LATEST_S, Frame
+from heliograph.media.reader import FilmReader, checked_size, checked_time
+from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ, FilmSpec
 from heliograph.media.writer import write_error
 
 SUFFIXES = (".h5", ".hdf5")
@@ -19,6 +20,9 @@ SUFFIXES = (".h5", ".hdf5")
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """First bytes of an HDF5 file, by its format specification."""
+
+_BROKEN = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, NotImplementedError, OverflowError)
+"""All that h5py makes of a damaged file."""
 
 _EXPECTED = "'frames' (frame, row, column) of uint8 or uint16 and 'times_s' (frame,) in seconds"
 
@@ -160,37 +164,41 @@ class Hdf5Reader(FilmReader):
 
     def __init__(self, path: Path, rate_hz: float | None = None) -> None:
         super().__init__(path, rate_hz)
-        with _opened(path) as file:
+        with _opened(path) as file, _damage_is_clear(path, 0):
             frames = file["frames"]
             self.frame_count, self.height, self.width = frames.shape
-            self.bits = int(file.attrs.get("bits", 8 * frames.dtype.itemsize))
+            checked_size(path, self.width, self.height)
+            self.bits = int(_number(path, file.attrs, "bits", *BITS[frames.dtype]) or 8 * frames.dtype.itemsize)
             self.metadata = _read_metadata(file.attrs)
-            self.claimed_hz = float(file.attrs.get("rate_hz") or _median_rate(file["times_s"]))
+            self.claimed_hz = _number(path, file.attrs, "rate_hz", SLOWEST_HZ, FASTEST_HZ) or _median_rate(
+                file["times_s"]
+            )
 
     def _frames(self) -> Iterator[Frame]:
         if not self.frame_count:
             raise MediaError(f"{self.path} holds no frames: record it again")
         with _opened(self.path) as file:
             frames, index = file["frames"], -1
-            for place, time_s in enumerate(_times(file["times_s"])):
-                try:
+            for place, time_s in enumerate(_times(self.path, file["times_s"])):
+                with _damage_is_clear(self.path, place):
                     pixels = frames[place]
-                except OSError as error:
-                    raise MediaError(f"{self.path} is damaged after {place} whole frames: copy it again") from error
-                index = max(index + 1, round(time_s * self.claimed_hz))
+                index = max(index + 1, round(checked_time(self.path, time_s, place) * self.claimed_hz))
                 yield Frame(index, time_s, pixels, self.bits)
 
 
-def _times(dataset: Any) -> Iterator[float]:
+def _times(path: Path, dataset: Any) -> Iterator[float]:
     for start in range(0, dataset.shape[0], _READ_TIMES):
-        yield from dataset[start : start + _READ_TIMES].tolist()
+        with _damage_is_clear(path, start):
+            times = dataset[start : start + _READ_TIMES].astype(np.float64).tolist()
+        yield from times
 
 
 def _median_rate(times: Any) -> float:
     """Rate by the median gap of the first frames: where frames are missing, the mean gap is too long."""
-    gaps = np.diff(times[:_READ_TIMES])
+    known = np.asarray(times[:_READ_TIMES], np.float64)
+    gaps = np.diff(known[np.abs(known) <= LATEST_S])
     gap = float(np.median(gaps)) if gaps.size else 0.0
-    return 1 / gap if gap > 0 else 1.0
+    return 1 / gap if gap >= 1 / FASTEST_HZ else 1.0
 
 
 def _write_attributes(attributes: Any, spec: FilmSpec) -> None:
@@ -204,8 +212,33 @@ def _write_attributes(attributes: Any, spec: FilmSpec) -> None:
 def _read_metadata(attributes: Any) -> dict[str, str]:
     try:
         return {str(name): str(text) for name, text in json.loads(attributes.get("metadata", "{}")).items()}
-    except (ValueError, TypeError, AttributeError):  # somebody else's attribute of the same name
+    except (ValueError, TypeError, AttributeError, RecursionError):  # somebody else's attribute of the same name
         return {}
+
+
+def _number(path: Path, attributes: Any, name: str, least: float, most: float) -> float:
+    """Read an attribute that is a number; 0 where it is missing."""
+    held = attributes.get(name, 0)
+    try:
+        value = math.nan if np.iscomplexobj(held) else float(np.asarray(held).item())
+    except (ValueError, TypeError, OverflowError):
+        value = math.nan
+    if value and not least <= value <= most:
+        says = " ".join(f"{held!s:.40}".split())
+        allowed = f"{least:g}" if least == most else f"{least:g} to {most:g}"
+        raise MediaError(f"{path}: its attribute '{name}' is {says}, not {allowed}: correct it or delete it")
+    return value
+
+
+@contextmanager
+def _damage_is_clear(path: Path, count: int) -> Iterator[None]:
+    """Turn what HDF5 makes of a damaged file into a MediaError."""
+    try:
+        yield
+    except MediaError:
+        raise
+    except _BROKEN as error:
+        raise MediaError(f"{path} is damaged after {count} whole frames: copy it again") from error
 
 
 @contextmanager
@@ -214,22 +247,27 @@ def _opened(path: Path) -> Iterator[Any]:
 
     try:
         file = h5py.File(path, "r")
-    except OSError as error:
+    except _BROKEN as error:
         if "truncated file" in str(error):
             raise MediaError(f"{path} ends in the middle and cannot be read: copy or record it again") from error
         raise MediaError(f"{path} is not a readable HDF5 file, it may be damaged: copy or record it again") from error
     with file:
-        _check_form(path, file)
+        with _damage_is_clear(path, 0):
+            _check_form(path, file)
         yield file
 
 
 def _check_form(path: Path, file: Any) -> None:
     import h5py
 
-    frames, times = file.get("frames"), file.get("times_s")
+    try:
+        frames, times = file.get("frames"), file.get("times_s")
+    except _BROKEN as error:
+        raise MediaError(f"{path} is not a film: its links lead nowhere; expected the datasets {_EXPECTED}") from error
     if not (isinstance(frames, h5py.Dataset) and isinstance(times, h5py.Dataset)):
         held = ", ".join(sorted(file)) or "nothing"
         raise MediaError(f"{path} is not a film: expected the datasets {_EXPECTED}, it holds {held}")
-    if frames.ndim != 3 or frames.dtype not in (np.uint8, np.uint16) or times.shape != frames.shape[:1]:
-        got = f"'frames' {frames.shape} of {frames.dtype} and 'times_s' {times.shape}"
+    wrong = frames.ndim != 3 or frames.dtype not in BITS or times.shape != frames.shape[:1]
+    if wrong or times.dtype.kind not in "fiu":
+        got = f"'frames' {frames.shape} of {frames.dtype} and 'times_s' {times.shape} of {times.dtype}"
         raise MediaError(f"{path} is not a film: expected {_EXPECTED}, got {got}")

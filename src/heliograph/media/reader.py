@@ -8,7 +8,54 @@ from types import TracebackType
 from typing import Self
 
 from heliograph.base.errors import MediaError
-from heliograph.base.frames import Frame
+from heliograph.base.frames import LATEST_S, Frame
+
+MOST_PIXELS = 1 << 28
+"""Most pixels of a frame: twice those of the largest camera chips. A damaged film may claim more."""
+
+
+def checked_size(path: Path, width: int, height: int) -> None:
+    """Check the size of a film's frames.
+
+    Parameters
+    ----------
+    path
+        The film, for the error.
+    width, height
+        Columns and rows in pixels as the file says.
+
+    Raises
+    ------
+    MediaError
+        There are no pixels, or more than any camera has.
+    """
+    if not 0 < width * height <= MOST_PIXELS:
+        raise MediaError(f"{path} has frames of {width}x{height} pixels: it is no film, or damaged; copy it again")
+
+
+def checked_time(path: Path, time_s: float, count: int) -> float:
+    """Return the time of a frame if it is one.
+
+    Parameters
+    ----------
+    path
+        The film, for the error.
+    time_s
+        Time in s as the file says.
+    count
+        Frames before it.
+
+    Raises
+    ------
+    MediaError
+        It is not finite, or of another unit than seconds.
+    """
+    if not abs(time_s) <= LATEST_S:
+        raise MediaError(
+            f"{path} has a frame at {time_s:g} s after {count} whole frames: times are in seconds, at most "
+            f"{LATEST_S:g}; correct them, or cut the film there"
+        )
+    return time_s
 
 
 class FilmReader(ABC):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from heliograph.base.errors import MediaError
+from heliograph.base.frames import LATEST_S
 
 TAG = "heliograph"
 """Tag of the record in a container; Matroska turns it into capitals."""
@@ -19,6 +20,9 @@ _TAG_LENGTH = 900
 
 FASTEST_HZ = 1e6
 """Largest frame rate: one frame a tick of `FINEST_TICKS`."""
+
+SLOWEST_HZ = 1e-6
+"""Least frame rate of a film: a frame in twelve days. Chosen; it tells a rate from a damaged number."""
 
 FINEST_TICKS = 1_000_000
 """Least ticks a second in containers with a free time base. Chosen: 1 us is a 250th of a PWM slot of 0.25 ms. Twice as
@@ -113,19 +117,24 @@ class FilmRecord:
         Parameters
         ----------
         text
-            JSON as of `dumps`, or any other text, as films from elsewhere have.
+            JSON as of `dumps`, or any other text, as films from elsewhere have. A record of values that no film has is
+            none either.
         """
         try:
             fields = json.loads(text)
-            return cls(
+            record = cls(
                 rate_hz=float(fields["rate_hz"]),
                 bits=int(fields["bits"]),
                 start_s=float(fields["start_s"]),
                 metadata={str(k): str(v) for k, v in fields["metadata"].items()},
                 codec_crc=int(fields["codec_crc"]),
             )
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             return None
+        sound = (
+            SLOWEST_HZ <= record.rate_hz <= FASTEST_HZ and 8 <= record.bits <= 16 and abs(record.start_s) <= LATEST_S
+        )
+        return record if sound else None
 
 
 def to_tags(record: FilmRecord, suffix: str) -> dict[str, str]:

@@ -1,6 +1,9 @@
 """Read video files of any origin as gray frames through PyAV."""
 
+import heapq
+import math
 import zlib
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,7 +12,7 @@ from typing import TYPE_CHECKING
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame, Pixels
 from heliograph.media import planes, whole
-from heliograph.media.reader import FilmReader
+from heliograph.media.reader import FilmReader, checked_size, checked_time
 from heliograph.media.record import from_tags, restored_time
 
 if TYPE_CHECKING:
@@ -28,6 +31,9 @@ _FALLBACK_HZ = 25.0
 
 _LEAST_BITS = 8
 """Least bits of a gray level."""
+
+REORDERED = 16
+"""Pictures whose stamps may be out of order: as many as H.264 and H.265 hold back for pictures between others."""
 
 
 class VideoReader(FilmReader):
@@ -59,18 +65,32 @@ class VideoReader(FilmReader):
             self.claimed_hz = self._record.rate_hz if self._record else _rate(stream)
             self.bits = self._record.bits if self._record else _bits(stream)
             self.frame_count = _frame_count(container, self.claimed_hz)
+            checked_size(path, self.width, self.height)
 
     def _frames(self) -> Iterator[Frame]:
         with _opened(self.path) as container:
             index = -1
-            for count, picture in enumerate(self._pictures(container)):
-                time_s = self._time(picture, count)
+            for count, (picture, elapsed_s) in enumerate(self._in_order(container)):
+                time_s = checked_time(self.path, self._time(picture, elapsed_s), count)
                 index = max(index + 1, round(time_s * self.claimed_hz))
-                pixels, bits = planes.to_gray(picture, self._expand_range)
-                self._check_size(pixels, count)
+                pixels, bits = self._gray(picture, count)
+                self._check_form(pixels, bits, count)
                 yield Frame(index, time_s, pixels, self.bits if self._record else bits)
 
-    def _check_size(self, pixels: Pixels, count: int) -> None:
+    def _gray(self, picture: "av.VideoFrame", count: int) -> tuple[Pixels, int]:
+        import av
+
+        try:
+            return planes.to_gray(picture, self._expand_range)
+        except (av.error.FFmpegError, ValueError) as error:  # a form of pixels that FFmpeg cannot turn into gray
+            raise MediaError(f"{self.path} is damaged after {count} whole frames: copy it again") from error
+
+    def _check_form(self, pixels: Pixels, bits: int, count: int) -> None:
+        if self._record and (bits > _LEAST_BITS) != (self.bits > _LEAST_BITS):
+            raise MediaError(
+                f"{self.path} has pictures of {bits} bits, but notes {self.bits}: it was converted or is damaged; "
+                f"convert it without its metadata, or copy it again"
+            )
         if pixels.shape != (self.height, self.width):
             sizes = f"{self.width}x{self.height} to {pixels.shape[1]}x{pixels.shape[0]}"
             raise MediaError(f"{self.path} changes its size from {sizes} pixels after {count} frames: cut it there")
@@ -116,11 +136,38 @@ class VideoReader(FilmReader):
         if not count:
             raise MediaError(f"{self.path} holds no frames: record it again")
 
-    def _time(self, picture: "av.VideoFrame", count: int) -> float:
-        if picture.pts is None or picture.time_base is None:
-            return count / self.claimed_hz
-        elapsed_s = float(picture.pts * picture.time_base)
-        if self._record is None:
+    def _in_order(self, container: "InputContainer") -> Iterator[tuple["av.VideoFrame", float]]:
+        """Yield pictures as they are shown, each with the earliest stamp in s that is left.
+
+        Some writers stamp pictures in the order in which they are coded; pictures between others then have later stamps
+        than they should, but all together have the right ones. A stamp that comes twice is taken for a period later.
+        """
+        last_s = -math.inf
+        for picture, stamp_s in self._sorted(container):
+            last_s = last_s + 1 / self.claimed_hz if stamp_s == last_s else stamp_s
+            yield picture, last_s
+
+    def _sorted(self, container: "InputContainer") -> Iterator[tuple["av.VideoFrame", float]]:
+        context = container.streams.video[0].codec_context
+        held, stamps, stamp_s = deque["av.VideoFrame"](), list[float](), -1 / self.claimed_hz
+        broken: MediaError | None = None
+        try:
+            for picture in self._pictures(container):
+                known = picture.pts is not None and picture.time_base is not None
+                stamp_s = float(picture.pts * picture.time_base) if known else stamp_s + 1 / self.claimed_hz
+                held.append(picture)
+                heapq.heappush(stamps, stamp_s)
+                while len(held) > (REORDERED if context.has_b_frames else 0):
+                    yield held.popleft(), heapq.heappop(stamps)
+        except MediaError as error:  # after the whole pictures before
+            broken = error
+        while held:
+            yield held.popleft(), heapq.heappop(stamps)
+        if broken is not None:
+            raise broken
+
+    def _time(self, picture: "av.VideoFrame", elapsed_s: float) -> float:
+        if self._record is None or picture.time_base is None:
             return elapsed_s
         return restored_time(self._record, elapsed_s, float(picture.time_base))
 

@@ -1,0 +1,173 @@
+"""Films that claim what no film has are refused in one clear line; stamps in the order of coding are put right."""
+
+import math
+import os
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import h5py
+import numpy as np
+import pytest
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
+from heliograph.media import create_film, open_film
+from heliograph.media.record import FilmRecord
+
+COUNT = 5
+TIMES = np.arange(COUNT) / 1000
+
+
+def hdf5(path: Path, times: Any = TIMES, frames: Any = None, **attributes: Any) -> Path:
+    with h5py.File(path, "w") as file:
+        file["frames"] = np.zeros((COUNT, 8, 8), np.uint8) if frames is None else frames
+        file["times_s"] = times
+        for name, value in attributes.items():
+            file.attrs[name] = value
+    return path
+
+
+def refused(path: Path) -> tuple[int, str]:
+    """Frames before the error, and the error."""
+    got: list[Frame] = []
+    with pytest.raises(MediaError) as caught, open_film(path) as film:
+        got.extend(film)
+    assert "\n" not in str(caught.value)
+    return len(got), str(caught.value)
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf, 1e18])
+def test_a_time_that_is_none_ends_the_film_after_the_frames_before(tmp_path: Path, wrong: float) -> None:
+    times = TIMES.copy()
+    times[3] = wrong
+    count, says = refused(hdf5(tmp_path / "a.h5", times))
+    assert count == 3
+    assert "after 3 whole frames: times are in seconds" in says
+
+
+@pytest.mark.parametrize("times", [np.array([b"a"] * COUNT), ["a"] * COUNT, TIMES * 1j, np.zeros(COUNT, bool)], ids=str)
+def test_times_are_numbers(tmp_path: Path, times: Any) -> None:
+    assert "is not a film: expected 'frames'" in refused(hdf5(tmp_path / "a.h5", times))[1]
+
+
+@pytest.mark.parametrize("rate", [-1.0, math.nan, math.inf, 1e300, 1e-300, 1e7, "fast", [1, 2], 1j], ids=str)
+def test_a_rate_that_no_film_has(tmp_path: Path, rate: Any) -> None:
+    assert "attribute 'rate_hz' is" in refused(hdf5(tmp_path / "a.h5", rate_hz=rate))[1]
+
+
+@pytest.mark.parametrize("bits", [-1, 7, 9, 99, 10**18, "x", [8, 8], 8.5, math.nan], ids=str)
+def test_bits_that_no_film_has(tmp_path: Path, bits: Any) -> None:
+    assert "attribute 'bits' is" in refused(hdf5(tmp_path / "a.h5", bits=bits))[1]
+
+
+def test_metadata_of_any_depth_are_somebody_else_s(tmp_path: Path) -> None:
+    deep = hdf5(tmp_path / "a.h5", metadata="[" * 20_000 + "]" * 20_000)
+    with open_film(deep) as film:
+        assert film.metadata == {}
+        assert len(list(film)) == COUNT
+    assert FilmRecord.loads('{"a":' * 20_000 + "1" + "}" * 20_000) is None
+
+
+def to_itself(file: h5py.File) -> None:
+    file["frames"] = h5py.SoftLink("/frames")
+
+
+def to_nothing(file: h5py.File) -> None:
+    file["frames"] = h5py.ExternalLink("none.h5", "/frames")
+
+
+def too_large(file: h5py.File) -> None:
+    file.create_dataset("frames", (COUNT, 1 << 31, 1 << 31), "u1", chunks=(1, 64, 64))
+
+
+def too_small(file: h5py.File) -> None:
+    file["frames"] = np.zeros((COUNT, 0, 8), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [(to_itself, "links lead nowhere"), (to_nothing, "expected the datasets"),
+     (too_large, "2147483648x2147483648 pixels"), (too_small, "8x0 pixels")],
+)  # fmt: skip
+def test_frames_that_are_not_there(tmp_path: Path, make: Callable[[h5py.File], None], says: str) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        make(file)
+        file["times_s"] = TIMES
+    assert says in refused(tmp_path / "a.h5")[1]
+
+
+def test_a_record_of_values_that_no_film_has_is_none() -> None:
+    good = FilmRecord(rate_hz=1000.0, bits=8, start_s=0.0, metadata={})
+    assert FilmRecord.loads(good.dumps()) == good
+    for wrong in (
+        {"rate_hz": 0},
+        {"rate_hz": 1e300},
+        {"rate_hz": "NaN"},
+        {"bits": 99},
+        {"bits": 1e999},
+        {"start_s": 1e300},
+    ):
+        text = FilmRecord(**{"rate_hz": 1000.0, "bits": 8, "start_s": 0.0, "metadata": {}, **wrong}).dumps()  # type: ignore[arg-type]
+        assert FilmRecord.loads(text) is None
+
+
+def test_a_pipe_is_no_film(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.mkv")
+    assert "is a pipe or a device" in refused(tmp_path / "a.mkv")[1]
+    assert "is a pipe or a device" in refused(Path("/dev/zero"))[1]
+
+
+def test_a_film_of_other_bits_than_it_notes(tmp_path: Path) -> None:
+    path = tmp_path / "a.mkv"
+    with create_film(path, width=16, height=16, rate_hz=1000) as film:
+        film.write(Frame(0, 0.0, np.zeros((16, 16), np.uint8)))
+    held = path.read_bytes()
+    assert b'"bits": 8' in held
+    path.write_bytes(held.replace(b'"bits": 8,', b'"bits":12,'))
+    assert "pictures of 8 bits, but notes 12" in refused(path)[1]
+
+
+STEP = 6
+"""Gray levels from picture to picture."""
+
+
+def coded(path: Path, codec: str, options: dict[str, str]) -> Path:
+    """A film of rising gray with pictures between others, stamped in the order in which they are coded."""
+    tick = Fraction(1, 1000)
+    with av.open(str(path), "w") as container:
+        stream: Any = container.add_stream(codec, rate=1000, options=options)
+        stream.width, stream.height, stream.pix_fmt = 64, 32, "yuv420p"
+        stream.time_base = stream.codec_context.time_base = tick
+        packets = []
+        for k in range(40):
+            planes = np.vstack([np.full((32, 64), STEP * k, np.uint8), np.full((16, 64), 128, np.uint8)])
+            picture = av.VideoFrame.from_ndarray(planes, format="yuv420p")
+            picture.pts, picture.time_base = k, tick
+            packets += stream.encode(picture)
+        for k, packet in enumerate([*packets, *stream.encode()]):
+            packet.pts = packet.dts = k
+            container.mux(packet)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("codec", "options"),
+    [("mpeg4", {"bf": "2"}), ("libx265", {"x265-params": "bframes=4:log-level=none"}), ("libx264", {"bf": "3"})],
+)
+@pytest.mark.parametrize("suffix", [".mkv", ".mp4", ".avi", ".nut"])
+def test_stamps_in_the_order_of_coding_are_put_right(
+    tmp_path: Path, codec: str, options: dict[str, str], suffix: str
+) -> None:
+    if codec not in av.codecs_available:
+        pytest.skip(f"FFmpeg lacks {codec} here")
+    if (codec, suffix) == ("libx265", ".avi"):
+        pytest.skip("AVI does not hold H.265")
+    with open_film(coded(tmp_path / f"a{suffix}", codec, options)) as film:
+        frames = list(film)
+    assert np.diff([frame.time_s for frame in frames]) == pytest.approx(1e-3)
+    levels = [int(frame.pixels.mean()) for frame in frames]
+    assert len(levels) == 40
+    assert levels == sorted(levels)
