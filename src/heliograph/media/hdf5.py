@@ -26,6 +26,15 @@ _BROKEN = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeErro
 
 _EXPECTED = "'frames' (frame, row, column) of uint8 or uint16 and 'times_s' (frame,) in seconds"
 
+_HEAP = b"GCOL\x01\0\0\0"
+"""First bytes of a heap of texts in HDF5, of version 1 (its format specification, III.E)."""
+
+_HEAP_HEADER = 16
+"""Bytes before the objects of a heap, and before each object: its index (2), references (2), zeros (4), length (8)."""
+
+_HEAD_BYTES = 1 << 20
+"""Bytes of a file that are searched for heaps: films written here have theirs in the first 12 kB."""
+
 _STEP_FRAMES = 256
 """Frames by which the datasets grow, so that they are rarely resized. Chosen: at half and at twice the value a film was
 written at the same speed within the noise of a shared machine, 30 %."""
@@ -245,6 +254,8 @@ def _damage_is_clear(path: Path, count: int) -> Iterator[None]:
 def _opened(path: Path) -> Iterator[Any]:
     import h5py
 
+    with path.open("rb") as raw:
+        _check_heaps(path, raw.read(_HEAD_BYTES))
     try:
         file = h5py.File(path, "r")
     except _BROKEN as error:
@@ -255,6 +266,21 @@ def _opened(path: Path) -> Iterator[Any]:
         with _damage_is_clear(path, 0):
             _check_form(path, file)
         yield file
+
+
+def _check_heaps(path: Path, head: bytes) -> None:
+    """Refuse a film whose texts HDF5 would look for without end: an object of no length follows itself."""
+    start = head.find(_HEAP)
+    while start >= 0:
+        size = int.from_bytes(head[start + 8 : start + 16], "little")
+        place, end = start + _HEAP_HEADER, min(start + size, len(head))
+        while place + _HEAP_HEADER <= end:
+            index = int.from_bytes(head[place : place + 2], "little")
+            length = int.from_bytes(head[place + 8 : place + 16], "little")
+            if not index and not length:
+                raise MediaError(f"{path} is damaged where its texts lie: copy or record it again")
+            place += _HEAP_HEADER + (length + 7) // 8 * 8 if index else length
+        start = head.find(_HEAP, start + 1)
 
 
 def _check_form(path: Path, file: Any) -> None:

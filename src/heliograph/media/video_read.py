@@ -153,8 +153,10 @@ class VideoReader(FilmReader):
         broken: MediaError | None = None
         try:
             for picture in self._pictures(container):
-                known = picture.pts is not None and picture.time_base is not None
-                stamp_s = float(picture.pts * picture.time_base) if known else stamp_s + 1 / self.claimed_hz
+                if picture.pts is None or picture.time_base is None:
+                    stamp_s += 1 / self.claimed_hz
+                else:
+                    stamp_s = float(picture.pts * picture.time_base)
                 held.append(picture)
                 heapq.heappush(stamps, stamp_s)
                 while len(held) > (REORDERED if context.has_b_frames else 0):
@@ -184,6 +186,8 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
     with container:
         if not container.streams.video or container.format.name in _TEXT_FORMATS:
             raise MediaError(f"{path} holds no pictures: give a video or an .h5 film")
+        if container.streams.video[0].codec_context is None:
+            raise MediaError(f"{path} is coded in a way that this FFmpeg cannot read, or damaged: convert it")
         yield container
 
 
