@@ -94,7 +94,7 @@ def test_what_is_no_mapping_is_refused(no_mapping: Any) -> None:
 @pytest.mark.parametrize(
     ("change", "parts"),
     [
-        ("channel.distance_m=-1", ("channel.distance_m", "greater than 0", "-1")),
+        ("channel.distance_m=-1", ("channel.distance_m", "greater than or equal to 0.1", "-1")),
         ("channel.sensor.bits=13", ("channel.sensor.bits", "12", "13")),
         ("signal.side=7", ("signal.side", "multiple of 4", "7")),
         ("channel.camera.exposure_s=0.002", ("exposure_s", "0.001", "0.002")),

@@ -13,6 +13,7 @@ import pytest
 from cli_runs import SMALL, Run, called, failed, heliograph, lasting, names, succeeded
 
 from heliograph.base.frames import Frame
+from heliograph.cli import console
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
 from heliograph.media import create_film
@@ -28,6 +29,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "text.mkv": b"this is no film\n",
         "empty.mkv": b"",
         "bad.toml": b"a = [\n",
+        "deep.toml": b"a = " + b"[" * 50_000,
         "binary.toml": b"\xff\xfe\x00",
         "unknown.toml": b"[channel]\ndistanse_m = 3\n",
         "lacks.csv": b"t_s,gyro_fwd_rad_s,gyro_right,speed_m_s\n0,0,0,0\n",
@@ -37,6 +39,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }.items():
         (folder / name).write_bytes(content)
     (folder / "folder").mkdir()
+    os.mkfifo(folder / "pipe")
     changes = [part for part in SMALL if "=" in part] + ["channel.duration_s=0.25"]
     settings = load_settings("static", None, changes)
     write_film(folder / "a.mkv", settings, [{"high": [b"kept"]}], seed=1)
@@ -77,6 +80,22 @@ BAD = {
     "simulate a.mkv --set signal.data_pairs=1": "raise signal.data_pairs",
     f"simulate a.mkv {S} --set channel.duration_s=1e-5": "raise channel.duration_s",
     "simulate a.mkv --settings {}/bad.toml": "bad.toml: not valid TOML",
+    "simulate a.mkv --settings {}/deep.toml": "deep.toml: not valid TOML: tables or lists lie more than 32 deep",
+    "simulate a.mkv --settings /dev/zero": "longer than 1,048,576 bytes",
+    "simulate a.mkv --settings {}/pipe": "a pipe that nobody writes to",
+    "simulate a.mkv --set channel.duration_s=1e308": "less than or equal to 3600",
+    "simulate a.mkv --set channel.arrays.0.z_offset_m=-80": "behind the camera",
+    "simulate a.mkv --set channel.foo=1": "known are arrays, background",
+    "simulate a.mkv --set channel.distance_m=true": "not true or false",
+    "receive {}/pipe": "is a pipe or a device",
+    "--load {}/pipe presets": "a pipe that nobody writes to",
+    "simulate a.h5 --set channel.duration_s=3600 --set channel.camera.width=8192": "are free; write less",
+    "transmit a.npy --packets 1000000000": "are free; write less",
+    "transmit a.csv --packets 1000000000": "are free; write less",
+    "transmit a.mkv --packets 100000000000": "are free; write less",
+    f"simulate a.mkv {S} --high {{}}/pipe": "a pipe that nobody writes to",
+    f"simulate a.mkv {S} --high /dev/zero": "send less",
+    f"simulate a.mkv {S} --imu {{}}/pipe": "a pipe that nobody writes to",
     "simulate a.mkv --settings {}/binary.toml": "write TOML in UTF-8",
     "simulate a.mkv --settings {}/unknown.toml": "did you mean 'channel.distance_m'",
     "simulate a.mkv --settings {}/missing.toml": "No such file",
@@ -215,10 +234,12 @@ def test_a_failed_simulation_leaves_the_earlier_film_alone(stock: Path, call: Ca
 @pytest.mark.slow
 def test_too_little_memory_is_reported(tmp_path: Path) -> None:
     def little() -> None:
-        resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
+        resource.setrlimit(resource.RLIMIT_AS, (2 << 30, 2 << 30))
 
-    run = heliograph("simulate", "a.mkv", "--set", "channel.duration_s=1e9", cwd=tmp_path, prepare=little)
-    assert "not enough memory" in failed(run)
+    large = ["--set", "channel.camera.width=8192", "--set", "channel.camera.height=8192"]
+    run = heliograph("simulate", "a.mkv", *large, "--set", "channel.duration_s=0.01", cwd=tmp_path, prepare=little)
+    said = failed(run)
+    assert "not enough memory" in said or "Cannot allocate memory" in said
     assert names(tmp_path) == []
 
 
@@ -268,7 +289,8 @@ def says_full(text: str) -> bool:
 def test_a_full_disk_keeps_no_half_file_and_shows_the_results(disk: Path, stock: Path, call: Call) -> None:
     assert says_full(failed(call("simulate", disk / "a.mkv", *lasting(0.1))))
     assert names(disk) == []
-    assert "No space left" in failed(call("transmit", disk / "a.npy", "--packets", "9"))
+    assert "0.1 MB are free" in failed(call("transmit", disk / "a.npy", "--packets", "9"))
+    assert says_full(failed(call("transmit", disk / "a.mkv", "--packets", "9")))
     assert names(disk) == []
     assert says_full(failed(call("demo", "--output", disk / "d", *lasting(0.1))))
     assert names(disk) == []
@@ -304,6 +326,26 @@ def test_a_folder_that_may_not_be_written_is_reported(stock: Path, tmp_path: Pat
         assert "Permission denied" in said
         assert "make room" not in said
     assert names(tmp_path) == []
+
+
+@pytest.mark.slow
+def test_results_that_have_nowhere_to_go_end_before_any_work(tmp_path: Path) -> None:
+    run = heliograph("presets", cwd=tmp_path, prepare=lambda: os.close(1))
+    assert "standard output is closed" in failed(run)
+    unheard = heliograph("receive", "none.mkv", cwd=tmp_path, prepare=lambda: os.close(2))
+    assert (unheard.returncode, unheard.stderr) == (1, "")
+
+
+def test_progress_of_a_film_that_claims_fewer_frames(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, "EVERY_S", 0.0)
+    note = console.Lines("receiving", 31)
+    for done in (1, 20, 921):
+        note(done)
+    lines = capfd.readouterr().err.splitlines()
+    assert lines[1].startswith("receiving: 20 of 31, about")
+    assert lines[2] == "receiving: 921"
 
 
 def test_no_array_in_sight_is_a_result_not_a_fault(call: Call, tmp_path: Path) -> None:

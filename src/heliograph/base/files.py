@@ -3,6 +3,8 @@
 import contextlib
 import errno
 import os
+import shutil
+import stat
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -58,6 +60,69 @@ def write_whole(path: Path, data: bytes) -> None:
     """
     with whole_file(path) as partial:
         partial.write_bytes(data)
+
+
+def read_bounded(path: Path, most: int, cure: str = "is it the right file?") -> bytes:
+    """Read a file of bounded length, or a pipe that somebody writes to.
+
+    Parameters
+    ----------
+    path
+        The file, or what stands for one, such as /dev/stdin.
+    most
+        Most bytes that are taken.
+    cure
+        What to do about a longer one, for the error.
+
+    Returns
+    -------
+    All of its bytes.
+
+    Raises
+    ------
+    OSError
+        It cannot be read, is longer, or is a pipe that nobody writes to; ``strerror`` says which.
+    """
+    # a pipe without a writer would be waited for without end
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with open(descriptor, "rb") as file:
+        if hasattr(os, "set_blocking"):
+            os.set_blocking(descriptor, True)
+        data = file.read(most + 1)
+        if not data and stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EPIPE, "a pipe that nobody writes to; save the text to a file first")
+    if len(data) > most:
+        raise OSError(errno.EFBIG, f"longer than {most:,} bytes; {cure}")
+    return data
+
+
+def room_for(path: Path, size: int) -> None:
+    """Check that a file finds room before it is written.
+
+    Parameters
+    ----------
+    path
+        The file, whose folder need not exist.
+    size
+        Its length in bytes, or the least it can have.
+
+    Raises
+    ------
+    MediaError
+        The disk has less room.
+    """
+    try:
+        free = shutil.disk_usage(path.parent).free
+    except OSError:  # what is wrong with the folder is said where the file is written
+        return
+    if size > free:
+        raise MediaError(
+            f"cannot write {path}: it takes {_size(size)}, and {_size(free)} are free; write less, or elsewhere"
+        )
+
+
+def _size(size: int) -> str:
+    return f"{size / 1e9:,.1f} GB" if size >= 1e8 else f"{size / 1e6:,.1f} MB"
 
 
 @contextlib.contextmanager

@@ -14,6 +14,10 @@ from types import FrameType, ModuleType
 from typing import Any, Generic, TypeVar
 
 from heliograph.base.errors import SettingsError
+from heliograph.base.files import read_bounded
+
+MOST_SOURCE = 1 << 24
+"""Most bytes of a file that registers parts. Chosen; the largest of the package has 16 kB."""
 
 T = TypeVar("T")
 
@@ -175,7 +179,7 @@ def load_parts(file: Path | str) -> None:
     """
     file = Path(file)
     try:
-        source = file.read_text(encoding="utf-8")
+        source = read_bounded(file, MOST_SOURCE).decode()
     except (OSError, UnicodeDecodeError) as error:
         raise SettingsError(f"cannot load {file}: {getattr(error, 'strerror', None) or error}") from None
     # files of one name in different folders are different modules

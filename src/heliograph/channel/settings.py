@@ -12,11 +12,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG, Fraction, Positive
+from heliograph.base.config import CONFIG, FocalM, Fraction, PitchM, PixelM
 from heliograph.channel.parts import BACKGROUNDS, MOTIONS, POINT_SPREADS
-
-NotNegative = Annotated[float, Field(ge=0)]
-"""A number of at least 0."""
 
 LightLevel = Annotated[float, Field(ge=0, le=4)]
 """Light in full scales. Chosen bound: four times saturation."""
@@ -27,8 +24,21 @@ Probability = Annotated[float, Field(ge=0, lt=1)]
 Ppm = Annotated[float, Field(ge=-1e4, le=1e4)]
 """Error of a clock's period in millionths. Chosen bound: 1 %, a hundred times what the air interface allows."""
 
+LengthM = Annotated[float, Field(ge=-1e4, le=1e4)]
+"""Place in the scene in m. Chosen bound: 10 km, from which no array is seen."""
+
+SpeedMS = Annotated[float, Field(ge=-1000, le=1000)]
+"""Velocity in m/s. Chosen bound: ten times that of a fast train."""
+
+TimeS = Annotated[float, Field(ge=-60, le=3600)]
+"""Start of a clock in s. What an array shows before the film is computed too, so that a minute is the most."""
+
 TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
 """Angle of an array's tilt in degrees: at 90 it is seen from its edge."""
+
+MOST_FOCAL_PX = 1e6
+"""Largest focal length in pixels: that of a lens of 1 m and pixels of 1 um. The motion of an array within an exposure
+is drawn in steps of pixels, so that a frame would take the longer the larger it is."""
 
 EXPOSURE_SLACK = 1e-9
 """Relative excess of the exposure over the frame period, or over T_b, that counts as a rounding error of double
@@ -42,11 +52,14 @@ class Placement:
     Attributes
     ----------
     x_m
-        Position of the array's centre at time 0 in m, right of the optical axis if positive, left if negative.
+        Position of the array's centre at time 0 in m, right of the optical axis if positive, left if negative; at most
+        10 km.
     y_m
-        Position of the array's centre at time 0 in m, below the optical axis if positive, above if negative.
+        Position of the array's centre at time 0 in m, below the optical axis if positive, above if negative; at most
+        10 km.
     z_offset_m
-        Distance of the array's centre beyond ``channel.distance_m`` at time 0 in m; negative for nearer.
+        Distance of the array's centre beyond ``channel.distance_m`` at time 0 in m; negative for nearer, but not behind
+        the camera unless it comes from there.
     yaw_deg
         Tilt about the downward axis in degrees, above -90 and below 90. Away from 0 the image is narrower, and dimmer
         as the LEDs shine to the side.
@@ -55,13 +68,13 @@ class Placement:
     roll_deg
         Rotation about the forward axis in degrees, -180 to 180; positive is clockwise as the camera sees it.
     vx_m_s
-        Own velocity of the array to the right in m/s; negative to the left.
+        Own velocity of the array to the right in m/s, -1000 to 1000; negative to the left.
     vy_m_s
-        Own velocity of the array downward in m/s; negative upward.
+        Own velocity of the array downward in m/s, -1000 to 1000; negative upward.
     vz_m_s
-        Own velocity of the array away from the camera in m/s; negative towards it.
+        Own velocity of the array away from the camera in m/s, -1000 to 1000; negative towards it.
     brightness
-        Factor on the light of all its LEDs, at least 0; a larger value is brighter, 0 is dark.
+        Factor on the light of all its LEDs, 0 to 100; a larger value is brighter, 0 is dark.
     dead
         Fraction of its LEDs that never shine, 0 to 1, at random places; a larger value loses more data.
     stuck
@@ -80,19 +93,19 @@ class Placement:
         Error of its clock in millionths, -10000 to 10000: its pattern period is longer by this than the nominal one,
         shorter if negative.
     start_s
-        Time in s at which its pattern 0 starts; it is dark before.
+        Time in s at which its pattern 0 starts, -60 to 3600; it is dark before.
     """
 
-    x_m: float = 1.5
-    y_m: float = -1.0
-    z_offset_m: float = 0.0
+    x_m: LengthM = 1.5
+    y_m: LengthM = -1.0
+    z_offset_m: LengthM = 0.0
     yaw_deg: TiltDeg = 0.0
     pitch_deg: TiltDeg = 0.0
     roll_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
-    vx_m_s: float = 0.0
-    vy_m_s: float = 0.0
-    vz_m_s: float = 0.0
-    brightness: NotNegative = 1.0
+    vx_m_s: SpeedMS = 0.0
+    vy_m_s: SpeedMS = 0.0
+    vz_m_s: SpeedMS = 0.0
+    brightness: Annotated[float, Field(ge=0, le=100)] = 1.0
     dead: Fraction = 0.0
     stuck: Fraction = 0.0
     spread: Fraction = 0.0
@@ -100,7 +113,7 @@ class Placement:
     hidden_level: LightLevel = 0.1
     off_s: tuple[tuple[float, float], ...] = ()
     clock_ppm: Ppm = 0.0
-    start_s: float = 0.0
+    start_s: TimeS = 0.0
 
     @model_validator(mode="after")
     def _consistent(self) -> "Placement":
@@ -122,20 +135,21 @@ class CameraSettings:
     Attributes
     ----------
     fps
-        Frames a second, above 0 and at most 1e6. The receiver "plain" needs one frame per pattern, "soft" at least one.
+        Frames a second, 0.1 to 1e6. The receiver "plain" needs one frame per pattern, "soft" at least one.
     exposure_s
-        Exposure time tau of equation (4) in s, above 0 and at most 1 / ``fps`` and T_b. A shorter one sees less of a
-        pattern's slots and smears less; ``emitter.all_on`` takes lens and gain as set for it.
+        Exposure time tau of equation (4) in s, at least 1e-9 and at most 1 / ``fps`` and T_b. A shorter one sees less
+        of a pattern's slots and smears less; ``emitter.all_on`` takes lens and gain as set for it.
     start_s
-        Time of the first exposure in s. A fraction of T_b puts the camera out of step with the light.
+        Time of the first exposure in s, -60 to 3600. A fraction of T_b puts the camera out of step with the light.
     width
         Columns of the sensor in pixels, 16 to 8192.
     height
         Rows of the sensor in pixels, 16 to 8192.
     focal_m
-        Focal length in m, above 0. A larger one magnifies: the array has more pixels, and shake moves it further.
+        Focal length in m, 1e-4 to 10, and at most 1e6 pixels. A larger one magnifies: the array has more
+        pixels, and shake moves it further.
     pixel_m
-        Side of a pixel in m, above 0. A smaller one gives the array more pixels.
+        Side of a pixel in m, 1e-7 to 1e-3. A smaller one gives the array more pixels.
     blur_px
         Standard deviation of the Gaussian optical blur in pixels, 0.05 to 20, beside the pixel's box and the emitter's
         disc. A larger one mixes neighbouring LEDs, and so loses the low layer first.
@@ -154,28 +168,30 @@ class CameraSettings:
         Probability of a frame to be replaced by a copy of the one delivered before it, at least 0 and below 1, together
         with ``dropped`` below 1.
     jitter_s
-        Rms error of the frames' time stamps in s, at least 0, cut at 0.45 frame periods; the exposures stay even.
+        Rms error of the frames' time stamps in s, 0 to 10, cut at 0.45 frame periods; the exposures stay even.
     """
 
-    fps: Annotated[float, Field(gt=0, le=1e6)] = 1000.0
-    exposure_s: Positive = 1e-3
-    start_s: float = 0.0
+    fps: Annotated[float, Field(ge=0.1, le=1e6)] = 1000.0
+    exposure_s: Annotated[float, Field(ge=1e-9, le=10)] = 1e-3
+    start_s: TimeS = 0.0
     width: Annotated[int, Field(ge=16, le=8192)] = 1024
     height: Annotated[int, Field(ge=16, le=8192)] = 512
-    focal_m: Positive = 0.035
-    pixel_m: Positive = 12e-6
+    focal_m: FocalM = 0.035
+    pixel_m: PixelM = 12e-6
     blur_px: Annotated[float, Field(ge=0.05, le=20)] = 0.5
     psf: Annotated[str, AfterValidator(POINT_SPREADS.check)] = "gaussian"
     clock_ppm: Ppm = 0.0
     dropped: Probability = 0.0
     gaps: bool = True
     repeated: Probability = 0.0
-    jitter_s: NotNegative = 0.0
+    jitter_s: Annotated[float, Field(ge=0, le=10)] = 0.0
 
     @model_validator(mode="after")
     def _consistent(self) -> "CameraSettings":
         if self.exposure_s * self.fps > 1 + EXPOSURE_SLACK:
             raise ValueError(f"exposure_s is at most 1 / fps = {1 / self.fps:g} s, not {self.exposure_s:g} s")
+        if self.focal_px > MOST_FOCAL_PX:
+            raise ValueError(f"focal_m is at most {MOST_FOCAL_PX:g} pixels of pixel_m, not {self.focal_px:g}")
         if self.dropped + self.repeated >= 1:
             raise ValueError(f"dropped and repeated are below 1 together, not {self.dropped + self.repeated:g}")
         return self
@@ -198,12 +214,13 @@ class EmitterSettings:
     Attributes
     ----------
     pitch_m
-        Distance between LEDs in m, above 0. A larger one gives the array more pixels.
+        Distance between LEDs in m, 1e-4 to 10. A larger one gives the array more pixels.
     diameter_m
-        Diameter of a round emitter in m, above 0 and at most ``pitch_m``. A smaller one concentrates an LED's light.
+        Diameter of a round emitter in m, at least 1e-5 and at most ``pitch_m``. A smaller one concentrates an
+        LED's light.
     half_angle_deg
-        Angle off the axis in degrees at which an LED shines half as bright, above 0 and below 90. A smaller one dims
-        arrays off the axis more.
+        Angle off the axis in degrees at which an LED shines half as bright, at least 0.1 and below 90. A smaller one
+        dims arrays off the axis more.
     all_on
         Light of the array with every LED on for a whole exposure, on its axis and too far away to be resolved, in full
         scales, 0 to 4. Lens and gain are taken as set to give it at any exposure time. A larger value has less noise
@@ -211,15 +228,15 @@ class EmitterSettings:
     panel_level
         Ambient light reflected by the dark panel, in full scales, 0 to 4.
     panel_margin_m
-        Panel in m beyond half a pitch from the outer LEDs, at least 0. A larger one keeps the background further away.
+        Panel in m beyond half a pitch from the outer LEDs, 0 to 100. A larger one keeps the background further away.
     """
 
-    pitch_m: Positive = 0.02
-    diameter_m: Positive = 0.005
-    half_angle_deg: Annotated[float, Field(gt=0, lt=90)] = 22.6
+    pitch_m: PitchM = 0.02
+    diameter_m: Annotated[float, Field(ge=1e-5, le=10)] = 0.005
+    half_angle_deg: Annotated[float, Field(ge=0.1, lt=90)] = 22.6
     all_on: LightLevel = 0.8
     panel_level: LightLevel = 0.02
-    panel_margin_m: NotNegative = 0.02
+    panel_margin_m: Annotated[float, Field(ge=0, le=100)] = 0.02
 
     @model_validator(mode="after")
     def _consistent(self) -> "EmitterSettings":
@@ -246,13 +263,13 @@ class SensorSettings:
     bits
         Bits of a gray level, 8 to 12. More round less.
     offset_dn
-        Black level in gray levels, at least 0; at 0 the dark noise is cut at 0, as in the reference link.
+        Black level in gray levels, 0 to 4095; at 0 the dark noise is cut at 0, as in the reference link.
     """
 
     full_well_e: Annotated[float, Field(ge=10, le=1e7)] = 15000.0
     dark_noise_e: Annotated[float, Field(ge=0, le=1e5)] = 40.0
     bits: Annotated[int, Field(ge=8, le=12)] = 8
-    offset_dn: NotNegative = 0.0
+    offset_dn: Annotated[float, Field(ge=0, le=4095)] = 0.0
 
     @property
     def full_scale(self) -> int:
@@ -292,8 +309,8 @@ class ChannelSettings:
     Attributes
     ----------
     distance_m
-        Distance in m from the camera at time 0 to the plane of arrays with ``z_offset_m`` = 0, above 0. A larger one
-        gives the arrays fewer pixels.
+        Distance in m from the camera at time 0 to the plane of arrays with ``z_offset_m`` = 0, 0.1 to 10,000. A
+        larger one gives the arrays fewer pixels.
     stop_m
         Distance in m to that plane at which the film ends, above 0 and below ``distance_m``; without effect where
         ``duration_s`` is set or the vehicle stands.
@@ -301,9 +318,10 @@ class ChannelSettings:
         Speed of the vehicle in m/s, 0 to 60; 0 for a vehicle at rest. A larger one shakes the camera more and shortens
         the drive.
     duration_s
-        Length of the film in s, above 0; left out: until ``stop_m`` is reached, or 1 s where the vehicle stands.
+        Length of the film in s, above 0 and at most an hour; left out: until ``stop_m`` is reached, or 1 s where
+        the vehicle stands.
     speed_profile
-        Points (time in s, speed in m/s, at least 0) at rising times, joined by straight lines, in place of
+        Points (time in s, speed in m/s, 0 to 60) at rising times, joined by straight lines, in place of
         ``speed_m_s``; empty for none.
     shake
         Motion of the camera: "none", "road" (half-car model on a random road) or "imu" (a recorded trace); others may
@@ -311,7 +329,7 @@ class ChannelSettings:
     road_class
         Class of the road by ISO 8608, "A" (smooth) to "D" (rough): each has twice the amplitude of the one before.
     imu_start_s
-        Time of the trace in s that is time 0 of the film, at least 0.
+        Time of the trace in s that is time 0 of the film, 0 to 1e6.
     arrays
         Arrays in the scene.
     camera
@@ -326,14 +344,14 @@ class ChannelSettings:
         Settings of registered motions, backgrounds and point-spread functions, by name.
     """
 
-    distance_m: Positive = 80.0
-    stop_m: Positive = 25.0
+    distance_m: Annotated[float, Field(ge=0.1, le=1e4)] = 80.0
+    stop_m: Annotated[float, Field(gt=0, le=1e4)] = 25.0
     speed_m_s: Annotated[float, Field(ge=0, le=60)] = 30 / 3.6
-    duration_s: Positive | None = None
-    speed_profile: tuple[tuple[float, float], ...] = ()
+    duration_s: Annotated[float, Field(gt=0, le=3600)] | None = None
+    speed_profile: tuple[tuple[Annotated[float, Field(ge=-1e6, le=1e6)], Annotated[float, Field(le=60)]], ...] = ()
     shake: Annotated[str, AfterValidator(MOTIONS.check)] = "road"
     road_class: Literal["A", "B", "C", "D"] = "B"
-    imu_start_s: NotNegative = 0.0
+    imu_start_s: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     arrays: tuple[Placement, ...] = (Placement(),)
     camera: CameraSettings = CameraSettings()
     emitter: EmitterSettings = EmitterSettings()
@@ -352,6 +370,13 @@ class ChannelSettings:
             raise ValueError(
                 f"stop_m is below distance_m = {self.distance_m:g}, not {self.stop_m:g}; or set duration_s"
             )
+        for k, place in enumerate(self.arrays):
+            ahead_m = self.distance_m + place.z_offset_m
+            if ahead_m <= 0 and place.vz_m_s <= 0:
+                raise ValueError(
+                    f"array {k} lies {-ahead_m:g} m behind the camera for the whole film; raise "
+                    f"channel.arrays.{k}.z_offset_m above -{self.distance_m:g}"
+                )
         parts = ((MOTIONS, self.shake), (BACKGROUNDS, self.background.kind), (POINT_SPREADS, self.camera.psf))
         if self.own and all(registry.is_built_in(name) for registry, name in parts):
             keys = ", ".join(f"channel.own.{key}" for key in self.own)

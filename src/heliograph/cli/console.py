@@ -76,7 +76,7 @@ class Lines:
             return
         self._said = time.monotonic()
         text = f"{self._title}: {done:.1f}".removesuffix(".0")
-        if self._total:
+        if self._total and done <= self._total:  # a film may hold more frames than it claims
             text += f" of {self._total}"
             if done > before:
                 left = (clock() - began) * (self._total - done) / (done - before)
@@ -97,4 +97,4 @@ def progress(title: str, total: int | None) -> Iterator[Callable[[float], None]]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True, get_time=clock) as bar:
         task = bar.add_task(title, total=total)
-        yield lambda done: bar.update(task, completed=done)
+        yield lambda done: bar.update(task, completed=done, total=total if total and done <= total else None)

@@ -264,10 +264,20 @@ def _usage(error: Exception) -> None:
     console.complain(f"{' '.join(text.split()).rstrip('.')}; see '{command}'")
 
 
+def _check_streams() -> None:
+    """End before any work where the results would have nowhere to go; errors that nobody hears are left out."""
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - as long as the process
+    if sys.stdout is None:
+        console.complain("standard output is closed; give it somewhere to go, such as > /dev/null")
+        sys.exit(1)
+
+
 def run() -> None:
     """Entry of the command: every error becomes one line and a non-zero status."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the receiver's matrices are too small to share among threads
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # told to end: as tidy as after Ctrl-C
+    _check_streams()
     try:
         status = app(standalone_mode=False, prog_name=NAME)
     except HeliographError as error:

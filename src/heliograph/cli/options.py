@@ -11,11 +11,15 @@ import typer
 from heliograph import __version__
 from heliograph.base.config import parse_assignment, parse_toml
 from heliograph.base.errors import MediaError, SettingsError
+from heliograph.base.files import read_bounded
 from heliograph.cli import console
 
 if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings
     from heliograph.link.simulate import Messages
+
+MOST_SETTINGS = 1 << 20
+"""Most bytes of a file of settings: all that there are, with their meanings, take 12 kB."""
 
 Load = Annotated[
     list[Path] | None,
@@ -83,9 +87,11 @@ def read_messages(
 
 
 def read_bytes(path: Path) -> bytes:
-    """A file's content; a MediaError where it cannot be read or is empty."""
+    """A message's file; a MediaError where it cannot be read, is longer than any message or is empty."""
+    from heliograph.signal.block import MAX_MESSAGE
+
     try:
-        data = path.read_bytes()
+        data = read_bounded(path, MAX_MESSAGE, "send less, or cut it up")
     except OSError as error:
         raise MediaError(f"cannot read {path}: {error.strerror}") from None
     if not data:
@@ -96,7 +102,7 @@ def read_bytes(path: Path) -> bytes:
 def read_toml(file: Path) -> dict[str, Any]:
     """Settings of a TOML file; a SettingsError where it cannot be read or is wrong."""
     try:
-        return parse_toml(file.read_text(encoding="utf-8"))
+        return parse_toml(read_bounded(file, MOST_SETTINGS).decode())
     except OSError as error:
         raise SettingsError(f"cannot read the settings {file}: {error.strerror}") from None
     except UnicodeDecodeError:

@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError
-from heliograph.base.files import whole_file
+from heliograph.base.files import room_for, whole_file
 from heliograph.base.frames import Frame
 from heliograph.cli import console, options
 
 LED_PX = 16
 """Pixels of a side of an LED in a film of patterns."""
+
+LEAST_PICTURE = 64
+"""Least bytes of a picture in a video file: FFV1 and MJPEG take more for their headers alone."""
 
 
 def run_transmit(
@@ -41,9 +44,16 @@ def run_transmit(
     if slots:
         patterns = (slot for p in patterns for slot in pwm.lit_slots(p, settings.signal.slot_order).astype(np.uint8))
         count, period, brightest = count * pwm.SLOTS, period / pwm.SLOTS, 1
+    room_for(output, _least_bytes(output, count, settings.signal.side))
     with console.progress("transmitting", count) as advance:
         _write(output, _counted(patterns, advance), (count, settings.signal.side), period, brightest)
     console.say(f"{output}: {count} patterns of {period * 1e3:g} ms, {count * period:g} s")
+
+
+def _least_bytes(output: Path, count: int, side: int) -> int:
+    """Least bytes that patterns take: a film's codec makes them smaller, but keeps its marks of each frame."""
+    kinds = {".npy": side * side, ".csv": 2 * side * side, ".h5": (LED_PX * side) ** 2, ".hdf5": (LED_PX * side) ** 2}
+    return count * kinds.get(output.suffix.lower(), LEAST_PICTURE)
 
 
 def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], period: float, top: int) -> None:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from heliograph.base.config import to_mapping
 from heliograph.base.errors import MediaError
+from heliograph.base.files import room_for
 from heliograph.base.frames import Frame
 from heliograph.channel import frame_count
 from heliograph.link.notes import SIGNAL_TAG, TRUTH_TAG
@@ -16,6 +17,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
 from heliograph.link.truth import TruthWriter, truth_path
 from heliograph.media import create_film
+from heliograph.media.hdf5 import SUFFIXES as HDF5_SUFFIXES
 from heliograph.receive import Packet, Receiver
 from heliograph.signal.settings import SignalSettings
 
@@ -75,6 +77,9 @@ def write_film(
         The film or its truth cannot be written, or has no frames; files of that name stay as they were.
     """
     camera, film_id = settings.channel.camera, uuid.uuid4().hex
+    if path.suffix.lower() in HDF5_SUFFIXES:  # its size is known beforehand
+        depth = 1 if settings.channel.sensor.bits == 8 else 2
+        room_for(path, frames_of(settings) * camera.width * camera.height * depth)
     film = create_film(
         path,
         width=camera.width,

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from heliograph.base.config import from_mapping, keys_of, merge, to_mapping
+from heliograph.base.config import brief, from_mapping, keys_of, merge, to_mapping
 from heliograph.base.errors import MediaError
 from heliograph.link.truth import TruthFile
 from heliograph.media import FilmReader
@@ -39,8 +39,10 @@ def noted_signal(film: FilmReader) -> dict[str, Any]:
     try:
         note = json.loads(text)
         from_mapping(SignalSettings, note)
-    except ValueError as error:  # no JSON, or no settings
-        raise MediaError(f"the film's note on its signal is unreadable ({error}); set signal.* yourself") from None
+    except (ValueError, RecursionError) as error:  # no JSON, or no settings
+        raise MediaError(
+            f"the film's note on its signal is unreadable ({brief(error)}); set signal.* yourself"
+        ) from None
     return dict(note)
 
 

@@ -9,8 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError
+from heliograph.base.files import read_bounded
 from heliograph.channel import Footage, ImuTrace
 from heliograph.media import open_film
+
+MOST_TRACE = 1 << 28
+"""Most bytes of a motion file: an hour at 1000 samples a second takes 220 MB."""
 
 IMU_COLUMNS = ("t_s", "gyro_fwd_rad_s", "gyro_right", "gyro_down", "speed_m_s")
 """Columns of a motion file, by name in its first line: time, rates about forward, right and down axis, car speed."""
@@ -67,7 +71,7 @@ def load_imu(path: Path) -> ImuTrace:
 def _table(path: Path) -> Any:
     """A CSV file's columns by name, NaN where there is no number."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_bounded(path, MOST_TRACE).decode()
     except OSError as error:
         raise MediaError(f"cannot read the motion file {path}: {error.strerror}") from None
     except UnicodeDecodeError:

@@ -5,7 +5,10 @@ Only error counting and pictures read it, never a receiver.
 
 import contextlib
 import json
+import lzma
+import struct
 import tempfile
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -16,13 +19,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.config import from_mapping, to_mapping
+from heliograph.base.config import brief, from_mapping, to_mapping
 from heliograph.base.errors import MediaError
 from heliograph.base.files import clear_write_errors, whole_file
 from heliograph.channel import NoiseModel, Truth
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages
+from heliograph.signal.block import MAX_MESSAGE
+from heliograph.signal.header import IDENTITIES
+from heliograph.signal.message import MAX_MESSAGES
 from heliograph.signal.settings import LAYERS
+
+MOST_ABOUT = 1 << 24
+"""Most bytes of the text about a film: its settings and the names of its messages take 700 kB at most."""
 
 CHUNK = 4096
 """Rows read at once."""
@@ -222,6 +231,7 @@ class TruthFile:
             while block := file.read(CHUNK * kind.itemsize):
                 rows = np.frombuffer(block, kind)
                 left -= len(rows)
+                _check_rows(path=self.path, rows=rows)
                 yield from rows
             if left:
                 raise _broken(self.path, f"it should have {shape[0]} rows, not {shape[0] - left}")
@@ -243,17 +253,27 @@ def open_truth(path: Path) -> TruthFile:
     if not path.is_file():
         raise MediaError(f"there is no truth file {path}; 'heliograph simulate' writes it beside the film")
     with _broken_is_clear(path), zipfile.ZipFile(path) as archive:
-        about = json.loads(archive.read("about.json"))
-        messages = [{n: [archive.read(i) for i in m[n]] for n in LAYERS} for m in about["messages"]]
+        about = json.loads(_read(archive, "about.json", MOST_ABOUT))
+        messages = [{n: [_read(archive, i, MAX_MESSAGE) for i in m[n][: MAX_MESSAGES + 1]] for n in LAYERS}
+                    for m in about["messages"][: IDENTITIES + 1]]  # fmt: skip
         settings = from_mapping(LinkSettings, about["settings"])
         if len(messages) != len(settings.channel.arrays):
             raise _broken(path, f"messages of {len(messages)} arrays, not {len(settings.channel.arrays)}")
         return TruthFile(path, settings, messages, int(about["seed"]), str(about.get("film_id", "")))
 
 
+def _read(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
+    """Read a part of an archive, of which a small file may hold very much."""
+    size = archive.getinfo(name).file_size
+    if size > most:
+        raise ValueError(f"{name} has {size} bytes, more than {most}")
+    return archive.read(name)
+
+
 _BROKEN = (
-    zipfile.BadZipFile, zlib.error, EOFError, OSError,
-    KeyError, ValueError, TypeError, AttributeError, NotImplementedError, RuntimeError,
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, OSError,
+    LookupError, ValueError, TypeError, AttributeError, NotImplementedError, RuntimeError, OverflowError,
+    SyntaxError, tokenize.TokenError,
 )  # fmt: skip
 """All that a damaged archive, or an archive of something else, makes of reading it."""
 
@@ -266,8 +286,14 @@ def _broken_is_clear(path: Path) -> Iterator[None]:
         raise _broken(path, error) from None
 
 
+def _check_rows(path: Path, rows: NDArray[Any]) -> None:
+    numbers = (rows["time_s"], *(rows["arrays"][name] for name in ("x", "y", "pitch_px", "distance_m")))
+    if not all(np.isfinite(column).all() for column in numbers):
+        raise _broken(path, "a time, place or distance is no number")
+
+
 def _broken(path: Path, what: object) -> MediaError:
-    return MediaError(f"{path} is no truth file, or damaged ({what}); simulate the film again")
+    return MediaError(f"{path} is no truth file, or damaged ({brief(what)}); simulate the film again")
 
 
 def _ends(patterns: Sequence[int]) -> tuple[int, int]:

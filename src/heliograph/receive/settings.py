@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG, Fraction, Positive, from_mapping
+from heliograph.base.config import CONFIG, FocalM, Fraction, PitchM, PixelM, from_mapping
 from heliograph.receive.registry import GROUPS, RECEIVERS, part_of
 
 Equaliser = Literal["none", "inverse"]
@@ -27,23 +27,23 @@ class CalibrationSettings:
     Attributes
     ----------
     focal_m
-        Focal length of the lens in m, above 0.
+        Focal length of the lens in m, 1e-4 to 10.
     pixel_m
-        Pitch of the camera's pixels in m, above 0.
+        Pitch of the camera's pixels in m, 1e-7 to 1e-3.
     pitch_m
-        Pitch of the LEDs in m, above 0.
+        Pitch of the LEDs in m, 1e-4 to 10.
     blur_px
         First guess of the blur's standard deviation in px, 0.2 to 5; it is estimated from then on.
     exposure_s
-        Exposure of the camera in s, for the receiver "soft". If it is left out the receiver estimates it, and
-        takes the frame period where headers and brightness do not decide.
+        Exposure of the camera in s, 1e-9 to 10, for the receiver "soft". If it is left out the receiver estimates it,
+        and takes the frame period where headers and brightness do not decide.
     """
 
-    focal_m: Positive = 0.035
-    pixel_m: Positive = 12e-6
-    pitch_m: Positive = 0.02
+    focal_m: FocalM = 0.035
+    pixel_m: PixelM = 12e-6
+    pitch_m: PitchM = 0.02
     blur_px: Annotated[float, Field(ge=0.2, le=5)] = 0.55
-    exposure_s: Positive | None = None
+    exposure_s: Annotated[float, Field(ge=1e-9, le=10)] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
@@ -80,14 +80,14 @@ class TrackSettings:
     Attributes
     ----------
     acceleration_px
-        Standard deviation of the image's acceleration by shake, in px per pattern squared. Larger follows rougher
-        roads, smaller smooths more.
+        Standard deviation of the image's acceleration by shake, in px per pattern squared, 1e-6 to 1000. Larger follows
+        rougher roads, smaller smooths more.
     coast_patterns
-        Patterns without the array in sight after which it is given up and looked for again.
+        Patterns without the array in sight after which it is given up and looked for again, above 0 and at most 1e6.
     """
 
-    acceleration_px: Positive = 0.1
-    coast_patterns: Positive = 50.0
+    acceleration_px: Annotated[float, Field(ge=1e-6, le=1000)] = 0.1
+    coast_patterns: Annotated[float, Field(gt=0, le=1e6)] = 50.0
 
 
 @dataclass(frozen=True, kw_only=True, config=CONFIG)

@@ -1,0 +1,153 @@
+"""Text of settings that is too deep, too long or too large, and values that no scene has: one clear line, at once."""
+
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from heliograph.base.config import from_mapping, parse_assignment, parse_toml, parse_value
+from heliograph.base.errors import MediaError, SettingsError
+from heliograph.base.files import read_bounded, room_for
+from heliograph.link.settings import LinkSettings, load_settings
+
+TEXTS = {
+    "a = " + "[" * 50_000: "more than 32 deep",
+    "a = " + "[" * 200 + "]" * 200: "more than 32 deep",
+    ".".join("a" * 5000) + " = 1": "more than 32 deep",
+    "a = " + "1" * 5000: "more than 64 bits",
+    "a = 0x" + "f" * 5000: "more than 64 bits",
+    "a = 9223372036854775808": "more than 64 bits",
+}
+
+
+@pytest.mark.parametrize("text", TEXTS, ids=lambda text: text[:12])
+def test_text_of_no_settings(text: str) -> None:
+    began = time.perf_counter()
+    with pytest.raises(SettingsError, match=TEXTS[text]):
+        parse_toml(text)
+    with pytest.raises(SettingsError, match=TEXTS[text]):
+        parse_assignment(text.replace(" = ", "="))
+    assert time.perf_counter() - began < 5
+    assert parse_value("9223372036854775807") == (1 << 63) - 1
+
+
+VALUES = {
+    "channel.duration_s=1e308": "3600",
+    "channel.camera.pixel_m=1e-300": "0.0000001",
+    "channel.camera.focal_m=1e30": "10",
+    "channel.camera.start_s=-1e9": "-60",
+    "channel.arrays.0.start_s=-1e9": "-60",
+    "channel.arrays.0.x_m=1e300": "10000",
+    "channel.arrays.0.vx_m_s=1e300": "1000",
+    "channel.arrays.0.brightness=1e300": "100",
+    "channel.emitter.half_angle_deg=1e-9": "0.1",
+    "channel.emitter.pitch_m=1e300": "10",
+    "channel.sensor.offset_dn=1e300": "4095",
+    "channel.distance_m=1e300": "10000",
+    "channel.camera.fps=1e-300": "0.1",
+    "channel.camera.jitter_s=1e300": "10",
+    "channel.speed_profile=[[0, 1e300]]": "60",
+    "channel.imu_start_s=1e300": "1000000",
+    "receive.calibration.pixel_m=1e-300": "0.0000001",
+    "receive.track.acceleration_px=1e300": "1000",
+    "receive.track.coast_patterns=1e300": "1000000",
+}
+
+
+@pytest.mark.parametrize("change", VALUES)
+def test_values_that_no_scene_has(change: str) -> None:
+    with pytest.raises(SettingsError, match=rf"equal to {VALUES[change]}\b"):
+        load_settings("static", None, [change])
+
+
+def test_a_lens_and_pixels_that_do_not_go_together() -> None:
+    with pytest.raises(SettingsError, match=r"at most 1e.06 pixels of pixel_m"):
+        load_settings("static", None, ["channel.camera.focal_m=10", "channel.camera.pixel_m=1e-6"])
+
+
+@pytest.mark.parametrize("change", [
+    "channel.distance_m=true", "channel.camera.width=true", "channel.arrays=[{x_m = true}]", "receive.receiver=false",
+    "channel.duration_s=true", "transmit.identities=[true]", "channel.speed_profile=[[0, true]]",
+    "signal.rate.high=true",
+])  # fmt: skip
+def test_true_is_no_number(change: str) -> None:
+    with pytest.raises(SettingsError, match="a number or text, not true or false"):
+        load_settings("static", None, [change])
+
+
+def test_true_stays_true() -> None:
+    settings = load_settings(
+        "static", None, ["channel.camera.gaps=false", "receive.receiver=soft", "receive.soft.combining=true"]
+    )
+    assert settings.channel.camera.gaps is False
+    assert settings.receive.soft.combining is True
+
+
+def test_an_array_behind_the_camera() -> None:
+    behind = "channel.arrays.0.z_offset_m=-60"
+    with pytest.raises(
+        SettingsError, match=r"array 0 lies 10 m behind the camera.*raise channel\.arrays\.0\.z_offset_m"
+    ):
+        load_settings("static", None, [behind])
+    load_settings("static", None, [behind, "channel.arrays.0.vz_m_s=20"])  # it overtakes the camera
+
+
+@pytest.mark.parametrize(
+    ("key", "says"),
+    [
+        ("channel.foo", "known are arrays, background, camera,"),
+        ("channel.camera.iris", "known are blur_px, clock_ppm,"),
+        ("signal.colour", "known are code,"),
+        ("verbose", "known are channel, receive, signal, transmit"),
+        ("channel.speed", r"did you mean 'channel\.speed_m_s'"),
+        ("distanse_m", r"did you mean 'channel\.distance_m'"),
+        ("chanel.distance_m", r"did you mean 'channel'"),
+        ("channel.arrays.0.x", r"did you mean 'channel\.arrays\.0\.x_m'"),
+        ("k" * 100_000, "known are"),
+    ],
+    ids=lambda text: text[:20],
+)
+def test_no_key_is_proposed_that_is_far_off(key: str, says: str) -> None:
+    with pytest.raises(SettingsError, match=says) as caught:
+        load_settings("static", None, [f"{key}=1"])
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize("value", ["x" * 100_000, ["y"] * 100_000, "a\nb"], ids=lambda value: str(value)[:6])
+def test_a_message_quotes_little_and_is_one_line(value: Any) -> None:
+    for tree in (
+        {"channel": {"distance_m": value}},
+        {"signal": {"slot_order": value}},
+        {"receive": {"receiver": value}},
+    ):
+        with pytest.raises(SettingsError) as caught:
+            from_mapping(LinkSettings, tree)
+        assert len(str(caught.value)) < 500
+        assert "\n" not in str(caught.value)
+
+
+def test_a_file_is_read_up_to_a_bound(tmp_path: Path) -> None:
+    file = tmp_path / "a"
+    file.write_bytes(b"1234")
+    assert read_bounded(file, 4) == b"1234"
+    with pytest.raises(OSError, match="longer than 3 bytes; cut it"):
+        read_bounded(file, 3, "cut it")
+    with pytest.raises(OSError, match="longer than"):
+        read_bounded(Path("/dev/zero"), 1 << 16)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="a pipe that nobody writes to"):
+        read_bounded(tmp_path / "pipe", 3)
+    taken, given = os.pipe()
+    os.write(given, b"123")
+    os.close(given)
+    assert read_bounded(Path(f"/dev/fd/{taken}"), 3) == b"123"
+    os.close(taken)
+
+
+def test_what_finds_no_room_is_said_before(tmp_path: Path) -> None:
+    room_for(tmp_path / "a", 1)
+    room_for(tmp_path / "none" / "a", 1 << 80)
+    with pytest.raises(MediaError, match=r"it takes 1,000,000,000\.0 GB, and .* are free; write less"):
+        room_for(tmp_path / "a", 10**18)
