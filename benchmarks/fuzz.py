@@ -1,0 +1,302 @@
+"""Damaged and made-up input for every parser: each case ends in a value or a HeliographError, in time and in memory."""
+
+import argparse
+import contextlib
+import faulthandler
+import io
+import json
+import multiprocessing
+import random
+import resource
+import signal
+import sys
+import tempfile
+import time
+import warnings
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heliograph.base.config import parse_assignment, parse_toml, to_mapping, to_toml
+from heliograph.base.errors import HeliographError
+from heliograph.base.frames import Frame
+from heliograph.link.film import write_film
+from heliograph.link.notes import noted_signal
+from heliograph.link.recordings import load_imu
+from heliograph.link.settings import load_settings
+from heliograph.link.truth import open_truth
+from heliograph.media import create_film, open_film
+from heliograph.media.record import FilmRecord
+from heliograph.signal.block import Block, pack, payload_bytes, unpack
+from heliograph.signal.message import Reassembler
+from heliograph.sweeps.vary import grid, parse_vary
+
+LIMIT_S = 10.0
+"""Longest time of a case: a hundred times that of a whole film of the size used."""
+
+LIMIT_BYTES = 3 << 30
+"""Address space of a worker beyond what it begins with."""
+
+FRAMES_READ = 200
+"""Most frames read of a film: a damaged one may claim more than there are."""
+
+WORDS = [
+    b"nan", b"inf", b"-1", b"0", b"1e308", b"1e-308", b"true", b"null", b"[", b"]", b"{", b"}", b'"', b"=", b".", b",",
+    b":", b"\n", b"\x00", b"\xff", b"9" * 5000, b"[" * 3000, b"0x" + b"f" * 5000, b"a." * 500,
+    b"1:1e9:1e-9", b"1e999999999",
+    b"channel", b"signal.side", b"receive.receiver", b"1979-05-27", b"'''", b"\xe2\x80\xa8", b"frames", b"times_s",
+]  # fmt: skip
+"""What is put into texts."""
+
+MARK = b"--part--"
+"""Between the parts of a truth file that is changed within."""
+
+TRUTH_PARTS = ("about.json", "frames.npy", "messages/0/high/0", "messages/0/low/0")
+"""Parts of the truth file that is changed."""
+
+Parser = Callable[[bytes, Path], object]
+
+
+def mutated(data: bytes, rng: random.Random) -> bytes:
+    """A few changes of bytes: bits, runs, words, parts left out, doubled or swapped."""
+    out = bytearray(data)
+    for _ in range(rng.choice((1, 1, 2, 3, 8))):
+        place, length = rng.randrange(len(out) + 1), int(2 ** rng.uniform(0, 8))
+        kind = rng.randrange(7)
+        if kind == 0 and place < len(out):
+            out[place] ^= 1 << rng.randrange(8)
+        elif kind == 1 and place < len(out):
+            out[place] = rng.choice((0, 1, 127, 128, 255))
+        elif kind == 2:
+            out[place : place + length] = rng.randbytes(len(out[place : place + length]))
+        elif kind == 3:
+            del out[place : place + length]
+        elif kind == 4:
+            out[place:place] = out[place : place + length]
+        elif kind == 5:
+            word = rng.choice(WORDS)
+            out[place : place + rng.choice((0, len(word)))] = word
+        else:
+            out[place : place + 8] = rng.choice((0, 1, (1 << 63) - 1, (1 << 64) - 1, 1 << 32)).to_bytes(8, "little")
+    return bytes(out) if rng.random() < 0.97 else bytes(out[: rng.randrange(len(out) + 1)])
+
+
+def read_film(data: bytes, folder: Path, suffix: str) -> object:
+    path = folder / f"a{suffix}"
+    path.write_bytes(data)
+    with open_film(path) as film:
+        noted_signal(film)
+        for _, _ in zip(film, range(FRAMES_READ), strict=False):
+            pass
+    return None
+
+
+def film_parser(suffix: str) -> Parser:
+    return lambda data, folder: read_film(data, folder, suffix)
+
+
+def read_truth(data: bytes, folder: Path) -> object:
+    path = folder / "a.npz"
+    path.write_bytes(data if data[:2] == b"PK" else packed(data))
+    return sum(1 for _ in zip(open_truth(path).frames(), range(FRAMES_READ), strict=False))
+
+
+def unpacked(path: Path) -> bytes:
+    """The parts of a truth file one after another: changes of them reach behind the archive's checksums."""
+    with zipfile.ZipFile(path) as archive:
+        return MARK.join(archive.read(name) for name in TRUTH_PARTS)
+
+
+def packed(data: bytes) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, part in zip(TRUTH_PARTS, data.split(MARK), strict=False):
+            archive.writestr(name, part)
+    return out.getvalue()
+
+
+def read_trace(data: bytes, folder: Path) -> object:
+    path = folder / "a.csv"
+    path.write_bytes(data)
+    return load_imu(path)
+
+
+def read_settings(data: bytes, _: Path) -> object:
+    return load_settings("paper", parse_toml(data.decode(errors="replace")))
+
+
+def read_assignment(data: bytes, _: Path) -> object:
+    text = data.decode(errors="replace")
+    parse_assignment(text)
+    return load_settings("static", None, [text])
+
+
+def read_vary(data: bytes, _: Path) -> object:
+    key, values = parse_vary(data.decode(errors="replace"))
+    return grid({key: values})
+
+
+def read_record(data: bytes, _: Path) -> object:
+    return FilmRecord.loads(data.decode(errors="replace"))
+
+
+def read_note(data: bytes, _: Path) -> object:
+    film: Any = argparse.Namespace(metadata={"heliograph_signal": data.decode(errors="replace")})
+    return noted_signal(film)
+
+
+def read_block(data: bytes, _: Path) -> object:
+    body = data[:512].ljust(9, b"\0")
+    bits = np.unpackbits(np.frombuffer(body + zlib.crc32(body).to_bytes(4), np.uint8))
+    block = unpack(bits)
+    return block and Reassembler().add(block, payload_bytes(bits.size))
+
+
+def seeds(folder: Path) -> dict[str, tuple[Parser, list[bytes]]]:
+    """Parsers by name, each with what it reads well."""
+    small = ["channel.camera.width=64", "channel.camera.height=32", "channel.duration_s=0.02"]
+    settings = load_settings("static", None, small)
+    write_film(folder / "a.h5", settings, [{"high": [b"kept"], "low": [b"more"]}], seed=1)
+    truth = (folder / "a.h5.truth.npz").read_bytes()
+    found: dict[str, tuple[Parser, list[bytes]]] = {"truth": (read_truth, [truth, unpacked(folder / "a.h5.truth.npz")])}
+    noise = np.random.default_rng(0).integers(0, 256, (12, 16, 24), dtype=np.uint8)
+    for suffix, codec in ((".h5", None), (".mkv", "ffv1"), (".nut", "ffv1"), (".mp4", "h264"), (".avi", "mjpeg")):
+        path = folder / f"b{suffix}"
+        note = {"heliograph_signal": json.dumps(to_mapping(settings.signal))}
+        with create_film(path, width=24, height=16, rate_hz=1000, codec=codec, metadata=note) as film:
+            for k, pixels in enumerate(noise):
+                film.write(Frame(k, k / 1000, pixels))
+        found[f"film{suffix}"] = (film_parser(suffix), [path.read_bytes()])
+    trees = [to_toml(to_mapping(load_settings(name))).encode() for name in ("paper", "two-arrays")]
+    keys = [b"channel.distance_m=60", b"channel.arrays.0.x_m=1.5", b"signal.rate.high=1/2",
+            b"receive.receiver='soft'",
+            b"channel.arrays=[{x_m=1}]", b"transmit.identities=[3]", b"channel.speed_profile=[[0, 3]]"]  # fmt: skip
+    ranges = [b"channel.distance_m=10,25:120:5", b"receiver=plain,soft", b"preset=paper", b"signal.side=[1,2],{a=1}"]
+    record = FilmRecord(rate_hz=1000.0, bits=8, start_s=0.0, metadata={"a": "b"})
+    rows = [b"t_s,gyro_fwd_rad_s,gyro_right,gyro_down,speed_m_s"] + [b"%f,0,0.1,0,8" % (k / 50) for k in range(40)]
+    block = pack(Block("high", 3, 1, 0, 4, b"kept"), 8 * 40)
+    return found | {
+        "trace": (read_trace, [b"\n".join(rows)]),
+        "settings": (read_settings, trees),
+        "set": (read_assignment, keys),
+        "vary": (read_vary, ranges),
+        "record": (read_record, [record.dumps().encode()]),
+        "note": (read_note, [json.dumps(to_mapping(settings.signal)).encode()]),
+        "block": (read_block, [np.packbits(block).tobytes()[:-4]]),
+    }
+
+
+SHARES = {"settings": 0.02, "film.mp4": 0.04, "film.mkv": 0.04, "film.nut": 0.04, "film.avi": 0.04, "truth": 0.04,
+          "film.h5": 0.12, "trace": 0.04}  # fmt: skip
+"""Part of the cases of the slow parsers; the others share the rest."""
+
+
+class _Late(BaseException):
+    """A case took longer than `LIMIT_S`; no parser can take it for an error of its own."""
+
+
+def _late(*_: object) -> None:
+    raise _Late
+
+
+@contextlib.contextmanager
+def limited() -> Iterator[None]:
+    """Bound the memory of this process from now on, and let `signal.setitimer` end what lasts too long."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0]) if Path("/proc/self/statm").exists() else 0
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + LIMIT_BYTES, hard))
+    before = signal.signal(signal.SIGALRM, _late)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGALRM, before)
+
+
+def outcome(parser: Parser, data: bytes, folder: Path) -> str:
+    """What becomes of a case: "value", "error", or what it should not be."""
+    signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            parser(data, folder)
+    except HeliographError as error:
+        return "error" if "\n" not in str(error) and len(str(error)) < 2000 else "a long message"
+    except _Late:
+        return f"more than {LIMIT_S:g} s"
+    except Exception as error:
+        return f"{type(error).__name__}: {str(error)[:90]}"
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+    return "value"
+
+
+def fuzz(name: str, cases: int, seed: int, keep: Path | None) -> tuple[str, Counter[str], float, int]:
+    """Run the cases of a parser; what should not be is kept in a folder. Gives counts, seconds, and growth in bytes."""
+    with tempfile.TemporaryDirectory() as there, limited():
+        folder = Path(there)
+        parser, good = seeds(folder)[name]
+        rng, counts = random.Random(f"{name} {seed}"), Counter[str]()
+        for data in good:
+            assert outcome(parser, data, folder) == "value", name
+        began, size = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        for _ in range(cases):
+            data = mutated(rng.choice(good), rng)
+            if keep is not None:
+                (keep / f"{name}-last").write_bytes(data)
+            # where a library written in C hangs, no signal is heard: the process ends
+            faulthandler.dump_traceback_later(3 * LIMIT_S, exit=True)
+            found = outcome(parser, data, folder)
+            counts[found] += 1
+            if found not in ("value", "error") and keep is not None and counts[found] == 1:
+                (keep / f"{name}-{len(counts)}").write_bytes(data)
+        faulthandler.cancel_dump_traceback_later()
+        grown = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - size)
+        return name, counts, time.perf_counter() - began, grown
+
+
+def shares(cases: int, names: Sequence[str]) -> dict[str, int]:
+    rest = [name for name in names if name not in SHARES]
+    left = cases * (1 - sum(SHARES[name] for name in names if name in SHARES))
+    return {name: max(1, round(cases * SHARES[name] if name in SHARES else left / len(rest))) for name in names}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", help="one parser")
+    parser.add_argument("--keep", type=Path, help="folder for the cases that end in something else")
+    chosen = parser.parse_args()
+    with tempfile.TemporaryDirectory() as there:
+        names = list(seeds(Path(there)))
+    if chosen.keep is not None:
+        chosen.keep.mkdir(parents=True, exist_ok=True)
+    wrong = 0
+    plan = shares(chosen.cases, names) if chosen.only is None else {chosen.only: chosen.cases}
+    print(f"{'parser':10} {'cases':>7} {'values':>7} {'errors':>7} {'s':>6} {'MB more':>8}")
+    for name, count in plan.items():
+        # a process of its own: a crash of a library ends that one alone
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+            try:
+                _, counts, seconds, grown = pool.submit(fuzz, name, count, chosen.seed, chosen.keep).result()
+            except BrokenProcessPool:
+                counts, seconds, grown = Counter({"the process crashed or hung, at the last case kept": 1}), 0.0, 0
+        print(f"{name:10} {counts.total():7} {counts['value']:7} {counts['error']:7} {seconds:6.1f} {grown / 1e6:8.1f}")
+        for what, times in counts.items():
+            if what not in ("value", "error"):
+                wrong += times
+                print(f"    {times} x {what}")
+        sys.stdout.flush()
+    print(f"{wrong} of {sum(plan.values())} cases end in something else than a value or a clear error")
+    sys.exit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()

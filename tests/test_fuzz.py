@@ -1,0 +1,80 @@
+"""A short run of the fuzzer: no parser ends in anything but a value or a clear error, in time and in memory."""
+
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.fuzz import SHARES, mutated, outcome, seeds, shares
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+
+from heliograph.base.config import parse_assignment, parse_toml
+from heliograph.base.errors import HeliographError
+from heliograph.link.settings import load_settings
+from heliograph.media.record import FilmRecord
+from heliograph.signal.block import unpack
+from heliograph.signal.message import Reassembler
+
+FILMS = ["film.h5", "film.mkv", "film.nut", "film.mp4", "film.avi"]
+NAMES = [*FILMS, "truth", "trace", "settings", "set", "record", "note", "block"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.slow
+def test_a_parser_ends_in_a_value_or_a_clear_error(name: str, tmp_path: Path) -> None:
+    parser, good = seeds(tmp_path)[name]
+    rng = random.Random(7)
+    found = {outcome(parser, mutated(rng.choice(good), rng), tmp_path) for _ in range(60)}
+    assert found <= {"value", "error"}
+
+
+def test_all_parsers_have_their_part_of_the_cases() -> None:
+    plan = shares(100_000, [*NAMES, "vary"])
+    assert sum(plan.values()) == pytest.approx(100_000, rel=1e-3)
+    assert set(SHARES) < set(plan)
+
+
+def settles(call: Callable[[], object]) -> None:
+    """A value or a clear error: either is fine."""
+    said = ""
+    try:
+        call()
+    except HeliographError as error:
+        said = str(error)
+    assert "\n" not in said
+
+
+KEYS = st.sampled_from(
+    ["channel", "distance_m", "arrays", "signal", "rate", "high", "receive", "own", "0", "x_m", "side"]
+)
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(KEYS, inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@examples(150)
+@given(tree=st.dictionaries(KEYS, VALUES, max_size=3))
+@pytest.mark.slow
+def test_any_tree_is_settings_or_a_clear_error(tree: dict[str, object]) -> None:
+    settles(lambda: load_settings("static", tree))
+
+
+@examples(200)
+@given(text=st.text(max_size=60))
+@pytest.mark.slow
+def test_any_text_is_settings_or_a_clear_error(text: str) -> None:
+    settles(lambda: load_settings("static", parse_toml(text)))
+    settles(lambda: parse_assignment(f"channel.distance_m={text}"))
+    FilmRecord.loads(text)
+
+
+@examples(200)
+@given(data=st.binary(min_size=13, max_size=80), rooms=st.integers(0, 99))
+def test_any_block_is_one_or_none(data: bytes, rooms: int) -> None:
+    block = unpack(np.unpackbits(np.frombuffer(data, np.uint8)))
+    assert block is None or Reassembler().add(block, rooms) is None
