@@ -53,6 +53,26 @@ def test_times_are_numbers(tmp_path: Path, times: Any) -> None:
     assert "is not a film: expected 'frames'" in refused(hdf5(tmp_path / "a.h5", times))[1]
 
 
+def test_times_that_no_double_holds(tmp_path: Path) -> None:
+    times = TIMES.astype(np.longdouble)
+    times[1] = np.finfo(np.longdouble).max
+    assert "a frame at inf s after 1 whole frames" in refused(hdf5(tmp_path / "a.h5", times))[1]
+
+
+def test_texts_that_lie_nowhere_do_not_hang(tmp_path: Path) -> None:
+    """HDF5 would look for the end of the heap for ever: an object of no length follows itself."""
+    path = tmp_path / "a.h5"
+    with create_film(path, width=16, height=16, rate_hz=1000, metadata={"a": "b"}) as film:
+        film.write(Frame(0, 0.0, np.zeros((16, 16), np.uint8)))
+    data = bytearray(path.read_bytes())
+    heap = data.index(b"GCOL")
+    length = int.from_bytes(data[heap + 24 : heap + 32], "little")
+    free = heap + 32 + (length + 7) // 8 * 8
+    data[free : free + 16] = bytes(16)
+    path.write_bytes(data)
+    assert "damaged where its texts lie" in refused(path)[1]
+
+
 @pytest.mark.parametrize("rate", [-1.0, math.nan, math.inf, 1e300, 1e-300, 1e7, "fast", [1, 2], 1j], ids=str)
 def test_a_rate_that_no_film_has(tmp_path: Path, rate: Any) -> None:
     assert "attribute 'rate_hz' is" in refused(hdf5(tmp_path / "a.h5", rate_hz=rate))[1]

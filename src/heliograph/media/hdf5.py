@@ -197,14 +197,15 @@ class Hdf5Reader(FilmReader):
 
 def _times(path: Path, dataset: Any) -> Iterator[float]:
     for start in range(0, dataset.shape[0], _READ_TIMES):
-        with _damage_is_clear(path, start):
+        with _damage_is_clear(path, start), np.errstate(over="ignore", invalid="ignore"):
             times = dataset[start : start + _READ_TIMES].astype(np.float64).tolist()
         yield from times
 
 
 def _median_rate(times: Any) -> float:
     """Rate by the median gap of the first frames: where frames are missing, the mean gap is too long."""
-    known = np.asarray(times[:_READ_TIMES], np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers that no double holds become infinite
+        known = np.asarray(times[:_READ_TIMES], np.float64)
     gaps = np.diff(known[np.abs(known) <= LATEST_S])
     gap = float(np.median(gaps)) if gaps.size else 0.0
     return 1 / gap if gap >= 1 / FASTEST_HZ else 1.0

@@ -10,8 +10,8 @@ from typing import Self
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import LATEST_S, Frame
 
-MOST_PIXELS = 1 << 28
-"""Most pixels of a frame: twice those of the largest camera chips. A damaged film may claim more."""
+MOST_PIXELS = 1 << 27
+"""Most pixels of a frame: twice those of the largest camera of the settings. A damaged film may claim more."""
 
 
 def checked_size(path: Path, width: int, height: int) -> None:
@@ -43,7 +43,7 @@ def checked_time(path: Path, time_s: float, count: int) -> float:
     time_s
         Time in s as the file says.
     count
-        Frames before it.
+        Number of whole frames before it, which the error tells.
 
     Raises
     ------
