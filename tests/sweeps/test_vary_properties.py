@@ -17,7 +17,11 @@ DECIMALS = st.decimals(-1000, 1000, places=3)
 STEPS = st.decimals("0.001", 100, places=3)
 TEXTS = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=10)
 VALUES = (
-    st.booleans() | st.integers(-(10**9), 10**9) | st.floats(-1e9, 1e9) | TEXTS | st.lists(st.integers(), max_size=3)
+    st.booleans()
+    | st.integers(-(10**9), 10**9)
+    | st.floats(-1e9, 1e9)
+    | TEXTS
+    | st.lists(st.integers(-(2**63), 2**63 - 1), max_size=3)
 )
 
 
@@ -105,3 +109,21 @@ def test_the_longest_range(text: str, count: int) -> None:
     assert len(parse_vary(text)[1]) == count
     with pytest.raises(SettingsError, match="more than 10000 values"):
         parse_vary("a=0:10000:1")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "channel.distance_m=1e999999999:2:1",
+        "channel.distance_m=0:1e400:1e399",
+        "channel.distance_m=1:2:1e-999999",
+        "channel.distance_m=" + "9" * 5000,
+        "channel.distance_m=" + "[" * 50_000,
+    ],
+    ids=["first", "last", "step", "digits", "brackets"],
+)
+def test_numbers_and_lists_that_no_setting_has_are_one_line(text: str) -> None:
+    with pytest.raises(SettingsError) as refused:
+        parse_vary(text)
+    assert len(str(refused.value)) < 400
+    assert "\n" not in str(refused.value)

@@ -3,12 +3,11 @@
 import itertools
 import math
 import re
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from decimal import Decimal
 from typing import Any
 
-from heliograph.base.config import merge, parse_assignment
+from heliograph.base.config import brief, merge, parse_assignment, parse_value
 from heliograph.base.errors import SettingsError
 from heliograph.link.settings import LinkSettings, load_settings
 
@@ -17,6 +16,9 @@ SHORT = {"receiver": "receive.receiver"}
 
 MOST = 10_000
 """Most values of a range, and most points of a grid: more is a slip of the pen."""
+
+MOST_DIGITS = 30
+"""Most digits of a range's number before the point, and zeros after it: no setting has more."""
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*:\s*({_NUMBER})(?:\s*:\s*({_NUMBER}))?\s*")
@@ -37,7 +39,7 @@ def parse_vary(text: str) -> tuple[str, list[Any]]:
     """
     key, sign, values = text.partition("=")
     if not sign or not key.strip() or not values.strip():
-        raise SettingsError(f"'{text}' varies nothing; write key=value,value or key=first:last:step")
+        raise SettingsError(f"'{brief(text)}' varies nothing; write key=value,value or key=first:last:step")
     return key.strip(), [value for part in _parts(values) for value in _values(part, text)]
 
 
@@ -128,21 +130,25 @@ def _plain(key: str, values: Any) -> list[Any]:
     if hasattr(values, "tolist"):
         values = values.tolist()
     if isinstance(values, (str, bytes, Mapping)) or not isinstance(values, Iterable):
-        raise SettingsError(f"'{key}' varies over a list of values, not {values!r}")
+        raise SettingsError(f"'{brief(key)}' varies over a list of values, not {brief(values)}")
     plain = [value.tolist() if hasattr(value, "tolist") else value for value in values]
     if not plain:
-        raise SettingsError(f"'{key}' varies over a list of values, not an empty one")
+        raise SettingsError(f"'{brief(key)}' varies over a list of values, not an empty one")
     doubled = [value for i, value in enumerate(plain) if value in plain[:i]]
     if doubled:
-        raise SettingsError(f"'{key}' has the value {doubled[0]!r} twice")
+        raise SettingsError(f"'{brief(key)}' has the value {brief(repr(doubled[0]))} twice")
     return plain
 
 
 def _parts(text: str) -> Iterator[str]:
     """Cut at commas that stand in no bracket and no quotes."""
-    depth, quote, start = 0, "", 0
+    depth, quote, start, escaped = 0, "", 0, False
     for i, letter in enumerate(text):
-        if quote or letter in "\"'":
+        if escaped:
+            escaped = False
+        elif quote == '"' and letter == "\\":
+            escaped = True
+        elif quote or letter in "\"'":
             quote = "" if letter == quote else quote or letter
         elif letter in "[{":
             depth += 1
@@ -160,26 +166,21 @@ def _values(part: str, text: str) -> Iterator[Any]:
         first, last, step = found.groups()
         yield from _range(first, last, step or "0", text)
     elif part.strip():
-        yield _value(part.strip())
+        yield parse_value(part.strip())
     else:
-        raise SettingsError(f"'{text}' has an empty value between its commas")
+        raise SettingsError(f"'{brief(text)}' has an empty value between its commas")
 
 
 def _range(first: str, last: str, step: str, text: str) -> Iterator[int | float]:
     """Yield the values from first to last by a step; last is one of them if a step reaches it exactly."""
     # decimals, so that 0.1:0.3:0.1 hits its end
     a, b, h = map(Decimal, (first, last, step))
+    if any(x and abs(x.adjusted()) > MOST_DIGITS for x in (a, b, h)):
+        raise SettingsError(f"'{brief(text)}': the numbers of a range have at most {MOST_DIGITS} digits")
     if not h or (b - a) / h < 0:
-        raise SettingsError(f"'{text}': a range is first:last:step, and the step leads from first to last")
+        raise SettingsError(f"'{brief(text)}': a range is first:last:step, and the step leads from first to last")
     if (b - a) / h >= MOST:
-        raise SettingsError(f"'{text}' has more than {MOST} values; take a larger step")
+        raise SettingsError(f"'{brief(text)}' has more than {MOST} values; take a larger step")
     for i in range(int((b - a) / h) + 1):
         value = a + i * h
         yield int(value) if all(x == x.to_integral_value() for x in (a, h)) else float(value)
-
-
-def _value(text: str) -> Any:
-    try:
-        return tomllib.loads(f"v = {text}")["v"]
-    except tomllib.TOMLDecodeError:
-        return text
