@@ -4,14 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scenes import SIDE, draw, pitch_at
 
-from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image.reference import blur_matrix
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.reference import pair_model, transform, weights
-from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.timing.frame_pair import CombinedFrame, FramePair
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +29,7 @@ def pair_of(poses: tuple[Pose, Pose], x: Floats, noise: float = 0.0) -> FramePai
     rng = np.random.default_rng(4)
     light = [30 + GAIN * draw(p, y, (0, 0), (60, 60)) for p, y in zip(poses, (x, 1 - x), strict=True)]
     up, down = (
-        Frame(k, k * 1e-3, image + rng.normal(0, noise, image.shape))  # type: ignore[arg-type]
+        CombinedFrame(k, k * 1e-3, image + rng.normal(0, noise, image.shape), (0, 0), 255)  # type: ignore[arg-type]
         for k, image in enumerate(light)
     )
     return FramePair(up, down)

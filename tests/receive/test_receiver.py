@@ -207,7 +207,7 @@ def test_frames_smaller_than_any_array() -> None:
 @pytest.mark.slow
 def test_a_search_for_blinking_squares_passes_nobody_elses_data_as_its_own() -> None:
     # it finds a filled square; whatever it follows it must not pass as data of identity 0
-    frames = film(link("transmit.identities=[9]", distance_m=40.0), 120)
+    frames = film(link("transmit.identities=[9]", distance_m=45.0), 120)
     packets = list(receive_frames(frames, SignalSettings(header="all_on")))
     # it does follow the array, under the wrong number, and reads whole packets: one high, two middle, one low codeword
     assert packets

@@ -18,6 +18,7 @@ from heliograph.receive.image.reference import blur_matrix
 from heliograph.receive.plain.extract import luminances, pair_luminances
 from heliograph.receive.plain.inverse import unblurred
 from heliograph.receive.settings import Equaliser, PlainSettings
+from heliograph.receive.timing.frame_pair import CombinedFrame
 
 Floats = NDArray[np.float64]
 
@@ -25,13 +26,13 @@ GAIN = 200.0
 SIZE = 44
 
 
-def shown(pose: Pose, x: Floats, index: int = 0) -> Frame:
+def shown(pose: Pose, x: Floats, index: int = 0) -> CombinedFrame:
     """A frame without noise: no sensor, its gray levels as they are."""
     light = 30.0 + GAIN * draw(pose, x, (0, 0), (SIZE, SIZE))
-    return Frame(index, index * 1e-3, light)  # type: ignore[arg-type]
+    return CombinedFrame(index, index * 1e-3, light.astype(np.float32), (0, 0), 255)
 
 
-def pair(poses: tuple[Pose, Pose], x: Floats) -> tuple[Frame, Frame]:
+def pair(poses: tuple[Pose, Pose], x: Floats) -> tuple[CombinedFrame, CombinedFrame]:
     return shown(poses[0], x), shown(poses[1], 1 - x, 1)
 
 
