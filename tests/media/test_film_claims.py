@@ -107,9 +107,14 @@ def too_small(file: h5py.File) -> None:
     file["frames"] = np.zeros((COUNT, 0, 8), np.uint8)
 
 
+def not_held(file: h5py.File) -> None:
+    file.create_dataset("frames", (COUNT, 8192, 8192), "u1", chunks=(1, 8192, 8192))
+
+
 @pytest.mark.parametrize(
     ("make", "says"),
-    [(to_itself, "links lead nowhere"), (to_nothing, "expected the datasets"),
+    [(not_held, "'frames' claims pieces of 67108864 bytes"),
+     (to_itself, "links lead nowhere"), (to_nothing, "expected the datasets"),
      (too_large, "2147483648x2147483648 pixels"), (too_small, "8x0 pixels")],
 )  # fmt: skip
 def test_frames_that_are_not_there(tmp_path: Path, make: Callable[[h5py.File], None], says: str) -> None:
@@ -117,6 +122,22 @@ def test_frames_that_are_not_there(tmp_path: Path, make: Callable[[h5py.File], N
         make(file)
         file["times_s"] = TIMES
     assert says in refused(tmp_path / "a.h5")[1]
+
+
+def test_times_in_pieces_larger_than_the_file(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["frames"] = np.zeros((COUNT, 8, 8), np.uint8)
+        file.create_dataset("times_s", (COUNT,), "f8", chunks=(1 << 24,), maxshape=(None,))
+    assert "'times_s' claims pieces of 134217728 bytes" in refused(tmp_path / "a.h5")[1]
+
+
+@pytest.mark.parametrize("layout", [{}, {"chunks": True}, {"chunks": (2, 8, 8), "compression": "gzip"}], ids=str)
+def test_films_of_other_layouts_are_read(tmp_path: Path, layout: dict[str, Any]) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("frames", data=np.full((COUNT, 8, 8), 3, np.uint8), **layout)
+        file["times_s"] = TIMES
+    with open_film(tmp_path / "a.h5") as film:
+        assert [frame.pixels.mean() for frame in film] == [3] * COUNT
 
 
 def test_a_record_of_values_that_no_film_has_is_none() -> None:

@@ -177,6 +177,7 @@ class Hdf5Reader(FilmReader):
             frames = file["frames"]
             self.frame_count, self.height, self.width = frames.shape
             checked_size(path, self.width, self.height)
+            _check_held(path, frames, file["times_s"])
             self.bits = int(_number(path, file.attrs, "bits", *BITS[frames.dtype]) or 8 * frames.dtype.itemsize)
             self.metadata = _read_metadata(file.attrs)
             self.claimed_hz = _number(path, file.attrs, "rate_hz", SLOWEST_HZ, FASTEST_HZ) or _median_rate(
@@ -298,3 +299,17 @@ def _check_form(path: Path, file: Any) -> None:
     if wrong or times.dtype.kind not in "fiu":
         got = f"'frames' {frames.shape} of {frames.dtype} and 'times_s' {times.shape} of {times.dtype}"
         raise MediaError(f"{path} is not a film: expected {_EXPECTED}, got {got}")
+
+
+def _check_held(path: Path, *datasets: Any) -> None:
+    """Refuse a file that claims larger pieces than it has bytes: HDF5 takes memory for a whole piece at once."""
+    size = path.stat().st_size
+    for dataset in datasets:
+        if dataset.is_virtual or dataset.external or dataset.id.get_create_plist().get_nfilters():
+            continue  # what it holds lies elsewhere, or is compressed
+        piece = math.prod(dataset.chunks or dataset.shape[1:]) * dataset.dtype.itemsize
+        if dataset.size and piece > size:
+            raise MediaError(
+                f"{path} is damaged: '{dataset.name.strip('/')}' claims pieces of {piece} bytes, the file has {size}: "
+                "copy or record it again"
+            )
