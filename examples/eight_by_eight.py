@@ -52,7 +52,7 @@ def main(few: bool) -> None:
         {"signal.side": [8, 16], "channel.distance_m": [20, 60] if few else [40, 50, 60, 70, 80]},
         set={"receive.detect.min_side_px": 4},
         min_errors=5 if few else 30,
-        max_codewords=4 if few else 40,
+        max_codewords=1 if few else 40,
     )
     figure = Figure(figsize=(11, 3.5), layout="constrained")
     panels, film, rates = figure.subplots(1, 3)

@@ -28,8 +28,8 @@ data = sweep(
     preset="static",
     set={"signal.data_pairs": 8 if FEW else 48},
     seed=1,
-    min_errors=10 if FEW else 30,
-    max_codewords=20 if FEW else 60,
+    min_errors=5 if FEW else 30,
+    max_codewords=6 if FEW else 60,
 )
 print(data)
 

@@ -111,7 +111,7 @@ def main(few: bool) -> None:
         },
         set={"signal.data_pairs": 16 if few else 48},
         min_errors=5 if few else 30,
-        max_codewords=4 if few else 100,
+        max_codewords=2 if few else 100,
     )
     figure = Figure(figsize=(7, 4))
     axes = figure.add_subplot(xlabel="distance (m)", ylabel="middle layer: codeword error rate", ylim=(-0.02, 1.02))

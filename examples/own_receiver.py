@@ -96,7 +96,7 @@ def main(few: bool) -> None:
         },
         set={"signal.data_pairs": 16 if few else 48},
         min_errors=5 if few else 30,
-        max_codewords=4 if few else 60,
+        max_codewords=2 if few else 60,
     )
     figure = Figure(figsize=(10, 3.5), layout="constrained")
     for axes, layer in zip(figure.subplots(1, 3, sharey=True), data.layer.values, strict=True):

@@ -78,7 +78,7 @@ def test_films_are_counted_once_by_each_way(measured: DetectionTrials) -> None:
 
 
 def test_results_do_not_depend_on_how_films_are_handed_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    scenes, effort = {"drawn scene": drawn_backdrop}, DetectionEffort(2, 0, 4, 1)
+    scenes, effort = {"drawn scene": drawn_backdrop}, DetectionEffort(1, 0, 4, 1)
     whole = trials.measure(scenes, effort, None, Context())
     monkeypatch.setattr(trials, "BATCH", 1)
     assert trials.measure(scenes, effort, None, Context(workers=2)).scores == whole.scores

@@ -24,9 +24,9 @@ READ_FROM = {75: ("high",), 52: ("high", "middle"), 45: ("high", "middle", "low"
 FILMED_MARGIN_PX = 16
 """Only the array and so many px about it are filmed, which is faster than whole frames."""
 
-NATIVE_FRAMES = 40
-MOST_NATIVE_DETECTIONS = 2
-"""In 40 frames: one in twenty. A false detection costs a little time, a right codeword out of one is a false word."""
+NATIVE_FRAMES = 20
+MOST_NATIVE_DETECTIONS = 1
+"""In 20 frames: one in twenty. A false detection costs a little time, a right codeword out of one is a false word."""
 
 SMALL = (
     "channel.camera.width=192",

@@ -53,15 +53,14 @@ def content(packet: Packet) -> list[Any]:
 def test_four_receivers_in_four_threads_read_what_one_after_the_other_reads() -> None:
     """Two plain and two soft ones, each with a film of its own."""
     settings = [link(f"receive.receiver={name}", "signal.data_pairs=16") for name in ("plain", "soft") * 2]
-    films = [film(one, 140, seed) for seed, one in enumerate(settings)]
+    films = [film(one, 100, seed) for seed, one in enumerate(settings)]
 
     def read(number: int) -> list[list[Any]]:
         one = settings[number]
         return [content(packet) for packet in receive_frames(films[number], one.signal, one.receive)]
 
     alone = [read(number) for number in range(4)]
-    assert all(len(packets) >= 3 for packets in alone)
-    for _ in range(2):
-        with ThreadPoolExecutor(4) as threads:
-            assert list(threads.map(read, range(4))) == alone
+    assert all(len(packets) >= 2 for packets in alone)
+    with ThreadPoolExecutor(4) as threads:
+        assert list(threads.map(read, range(4))) == alone
     assert blas_threads() == 2

@@ -19,7 +19,7 @@ from heliograph.sweeps.store import NAME
 pytestmark = pytest.mark.slow
 
 BIN = Path(sys.executable).parent
-CODEWORDS = 20
+CODEWORDS = 12
 """Codewords of high priority that a point stops at."""
 POINTS = ("--vary", "channel.distance_m=60:70:10", "--set", "signal.data_pairs=8", "--max-codewords", str(CODEWORDS))
 BLOCKS = 2 * CODEWORDS
