@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.candidate import UPRIGHT_SPREAD, cell_weights, fit_near, followed, plausible
+from heliograph.receive.acquire.candidate import LEVEL_SPREAD, cell_weights, fit_near, followed, plausible
 from heliograph.receive.acquire.coarse import (
     DIFFERENCE,
     SearchParameters,
@@ -140,7 +140,7 @@ class StraddledDetector:
         start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], pitch, 0.0, parameters.blur_px)
         if followed(start, taken, self._side):
             return None
-        fit = fit_near(change, origin, start, weights, UPRIGHT_SPREAD)
+        fit = fit_near(change, origin, start, weights, LEVEL_SPREAD)
         if fit is None or fit.score < DATA_SCORE * parameters.score:
             return None
         if not plausible(fit, parameters, self._side, frames[0].full_scale):
