@@ -32,7 +32,7 @@ class Scripted:
         self.proven |= len(self.frames) >= self.proves_at
         yield f"{self.name}{len(self.frames)}"
 
-    def flush(self) -> Iterator[Any]:
+    def flush(self, over: bool = False) -> Iterator[Any]:
         yield f"{self.name} at the end"
 
 

@@ -194,6 +194,22 @@ def test_memory_does_not_grow_with_the_film() -> None:
         tracemalloc.stop()
 
 
+@pytest.mark.parametrize("receiver", ["plain", "soft"])
+def test_times_may_jump_by_any_length(receiver: str) -> None:
+    """A clock that is set in mid-film: the array is lost, its packet given, and the next header found at once."""
+    settings = link(f"receive.receiver={receiver}", "signal.data_pairs=8", distance_m=40.0)
+    jump = 10**12
+    # the jump comes after three quarters of the second packet
+    frames = [
+        replace(f, index=f.index + jump * (k >= 35), time_s=f.time_s + 1e-3 * jump * (k >= 35))
+        for k, f in enumerate(film(settings, 65))
+    ]
+    packets = list(receive_frames(frames, settings.signal, settings.receive))
+    assert [p.identity for p in packets] == [0, 0, 0]
+    assert (packets[0].status, packets[2].status) == ("ok", "ok")
+    assert packets[1].last_frame < 40 < jump < packets[2].first_frame
+
+
 def test_empty_and_short_films() -> None:
     assert list(receive_frames([], SIGNAL)) == []
     assert list(receive_frames(film(link(), 20), SIGNAL)) == []

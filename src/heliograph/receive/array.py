@@ -177,12 +177,28 @@ class ArrayReceiver:
         for one in self._slips.push(seen, self._pairing.origin_s, self._pose_at, paired):
             yield from self._take_all(self._pairing.push(one))
 
-    def flush(self) -> Iterator[Packet]:
-        """Yield the packet in progress if at least half of its data was seen."""
+    def overdue(self, time_s: float) -> bool:
+        """Whether a frame comes so late that the array is done, and the packet in progress over.
+
+        Parameters
+        ----------
+        time_s
+            Time of the frame in seconds.
+        """
+        return time_s - self._track.last_seen_s > self._coast_s + self._signal.packet_s
+
+    def flush(self, over: bool = False) -> Iterator[Packet]:
+        """Yield the packet in progress.
+
+        Parameters
+        ----------
+        over
+            Whether it has come to its end unseen; if not, at least half of its data must have been seen.
+        """
         for one in self._slips.flush():
             yield from self._take_all(self._pairing.push(one))
         yield from self._take_all(self._pairing.flush())
-        if self._gathered.seen.mean() >= ENOUGH_SEEN:
+        if self._gathered.poses if over else self._gathered.seen.mean() >= ENOUGH_SEEN:
             yield self._finish()
 
     def _pose_at(self, time_s: float) -> Pose:

@@ -52,9 +52,25 @@ class ArrayHypotheses:
         """
         yield from self._believed([(one, list(one.push(frame))) for one in self._receivers])
 
-    def flush(self) -> Iterator[Packet]:
-        """Yield the packet in progress if at least half of its data was seen."""
-        yield from self._believed([(one, list(one.flush())) for one in self._receivers])
+    def overdue(self, time_s: float) -> bool:
+        """Whether a frame comes so late that the array is done; see `ArrayReceiver`.
+
+        Parameters
+        ----------
+        time_s
+            Time of the frame in seconds.
+        """
+        return all(one.overdue(time_s) for one in self._receivers)
+
+    def flush(self, over: bool = False) -> Iterator[Packet]:
+        """Yield the packet in progress; see `ArrayReceiver`.
+
+        Parameters
+        ----------
+        over
+            Whether it has come to its end unseen.
+        """
+        yield from self._believed([(one, list(one.flush(over))) for one in self._receivers])
 
     def settle(self, orientation: Orientation) -> bool:
         """Leave out what the camera's orientation rules out.

@@ -63,8 +63,8 @@ MIXED = 0.65
 """Regularity below which a header is mixed with light of data, which looks like a tilt: it is fitted as level.
 
 A camera x T_b out of step sees |1 - 2 x| of the header within, and a part of the data before it: at 0.44 T_b the
-regularity is 0.62. At 0.47 T_b headers are too weak to put the tilt right later, and of an upright array a shear of 0.03
-stayed: all codewords of the middle and low layers were lost at 80 m.
+regularity is 0.62. At 0.47 T_b headers are too weak to put the tilt right later. Of an upright array a shear of 0.03
+stayed, and all codewords of the middle and low layers were lost at 80 m.
 """
 
 LEAST_TURN = 0.05
