@@ -33,7 +33,7 @@ class Scripted:
         yield f"{self.name}{len(self.frames)}"
 
     def flush(self, over: bool = False) -> Iterator[Any]:
-        yield f"{self.name} at the end"
+        yield f"{self.name} {'over' if over else 'at the end'}"
 
 
 def array_of(*receivers: Scripted, settled: bool = False) -> ArrayHypotheses:
