@@ -96,7 +96,11 @@ def to_itself(file: h5py.File) -> None:
 
 
 def to_nothing(file: h5py.File) -> None:
-    file["frames"] = h5py.ExternalLink("none.h5", "/frames")
+    file["frames"] = h5py.SoftLink("/none/frames")
+
+
+def round_and_round(file: h5py.File) -> None:
+    file["one"], file["frames"] = h5py.SoftLink("/one/more"), h5py.SoftLink("/one")
 
 
 def too_large(file: h5py.File) -> None:
@@ -114,7 +118,7 @@ def not_held(file: h5py.File) -> None:
 @pytest.mark.parametrize(
     ("make", "says"),
     [(not_held, "'frames' claims pieces of 67108864 bytes"),
-     (to_itself, "links lead nowhere"), (to_nothing, "expected the datasets"),
+     (to_itself, "links lead nowhere"), (round_and_round, "links lead nowhere"), (to_nothing, "expected the datasets"),
      (too_large, "2147483648x2147483648 pixels"), (too_small, "8x0 pixels")],
 )  # fmt: skip
 def test_frames_that_are_not_there(tmp_path: Path, make: Callable[[h5py.File], None], says: str) -> None:
@@ -122,6 +126,68 @@ def test_frames_that_are_not_there(tmp_path: Path, make: Callable[[h5py.File], N
         make(file)
         file["times_s"] = TIMES
     assert says in refused(tmp_path / "a.h5")[1]
+
+
+def a_link(file: h5py.File, name: str, shape: tuple[int, ...]) -> None:
+    file[name] = h5py.ExternalLink("pipe", "/x")
+
+
+def a_link_by_links(file: h5py.File, name: str, shape: tuple[int, ...]) -> None:
+    file["group/out"] = h5py.ExternalLink("pipe", "/")
+    file["group/inner"] = h5py.SoftLink("out/there")
+    file[name] = h5py.SoftLink("/group/./inner")
+
+
+def bytes_elsewhere(file: h5py.File, name: str, shape: tuple[int, ...]) -> None:
+    file.create_dataset(name, shape, "u1", external=[("/dev/zero", 0, h5py.h5f.UNLIMITED)])
+
+
+def put_together(file: h5py.File, name: str, shape: tuple[int, ...]) -> None:
+    layout = h5py.VirtualLayout(shape, "u1", maxshape=(None, *shape[1:]))
+    source = h5py.VirtualSource("pipe", "x", shape, "u1", maxshape=(None, *shape[1:]))
+    everything = (slice(None, h5py.h5s.UNLIMITED), *[slice(None)] * (len(shape) - 1))
+    layout[everything] = source[everything]
+    file.create_virtual_dataset(name, layout)
+
+
+@pytest.mark.parametrize("name", ["frames", "times_s"])
+@pytest.mark.parametrize("make", [a_link, a_link_by_links, bytes_elsewhere, put_together])
+def test_pictures_in_other_files_are_not_looked_for(
+    tmp_path: Path, make: Callable[[h5py.File, str, tuple[int, ...]], None], name: str
+) -> None:
+    """The other file is a pipe that nobody writes to: opening it would take for ever."""
+    os.mkfifo(tmp_path / "pipe")
+    held = {"frames": np.zeros((COUNT, 8, 8), np.uint8), "times_s": TIMES}
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        make(file, name, held[name].shape)
+        other = "times_s" if name == "frames" else "frames"
+        file[other] = held[other]
+    assert "its pictures lie in other files: copy them into one" in refused(tmp_path / "a.h5")[1]
+
+
+def test_links_within_a_film_are_followed(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["take/camera/pictures"] = np.full((COUNT, 8, 8), 3, np.uint8)
+        file["take/frames"] = h5py.SoftLink("camera//pictures")
+        file["frames"], file["times_s"] = h5py.SoftLink("/take/frames"), TIMES
+    with open_film(tmp_path / "a.h5") as film:
+        assert [frame.pixels.mean() for frame in film] == [3] * COUNT
+
+
+@pytest.mark.parametrize(("frames", "refuses"), [(4, False), (5, True), (60, True)])
+def test_packed_pieces_too_large_to_hold(tmp_path: Path, frames: int, refuses: bool) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        shape = (frames, 8192, 8192)
+        file.create_dataset("frames", shape, "u1", chunks=shape, compression="gzip")
+        file["times_s"] = np.arange(frames) / 1000
+    if refuses:
+        assert (
+            "more than 0.3 GB, which are unpacked as a whole: repack it with one frame a chunk"
+            in refused(tmp_path / "a.h5")[1]
+        )
+    else:
+        with open_film(tmp_path / "a.h5") as film:
+            assert film.frame_count == frames
 
 
 def test_times_in_pieces_larger_than_the_file(tmp_path: Path) -> None:

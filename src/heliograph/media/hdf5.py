@@ -39,6 +39,13 @@ _STEP_FRAMES = 256
 """Frames by which the datasets grow, so that they are rarely resized. Chosen: at half and at twice the value a film was
 written at the same speed within the noise of a shared machine, 30 %."""
 
+_MOST_STEPS = 100
+"""Most steps by which a dataset is reached, groups and links. Chosen; HDF5 itself follows 16 links."""
+
+_MOST_PIECE = 300_000_000
+"""Most bytes of a piece with a filter, such as gzip, which is held as a whole to read a frame. Chosen: a frame of the
+largest size (`MOST_PIXELS`) in 16 bits has 268 MB, so that one frame a piece is always taken."""
+
 _READ_TIMES = 4096
 """Times read at once: 32 kB. Chosen; it bounds memory."""
 
@@ -289,27 +296,66 @@ def _check_form(path: Path, file: Any) -> None:
     import h5py
 
     try:
-        frames, times = file.get("frames"), file.get("times_s")
+        elsewhere = _leads_elsewhere(file, b"frames") or _leads_elsewhere(file, b"times_s")
+        frames, times = (None, None) if elsewhere else (file.get("frames"), file.get("times_s"))
     except _BROKEN as error:
         raise MediaError(f"{path} is not a film: its links lead nowhere; expected the datasets {_EXPECTED}") from error
+    if elsewhere:
+        raise _elsewhere(path)
     if not (isinstance(frames, h5py.Dataset) and isinstance(times, h5py.Dataset)):
         held = ", ".join(sorted(file)) or "nothing"
         raise MediaError(f"{path} is not a film: expected the datasets {_EXPECTED}, it holds {held}")
+    # before their shapes are asked for, as for that of a virtual dataset other files are opened
+    if any(dataset.is_virtual or dataset.external for dataset in (frames, times)):
+        raise _elsewhere(path)
     wrong = frames.ndim != 3 or frames.dtype not in BITS or times.shape != frames.shape[:1]
     if wrong or times.dtype.kind not in "fiu":
         got = f"'frames' {frames.shape} of {frames.dtype} and 'times_s' {times.shape} of {times.dtype}"
         raise MediaError(f"{path} is not a film: expected {_EXPECTED}, got {got}")
 
 
+def _leads_elsewhere(file: Any, name: bytes) -> bool:
+    """Whether a name leads out of a file. It is asked step by step: h5py opens what a link leads to, be it a pipe."""
+    import h5py
+
+    group, left = file.id, [name]
+    for _ in range(_MOST_STEPS):
+        if not left:
+            return False
+        part = left.pop(0)
+        if part in (b"", b"."):
+            continue
+        if not (isinstance(group, h5py.h5g.GroupID) and group.links.exists(part)):
+            return False
+        kind = group.links.get_info(part).type
+        if kind == h5py.h5l.TYPE_SOFT:
+            target = group.links.get_val(part)
+            group = file.id if target.startswith(b"/") else group
+            left = target.split(b"/") + left
+        elif kind == h5py.h5l.TYPE_HARD:
+            group = h5py.h5o.open(group, part)
+        else:
+            return True
+    raise KeyError(name)  # round and round
+
+
+def _elsewhere(path: Path) -> MediaError:
+    return MediaError(f"{path} is no whole film, its pictures lie in other files: copy them into one")
+
+
 def _check_held(path: Path, *datasets: Any) -> None:
-    """Refuse a file that claims larger pieces than it has bytes: HDF5 takes memory for a whole piece at once."""
+    """Refuse pieces larger than the file, or too large to unpack: HDF5 takes memory for a whole piece at once."""
     size = path.stat().st_size
     for dataset in datasets:
-        if dataset.is_virtual or dataset.external or dataset.id.get_create_plist().get_nfilters():
-            continue  # what it holds lies elsewhere, or is compressed
         piece = math.prod(dataset.chunks or dataset.shape[1:]) * dataset.dtype.itemsize
-        if dataset.size and piece > size:
+        name, packed = dataset.name.strip("/"), dataset.id.get_create_plist().get_nfilters()
+        if dataset.size and piece > size and not packed:
             raise MediaError(
-                f"{path} is damaged: '{dataset.name.strip('/')}' claims pieces of {piece} bytes, the file has {size}: "
-                "copy or record it again"
+                f"{path} is damaged: '{name}' claims pieces of {piece} bytes, the file has {size}: copy or record it "
+                "again"
+            )
+        if packed and piece > _MOST_PIECE:
+            raise MediaError(
+                f"{path}: '{name}' has pieces of {piece / 1e9:.2g} GB, more than {_MOST_PIECE / 1e9:g} GB, which are "
+                "unpacked as a whole: repack it with one frame a chunk"
             )
