@@ -1,7 +1,10 @@
 """The truth file: written whole, read as a stream, and no damage goes unnoticed or untold."""
 
 import contextlib
+import io
 import json
+import tracemalloc
+import warnings
 import zipfile
 from itertools import islice
 from pathlib import Path
@@ -14,7 +17,7 @@ from heliograph.base.errors import MediaError
 from heliograph.channel import NoiseModel, Truth
 from heliograph.link.settings import PRESETS, LinkSettings, load_settings
 from heliograph.link.simulate import Messages, default_messages, simulate
-from heliograph.link.truth import TruthWriter, open_truth, truth_path
+from heliograph.link.truth import MOST_HEADER, TruthWriter, open_truth, truth_path
 
 SETTINGS = small("channel.duration_s=0.03")
 MESSAGES: list[Messages] = [{"high": [b"one", b"two\x00"], "low": [bytes(range(256)) * 5]}]
@@ -182,6 +185,55 @@ def test_an_archive_of_something_else_is_no_truth(path: Path, about: str) -> Non
     write(path)
     rewritten(path, about_json=about.encode())
     assert "no truth file, or damaged" in complaint(path)
+
+
+@pytest.mark.parametrize(
+    ("about", "says"),
+    [
+        ("null", "no truth file, or damaged; simulate"),
+        ('{"settings": {}, "messages": [], "seed": 0}', "damaged (it has messages of 0 arrays, not 1); simulate"),
+    ],
+)
+def test_the_reason_is_said_once_and_not_in_the_words_of_python(path: Path, about: str, says: str) -> None:
+    write(path)
+    rewritten(path, about_json=about.encode())
+    assert says in complaint(path)
+    assert complaint(path).count("damaged") == 1
+
+
+def rows_of(path: Path, version: tuple[int, int], count: int = 30) -> bytes:
+    """Rows of the film in a version of .npy."""
+    out = io.BytesIO()
+    rows = np.array(list(open_truth(path).rows()))[:count]
+    with warnings.catch_warnings(action="ignore"):  # of versions that are not needed
+        np.lib.format.write_array(out, rows, version)
+    return out.getvalue()
+
+
+def test_rows_of_either_version_are_read(path: Path) -> None:
+    write(path)
+    for version in ((1, 0), (2, 0)):
+        rewritten(path, frames_npy=rows_of(path, version))
+        assert [int(row["index"]) for row in open_truth(path).rows()] == list(range(30))
+    rewritten(path, frames_npy=rows_of(path, (3, 0)))
+    assert "its rows are in version 3.0 of .npy" in complaint(path)
+
+
+def test_a_header_takes_no_memory_for_what_it_claims(path: Path) -> None:
+    write(path)
+    for version, claims in ((b"\x02\0", 1 << 31), (b"\x02\0", MOST_HEADER + 1)):
+        rewritten(path, frames_npy=b"\x93NUMPY" + version + claims.to_bytes(4, "little") + bytes(1 << 24))
+        tracemalloc.start()
+        assert f"the header of its rows has {claims} bytes, more than 65536" in complaint(path)
+        assert tracemalloc.get_traced_memory()[1] < 1e6
+        tracemalloc.stop()
+
+
+def test_a_truth_without_frames_is_refused_at_once(path: Path) -> None:
+    write(path)
+    rewritten(path, frames_npy=rows_of(path, (2, 0), count=0))
+    with pytest.raises(MediaError, match="it has no frames"):
+        open_truth(path)
 
 
 def test_rows_of_another_type_or_number_are_damage(path: Path) -> None:

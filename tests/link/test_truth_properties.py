@@ -48,7 +48,7 @@ def films(draw: st.DrawFn) -> tuple[LinkSettings, list[Truth]]:
         arrays=st.tuples(*[ARRAYS] * count),
         noise=st.just(NoiseModel(settings.channel.sensor)),
     )
-    return settings, draw(st.lists(truths, max_size=6))
+    return settings, draw(st.lists(truths, min_size=1, max_size=6))
 
 
 @st.composite

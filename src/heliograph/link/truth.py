@@ -4,6 +4,7 @@ Only error counting and pictures read it, never a receiver.
 """
 
 import contextlib
+import io
 import json
 import lzma
 import struct
@@ -14,13 +15,13 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.config import brief, from_mapping, to_mapping
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.files import clear_write_errors, whole_file
 from heliograph.channel import NoiseModel, Truth
 from heliograph.link.settings import LinkSettings
@@ -32,6 +33,9 @@ from heliograph.signal.settings import LAYERS
 
 MOST_ABOUT = 1 << 24
 """Most bytes of the text about a film: its settings and the names of its messages take 700 kB at most."""
+
+MOST_HEADER = 1 << 16
+"""Most bytes of the header of the rows, of which version 1.0 holds no more; one written here has 400."""
 
 CHUNK = 4096
 """Rows read at once."""
@@ -223,18 +227,16 @@ class TruthFile:
         """
         kind = row_type(len(self.settings.channel.arrays))
         with _broken_is_clear(self.path), zipfile.ZipFile(self.path) as archive, archive.open("frames.npy") as file:
-            np.lib.format.read_magic(file)
-            shape, _, stored = np.lib.format.read_array_header_2_0(file)
-            if stored != kind:
-                raise _broken(self.path, f"its rows have the type {stored}, not {kind}")
-            left = shape[0]
+            left = count = _count(file, kind)
             while block := file.read(CHUNK * kind.itemsize):
+                if len(block) % kind.itemsize:
+                    raise HeliographError("it ends within a row")
                 rows = np.frombuffer(block, kind)
                 left -= len(rows)
-                _check_rows(path=self.path, rows=rows)
+                _check_rows(rows)
                 yield from rows
             if left:
-                raise _broken(self.path, f"it should have {shape[0]} rows, not {shape[0] - left}")
+                raise HeliographError(f"it should have {count} rows, not {count - left}")
 
 
 def open_truth(path: Path) -> TruthFile:
@@ -248,7 +250,7 @@ def open_truth(path: Path) -> TruthFile:
     Raises
     ------
     MediaError
-        It is missing, damaged, or no truth file.
+        It is missing, damaged, or no truth file; or it has no frames.
     """
     if not path.is_file():
         raise MediaError(f"there is no truth file {path}; 'heliograph simulate' writes it beside the film")
@@ -257,8 +259,11 @@ def open_truth(path: Path) -> TruthFile:
         messages = [{n: [_read(archive, i, MAX_MESSAGE) for i in m[n][: MAX_MESSAGES + 1]] for n in LAYERS}
                     for m in about["messages"][: IDENTITIES + 1]]  # fmt: skip
         settings = from_mapping(LinkSettings, about["settings"])
-        if len(messages) != len(settings.channel.arrays):
-            raise _broken(path, f"messages of {len(messages)} arrays, not {len(settings.channel.arrays)}")
+        arrays = len(settings.channel.arrays)
+        if len(messages) != arrays:
+            raise HeliographError(f"it has messages of {len(messages)} arrays, not {arrays}")
+        with archive.open("frames.npy") as file:
+            _count(file, row_type(arrays))
         return TruthFile(path, settings, messages, int(about["seed"]), str(about.get("film_id", "")))
 
 
@@ -266,8 +271,32 @@ def _read(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
     """Read a part of an archive, of which a small file may hold very much."""
     size = archive.getinfo(name).file_size
     if size > most:
-        raise ValueError(f"{name} has {size} bytes, more than {most}")
+        raise HeliographError(f"{name} has {size} bytes, more than {most}")
     return archive.read(name)
+
+
+def _count(file: IO[bytes], kind: np.dtype[Any]) -> int:
+    """Read the header of the rows, which NumPy would read whatever its length: return how many rows follow."""
+    version = np.lib.format.read_magic(file)
+    if version not in _HEADERS:
+        raise HeliographError(f"its rows are in version {version[0]}.{version[1]} of .npy, not 1.0 or 2.0")
+    width, read = _HEADERS[version]
+    length = file.read(width)
+    size = int.from_bytes(length, "little")
+    if size > MOST_HEADER:
+        raise HeliographError(f"the header of its rows has {size} bytes, more than {MOST_HEADER}")
+    shape, _, stored = read(io.BytesIO(length + file.read(size)))
+    if stored != kind:
+        raise HeliographError(f"its rows have the type {stored}, not {kind}")
+    if len(shape) != 1:
+        raise HeliographError(f"its rows have the shape {shape}, not one for each frame")
+    if not shape[0]:
+        raise HeliographError("it has no frames")
+    return int(shape[0])
+
+
+_HEADERS = {(1, 0): (2, np.lib.format.read_array_header_1_0), (2, 0): (4, np.lib.format.read_array_header_2_0)}
+"""Bytes of a header's length, and what reads length and header, by the version of .npy."""
 
 
 _BROKEN = (
@@ -282,18 +311,24 @@ _BROKEN = (
 def _broken_is_clear(path: Path) -> Iterator[None]:
     try:
         yield
+    except HeliographError as error:
+        raise _broken(path, brief(error)) from None
+    except zipfile.BadZipFile:
+        raise _broken(path, "no whole archive") from None
     except _BROKEN as error:
-        raise _broken(path, error) from None
+        # what Python calls it helps nobody, but a system's reason, such as a right that lacks, does
+        raise _broken(path, getattr(error, "strerror", None) or "") from None
 
 
-def _check_rows(path: Path, rows: NDArray[Any]) -> None:
+def _check_rows(rows: NDArray[Any]) -> None:
     numbers = (rows["time_s"], *(rows["arrays"][name] for name in ("x", "y", "pitch_px", "distance_m")))
     if not all(np.isfinite(column).all() for column in numbers):
-        raise _broken(path, "a time, place or distance is no number")
+        raise HeliographError("a time, place or distance is no number")
 
 
-def _broken(path: Path, what: object) -> MediaError:
-    return MediaError(f"{path} is no truth file, or damaged ({brief(what)}); simulate the film again")
+def _broken(path: Path, what: str) -> MediaError:
+    reason = f" ({what})" if what else ""
+    return MediaError(f"{path} is no truth file, or damaged{reason}; simulate the film again")
 
 
 def _ends(patterns: Sequence[int]) -> tuple[int, int]:
