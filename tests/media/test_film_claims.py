@@ -157,7 +157,7 @@ def test_pictures_in_other_files_are_not_looked_for(
 ) -> None:
     """The other file is a pipe that nobody writes to: opening it would take for ever."""
     os.mkfifo(tmp_path / "pipe")
-    held = {"frames": np.zeros((COUNT, 8, 8), np.uint8), "times_s": TIMES}
+    held: dict[str, Any] = {"frames": np.zeros((COUNT, 8, 8), np.uint8), "times_s": TIMES}
     with h5py.File(tmp_path / "a.h5", "w") as file:
         make(file, name, held[name].shape)
         other = "times_s" if name == "frames" else "frames"

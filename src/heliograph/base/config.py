@@ -1,11 +1,12 @@
 """Settings as frozen, checked dataclasses, made from TOML or from ``key=value`` text.
 
-A settings class is a ``pydantic.dataclasses.dataclass(frozen=True, kw_only=True, config=CONFIG)``: pydantic
-checks its fields when it is made. This module reads and writes the text, merges mappings, and turns an error
-of pydantic into one line that names the rule, the wrong value and the nearest known key.
+A settings class is a ``pydantic.dataclasses.dataclass(frozen=True, kw_only=True, config=CONFIG)`` under
+`clear_errors`: pydantic checks its fields when it is made. This module reads and writes the text, merges mappings, and
+turns an error of pydantic into one line that names the rule, the wrong value and the nearest known key.
 """
 
 import difflib
+import functools
 import json
 import re
 import tomllib
@@ -15,7 +16,7 @@ from typing import Annotated, Any, TypeVar, cast, get_args, get_type_hints
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from heliograph.base.errors import SettingsError
+from heliograph.base.errors import SettingsError, shown
 
 CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
 """Configuration of every settings class: unknown keys, infinities and NaN are errors."""
@@ -56,6 +57,27 @@ _LONGEST_KEY = 100
 T = TypeVar("T")
 
 
+def clear_errors(cls: type[T]) -> type[T]:
+    """Let a settings class, called by hand, raise a SettingsError of one line in place of pydantic's; a decorator.
+
+    Parameters
+    ----------
+    cls
+        Settings class, a dataclass of pydantic; its constructor is replaced.
+    """
+    checked = cls.__init__
+
+    @functools.wraps(checked)
+    def init(self: T, /, *args: Any, **values: Any) -> None:
+        try:
+            checked(self, *args, **values)
+        except ValidationError as error:
+            raise _clear(error, cls) from None
+
+    cls.__init__ = init  # type: ignore[assignment]
+    return cls
+
+
 def from_mapping(cls: type[T], mapping: Mapping[str, Any]) -> T:
     """Make settings from nested mappings.
 
@@ -85,7 +107,7 @@ def from_mapping(cls: type[T], mapping: Mapping[str, Any]) -> T:
     try:
         return TypeAdapter(cls).validate_python(dict(mapping) if isinstance(mapping, Mapping) else mapping)
     except ValidationError as error:
-        raise SettingsError(" ".join(_one_line(error, cls).split())) from None
+        raise _clear(error, cls) from None
     except (OverflowError, RecursionError):
         raise SettingsError("a value is too large, or its tables lie too deep") from None
 
@@ -169,6 +191,8 @@ def parse_assignment(text: str) -> dict[str, Any]:
     SettingsError
         There is no ``=``, a part of the key is empty, or the value is a number of more than 64 bits or lies too deep.
     """
+    if not isinstance(text, str):
+        raise SettingsError(f"an assignment is text, such as channel.distance_m=60, not {shown(text)}")
     key, sign, value = text.partition("=")
     path = [part.strip() for part in key.split(".")]
     if not sign or not all(path):
@@ -291,7 +315,8 @@ def _toml_value(value: Any) -> str:
 
 def _merge_items(base: Sequence[Any], over: Mapping[str, Any]) -> list[Any]:
     items = list(base)
-    for key, value in over.items():
+    for number, value in over.items():
+        key = str(number)
         if not (key.isdecimal() and len(key) <= len(str(len(items))) and int(key) <= len(items)):
             raise SettingsError(f"'{brief(key)}' is not an item of a list of {len(items)}; number items from 0")
         index = int(key)
@@ -299,11 +324,17 @@ def _merge_items(base: Sequence[Any], over: Mapping[str, Any]) -> list[Any]:
     return items
 
 
+def _clear(error: ValidationError, cls: type) -> SettingsError:
+    return SettingsError(" ".join(_one_line(error, cls).split()))
+
+
 def _one_line(error: ValidationError, cls: type) -> str:
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])[:_SHOWN]
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return f"unknown setting '{key}'{_nearest(key, cls)}"
+    if first["type"] == "unexpected_positional_argument":
+        return f"settings are given by name, such as {next(keys_of(cls))}=..., not {brief(first['input'])} alone"
     text = " ".join(first["msg"].removeprefix("Value error, ").split())
     if len(text) > 4 * _SHOWN:  # it quotes a long value
         text = f"{text[: 4 * _SHOWN - 3]}..."

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.errors import HeliographError
+from heliograph.base.errors import HeliographError, shown
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 """Gray levels, shape (rows, columns)."""
@@ -55,15 +55,15 @@ class Frame:
     def __post_init__(self) -> None:
         _check_pixels(self.pixels, self.bits)
         if not (_is_whole(self.index) and abs(self.index) <= LATEST_INDEX):
-            raise HeliographError(f"a frame's index is its number, a whole one, not {_brief(self.index)}")
+            raise HeliographError(f"a frame's index is its number, a whole one, not {shown(self.index)}")
         if not (isinstance(self.time_s, (int, float, np.integer, np.floating)) and abs(self.time_s) <= LATEST_S):
             raise HeliographError(
-                f"a frame's time_s is a time in seconds, at most {LATEST_S:g}, not {_brief(self.time_s)}; number the "
+                f"a frame's time_s is a time in seconds, at most {LATEST_S:g}, not {shown(self.time_s)}; number the "
                 f"frames and divide by their rate where the camera gives no times"
             )
         if not (isinstance(self.origin, tuple) and len(self.origin) == 2 and all(map(_is_whole, self.origin))):
             raise HeliographError(
-                f"a frame's origin is (x, y) on the sensor in whole pixels, a tuple, not {_brief(self.origin)}"
+                f"a frame's origin is (x, y) on the sensor in whole pixels, a tuple, not {shown(self.origin)}"
             )
 
     @property
@@ -124,13 +124,8 @@ def _check_pixels(pixels: Any, bits: Any) -> None:
     least, most = BITS[pixels.dtype]
     if not (_is_whole(bits) and least <= bits <= most):
         held = "8 bits" if least == most else f"{least} to {most} bits"
-        raise HeliographError(f"gray levels of {pixels.dtype} have {held}, not {_brief(bits)}; say bits= of the frame")
+        raise HeliographError(f"gray levels of {pixels.dtype} have {held}, not {shown(bits)}; say bits= of the frame")
 
 
 def _is_whole(value: Any) -> bool:
     return type(value) is int or isinstance(value, np.integer)
-
-
-def _brief(value: Any) -> str:
-    text = repr(value) if isinstance(value, (str, float, int, np.number)) else type(value).__name__
-    return " ".join(text.split())[:40]

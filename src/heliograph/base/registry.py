@@ -1,6 +1,7 @@
 """Parts by name: those of the package, those a program registers, and those other packages offer by entry points."""
 
 import hashlib
+import os
 import re
 import sys
 from collections.abc import Mapping
@@ -13,7 +14,7 @@ from pathlib import Path
 from types import FrameType, ModuleType
 from typing import Any, Generic, TypeVar
 
-from heliograph.base.errors import SettingsError
+from heliograph.base.errors import SettingsError, shown
 from heliograph.base.files import read_bounded
 
 MOST_SOURCE = 1 << 24
@@ -60,8 +61,8 @@ class Registry(Generic[T]):
         SettingsError
             The name is that of a part of the package, or is no name.
         """
-        if not re.fullmatch(r"[\w.-]+", name):
-            raise SettingsError(f"a {self._kind}'s name has letters, digits, '-', '_' and '.', not {name!r}")
+        if not (isinstance(name, str) and re.fullmatch(r"[\w.-]+", name)):
+            raise SettingsError(f"a {self._kind}'s name has letters, digits, '-', '_' and '.', not {shown(name)}")
         if name in self._built_in:
             raise SettingsError(f"the {self._kind} '{name}' is one of the package; choose another name")
         self._own[name] = part
@@ -177,6 +178,8 @@ def load_parts(file: Path | str) -> None:
     SettingsError
         The file cannot be read, or ends in an error.
     """
+    if not isinstance(file, (str, os.PathLike)):
+        raise SettingsError(f"load_parts takes the path of a Python file, not {shown(file)}")
     file = Path(file)
     try:
         source = read_bounded(file, MOST_SOURCE).decode()

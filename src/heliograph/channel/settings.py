@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG, FocalM, Fraction, PitchM, PixelM
+from heliograph.base.config import CONFIG, FocalM, Fraction, PitchM, PixelM, clear_errors
 from heliograph.channel.parts import BACKGROUNDS, MOTIONS, POINT_SPREADS
 
 LightLevel = Annotated[float, Field(ge=0, le=4)]
@@ -45,6 +45,7 @@ EXPOSURE_SLACK = 1e-9
 precision."""
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class Placement:
     """Position, motion and faults of an array.
@@ -128,6 +129,7 @@ class Placement:
         return self
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class CameraSettings:
     """Pinhole camera with a global shutter.
@@ -207,6 +209,7 @@ class CameraSettings:
         return (1 + self.clock_ppm * 1e-6) / self.fps
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class EmitterSettings:
     """LEDs and the panel that carries them.
@@ -250,6 +253,7 @@ class EmitterSettings:
         return -math.log(2) / math.log(math.cos(math.radians(self.half_angle_deg)))
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class SensorSettings:
     """Image sensor by EMVA 1288.
@@ -282,6 +286,7 @@ class SensorSettings:
         return self.full_scale / self.full_well_e
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class BackgroundSettings:
     """The background of the arrays.
@@ -302,6 +307,7 @@ class BackgroundSettings:
     gain: LightLevel = 1.0
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class ChannelSettings:
     """Everything between the LED patterns and the camera frames; the defaults are the reference link.

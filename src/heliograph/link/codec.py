@@ -11,7 +11,7 @@ from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.signal.header import IDENTITIES, header_levels
 from heliograph.signal.message import Message, Reassembler
 from heliograph.signal.packet import PacketFormat
-from heliograph.signal.settings import SignalSettings
+from heliograph.signal.settings import SignalSettings, check_signal
 from heliograph.transmit import Transmitter
 
 
@@ -84,11 +84,10 @@ def _messages(packets: NDArray[np.float64], form: PacketFormat) -> Iterator[Mess
 
 
 def _signal(settings: SignalSettings | None) -> SignalSettings:
-    if not isinstance(settings, SignalSettings | None):
-        raise HeliographError(
-            f"settings are SignalSettings, not {type(settings).__name__}; those of a link are .signal"
-        )
-    return settings or SignalSettings()
+    if settings is None:
+        return SignalSettings()
+    check_signal(settings)
+    return settings
 
 
 def _numbers(luminances: ArrayLike, side: int, size: int) -> NDArray[np.float64]:

@@ -7,14 +7,15 @@ from typing import Any
 from pydantic import model_validator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG, from_mapping, merge, parse_assignment, to_mapping
-from heliograph.base.errors import SettingsError
+from heliograph.base.config import CONFIG, clear_errors, from_mapping, merge, parse_assignment, to_mapping
+from heliograph.base.errors import SettingsError, shown
 from heliograph.channel.settings import ChannelSettings
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 from heliograph.transmit import TransmitSettings
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class LinkSettings:
     """Everything that can be set; the defaults are the reference link.
@@ -123,8 +124,14 @@ def load_settings(
     Raises
     ------
     SettingsError
-        A preset or key is unknown, a value wrong or out of range.
+        A preset or key is unknown, a value wrong or out of range; or the arguments are no name, mapping and texts.
     """
+    if not isinstance(name, str):
+        raise SettingsError(f"a preset is one of {', '.join(PRESETS)}, not {shown(name)}")
+    if not isinstance(over, Mapping | None):
+        raise SettingsError(f'changes are nested mappings, such as {{"signal": {{"side": 8}}}}, not {shown(over)}')
+    if isinstance(assignments, str) or not isinstance(assignments, Iterable):
+        raise SettingsError(f'assignments are a list, such as ["signal.side=8"], not {shown(assignments)}')
     tree = merge(to_mapping(LinkSettings()), preset(name))
     for change in [over or {}, *map(parse_assignment, assignments)]:
         tree = merge(tree, change)

@@ -6,7 +6,7 @@ from typing import TypeGuard
 
 import numpy as np
 
-from heliograph.base.errors import SettingsError
+from heliograph.base.errors import SettingsError, shown
 from heliograph.base.frames import Frame
 from heliograph.channel import Footage, ImuTrace, Truth, film
 from heliograph.link.settings import LinkSettings
@@ -124,13 +124,13 @@ def simulate(
 
 def _check(settings: object, seed: object, recordings: object, roi_margin_px: object) -> None:
     if not isinstance(settings, LinkSettings):
-        raise SettingsError(f"settings are those of load_settings(...), not {settings!r:.60}")
+        raise SettingsError(f"settings are those of load_settings(...), not {shown(settings)}")
     if not (_is_whole(seed) and seed >= 0):
-        raise SettingsError(f"a seed is a whole number, at least 0, not {seed!r:.60}")
+        raise SettingsError(f"a seed is a whole number, at least 0, not {shown(seed)}")
     if not isinstance(recordings, Recordings | None):
         raise SettingsError(f"recordings are heliograph.link.simulate.Recordings, not {type(recordings).__name__}")
     if roi_margin_px is not None and not _is_whole(roi_margin_px):
-        raise SettingsError(f"roi_margin_px is a whole number of pixels, not {roi_margin_px!r:.60}")
+        raise SettingsError(f"roi_margin_px is a whole number of pixels, not {shown(roi_margin_px)}")
 
 
 def _is_whole(value: object) -> TypeGuard[int]:

@@ -3,9 +3,10 @@
 import math
 import os
 from collections.abc import Mapping
+from numbers import Real
 from pathlib import Path
 
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import MediaError, shown
 from heliograph.media import hdf5, video_read, video_write
 from heliograph.media.reader import FilmReader
 from heliograph.media.record import FilmSpec
@@ -42,9 +43,9 @@ def open_film(path: str | os.PathLike[str], *, expand_range: bool = False, rate_
         The rate is not above 0; the file is missing, a folder, empty, no film, or damaged beyond reading. Damage
         further on is reported while iterating, after the whole frames.
     """
-    path = Path(path)
-    if rate_hz is not None and not 0 < rate_hz < math.inf:
-        raise MediaError(f"a camera takes more than 0 frames/s, not {rate_hz:g}; give the rate it was set to")
+    path = _checked_path(path)
+    if rate_hz is not None and not (isinstance(rate_hz, Real) and 0 < rate_hz < math.inf):
+        raise MediaError(f"a camera takes more than 0 frames/s, not {shown(rate_hz)}; give the rate it was set to")
     if path.is_dir():
         raise MediaError(f"{path} is a folder: give a film in it")
     if not path.exists():
@@ -121,13 +122,15 @@ def create_film(
     MediaError
         Unknown suffix or codec, settings that do not go together, or a place that cannot be written.
     """
-    target = Path(path)
+    target = _checked_path(path)
     suffix = target.suffix.lower()
     if suffix not in FILM_SUFFIXES:
         raise MediaError(
             f"unknown kind of film {target.name!r}: the name must end in one of {', '.join(FILM_SUFFIXES)}"
         )
-    spec = FilmSpec(width=width, height=height, rate_hz=float(rate_hz), bits=bits, metadata=dict(metadata or {}))
+    spec = FilmSpec(
+        width=width, height=height, rate_hz=rate_hz, bits=bits, metadata={} if metadata is None else metadata
+    )
     sink_codec = _codec(suffix, spec, codec, crf, lossless)
     partial = partial_path(target)
     try:
@@ -136,6 +139,12 @@ def create_film(
         partial.unlink(missing_ok=True)
         raise error if isinstance(error, MediaError) else write_error(error, target) from error
     return FilmWriter(target, partial, spec, sink)
+
+
+def _checked_path(path: object) -> Path:
+    if not isinstance(path, (str, os.PathLike)):
+        raise MediaError(f"a film's path is text or a pathlib.Path, not {shown(path)}")
+    return Path(path)
 
 
 def _codec(

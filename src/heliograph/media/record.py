@@ -5,8 +5,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from numbers import Integral, Real
 
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import LATEST_S
 
 TAG = "heliograph"
@@ -69,15 +70,24 @@ class FilmSpec:
     metadata: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name, kind, called in (*((name, Integral, "a whole number") for name in ("width", "height", "bits")),
+                                   ("rate_hz", Real, "a number"), ("metadata", Mapping, "texts by name")):  # fmt: skip
+            if not isinstance(getattr(self, name), kind):
+                raise MediaError(f"{name} of a film is {called}, got {shown(getattr(self, name))}")
         if self.width < 1 or self.height < 1:
             raise MediaError(f"a film is at least 1x1 pixels, asked for {self.width}x{self.height}")
-        if not (math.isfinite(self.rate_hz) and 0 < self.rate_hz <= FASTEST_HZ):
-            raise MediaError(f"rate_hz must lie above 0 and at most 1e6 frames a second, got {self.rate_hz}")
+        if not 0 < self.rate_hz <= FASTEST_HZ:
+            raise MediaError(f"rate_hz must lie above 0 and at most 1e6 frames a second, got {shown(self.rate_hz)}")
         if not 8 <= self.bits <= 16:
             raise MediaError(f"a gray level has 8 to 16 bits, got bits={self.bits}")
         for name, text in self.metadata.items():
             if not (isinstance(name, str) and isinstance(text, str)):
-                raise MediaError(f"metadata maps text to text, got {name!r}: {text!r}; turn the value into text first")
+                raise MediaError(
+                    f"metadata maps text to text, got {shown(name)}: {shown(text)}; turn the value into text first"
+                )
+        # as plain values, which JSON takes, and which the caller cannot change any more
+        for name, plain in (("width", int), ("height", int), ("bits", int), ("rate_hz", float), ("metadata", dict)):
+            object.__setattr__(self, name, plain(getattr(self, name)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,10 +5,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import Frame
 from heliograph.media import planes
 from heliograph.media.record import FilmRecord, FilmSpec, fine_time_base, rational_rate, to_tags
@@ -97,8 +98,8 @@ def chosen_codec(suffix: str, name: str | None, crf: float | None, lossless: boo
         raise MediaError("mjpeg cannot be lossless: choose codec='ffv1' or 'h264' in a .mkv or .nut file")
     if crf is not None and lossless:
         raise MediaError("give either crf or lossless, not both: lossless has no quality to choose")
-    if crf is not None and not 0 <= crf <= WORST_CRF:
-        raise MediaError(f"crf lies between 0 (best) and 51 (smallest), got {crf}")
+    if crf is not None and not (isinstance(crf, Real) and 0 <= crf <= WORST_CRF):
+        raise MediaError(f"crf lies between 0 (best) and 51 (smallest), got {shown(crf)}")
     return VideoCodec(name=name, crf=DEFAULT_CRF if crf is None else crf, lossless=lossless)
 
 

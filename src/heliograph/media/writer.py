@@ -12,7 +12,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import Frame
 from heliograph.media.record import FilmSpec
 
@@ -194,6 +194,10 @@ class FilmWriter:
             self.abort()
 
     def _check(self, frame: Frame) -> None:
+        if not isinstance(frame, Frame):
+            raise MediaError(
+                f"a film takes heliograph.Frame, not {shown(frame)}; write Frame(index, time_s, pixels, bits)"
+            )
         check_pixels(frame, self.spec)
         if frame.time_s <= self._last_time_s:
             raise MediaError(f"frames must follow each other in time: got {frame.time_s} s after {self._last_time_s} s")

@@ -4,12 +4,12 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from heliograph.base.config import from_mapping
-from heliograph.base.errors import SettingsError
+from heliograph.base.errors import HeliographError, SettingsError, shown
 from heliograph.base.frames import Frame
 from heliograph.receive.packets import Packet, Receiver
 from heliograph.receive.registry import GROUPS, RECEIVERS, ReceiverPart, part_of
 from heliograph.receive.settings import ReceiveSettings
-from heliograph.signal.settings import SignalSettings
+from heliograph.signal.settings import SignalSettings, check_signal
 
 AnyObserver = Callable[[Any], None]
 """An observer of any receiver's events; see `heliograph.receive.events.Event`."""
@@ -61,8 +61,9 @@ def own_settings(settings: ReceiveSettings) -> Any:
     Raises
     ------
     SettingsError
-        A key of ``receive.own`` is unknown, or a value out of range.
+        A key of ``receive.own`` is unknown, or a value out of range; or the settings are no `ReceiveSettings`.
     """
+    _check_settings(settings)
     kind = part_of(settings.receiver).settings
     return None if kind is None else from_mapping(kind, settings.own)
 
@@ -88,9 +89,13 @@ def make_receiver(
     Raises
     ------
     SettingsError
-        There is no receiver of that name, or it cannot read this signal.
+        There is no receiver of that name, or it cannot read this signal; or the arguments are no settings or observer.
     """
-    settings = settings or ReceiveSettings()
+    check_signal(signal)
+    settings = ReceiveSettings() if settings is None else settings
+    _check_settings(settings)
+    if not callable(observe or _ignore):
+        raise SettingsError(f"an observer is a function that takes an event, not {shown(observe)}")
     found: Receiver = part_of(settings.receiver).make(signal, settings, observe or _ignore)
     return found
 
@@ -113,12 +118,26 @@ def receive_frames(
     Raises
     ------
     HeliographError
-        The frames do not follow in time, or the camera's rate does not fit the light's.
+        At once: the arguments are no frames, settings or observer, or `make_receiver` refuses them. Later: the frames
+        do not follow in time, or the camera's rate does not fit the light's.
     """
-    receiver = make_receiver(signal, settings, observe)
+    if not isinstance(frames, Iterable):
+        raise HeliographError(f"frames are an open film, or any iterable of heliograph.Frame, not {shown(frames)}")
+    return _received(frames, make_receiver(signal, settings, observe))
+
+
+def _received(frames: Iterable[Frame], receiver: Receiver) -> Iterator[Packet]:
     for frame in frames:
         yield from receiver.push(frame)
     yield from receiver.finish()
+
+
+def _check_settings(settings: object) -> None:
+    if not isinstance(settings, ReceiveSettings):
+        raise SettingsError(
+            f"settings of a receiver are ReceiveSettings, not {shown(settings)}; those of a link are .receive, and "
+            f"ReceiveSettings(receiver='soft') chooses another one"
+        )
 
 
 def _ignore(event: Any, /) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG, FocalM, Fraction, PitchM, PixelM, from_mapping
+from heliograph.base.config import CONFIG, FocalM, Fraction, PitchM, PixelM, clear_errors, from_mapping
 from heliograph.receive.registry import GROUPS, RECEIVERS, part_of
 
 Equaliser = Literal["none", "inverse"]
@@ -20,6 +20,7 @@ SMALLEST_SIDE_PX = {"plain": 8.0, "soft": 4.0}
 """Smallest array looked for by default: 117 m away in the reference link, and 233 m."""
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class CalibrationSettings:
     """What is known of lens and array beforehand; it turns the pitch in the image into a distance.
@@ -46,6 +47,7 @@ class CalibrationSettings:
     exposure_s: Annotated[float, Field(ge=1e-9, le=10)] | None = None
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class DetectSettings:
     """When something is taken for an array.
@@ -73,6 +75,7 @@ class DetectSettings:
     candidates: Annotated[int, Field(ge=1, le=64)] = 6
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class TrackSettings:
     """How an array is followed.
@@ -90,6 +93,7 @@ class TrackSettings:
     coast_patterns: Annotated[float, Field(gt=0, le=1e6)] = 50.0
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class DecodeSettings:
     """The decoder of the channel code.
@@ -107,6 +111,7 @@ class DecodeSettings:
     iterations: Annotated[int, Field(ge=1, le=64)] = 8
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class PlainSettings:
     """Settings of the receiver "plain" alone.
@@ -121,6 +126,7 @@ class PlainSettings:
     equaliser: Equaliser = "none"
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class SoftSettings:
     """Settings of the receiver "soft" alone.
@@ -138,6 +144,7 @@ class SoftSettings:
     combining: bool = True
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class ReceiveSettings:
     """The receiver.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG
+from heliograph.base.config import CONFIG, clear_errors
 from heliograph.signal.settings import LAYERS, RATE_SLACK, RateSettings, as_number
 
 SIGNALLED_RATES = (2 / 5, 1 / 2, 3 / 5, 2 / 3, 3 / 4, 5 / 6, 9 / 10)
@@ -53,6 +53,7 @@ SignalledRate = Annotated[float, BeforeValidator(as_number), AfterValidator(_sig
 """One of `SIGNALLED_RATES`, also as a fraction such as "2/3" or rounded to three digits."""
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class Format:
     """Mode and code rates of a packet.

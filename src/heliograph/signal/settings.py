@@ -6,7 +6,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG
+from heliograph.base.config import CONFIG, clear_errors
+from heliograph.base.errors import SettingsError, shown
 from heliograph.signal.code import CODES
 from heliograph.signal.pwm import SLOT_ORDER, SLOTS
 
@@ -39,6 +40,7 @@ CodeRate = Annotated[float, BeforeValidator(as_number), Field(ge=1 / 3 - RATE_SL
 """Information bits per sent bit: from 1/3, the mother code's rate, to 9/10."""
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class RateSettings:
     """Rates of the turbo code by layer.
@@ -59,6 +61,7 @@ class RateSettings:
     low: CodeRate = 1 / 3
 
 
+@clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class SignalSettings:
     """The signal of an array's light.
@@ -116,3 +119,22 @@ class SignalSettings:
     def packet_s(self) -> float:
         """Duration of a packet in seconds."""
         return self.packet_patterns * self.pattern_period_s
+
+
+def check_signal(settings: object) -> None:
+    """Check what is given for the settings of a signal.
+
+    Parameters
+    ----------
+    settings
+        What was given.
+
+    Raises
+    ------
+    SettingsError
+        It is no `SignalSettings`.
+    """
+    if not isinstance(settings, SignalSettings):
+        raise SettingsError(
+            f"settings of a signal are SignalSettings, not {shown(settings)}; those of a link are .signal"
+        )

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from heliograph.base.config import merge, parse_assignment
-from heliograph.base.errors import SettingsError
+from heliograph.base.errors import SettingsError, shown
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import transmitters
@@ -43,7 +43,7 @@ def plan(
         A recording cannot be read.
     """
     if not isinstance(seed, Integral) or not 0 <= seed < 2**63:
-        raise SettingsError(f"the seed is a whole number from 0 to 2^63 - 1, not {seed!r}")
+        raise SettingsError(f"the seed is a whole number from 0 to 2^63 - 1, not {shown(seed)}")
     recordings = _recordings(background, imu)
     use: dict[str, Any] = {"channel": {"background": {"kind": "footage"}}} if background else {}
     use = merge(use, {"channel": {"shake": "imu"}} if imu else {})
@@ -58,11 +58,18 @@ def laid_over(changes: Mapping[str, Any] | Sequence[str]) -> Mapping[str, Any]:
     ----------
     changes
         Values by dotted key, or texts such as "channel.distance_m=60"; a later one wins.
+
+    Raises
+    ------
+    SettingsError
+        They are neither, or a text assigns nothing.
     """
     if isinstance(changes, str):
         changes = [changes]
     if isinstance(changes, Mapping):
         parts = [nested(key, value) for key, value in changes.items()]
+    elif not isinstance(changes, Iterable):
+        raise SettingsError(f'changes are values by key, such as {{"signal.side": 8}}, not {shown(changes)}')
     else:
         parts = [parse_assignment(text) for text in changes]
     tree: Any = {}

@@ -1,10 +1,11 @@
 """Error rates of a Dataset as a picture: points with intervals, bounds where no error was met."""
 
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from heliograph.base.errors import HeliographError
+from heliograph.base.errors import HeliographError, shown
 from heliograph.signal.settings import LAYERS
 
 if TYPE_CHECKING:
@@ -42,8 +43,11 @@ def plot_rates(
     Raises
     ------
     HeliographError
-        There is no such rate or key, or nothing varies.
+        There is no such rate or key, or nothing varies; or it is no Dataset.
     """
+    # who has a Dataset has loaded xarray, which need not be installed
+    if not isinstance(data, getattr(sys.modules.get("xarray"), "Dataset", ())):
+        raise HeliographError(f"plot_rates draws the xarray.Dataset of heliograph.sweep, not {shown(data)}")
     if rate not in RATES:
         raise HeliographError(f"there is no rate '{rate}'; there are {', '.join(RATES)}")
     keys = [str(key) for key in data[rate].dims if key != "layer"]

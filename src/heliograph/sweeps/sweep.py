@@ -4,11 +4,14 @@ import contextlib
 import csv
 import io
 import json
+import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from heliograph.base.errors import HeliographError, shown
 from heliograph.base.files import write_whole
 from heliograph.sweeps.bar import bar
 from heliograph.sweeps.executors import fewer_workers, open_workers
@@ -82,6 +85,7 @@ def sweep(
     from heliograph.sweeps.dataset import need_xarray, to_dataset
 
     need_xarray()
+    _check(workers, scheduler)
     rule = StopRule(min_errors=min_errors, max_codewords=max_codewords, max_seconds=max_seconds)
     grid = listed(vary)
     points = plan(grid, preset, laid_over(set), seed, _path(background), _path(imu))
@@ -169,5 +173,14 @@ def _flat(layer: Mapping[str, Any]) -> dict[str, Any]:
     return flat
 
 
+def _check(workers: object, scheduler: object) -> None:
+    if not isinstance(workers, Integral | None):
+        raise HeliographError(f"workers are a whole number, or None for one a core, not {shown(workers)}")
+    if not isinstance(scheduler, str | None):
+        raise HeliographError(f"a scheduler is an address, such as 'tcp://127.0.0.1:8786', not {shown(scheduler)}")
+
+
 def _path(path: Path | str | None) -> Path | None:
+    if not isinstance(path, str | os.PathLike | None):
+        raise HeliographError(f"output, background and imu are paths, not {shown(path)}")
     return None if path is None else Path(path)

@@ -4,11 +4,15 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from heliograph import __version__
-from heliograph.base.errors import SettingsError
+from heliograph.base.errors import SettingsError, shown
 from heliograph.measure.bench import stands_still
 from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.sweeps.points import Point
+
+_NUMBER = (int, float, np.integer, np.floating)
 
 EMPTY_BLOCKS = 3
 """Blocks without any codeword after which a point is given up: its films hold no whole packet."""
@@ -40,10 +44,12 @@ class StopRule:
     def __post_init__(self) -> None:
         """Check the values."""
         for name in ("min_errors", "max_codewords"):
-            if getattr(self, name) < 1:
-                raise SettingsError(f"{name} is at least 1, not {getattr(self, name)}")
-        if self.max_seconds is not None and not 0 < self.max_seconds < math.inf:
-            raise SettingsError(f"max_seconds is above 0, not {self.max_seconds}")
+            count = getattr(self, name)
+            if not (isinstance(count, _NUMBER) and count >= 1):
+                raise SettingsError(f"{name} is at least 1, not {shown(count)}")
+        limit = self.max_seconds
+        if limit is not None and not (isinstance(limit, _NUMBER) and 0 < limit < math.inf):
+            raise SettingsError(f"max_seconds is above 0, not {shown(limit)}")
 
 
 class PointTally:

@@ -8,7 +8,7 @@ from decimal import Decimal
 from typing import Any
 
 from heliograph.base.config import brief, merge, parse_assignment, parse_value
-from heliograph.base.errors import SettingsError
+from heliograph.base.errors import SettingsError, shown
 from heliograph.link.settings import LinkSettings, load_settings
 
 SHORT = {"receiver": "receive.receiver"}
@@ -73,8 +73,12 @@ def listed(vary: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
     Raises
     ------
     SettingsError
-        A key has no values or one twice or is given twice.
+        A key has no values or one twice or is given twice; or these are no lists by key.
     """
+    if not isinstance(vary, Mapping):
+        raise SettingsError(f'a sweep varies lists, such as {{"channel.distance_m": [40, 60]}}, not {shown(vary)}')
+    for key in vary:
+        _check_key(key)
     doubled = [short for short, key in SHORT.items() if short in vary and key in vary]
     if doubled:
         raise SettingsError(f"'{doubled[0]}' is short for '{SHORT[doubled[0]]}', which varies as well")
@@ -120,10 +124,16 @@ def nested(key: str, value: Any) -> Any:
     SettingsError
         It is no key.
     """
+    _check_key(key)
     parse_assignment(f"{key}=0")  # names what is wrong with a key
     for part in reversed(key.split(".")):
         value = {part.strip(): value}
     return value
+
+
+def _check_key(key: object) -> None:
+    if not isinstance(key, str):
+        raise SettingsError(f"a key is text, such as 'channel.distance_m', not {shown(key)}")
 
 
 def _plain(key: str, values: Any) -> list[Any]:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass as checked
 
-from heliograph.base.config import CONFIG
-from heliograph.base.errors import SettingsError
+from heliograph.base.config import CONFIG, clear_errors
+from heliograph.base.errors import SettingsError, shown
 from heliograph.signal.block import Block
 from heliograph.signal.formats import AGREED, Format
 from heliograph.signal.header import IDENTITIES
@@ -20,9 +20,10 @@ from heliograph.signal.header import identity as identity_of
 from heliograph.signal.message import Carousel
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
-from heliograph.signal.settings import LAYERS, SignalSettings
+from heliograph.signal.settings import LAYERS, SignalSettings, check_signal
 
 
+@clear_errors
 @checked(frozen=True, kw_only=True, config=CONFIG)
 class TransmitSettings:
     """Settings of the transmitters: identities of the arrays and formats of their packets.
@@ -91,8 +92,8 @@ class Transmitter:
     Raises
     ------
     SettingsError
-        A layer or the identity is unknown, the messages of a layer are no bytes, too many or too long, or a format does
-        not go with the signal's settings.
+        The settings are no `SignalSettings`, a layer or the identity is unknown, the messages of a layer are no bytes,
+        too many or too long, or a format does not go with the signal's settings.
     """
 
     def __init__(
@@ -102,12 +103,16 @@ class Transmitter:
         messages: Mapping[str, Sequence[bytes]],
         formats: Sequence[Format] = (),
     ):
+        check_signal(settings)
         _check_messages(messages)
+        _check_formats(formats)
         self.formats = tuple(PacketFormat(settings, one) for one in formats or (AGREED,))
         try:
             self.identity = identity_of(operator.index(identity)).number
         except (TypeError, ValueError):
-            raise SettingsError(f"an identity is a whole number, 0 to {IDENTITIES - 1}, not {identity!r}") from None
+            raise SettingsError(
+                f"an identity is a whole number, 0 to {IDENTITIES - 1}, not {shown(identity)}"
+            ) from None
         # each size of blocks has a carousel of its own (section 8)
         self._carousels = {
             (name, layer.payload_bytes): self._carousel(name, messages.get(name, ()), layer.payload_bytes)
@@ -185,9 +190,16 @@ class Transmitter:
             yield TimedPattern(index, index * settings.pattern_period_s, part, inverted, levels)
 
 
+def _check_formats(formats: object) -> None:
+    if not isinstance(formats, Sequence) or not all(isinstance(one, Format) for one in formats):
+        raise SettingsError(f"formats are a list of heliograph.signal.formats.Format, not {shown(formats)}")
+
+
 def _check_messages(messages: Any) -> None:
     if not isinstance(messages, Mapping):
-        raise SettingsError(f'messages are lists of bytes by layer, such as {{"high": [b"..."]}}, not {messages!r:.60}')
+        raise SettingsError(
+            f'messages are lists of bytes by layer, such as {{"high": [b"..."]}}, not {shown(messages)}'
+        )
     for name, listed in messages.items():
         if name not in LAYERS:
             raise SettingsError(f"layers are {', '.join(LAYERS)}, not {name!s:.60}")
