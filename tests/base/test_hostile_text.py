@@ -19,6 +19,7 @@ TEXTS = {
     "a = " + "1" * 5000: "more than 64 bits",
     "a = 0x" + "f" * 5000: "more than 64 bits",
     "a = 9223372036854775808": "more than 64 bits",
+    "a = -9223372036854775809": "more than 64 bits",
 }
 
 
@@ -31,6 +32,7 @@ def test_text_of_no_settings(text: str) -> None:
         parse_assignment(text.replace(" = ", "="))
     assert time.perf_counter() - began < 5
     assert parse_value("9223372036854775807") == (1 << 63) - 1
+    assert parse_value("-9223372036854775808") == -(1 << 63)
 
 
 VALUES = {

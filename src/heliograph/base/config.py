@@ -46,7 +46,7 @@ _DEEPEST = 32
 """Most tables within tables. Chosen; settings have four."""
 
 _LARGEST = 1 << 63
-"""Whole numbers are below this in magnitude, as TOML has them."""
+"""Whole numbers are below this and not below its negative, as TOML has them: 64 bits."""
 
 _SHOWN = 80
 """Most characters of a wrong value in a message."""
@@ -154,7 +154,7 @@ def _bounded(tree: Any) -> Any:
     while layer:
         if depth > _DEEPEST:
             raise SettingsError(f"tables or lists lie more than {_DEEPEST} deep")
-        if any(isinstance(value, int) and abs(value) >= _LARGEST for value in layer):
+        if any(isinstance(value, int) and not -_LARGEST <= value < _LARGEST for value in layer):
             raise SettingsError("a whole number has more than 64 bits")
         inner = [value for value in layer if isinstance(value, (dict, list))]
         layer = [one for value in inner for one in (value.values() if isinstance(value, dict) else value)]
