@@ -57,6 +57,15 @@ def test_a_luminance_that_is_not_known_is_an_erasure(hidden: Any, unknown: float
     assert [(one.identity, one.data) for one in decode(x)] == [(7, b"kept")]
 
 
+@pytest.mark.parametrize("fault", [1e308, -1e308, 1e8])
+@pytest.mark.parametrize("unit", [1.0, 1e200, 1e-200])
+@pytest.mark.parametrize("hidden", [np.s_[::5, 3, 3], np.s_[7, 3, 3], np.s_[:, 4:9, 3:9]])
+def test_a_luminance_absurdly_beyond_the_others_is_an_erasure(fault: float, unit: float, hidden: Any) -> None:
+    x = encode({"high": b"kept"}, 7) * unit
+    x[hidden] = fault * min(unit, 1) if abs(fault) > 1e300 else fault * unit
+    assert [(one.identity, one.data) for one in decode(x)] == [(7, b"kept")]
+
+
 def test_nothing_is_read_where_nothing_is_known() -> None:
     assert not list(decode(np.full((100, 16, 16), np.nan)))
     assert not list(decode(np.zeros((100, 16, 16))))

@@ -14,6 +14,10 @@ from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings, check_signal
 from heliograph.transmit import Transmitter
 
+ABSURD = 1e6
+"""Multiple of the median luminance beyond which one is a fault of what measured it. Chosen: cameras of 16 bits tell
+65536 levels apart. A single one of 1e308 would leave nothing of the others beside it."""
+
 
 def encode(
     messages: Mapping[str, bytes], identity: int = 0, settings: SignalSettings | None = None
@@ -55,7 +59,7 @@ def decode(luminances: ArrayLike, settings: SignalSettings | None = None) -> Ite
     ----------
     luminances
         (patterns, n, n) real numbers in any unit, noisy or not; the first is the first of a packet. NaN and infinite
-        ones are erasures: nothing is known of that LED in that pattern.
+        ones are erasures: nothing is known of that LED in that pattern. So are those `ABSURD` times as large as most.
     settings
         The signal; the default is the reference link's.
 
@@ -100,9 +104,19 @@ def _numbers(luminances: ArrayLike, side: int, size: int) -> NDArray[np.float64]
     if x.ndim != 3 or x.shape[1:] != (side, side) or not len(x) or len(x) % size:
         raise HeliographError(f"expected (patterns, {side}, {side}) with whole packets of {size}, not {x.shape}")
     known = np.isfinite(x)
+    known &= _credible(np.abs(x, where=known, out=np.zeros_like(x)))
     largest = np.abs(x, where=known, out=np.zeros_like(x)).max()
     # nothing but their ratios counts, and the squares of very large ones would be infinite
     return np.where(known, x, np.nan) / (largest or 1.0)
+
+
+def _credible(sizes: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether a luminance is none that is absurd beside the others, by the median of those that are not 0."""
+    lit = sizes[sizes > 0]
+    if not lit.size:
+        return np.ones(sizes.shape, bool)
+    middle = np.partition(lit, lit.size // 2)[lit.size // 2]
+    return sizes / ABSURD <= middle  # a quotient, as the product may be infinite
 
 
 def _identity_of(header: NDArray[np.float64]) -> int:
