@@ -9,7 +9,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive.acquire import coarse, kernels, reference
 from heliograph.signal.header import all_header_cells
 
-RING, GRID, APART = 0.12, 0.1, 0.5
+RING, GRID = 0.12, 0.1
 
 
 @pytest.mark.parametrize("weights", [coarse.ALTERNATION, coarse.DIFFERENCE, (2.0, -4.0, 4.0, -2.0)])
@@ -71,27 +71,33 @@ def searched(
     *,
     contrast: float,
     threshold: float,
+    apart: float = coarse.APART_SIDES,
     corner: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[int, NDArray[np.float64]]:
     """Candidates found, and the table of them."""
     cells, best = all_header_cells().reshape(-1, 16).astype(float), np.zeros((count, 5))
     total, square = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     found = kernels.search(
-        total, square, busy, 8.0, cells, np.array(sides), contrast, threshold, RING, GRID, APART, np.array(corner), best
+        total, square, busy, 8.0, cells, np.array(sides), contrast, threshold, RING, GRID, apart, np.array(corner), best
     )
     return found, best
 
 
 # a size whose half is no multiple of the step, else rounding decides which of two neighbours overlap
 @pytest.mark.parametrize(("pixels", "sides", "count"), [(2, (8.3, 9.1), 5), (4, (11.3, 15.8), 1)])
+@pytest.mark.parametrize("apart", [coarse.APART_SIDES, coarse.TURNED_APART_SIDES])
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.slow
-def test_search_finds_what_the_reference_finds(seed: int, pixels: int, sides: tuple[float, ...], count: int) -> None:
+def test_search_finds_what_the_reference_finds(
+    seed: int, apart: float, pixels: int, sides: tuple[float, ...], count: int
+) -> None:
     image, cells = headers(seed, pixels), all_header_cells().reshape(-1, 16).astype(float)
     busy = np.ones((6, 7), dtype=bool)
     busy[0] = False
-    found, best = searched(image, busy, sides, count, contrast=3.0, threshold=0.35)
-    grid = reference.Grid(sides=np.array(sides), contrast=3.0, threshold=0.35, ring=RING, step=GRID, count=count)
+    found, best = searched(image, busy, sides, count, contrast=3.0, threshold=0.35, apart=apart)
+    grid = reference.Grid(
+        sides=np.array(sides), contrast=3.0, threshold=0.35, ring=RING, step=GRID, apart=apart, count=count
+    )
     want = reference.search(image.astype(float), busy, 8, cells, grid)
     assert found == count
     assert best == pytest.approx(np.array(want), rel=1e-6)

@@ -31,6 +31,8 @@ class Grid:
         Width of the ring around a candidate, as a fraction of its side.
     step
         Step of the places as a fraction of the side.
+    apart
+        Least distance of two candidates along x or y, as a fraction of the larger one's side.
     count
         Largest number of candidates that are kept.
     """
@@ -40,6 +42,7 @@ class Grid:
     threshold: float
     ring: float
     step: float
+    apart: float
     count: int
 
 
@@ -91,7 +94,7 @@ def search(image: Floats, busy: NDArray[np.bool_], block: int, cells: Floats, gr
         for x, y in _places(image.shape, busy, block, side, grid):
             for number, score in _scores(image, cells, x, y, side, grid):
                 if abs(score) >= grid.threshold:
-                    kept = _merge(kept, (score, x + side / 2, y + side / 2, side, number), grid.count)
+                    kept = _merge(kept, (score, x + side / 2, y + side / 2, side, number), grid)
     return kept
 
 
@@ -128,10 +131,10 @@ def _overlap(start: float, size: float, count: int) -> Floats:
     return np.clip(np.minimum(start + size, first + 1) - np.maximum(start, first), 0, 1)
 
 
-def _merge(kept: list[ScoredSquare], new: ScoredSquare, count: int) -> list[ScoredSquare]:
-    """Take a candidate in unless a better one overlaps it; it replaces worse ones that do."""
-    near = [old for old in kept if max(abs(old[1] - new[1]), abs(old[2] - new[2])) < 0.5 * max(new[3], old[3])]
+def _merge(kept: list[ScoredSquare], new: ScoredSquare, grid: Grid) -> list[ScoredSquare]:
+    """Take a candidate in unless a better one lies on the same place; it replaces worse ones there."""
+    near = [old for old in kept if max(abs(old[1] - new[1]), abs(old[2] - new[2])) < grid.apart * max(new[3], old[3])]
     if any(abs(old[0]) >= abs(new[0]) for old in near):
         return kept
     rest = [old for old in kept if old not in near]
-    return sorted([*rest, new], key=lambda c: -abs(c[0]))[:count]
+    return sorted([*rest, new], key=lambda c: -abs(c[0]))[: grid.count]
