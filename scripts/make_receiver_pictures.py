@@ -177,9 +177,9 @@ def main() -> None:
     for name, figure in (
         ("pair", pair(Packet(60))),
         ("gram", gram()),
-        ("first-round", first_iteration(near)),
+        ("first-iteration", first_iteration(near)),
         ("disturbers", disturbers(near)),
-        ("rounds", iterations(far)),
+        ("iterations", iterations(far)),
         ("sites", sites(kinds)),
     ):
         figure.savefig(PICTURES / f"soft-{name}.png", dpi=110, bbox_inches="tight")

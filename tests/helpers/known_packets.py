@@ -66,8 +66,8 @@ def by_matrices(b: Floats, d: Floats, o: Floats, w: Floats | float = 1.0) -> Pai
     """
     w = np.broadcast_to(w, d.shape)
     gram = (b.T @ (w[:, None] * b)).astype(np.float32)
-    cross, drift, power = (float(x @ (w * y)) for x, y in ((d, o), (o, o), (d, d)))
-    return PairStatistics(gram, b.T @ (w * d), b.T @ (w * o), cross, drift, power, int((w > 0).sum()))
+    cross, offset_power, power = (float(x @ (w * y)) for x, y in ((d, o), (o, o), (d, d)))
+    return PairStatistics(gram, b.T @ (w * d), b.T @ (w * o), cross, offset_power, power, int((w > 0).sum()))
 
 
 def statistics_of(

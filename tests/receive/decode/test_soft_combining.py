@@ -145,7 +145,7 @@ def test_blocks_that_are_much_alike_are_told_apart() -> None:
 def of_gain(statistics: list[PairStatistics | None], gain: float) -> list[PairStatistics | None]:
     """Statistics of the same pairs, the light of a gain in place of 1."""
     return [
-        PairStatistics(one.gram, gain * one.matched, one.offset, gain * one.cross, one.drift) if one else None
+        PairStatistics(one.gram, gain * one.matched, one.offset, gain * one.cross, one.offset_power) if one else None
         for one in statistics
     ]
 
@@ -179,7 +179,7 @@ def test_a_joined_packet_is_the_sum_in_the_units_of_the_later_one() -> None:
         (1, once.matched, pairs[0].matched),
         (2, once.offset, pairs[0].offset),
         (1, once.cross, pairs[0].cross),
-        (2, once.drift, pairs[0].drift),
+        (2, once.offset_power, pairs[0].offset_power),
         (0, once.power, pairs[0].power),
     ):
         assert 180.0**power / 6.0 * np.asarray(now) == pytest.approx(90.0**power / 2.0 * np.asarray(before), rel=1e-6)

@@ -22,7 +22,7 @@ def assert_equal(got: PairStatistics, want: PairStatistics, rel: float = 1e-6) -
     for name in ("gram", "matched", "offset"):
         one, other = np.asarray(getattr(got, name), float), np.asarray(getattr(want, name), float)
         assert np.abs(one - other).max() <= rel * np.abs(other).max(), name
-    for name in ("cross", "drift", "power", "pixels"):
+    for name in ("cross", "offset_power", "power", "pixels"):
         assert getattr(got, name) == pytest.approx(getattr(want, name), rel=rel), name
 
 
@@ -49,7 +49,7 @@ def test_statistics_are_those_of_all_pixels(roll: float, motion: tuple[float, fl
     assert np.abs(got.matched - whole.b.T @ (w * whole.d)).max() < 4 * CUT * scale * np.abs(whole.d).max()
     assert np.abs(got.offset - whole.b.T @ (w * whole.o)).max() < 4 * CUT * scale
     assert got.cross == pytest.approx(float(whole.d @ (w * whole.o)), abs=2e-2 * scale * np.abs(whole.d).max())
-    assert got.drift == pytest.approx(float(whole.o @ (w * whole.o)), rel=2e-2, abs=1e-3)
+    assert got.offset_power == pytest.approx(float(whole.o @ (w * whole.o)), rel=2e-2, abs=1e-3)
     assert got.power == pytest.approx(float(whole.d @ (w * whole.d)), rel=2e-2)
     assert got.pixels == (w > 0).sum()
     if motion == (0.0, 0.0):

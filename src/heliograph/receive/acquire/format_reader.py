@@ -48,7 +48,7 @@ class _PairEvidence:
         Contrast and light of its dimmed cells.
     gram, matched, offset
         B^T B, B^T d and B^T o.
-    cross, drift
+    cross, offset_power
         d^T o and o^T o.
     """
 
@@ -57,7 +57,7 @@ class _PairEvidence:
     matched: Floats
     offset: Floats
     cross: float
-    drift: float
+    offset_power: float
 
     @property
     def distance(self) -> float:
@@ -70,7 +70,7 @@ class _PairEvidence:
         contrast, light = self.dimmed
         v = np.where(words(ALL_MODES), contrast * cells + light, cells)
         match, norm = v @ self.matched + self.cross, np.einsum("fi,ij,fj->f", v, self.gram, v)
-        return np.stack([match, norm + 2 * v @ self.offset + self.drift])
+        return np.stack([match, norm + 2 * v @ self.offset + self.offset_power])
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,5 +65,7 @@ def moments_of(pair: PairStatistics, estimate: Estimate) -> Floats:
     """
     m = estimate.mean
     match = float(m @ pair.matched) + pair.cross
-    norm = float(m @ (pair.gram @ m.astype(np.float32))) + estimate.trace + 2 * float(m @ pair.offset) + pair.drift
+    norm = (
+        float(m @ (pair.gram @ m.astype(np.float32))) + estimate.trace + 2 * float(m @ pair.offset) + pair.offset_power
+    )
     return np.array([match, norm, pair.power, pair.pixels])

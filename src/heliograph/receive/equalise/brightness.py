@@ -74,7 +74,7 @@ class DecodedPair:
     symbols
         (symbols,) +-1, and 0 for those that are not decoded.
     slopes
-        (4, rows, columns) derivatives H of the decoded symbols' image by x, y, ln pitch and roll, times W^(1/2).
+        (4, rows, columns) derivatives F of the decoded symbols' image by x, y, ln pitch and roll, times W^(1/2).
     whitened
         Its cut-out, divided by its noise.
     """

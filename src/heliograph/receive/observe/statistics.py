@@ -41,7 +41,7 @@ class PairStatistics:
         B^T W o, the offset's correlation with the symbols' images, (symbols,).
     cross
         d^T W o, the correlation of difference and offset, in gray levels.
-    drift
+    offset_power
         o^T W o, the offset's weighted sum of squares.
     power
         d^T W d, the difference's weighted sum of squares, in squared gray levels.
@@ -55,7 +55,7 @@ class PairStatistics:
     matched: Floats
     offset: Floats
     cross: float
-    drift: float
+    offset_power: float
     power: float = 0.0
     pixels: int = 0
     combination: Combination | None = None
@@ -75,7 +75,7 @@ class PairStatistics:
             weight * gain * self.matched,
             weight * gain**2 * self.offset,
             weight * gain * self.cross,
-            weight * gain**2 * self.drift,
+            weight * gain**2 * self.offset_power,
             weight * self.power,
             self.pixels,
             self.combination,
@@ -94,7 +94,7 @@ class PairStatistics:
             self.matched + other.matched,
             self.offset + other.offset,
             self.cross + other.cross,
-            self.drift + other.drift,
+            self.offset_power + other.offset_power,
             self.power + other.power,
             self.pixels + other.pixels,
             self.combination,
@@ -143,11 +143,11 @@ class WhitenedCutout:
         precision
             (k, k) prior precision of their amplitudes, in units of g^2 / s^2.
         """
-        # d = g (B c + o + H e) + n: G - C K C^T and B^T d - C K H^T d, C = B^T H, K = (H^T H + P^-1)^-1
-        b, h = self._light().astype(np.float64), slopes.reshape(len(slopes), -1)
+        # d = g (B c + o + F e) + n: G - C K C^T and B^T d - C K F^T d, C = B^T F, K = (F^T F + P^-1)^-1
+        b, f = self._light().astype(np.float64), slopes.reshape(len(slopes), -1)
         seen = np.stack([self.difference.ravel(), self.offset.ravel()], axis=1)
-        c = b.T @ h.T
-        part = np.linalg.solve(h @ h.T + precision, np.column_stack([c.T, h @ seen]))
+        c = b.T @ f.T
+        part = np.linalg.solve(f @ f.T + precision, np.column_stack([c.T, f @ seen]))
         d, o = (b.T @ seen - c @ part[:, -2:]).T
         # all by one B: else the difference of two large matrices would not be positive definite
         return self._statistics((b.T @ b - c @ part[:, :-2]).astype(np.float32), d, o)
@@ -207,7 +207,7 @@ class WhitenedCutout:
             matched,
             offset,
             cross=float((d * o).sum()),
-            drift=float((o * o).sum()),
+            offset_power=float((o * o).sum()),
             power=float((d * d).sum()),
             pixels=int((self.root > 0).sum()),
             combination=self.combination,
