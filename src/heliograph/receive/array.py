@@ -43,6 +43,9 @@ it, all of the data, loses 20, all of cameras out of step (docs/constants.md).
 ASTRAY = 0.5
 """Pitches by which the rim of an array that is followed may lie off its header: beyond it LEDs are taken for others."""
 
+DUE_PATTERNS = 0.5
+"""Patterns by which a header may lie off the start of a packet and still be its own: a pattern off, it is another."""
+
 
 @dataclass(slots=True)
 class _Gathered:
@@ -153,7 +156,7 @@ class ArrayReceiver:
         start_s = detection.start_time_s + self._slips.lost * self._signal.pattern_period_s
         packets = (start_s - self._pairing.origin_s) / self._signal.packet_s
         off_s = abs(packets - round(packets)) * self._signal.packet_s
-        due = detection.identity == self.identity and off_s < 0.5 * self._signal.pattern_period_s
+        due = detection.identity == self.identity and off_s < DUE_PATTERNS * self._signal.pattern_period_s
         # its first header was weighed already; a later one in clear sight may show that the track went astray
         later = due and round(packets) > 0
         return self._astray(detection) if later else not due and detection.score > self.found.score

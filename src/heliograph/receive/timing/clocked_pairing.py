@@ -45,6 +45,9 @@ STEP_DEVIATIONS = 1.5
 Of a camera in step 87 % of the clock's normal errors are smaller.
 """
 
+NEAREST_PATTERNS = 0.5
+"""Patterns by which a frame may start early or late and still be nearest to a pattern: frames are a pattern apart."""
+
 TICKS = 3
 """Decimal places of a frame's start in patterns: the clock is exact to 0.004 at best."""
 
@@ -187,11 +190,11 @@ class ClockedPairing:
 
     def _lone(self, clock: LightClock, place: int) -> LoneFrame | None:
         """The only frame of the pair that begins with a pattern, if it is in step; else None."""
-        inside = self._frames_of(clock, place - 0.5, place + 1.5)
+        inside = self._frames_of(clock, place - NEAREST_PATTERNS, place + 1 + NEAREST_PATTERNS)
         if len(inside) != 1:
             return None
         start = round(float(clock.pattern_at(inside[0].time_s)) - place, TICKS)
-        inverted = start > 0.5
+        inverted = start > NEAREST_PATTERNS
         # in step it would be with its other half in its place
         two = (start - 1, start) if inverted else (start, start + 1)
         combination = _pair_combination(two, clock.exposure, self._light)

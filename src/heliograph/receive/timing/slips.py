@@ -79,6 +79,8 @@ MEAN_FRAME_WEIGHT = 0.1
 OUT_OF_STEP_PATTERNS = 0.2
 """T_b by which a frame may be out of step for its pairs to be even: epsilon is then 0.08 or less."""
 
+HEADER_SPANS = 3
+"""Lengths of a header over which frames are compared with it: it may end its own length early or as much late."""
 
 WIDER_PX = 0.5
 """Pixels by which an LED's square is taken wider than its pitch, before the nearest odd width of a mean is taken.
@@ -245,7 +247,7 @@ class SlipWatch:
         self._number = first.number
         out, number = self._timed(first.frame), first.number + self.lost
         length = 2 * self._signal.header_pairs
-        near = (number + length) % self._signal.packet_patterns < 3 * length
+        near = (number + length) % self._signal.packet_patterns < HEADER_SPANS * length
         if near and first.about is not None:
             self._headers[number] = float(first.about @ self._signs) / max(first.power * self._signs.size, TINY) ** 0.5
             self._follow_header(number)
