@@ -23,13 +23,20 @@ STEPS = 6
 """Gauss-Newton steps: each finds a motion of up to half a cell between a header's first and last frame."""
 
 ENOUGH_PX = 0.02
-"""Step in px, and in px per pattern, that ends the search: a tenth of what shifts an LED's light by a pixel's tenth."""
+"""Step in px, and in px per pattern, that ends the search.
+
+A tolerance: an LED that is 0.02 px off changes a pixel by up to 2 % of its peak (`equalise.led_gains.MODEL`).
+"""
 
 DRIFT_PX = 0.9
 """Prior standard deviation of the motion in px per pattern: hard shake, as in the tracker's `START_RATES`."""
 
 PLACE_PX = 1.0
-"""Prior standard deviation of the pose's error in px: the fit of moving frames is that of their mean."""
+"""Prior standard deviation of the pose's error in px.
+
+Chosen: what a motion of `DRIFT_PX` does in about a pattern. The pose was fitted to all frames together, and errs by
+less. The prior bounds the first step where the pixels say little.
+"""
 
 DRIFT_MARGIN_PX = 3.0
 """Pixels around the array that count too: five times the blur of the reference link."""

@@ -44,7 +44,11 @@ BRIGHTNESS_FADE = 0.9
 """Weight of earlier packets for each packet since: ten of them count, one second."""
 
 LEAST_BRIGHTNESS, MOST_BRIGHTNESS = 0.02, 3.0
-"""Bounds of an estimate. A dead LED keeps a fiftieth: evidence is divided by the brightness, so the LED can return."""
+"""Bounds of an estimate.
+
+Chosen: the first keeps a dead LED at a fiftieth, because evidence is divided by the brightness. So the LED can return.
+The second bounds what noise adds to an LED of which little is seen: 3 is 6.7 of the prior's standard deviations.
+"""
 
 UNEQUAL = 0.05
 """Rms difference from 1 on which the halves of the pairs agree, from which on LEDs count as unequal.
