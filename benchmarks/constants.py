@@ -267,13 +267,14 @@ def page(results: Mapping[str, Mapping[str, dict[str, list[int]] | str]], chosen
     )
     return f"""# Constants
 
-Every numeric constant of the receivers has its origin beside it in the code: an equation, an experiment, a tolerance.
-This page shows what it is worth: how many codewords more or fewer are read with half and with twice its value, on the
-same films. Whole numbers stay whole. Of numbers from 0.5 to 1.5 the distance from 1 is halved and doubled. 0 means that
-the constant is not critical on these films: they find what a receiver cannot do without, not the last percent. The
-variances of the filter's observations (`DECIDED`, `HEADER_OBSERVATION`) are not in the table. "Not measured" stands at
-constants that came after the table was made: most of them are for lost frames, posts, LED brightness, and near, turned
-and passing arrays, and no scene here has posts, or near, turned or passing arrays. The page is made by
+Every numeric constant of the receivers has its origin beside it in the code: an equation, an experiment, a tolerance,
+or "Chosen" and what it bounds. This page lists them all. Of those that were measured it shows what they are worth: how
+many codewords more or fewer are read with half and with twice the value, on the same films. Whole numbers stay whole.
+Of numbers from 0.5 to 1.5 the distance from 1 is halved and doubled. 0 means that the constant is not critical on these
+films: they find what a receiver cannot do without, not the last percent. The variances of the filter's observations
+(`DECIDED`, `HEADER_OBSERVATION`) are not in the table. More than a third of the constants are "not measured", because
+they came after the table was made. Most of these are for lost frames, posts, LED brightness, and near, turned and
+passing arrays. No scene here has posts, or near, turned or passing arrays. The page is made by
 
 <!-- skip: next "not run: takes hours, and needs the repository" -->
 
