@@ -2,14 +2,15 @@
 
 Once symbols are known, the difference of a pair shows how much light each LED gives. Let beta be the
 brightness of the LEDs, T c_known their light by the known symbols, sight the fraction of each LED in sight, and c_open
-the symbols that are not known. Then
+the symbols that are not known. Let e be an error of the pose, which a bright background may have pulled, and F the
+derivatives of the image. Then
 
-    d = g (A diag(sight T c_known) beta + o + B_open c_open) + n,
+    d = g (A diag(sight T c_known) beta + o + B_open c_open + F e) + n,
 
-linear in beta. Levels are random from pair to pair, so that the pairs of a packet tell neighbours apart that blur has
-mixed. The light of unknown symbols is marginalised, as noise of known colour, and so is what an error of the pose
-makes: a bright background may have pulled it. Normal equations add up over pairs and packets, those of every second
-pair apart: LEDs are unequal where both halves say so, for what errors of the image make differs between them.
+which is linear in beta. Levels are random from pair to pair, so the pairs of a packet separate neighbours that blur has
+mixed. c_open and e are marginalised: what they add is noise of known covariance. Normal equations add up over pairs and
+packets. Those of every second pair are summed apart, which gives two halves. Errors of the image differ between the
+halves. So LEDs count as unequal only where both halves say so.
 """
 
 from collections.abc import Sequence
@@ -58,13 +59,17 @@ Over the strongest bumps of a recorded drive at 95 m each half differed by 0.07 
 """
 
 LEARNING_STRIDE, KNOWN_STRIDE = 3, 12
-"""Pairs of which one is learnt from; the second once each LED is known to half of `UNEQUAL`, or LEDs seem equal yet.
+"""One pair of so many is learnt from.
 
-Chosen for speed: at 95 m 16 pairs of one packet show each LED to 3 %.
+The first holds at the beginning. The second holds once each LED is known to half of `UNEQUAL`, or once LEDs have seemed
+equal for `ENOUGH_PACKETS`. Chosen for speed: at 95 m 16 pairs of one packet show each LED to 3 %.
 """
 
 ENOUGH_PACKETS = 5
-"""Packets after which LEDs that seem equal are learnt from fewer pairs: half of what `BRIGHTNESS_FADE` keeps."""
+"""Packets after which LEDs that seem equal are learnt from fewer pairs.
+
+It is half of the ten packets that count by `BRIGHTNESS_FADE`.
+"""
 
 
 @dataclass(frozen=True, slots=True)

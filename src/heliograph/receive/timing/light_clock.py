@@ -1,11 +1,15 @@
 """The light's clock in the camera's time, measured by each header and carried on between headers.
 
-Two things show the phase of a frame. First, how much of the header less its inverse it shows, -1 to 1: the mean over
-the exposure of a square wave that is 0 outside the header. Second, the array's brightness: PWM lights random data
-brightly at the start of a pattern and dimly at its end (15, 11, 5 and 1 sixteenths of the LEDs in the four slots), but
-a header evenly. Cells that are dimmed to signal a format change both; the fraction of such cells is estimated too.
+Three things show the phase of a frame:
 
-For all frames around a header both are compared with what a grid of starts and exposures would give. The likelihood
+- How much of the header less its inverse it shows, -1 to 1: the mean over the exposure of a square wave that is 0
+  outside the header.
+- Cells that are dimmed to signal a format: they are dark in the last slot of a pattern, or lit in the first. The
+  fraction of such cells is estimated too.
+- The array's brightness: PWM lights random data brightly at the start of a pattern and dimly at its end (15, 11, 5 and
+  1 sixteenths of the LEDs in the four slots), but a header evenly.
+
+For all frames around a header they are compared with what a grid of starts and exposures would give. The likelihood
 over the grid is the measurement. The exposure is constant, so its log likelihoods add up from header to header; the
 start goes into a Kalman filter of time and rate.
 """

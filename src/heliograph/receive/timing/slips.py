@@ -32,7 +32,11 @@ Half of it is asked for where a copy is to explain a gap that the times have.
 """
 
 SLIP_COST = 0.45
-"""Cost of a slip: less than half of epsilon of one uneven pair, for two frames lost from two pairs leave only that."""
+"""Cost of a slip, beside epsilon of pairs.
+
+Two frames in a row may be lost, one from each of two pairs. The frames left of the two then look like one uneven pair,
+with an epsilon near 1. Two slips must cost less than that; they cost 0.9.
+"""
 
 LEAST_EVEN_PAIRS = 2
 """Least number of even pairs after a slip: one may be even by chance, where the array is hidden."""
