@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -161,11 +162,18 @@ def test_the_digest_follows_the_text_of_loaded_files(tmp_path: Path) -> None:
 
 
 OFFERED = """
+from dataclasses import dataclass
+
+from heliograph import own_settings
 from heliograph.receive.registry import ReceiverPart
+
+@dataclass(frozen=True)
+class PatientSettings:
+    patience: float = 0.5
 
 class Offered:
     def __init__(self, signal, settings, observe):
-        self.exposure_s = settings.calibration.exposure_s
+        self.exposure_s, self.own = settings.calibration.exposure_s, own_settings(settings)
 
     def push(self, frame):
         yield from ()
@@ -174,12 +182,14 @@ class Offered:
         yield from ()
 
 READER = ReceiverPart(Offered, reads=("calibration",))
+PATIENT = ReceiverPart(Offered, PatientSettings, ("calibration",))
 """
 
 ENTRY_POINTS = """
 [heliograph.receivers]
 offered = offered_parts:Offered
 offered-reader = offered_parts:READER
+offered-patient = offered_parts:PATIENT
 offered-broken = offered_broken:Nothing
 offered-gone = offered_parts:Gone
 """
@@ -240,3 +250,19 @@ def test_an_offered_receiver_reads_the_groups_that_it_names() -> None:
         from_mapping(ReceiveSettings, {"receiver": "offered-reader", "detect": {"score": 0.8}})
     with pytest.raises(SettingsError, match=r"receive\.calibration\.exposure_s has no effect"):
         from_mapping(ReceiveSettings, {"receiver": "offered", **calibration})
+
+
+@pytest.mark.usefixtures("installed")
+def test_an_offered_receiver_has_the_settings_of_its_own_that_it_names() -> None:
+    for own, patience in (({}, 0.5), ({"patience": 2.0}, 2.0)):
+        given = {"receiver": "offered-patient", "own": own, "calibration": {"exposure_s": 5e-4}}
+        receiver: Any = make_receiver(SignalSettings(), from_mapping(ReceiveSettings, given))
+        assert receiver.own.patience == patience
+        assert receiver.exposure_s == 5e-4
+    with pytest.raises(SettingsError, match=r"unknown .*patiense.*; did you mean 'patience'"):
+        from_mapping(ReceiveSettings, {"receiver": "offered-patient", "own": {"patiense": 2.0}})
+    # a class alone has none
+    receiver = make_receiver(SignalSettings(), from_mapping(ReceiveSettings, {"receiver": "offered"}))
+    assert receiver.own is None
+    with pytest.raises(SettingsError, match=r"receive\.own\.patience has no effect"):
+        from_mapping(ReceiveSettings, {"receiver": "offered", "own": {"patience": 2.0}})
