@@ -10,8 +10,8 @@ from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.equalise.threads import in_one_thread
 from heliograph.receive.events import DetectEvent, LostEvent, Observer
 from heliograph.receive.image.orientation import UPRIGHT, Orientation
+from heliograph.receive.oriented_receivers import OrientedReceivers
 from heliograph.receive.packets import Packet
-from heliograph.receive.receptions import ArrayReceptions
 from heliograph.receive.timing.camera_clock import FrameClock
 
 
@@ -50,7 +50,7 @@ class StreamReceiver:
 
     def __init__(self, parts: Parts, observe: Observer):
         self._parts, self._observe = parts, observe
-        self._arrays: list[ArrayReceptions] = []
+        self._arrays: list[OrientedReceivers] = []
         self._orientation: Orientation | None = None
         self._started = False
         self._last: Frame | None = None
@@ -115,7 +115,7 @@ class StreamReceiver:
             self._forget(rival)
         yield from self._take_up(detection)
 
-    def _stands(self, rival: ArrayReceptions, detection: Detection) -> bool:
+    def _stands(self, rival: OrientedReceivers, detection: Detection) -> bool:
         """Whether an array is followed on where a header was found; what was taken for one may stand in its way."""
         upright = detection.orientation in (UPRIGHT, self._orientation)
         if upright != rival.credible:
@@ -127,12 +127,12 @@ class StreamReceiver:
         recent = tuple(self._parts.search.recent)
         self._observe(DetectEvent(detection, recent))
         settled = self._orientation is not None
-        array = ArrayReceptions([self._parts.follow(one) for one in detection.hypotheses], settled)
+        array = OrientedReceivers([self._parts.follow(one) for one in detection.hypotheses], settled)
         self._arrays.append(array)
         for frame in recent:
             yield from self._push(array, frame)
 
-    def _push(self, array: ArrayReceptions, frame: Frame) -> Iterator[Packet]:
+    def _push(self, array: OrientedReceivers, frame: Frame) -> Iterator[Packet]:
         """Hand a frame to an array; the first right codeword tells how the camera sees all of them."""
         packets = list(array.push(frame))
         if self._orientation is None and array.leading.proven:
@@ -146,6 +146,6 @@ class StreamReceiver:
         for array in [a for a in self._arrays if not a.settle(orientation)]:
             self._forget(array)
 
-    def _forget(self, array: ArrayReceptions) -> None:
+    def _forget(self, array: OrientedReceivers) -> None:
         self._observe(LostEvent(array.leading.identity, array.leading.time_s))
         self._arrays.remove(array)

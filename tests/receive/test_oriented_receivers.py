@@ -10,7 +10,7 @@ import pytest
 from heliograph.base.frames import Frame
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
-from heliograph.receive.receptions import ArrayReceptions
+from heliograph.receive.oriented_receivers import OrientedReceivers
 
 FRAME = Frame(0, 0.0, np.zeros((4, 4), np.uint8))
 
@@ -36,11 +36,11 @@ class Scripted:
         yield f"{self.name} {'over' if over else 'at the end'}"
 
 
-def array_of(*receivers: Scripted, settled: bool = False) -> ArrayReceptions:
-    return ArrayReceptions([cast(ArrayReceiver, one) for one in receivers], settled)
+def array_of(*receivers: Scripted, settled: bool = False) -> OrientedReceivers:
+    return OrientedReceivers([cast(ArrayReceiver, one) for one in receivers], settled)
 
 
-def pushed(array: ArrayReceptions) -> list[Any]:
+def pushed(array: OrientedReceivers) -> list[Any]:
     return list(array.push(FRAME))
 
 

@@ -1,4 +1,4 @@
-"""Receptions of one array: one for each way in which its header may be read, until a codeword is right."""
+"""Receivers of one array: one for each way in which its header may be read, until a codeword is right."""
 
 from collections.abc import Iterator, Sequence
 
@@ -8,7 +8,7 @@ from heliograph.receive.image.orientation import UPRIGHT, Orientation
 from heliograph.receive.packets import Packet
 
 
-class ArrayReceptions:
+class OrientedReceivers:
     """An array that is followed, its identity and orientation taken to be any of several until a codeword is right.
 
     Parameters
