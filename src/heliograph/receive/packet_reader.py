@@ -29,6 +29,7 @@ from heliograph.receive.track.background import SeenHeader
 from heliograph.receive.track.decision_directed import DecisionDirectedTracker
 from heliograph.receive.track.lone_frames import SeenPair, lone_cutout
 from heliograph.receive.track.pose_refinement import ObservedPacket
+from heliograph.receive.track.sight import open_lines, open_pixels
 from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
 from heliograph.signal.formats import AGREED, Format, check_mode, known_format
 from heliograph.signal.packet import PacketFormat
@@ -39,6 +40,12 @@ RELEARN = 3
 
 Chosen: it bounds the time where the gain of an LED changes from fit to fit. With 2 and 6 none of 192 codewords is lost
 (docs/constants.md).
+"""
+
+NOTICED_PAIRS = 6
+"""Pairs after which an LED that is hidden from one pair to the next is known to be so.
+
+Its recent change falls by 0.75 a pair (`RECENT_PAIR_WEIGHT`), from 1 to `LEAST_CHANGE_IN_SIGHT` in six.
 """
 
 
@@ -207,7 +214,10 @@ class SoftReader:
         track, data, light = tracked.track, self._data, self._light
         cutouts = tracked.cutouts or (self._cutout(pair, track, self._gains()),)
         self._light = replace(light, gain=track.data_gain, full_scale=pair.pattern.full_scale)
-        self._data = replace(data, cutouts={**data.cutouts, **dict(enumerate(cutouts, len(cutouts) * place))})
+        kept = {**data.cutouts, **dict(enumerate(cutouts, len(cutouts) * place))}
+        if not tracked.cutouts and not track.in_sight.all():
+            kept |= _hidden_since(kept, place, track.in_sight)
+        self._data = replace(data, cutouts=kept)
         if not tracked.cutouts and pair.combination is None:
             self._light = replace(self._light, sum_gain=track.gain)
             self._data = replace(self._data, seen={**data.seen, place: SeenPair(tracked.state, cutouts[0])})
@@ -316,7 +326,7 @@ class SoftReader:
         poses = _poses_at(track, pair, late_s)
         cutout = take_cutout(pair, poses, self._side)
         if not track.in_sight.all():
-            cutout = replace(cutout, in_sight=track.in_sight)
+            cutout = _beside_what_hides(cutout, track.in_sight)
         return cutout.motion_compensated(track.gain, led_gains.values)
 
     def _gains(self) -> LedGains:
@@ -329,6 +339,25 @@ class SoftReader:
     def _cutouts(self) -> list[Cutout | None]:
         """One per pair, in the single mode one per pattern; None where the array was not seen."""
         return [self._data.cutouts.get(k) for k in range(self._form.layers["high"].pairs)]
+
+
+def _hidden_since(cutouts: Mapping[int, Cutout], place: int, in_sight: Floats) -> dict[int, Cutout]:
+    """The last pairs' cut-outs in which LEDs were hidden already that are noticed as hidden only now."""
+    found = dict[int, Cutout]()
+    for earlier in range(place - NOTICED_PAIRS, place):
+        cutout = cutouts.get(earlier)
+        seen = None if cutout is None else cutout.shining(in_sight)
+        if cutout is not None and seen is not None and not np.array_equal(seen, cutout.shining(np.ones(seen.shape))):
+            found[earlier] = _beside_what_hides(cutout, seen)
+    return found
+
+
+def _beside_what_hides(cutout: Cutout, in_sight: Floats) -> Cutout:
+    """A cut-out without the pixels that something hides, or may hide in part: LEDs next to hidden ones."""
+    across, down = open_lines(open_pixels(in_sight, cutout.middle, cutout.corner, cutout.shape))
+    if cutout.covered is not None:
+        across, down = across * cutout.covered[0], down * cutout.covered[1]
+    return replace(cutout, in_sight=in_sight, covered=(across, down))
 
 
 def _poses_at(track: Track, pair: FramePair, late_s: tuple[float, float]) -> tuple[Pose, Pose]:

@@ -124,7 +124,13 @@ class _Unevenness:
 def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None) -> _Unevenness:
     """Residual of a sum about the array with all LEDs on and a plane, scaled by its degrees of freedom."""
     frames = [footprints(pose, cutout.corner, cutout.shape, side) for pose in cutout.poses]
-    whole = frames[0].all_on(cutout.shape)
+    if cutout.in_sight is None:
+        whole = frames[0].all_on(cutout.shape)
+    else:
+        led_gains = cutout.shining(np.ones((side, side)) if led_gains is None else led_gains)
+        whole = frames[0].scaled(cutout.in_sight).all_on(cutout.shape)
+    if cutout.covered is not None:
+        whole = whole * cutout.covered[0] * cutout.covered[1][:, None]
     first, second = (frame.scaled(led_gains).all_on(cutout.shape) for frame in frames)
     lit = 0.5 * (first + second)
     inside = whole > INSIDE * whole.max()

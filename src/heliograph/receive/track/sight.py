@@ -47,6 +47,13 @@ It bounds how long a hidden LED counts as in sight, whatever was seen of it: 2 *
 after nine pairs. From 1, which the LED at that quantile has, it takes six.
 """
 
+LEAST_OPEN = 0.9
+"""Least part of the open pixels that whole columns or rows must leave.
+
+What hides a side leaves all of them. What hides a quarter in a corner leaves two thirds: at 80 m the codewords of such
+an array were lost without the rest.
+"""
+
 
 def recent_change(
     before: Floats, change: Floats, noise: float, pose: Pose, corner: tuple[int, int], least: float
@@ -136,3 +143,23 @@ def open_pixels(seen: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[
         ),
         np.float64,
     )
+
+
+def open_lines(unhidden: Floats) -> tuple[Floats, Floats]:
+    """Columns or rows before which nothing is, whichever leave more pixels: what passes has an edge along one of them.
+
+    Parameters
+    ----------
+    unhidden
+        (rows, columns) of `open_pixels`.
+
+    Returns
+    -------
+    1 or 0 for each column (columns,) and each row (rows,); all 1 where they would leave less than `LEAST_OPEN`.
+    """
+    rows, columns = unhidden.shape
+    across, down = unhidden.min(0), unhidden.min(1)
+    by_columns, by_rows = across.sum() * rows, down.sum() * columns
+    if max(by_columns, by_rows) < LEAST_OPEN * unhidden.sum():
+        return np.ones(columns), np.ones(rows)
+    return (across, np.ones(rows)) if by_columns >= by_rows else (np.ones(columns), down)
