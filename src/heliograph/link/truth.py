@@ -230,13 +230,13 @@ class TruthFile:
             left = count = _count(file, kind)
             while block := file.read(CHUNK * kind.itemsize):
                 if len(block) % kind.itemsize:
-                    raise HeliographError("it ends within a row")
+                    raise _broken(self.path, "it ends within a row")
                 rows = np.frombuffer(block, kind)
                 left -= len(rows)
                 _check_rows(rows)
                 yield from rows
             if left:
-                raise HeliographError(f"it should have {count} rows, not {count - left}")
+                raise _broken(self.path, f"it should have {count} rows, not {count - left}")
 
 
 def open_truth(path: Path) -> TruthFile:
@@ -261,7 +261,7 @@ def open_truth(path: Path) -> TruthFile:
         settings = from_mapping(LinkSettings, about["settings"])
         arrays = len(settings.channel.arrays)
         if len(messages) != arrays:
-            raise HeliographError(f"it has messages of {len(messages)} arrays, not {arrays}")
+            raise _broken(path, f"it has messages of {len(messages)} arrays, not {arrays}")
         with archive.open("frames.npy") as file:
             _count(file, row_type(arrays))
         return TruthFile(path, settings, messages, int(about["seed"]), str(about.get("film_id", "")))
@@ -311,6 +311,8 @@ _BROKEN = (
 def _broken_is_clear(path: Path) -> Iterator[None]:
     try:
         yield
+    except MediaError:
+        raise
     except HeliographError as error:
         raise _broken(path, brief(error)) from None
     except zipfile.BadZipFile:

@@ -127,7 +127,7 @@ def check_signal(settings: object) -> None:
     Parameters
     ----------
     settings
-        What was given.
+        What was given, of any type.
 
     Raises
     ------
