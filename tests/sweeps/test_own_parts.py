@@ -51,7 +51,7 @@ heliograph.register_code("turbo-again", CODES["turbo"])
 
 def command(folder: Path, *options: str) -> list[str]:
     (folder / "own.py").write_text(OWN)
-    few = ["--max-codewords", "1", "--set", "signal.data_pairs=4", "--set", "channel.distance_m=20"]
+    few = ["--max-codewords", "1", "--set", "signal.data_pairs=8", "--set", "channel.distance_m=20"]
     few += ["--set", "channel.shake=still", "--set", "channel.duration_s=0.05"]
     load = ["-c", "from heliograph.cli.main import run; run()", "--load", str(folder / "own.py")]
     return [sys.executable, *load, "sweep", "--json", *few, *options]
