@@ -96,6 +96,19 @@ def test_an_array_behind_the_camera() -> None:
     load_settings("static", None, [behind, "channel.arrays.0.vz_m_s=20"])  # it overtakes the camera
 
 
+NEAR = ("channel.distance_m=1", "channel.camera.focal_m=1", "channel.camera.pixel_m=1e-6")
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_fast_array_before_a_long_lens(axis: str) -> None:
+    fast = f"channel.arrays.0.v{axis}_m_s="
+    says = r"array 0 moves 1e\+06 px in the image within an exposure, at most 1000; lower channel\.arrays\.0\.vx_m_s"
+    with pytest.raises(SettingsError, match=says):
+        load_settings("static", None, [*NEAR, f"{fast}1000"])
+    load_settings("static", None, [*NEAR, f"{fast}0.99"])
+    load_settings("static", None, [f"{fast}1000"])  # the lens of the reference link, 50 m away
+
+
 @pytest.mark.parametrize(
     ("key", "says"),
     [

@@ -146,6 +146,14 @@ def test_truth_is_where_the_light_is() -> None:
         )
 
 
+def test_an_array_that_comes_too_near_for_its_speed_is_refused() -> None:
+    # nothing moves sideways: the settings cannot tell, as they know neither the array's size nor the shake
+    camera = CameraSettings(width=32, height=32, focal_m=0.5)
+    settings = still(distance_m=2, arrays=(Placement(x_m=0, y_m=0, vz_m_s=-1000),), camera=camera)
+    with pytest.raises(SettingsError, match=r"array 0 moves .* px in the exposure at 0 s, at most 1000: .*vz_m_s"):
+        shoot(settings)
+
+
 @pytest.mark.parametrize("level", [2, 4])
 @pytest.mark.parametrize("vx_m_s", [2.0, 12.0])
 @pytest.mark.slow

@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
+from heliograph.base.errors import SettingsError
 from heliograph.channel.exposure import Lit
 from heliograph.channel.optics import add_leds, cover, disc_cubature, normal_table
 from heliograph.channel.parts import POINT_SPREADS
 from heliograph.channel.psf import PointSpread
-from heliograph.channel.settings import ChannelSettings
+from heliograph.channel.settings import MOST_MOTION_PX, ChannelSettings
 from heliograph.channel.truth import ArrayTruth
 from heliograph.channel.views import ArrayView, FilmScene, FrameBlock, PanelView, panel_view
 
@@ -70,6 +71,11 @@ def render(scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas) -> tuple
     -------
     tuple of ArrayTruth
         The truth of each array.
+
+    Raises
+    ------
+    SettingsError
+        An array moves by more than `MOST_MOTION_PX` during the exposure.
     """
     start, middle, end = map(float, block.times_s[k])
     scene.paint(canvas.light, canvas.corner, middle, block.pose, (k, 1))
@@ -117,6 +123,13 @@ def _shine(
         fraction, late, spread = lit.moments(start, end)
         add_array(settings, view.homography[k], view.drift[k], view.eye[k], (level * fraction, late, spread), canvas)
         return
+    if view.motion_px[k] > MOST_MOTION_PX:
+        raise SettingsError(
+            f"array {array} moves {view.motion_px[k]:.4g} px in the exposure at {start:.6g} s, at most "
+            f"{MOST_MOTION_PX:g}: it is too near or too fast, or the camera shakes too much; lower "
+            f"channel.arrays.{array}.vx_m_s, vy_m_s or vz_m_s, channel.speed_m_s, channel.camera.exposure_s or "
+            "focal_m, or end the film before by channel.duration_s"
+        )
     lit = lit.split((end - start) * SMEAR_PX / float(view.motion_px[k]))
     times = (lit.start_s + lit.end_s) / 2
     maps, eyes = scene.maps(array, times, scene.drive.pose(times))

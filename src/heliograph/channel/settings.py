@@ -40,6 +40,14 @@ MOST_FOCAL_PX = 1e6
 """Largest focal length in pixels: that of a lens of 1 m and pixels of 1 um. The motion of an array within an exposure
 is drawn in steps of pixels, so that a frame would take the longer the larger it is."""
 
+MOST_MOTION_PX = 1e3
+"""Most motion of an array in the image within one exposure in px. Chosen: twice the largest array that a receiver
+looks for by default. Each quarter of a pixel is drawn on its own, which takes up to 0.13 GB at this value."""
+
+NEAREST_M = 0.3
+"""An array whose panel is nearer than this to the camera's plane is not rendered. Chosen: its image is then far larger
+than the sensor, 3500 px wide in the reference link; the value only keeps depths above 0."""
+
 EXPOSURE_SLACK = 1e-9
 """Relative excess of the exposure over the frame period, or over T_b, that counts as a rounding error of double
 precision."""
@@ -140,7 +148,8 @@ class CameraSettings:
         Frames a second, 0.1 to 1e6. The receiver "plain" needs one frame per pattern, "soft" at least one.
     exposure_s
         Exposure time tau of equation (4) in s, at least 1e-9 and at most 1 / ``fps`` and T_b. A shorter one sees less
-        of a pattern's slots and smears less; ``emitter.all_on`` takes lens and gain as set for it.
+        of a pattern's slots and smears less; ``emitter.all_on`` takes lens and gain as set for it. An array moves by at
+        most 1000 px in the image meanwhile.
     start_s
         Time of the first exposure in s, -60 to 3600. A fraction of T_b puts the camera out of step with the light.
     width
@@ -382,6 +391,15 @@ class ChannelSettings:
                 raise ValueError(
                     f"array {k} lies {-ahead_m:g} m behind the camera for the whole film; raise "
                     f"channel.arrays.{k}.z_offset_m above -{self.distance_m:g}"
+                )
+            # what comes nearer later, and the shake of the camera, are known to the renderer alone
+            motion_px = math.hypot(place.vx_m_s, place.vy_m_s) * self.camera.exposure_s * self.camera.focal_px
+            motion_px /= max(ahead_m, NEAREST_M)
+            if ahead_m > 0 and motion_px > MOST_MOTION_PX:
+                raise ValueError(
+                    f"array {k} moves {motion_px:g} px in the image within an exposure, at most {MOST_MOTION_PX:g}; "
+                    f"lower channel.arrays.{k}.vx_m_s or vy_m_s, channel.camera.exposure_s or focal_m, or raise "
+                    "channel.distance_m"
                 )
         parts = ((MOTIONS, self.shake), (BACKGROUNDS, self.background.kind), (POINT_SPREADS, self.camera.psf))
         if self.own and all(registry.is_built_in(name) for registry, name in parts):

@@ -11,11 +11,7 @@ from heliograph.channel.background import Painter
 from heliograph.channel.exposure import Lighting
 from heliograph.channel.motion import Motion
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
-from heliograph.channel.settings import CameraSettings, ChannelSettings
-
-NEAREST_M = 0.3
-"""An array whose panel is nearer than this to the camera's plane is not rendered. Chosen: its image is then far larger
-than the sensor, 3500 px wide in the reference link; the value only keeps depths above 0."""
+from heliograph.channel.settings import NEAREST_M, CameraSettings, ChannelSettings
 
 _PANEL_REACH_SIGMA = 7.0
 """Standard deviations beyond the panel's corners for which it is drawn: beyond `LIMIT_SIGMA`, where it is 0."""
