@@ -109,6 +109,21 @@ def test_a_fast_array_before_a_long_lens(axis: str) -> None:
     load_settings("static", None, [f"{fast}1000"])  # the lens of the reference link, 50 m away
 
 
+UNSEEN = {
+    "channel.arrays.0.start_s=-60": r"array 0 shows 6e\+07 patterns before the first frame.*arrays\.0\.start_s",
+    "channel.camera.start_s=60": r"6e\+07 patterns before.*lower channel\.camera\.start_s",
+    "channel.camera.fps=0.1": r"1e\+07 patterns from frame to frame, at most 1e\+06; raise channel\.camera\.fps",
+}
+
+
+@pytest.mark.parametrize("change", UNSEEN)
+def test_patterns_that_no_frame_shows(change: str) -> None:
+    short = ("signal.pattern_period_s=1e-6", "channel.camera.exposure_s=1e-6")
+    with pytest.raises(SettingsError, match=UNSEEN[change]):
+        load_settings("static", None, [*short, change])
+    load_settings("static", None, [change])  # at the reference link's period
+
+
 @pytest.mark.parametrize(
     ("key", "says"),
     [

@@ -102,7 +102,8 @@ class Placement:
         Error of its clock in millionths, -10000 to 10000: its pattern period is longer by this than the nominal one,
         shorter if negative.
     start_s
-        Time in s at which its pattern 0 starts, -60 to 3600; it is dark before.
+        Time in s at which its pattern 0 starts, -60 to 3600; it is dark before. At most 1e6 patterns come before the
+        first frame.
     """
 
     x_m: LengthM = 1.5

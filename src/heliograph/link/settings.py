@@ -14,6 +14,10 @@ from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 from heliograph.transmit import TransmitSettings
 
+MOST_UNSEEN = 1_000_000
+"""Most patterns that an array shows before the first frame, or between two. All are computed, as a packet depends on
+those before: 15 s at this value for 16 x 16 LEDs. Chosen: 1000 s of the reference link."""
+
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
@@ -47,6 +51,19 @@ class LinkSettings:
             )
         if len(set(identities)) != arrays:
             raise ValueError(f"transmit.identities must differ, not {list(identities)}")
+        camera, period_s = self.channel.camera, self.signal.pattern_period_s
+        for k, place in enumerate(self.channel.arrays):
+            unseen = (camera.start_s - place.start_s) / period_s
+            if unseen > MOST_UNSEEN:
+                raise ValueError(
+                    f"array {k} shows {unseen:.4g} patterns before the first frame, at most {MOST_UNSEEN:g}; raise "
+                    f"channel.arrays.{k}.start_s or signal.pattern_period_s, or lower channel.camera.start_s"
+                )
+        if camera.frame_period_s / period_s > MOST_UNSEEN:
+            raise ValueError(
+                f"an array shows {camera.frame_period_s / period_s:.4g} patterns from frame to frame, at most "
+                f"{MOST_UNSEEN:g}; raise channel.camera.fps or signal.pattern_period_s"
+            )
         return self
 
 
