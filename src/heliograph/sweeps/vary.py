@@ -15,12 +15,13 @@ SHORT = {"receiver": "receive.receiver"}
 """Short names of keys."""
 
 MOST = 10_000
-"""Most values of a range, and most points of a grid: more is a slip of the pen."""
+"""Most values of a key, and most points of a grid: more is a slip of the pen."""
 
 MOST_DIGITS = 30
 """Most digits of a range's number before the point, and zeros after it: no setting has more."""
 
-_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+# each digit has one place in it: a long row of digits with two places would be tried in quadratic time
+_NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*:\s*({_NUMBER})(?:\s*:\s*({_NUMBER}))?\s*")
 
 
@@ -35,12 +36,12 @@ def parse_vary(text: str) -> tuple[str, list[Any]]:
     Raises
     ------
     SettingsError
-        There is no key or no value, or a range has no end.
+        There is no key or no value, a range has no end, or there are too many values.
     """
     key, sign, values = text.partition("=")
     if not sign or not key.strip() or not values.strip():
         raise SettingsError(f"'{brief(text)}' varies nothing; write key=value,value or key=first:last:step")
-    return key.strip(), [value for part in _parts(values) for value in _values(part, text)]
+    return key.strip(), _few(key.strip(), (value for part in _parts(values) for value in _values(part, text)))
 
 
 def grid(vary: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
@@ -73,7 +74,7 @@ def listed(vary: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
     Raises
     ------
     SettingsError
-        A key has no values or one twice or is given twice; or these are no lists by key.
+        A key has no values, too many or one twice, or is given twice; or these are no lists by key.
     """
     if not isinstance(vary, Mapping):
         raise SettingsError(f'a sweep varies lists, such as {{"channel.distance_m": [40, 60]}}, not {shown(vary)}')
@@ -141,13 +142,37 @@ def _plain(key: str, values: Any) -> list[Any]:
         values = values.tolist()
     if isinstance(values, (str, bytes, Mapping)) or not isinstance(values, Iterable):
         raise SettingsError(f"'{brief(key)}' varies over a list of values, not {brief(values)}")
-    plain = [value.tolist() if hasattr(value, "tolist") else value for value in values]
+    plain = [value.tolist() if hasattr(value, "tolist") else value for value in _few(key, values)]
     if not plain:
         raise SettingsError(f"'{brief(key)}' varies over a list of values, not an empty one")
-    doubled = [value for i, value in enumerate(plain) if value in plain[:i]]
-    if doubled:
-        raise SettingsError(f"'{brief(key)}' has the value {brief(repr(doubled[0]))} twice")
+    met = set()
+    for value in plain:
+        known = _hashable(value)
+        if known in met:
+            raise SettingsError(f"'{brief(key)}' has the value {brief(repr(value))} twice")
+        met.add(known)
     return plain
+
+
+def _few(key: str, values: Iterable[Any]) -> list[Any]:
+    """List values, of which no more are made than there may be."""
+    few = list(itertools.islice(values, MOST + 1))
+    if len(few) > MOST:
+        raise SettingsError(f"'{brief(key)}' has more than {MOST} values; take a larger step or fewer values")
+    return few
+
+
+def _hashable(value: Any) -> Any:
+    """Return something to be kept in a set, equal for equal values such as 1 and 1.0."""
+    if isinstance(value, (list, tuple)):
+        return tuple(map(_hashable, value))
+    if isinstance(value, Mapping):
+        return frozenset((key, _hashable(one)) for key, one in value.items())
+    try:
+        hash(value)
+    except TypeError:
+        return repr(value)
+    return value
 
 
 def _parts(text: str) -> Iterator[str]:
