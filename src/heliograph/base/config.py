@@ -45,6 +45,17 @@ _WITH_UNIT = 0.95
 _DEEPEST = 32
 """Most tables within tables. Chosen; settings have four."""
 
+_NO_KEY = re.compile(
+    r'"{3}(?:[^\\"]|\\.|"(?!""))*+(?:"{3,5}|\\?\Z)'
+    r"|'{3}.*?(?:'{3,5}|\Z)"
+    r'|"[^"\\\n]*(?:\\[^\n][^"\\\n]*)*"?'
+    r"|'[^'\n]*'?"
+    r"|#[^\n]*",
+    re.DOTALL,
+)
+"""Quoted text and comments of TOML, whose dots part no key. What has no end reaches to that of its line or of the text,
+so that nothing is looked at twice."""
+
 _LARGEST = 1 << 63
 """Whole numbers are below this and not below its negative, as TOML has them: 64 bits."""
 
@@ -137,6 +148,8 @@ def parse_toml(text: str) -> dict[str, Any]:
         The text is not TOML; the message names the line. Or a number has more than 64 bits, or its tables and lists
         lie too deep.
     """
+    if _has_deep_key(text):
+        raise SettingsError(f"not valid TOML: tables or lists lie more than {_DEEPEST} deep")
     try:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -146,6 +159,11 @@ def parse_toml(text: str) -> dict[str, Any]:
     except RecursionError:
         raise SettingsError(f"not valid TOML: tables or lists lie more than {_DEEPEST} deep") from None
     return cast(dict[str, Any], _bounded(tree))
+
+
+def _has_deep_key(text: str) -> bool:
+    """Return whether a key has more parts than tables may lie deep: tomllib would take quadratic time for it."""
+    return any(part.count(".") > _DEEPEST for part in re.split(r"[=\n,\[\]{}]", _NO_KEY.sub('""', text)))
 
 
 def _bounded(tree: Any) -> Any:
@@ -216,6 +234,9 @@ def parse_value(text: str) -> Any:
     SettingsError
         It is a number of more than 64 bits or lies too deep.
     """
+    if _has_deep_key(text):
+        # only lists and tables hold keys: anything else is text with many dots, or has a second line
+        return parse_toml(f"v = {text}") if text.lstrip().startswith(("[", "{")) else text.strip()
     try:
         found = tomllib.loads(f"v = {text}")
     except tomllib.TOMLDecodeError:
