@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from heliograph.base.config import from_mapping, parse_assignment, parse_toml, parse_value
@@ -91,6 +92,23 @@ def test_a_lens_and_pixels_that_do_not_go_together() -> None:
 def test_true_is_no_number(change: str) -> None:
     with pytest.raises(SettingsError, match="a number or text, not true or false"):
         load_settings("static", None, [change])
+
+
+@pytest.mark.parametrize("tree", [
+    {"channel": {"distance_m": np.bool_(True)}}, {"channel": {"distance_m": np.array(True)}},
+    {"transmit": {"identities": [np.bool_(True)]}}, {"transmit": {"identities": np.array([True])}},
+])  # fmt: skip
+def test_true_of_numpy_is_no_number(tree: Any) -> None:
+    with pytest.raises(SettingsError, match="a number or text, not true or false"):
+        load_settings("static", tree)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    camera = {"fps": np.float32(500), "width": np.int64(64), "gaps": np.bool_(False)}
+    settings = load_settings("static", {"channel": {"camera": camera}, "transmit": {"identities": np.array([3])}})
+    found = settings.channel.camera
+    assert (found.fps, found.width, found.gaps) == (500, 64, False)
+    assert settings.transmit.identities == (3,)
 
 
 def test_true_stays_true() -> None:

@@ -396,6 +396,7 @@ def _no_numbers(cls: Any, value: Any, key: str = "") -> Iterator[str]:
             yield from _no_numbers(kinds[name], value[name], f"{key}.{name}" if key else name)
         return
     rooms = [kind for kind in get_args(cls) if isinstance(kind, type) and is_dataclass(kind)]
+    value = value.tolist() if hasattr(value, "tolist") else value  # NumPy has a true and a false of its own
     if isinstance(value, (list, tuple)):
         for i, one in enumerate(value):
             yield from _no_numbers(rooms[0] if rooms else cls, one, f"{key}.{i}")
