@@ -11,6 +11,7 @@ import pytest
 from heliograph.base.config import from_mapping, parse_assignment, parse_toml, parse_value
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.base.files import read_bounded, room_for
+from heliograph.cli.options import read_toml
 from heliograph.link.settings import LinkSettings, load_settings
 
 TEXTS = {
@@ -206,6 +207,12 @@ def test_a_file_is_read_up_to_a_bound(tmp_path: Path) -> None:
     os.close(given)
     assert read_bounded(Path(f"/dev/fd/{taken}"), 3) == b"123"
     os.close(taken)
+
+
+def test_settings_may_begin_with_a_mark_of_the_order_of_bytes(tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    file.write_bytes("\ufeff[channel]\ndistance_m = 3\n".encode())
+    assert read_toml(file) == {"channel": {"distance_m": 3}}
 
 
 def test_what_finds_no_room_is_said_before(tmp_path: Path) -> None:

@@ -102,7 +102,8 @@ def read_bytes(path: Path) -> bytes:
 def read_toml(file: Path) -> dict[str, Any]:
     """Settings of a TOML file; a SettingsError where it cannot be read or is wrong."""
     try:
-        return parse_toml(read_bounded(file, MOST_SETTINGS).decode())
+        # some editors begin UTF-8 with a mark of the order of bytes
+        return parse_toml(read_bounded(file, MOST_SETTINGS).decode("utf-8-sig"))
     except OSError as error:
         raise SettingsError(f"cannot read the settings {file}: {error.strerror}") from None
     except UnicodeDecodeError:
