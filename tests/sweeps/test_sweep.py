@@ -4,7 +4,6 @@ import csv
 import itertools
 import json
 import sqlite3
-import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
@@ -83,19 +82,15 @@ def test_a_grid_has_all_combinations_the_last_key_fastest() -> None:
     ids=["ranges", "numbers"],
 )
 def test_too_many_values_are_refused_before_they_are_made(values: str) -> None:
-    began = time.perf_counter()
     with pytest.raises(SettingsError, match=r"'channel\.distance_m' has more than 10000 values; take a larger step"):
         parse_vary(f"channel.distance_m={values}")
     with pytest.raises(SettingsError, match="'a' has more than 10000 values"):
         grid({"a": itertools.count()})
-    assert time.perf_counter() - began < 0.5
 
 
 def test_many_values_are_compared_at_once() -> None:
     values = [*range(9_998), [1, 2], {"x": [1]}]
-    began = time.perf_counter()
     assert grid({"a": values})[-1] == {"a": {"x": [1]}}
-    assert time.perf_counter() - began < 0.3
     for doubled in ([1, 1.0], [[1], (1.0,)], [{"x": [1]}, {"x": [1]}], [True, 1]):
         with pytest.raises(SettingsError, match="twice"):
             grid({"a": doubled})
@@ -103,10 +98,9 @@ def test_many_values_are_compared_at_once() -> None:
 
 
 def test_a_long_row_of_digits_is_read_at_once() -> None:
-    began = time.perf_counter()
+    # a pattern that begins anew at each digit took hours
     with pytest.raises(SettingsError, match="more than 64 bits"):
-        parse_vary("a=" + "1" * 50_000 + "x")
-    assert time.perf_counter() - began < 0.5
+        parse_vary("a=" + "1" * 1_000_000 + "x")
 
 
 def test_values_may_be_an_array_of_numbers() -> None:
