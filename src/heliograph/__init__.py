@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from heliograph.link.codec import decode, encode
     from heliograph.link.settings import LinkSettings, load_settings
     from heliograph.link.simulate import simulate
-    from heliograph.media import create_film, open_film
+    from heliograph.media import convert_film, create_film, open_film
     from heliograph.receive import (
         Packet,
         Receiver,
@@ -43,6 +43,7 @@ _HOMES = {
     "SettingsError": "base.errors",
     "SignalSettings": "signal.settings",
     "Transmitter": "transmit",
+    "convert_film": "media",
     "create_film": "media",
     "decode": "link.codec",
     "encode": "link.codec",
@@ -73,6 +74,7 @@ __all__ = [
     "SettingsError",
     "SignalSettings",
     "Transmitter",
+    "convert_film",
     "create_film",
     "decode",
     "encode",

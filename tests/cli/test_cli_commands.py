@@ -158,6 +158,15 @@ def test_transmit_writes_a_film_for_a_screen(tmp_path: Path, call: Call) -> None
     assert set(np.unique(frames[50])) <= {0, 63, 127, 191, 255}
 
 
+def test_a_converted_film_is_read_like_its_source(film: Path, tmp_path: Path, call: Call) -> None:
+    assert succeeded(call("convert", film, "b.h5")) == "b.h5: 400 frames\n"
+    truth = ("--truth", f"{film}.truth.npz", "--json")
+    ours, theirs = (json.loads(succeeded(call("receive", path, *truth))) for path in ("b.h5", film))
+    assert ours["errors"] == theirs["errors"]
+    assert succeeded(call("convert", "b.h5", "c.avi")).startswith("c.avi: 400 frames; its gray levels are not quite")
+    assert "is read and would be written" in failed(call("convert", "b.h5", "b.h5"))
+
+
 def test_presets_are_listed_and_printed(tmp_path: Path, call: Call) -> None:
     listed = succeeded(call("presets")).splitlines()
     assert [line.split()[0] for line in listed] == list(PRESETS)

@@ -32,6 +32,18 @@ Version = Annotated[
     bool,
     typer.Option("--version", help="Print the version and end.", is_eager=True, callback=options.say_version),
 ]
+Codec = Annotated[
+    str | None, typer.Option(help="Codec of the film: ffv1, h264 or mjpeg; chosen by the suffix if left out.")
+]
+Fps = Annotated[
+    float | None,
+    typer.Option(
+        "--fps",
+        metavar="RATE",
+        show_default=False,
+        help="Frames per second that the camera took, where the film claims another rate, as in slow motion.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
@@ -55,9 +67,7 @@ def simulate(
     high: High = None,
     middle: Middle = None,
     low: Low = None,
-    codec: Annotated[
-        str | None, typer.Option(help="Codec of the film: ffv1, h264 or mjpeg; chosen by the suffix if left out.")
-    ] = None,
+    codec: Codec = None,
     crf: Annotated[float | None, typer.Option(help="Quality of lossy H.264, 0 to 51.")] = None,
     lossless: Annotated[bool, typer.Option(help="Store H.264 without loss.")] = False,
 ) -> None:
@@ -104,15 +114,7 @@ def receive(
         Path | None,
         typer.Option("--truth", metavar="FILE", help="Truth of the film, to count errors by.", show_default=False),
     ] = None,
-    fps: Annotated[
-        float | None,
-        typer.Option(
-            "--fps",
-            metavar="RATE",
-            show_default=False,
-            help="Frames per second that the camera took, where the film claims another rate, as in slow motion.",
-        ),
-    ] = None,
+    fps: Fps = None,
     preset: options.Preset = "paper",
     settings: options.SettingsFile = None,
     assignments: options.Assignments = None,
@@ -126,6 +128,23 @@ def receive(
     from heliograph.cli.receive import run_receive
 
     run_receive(film, fps, receiver, output, truth, preset, settings, assignments, as_json)
+
+
+@app.command()
+def convert(
+    film: Annotated[Path, typer.Argument(help="Film to read.")],
+    output: Annotated[Path, typer.Argument(help="Film to write: .mkv, .nut, .mp4, .avi or .h5.")],
+    fps: Fps = None,
+    codec: Codec = None,
+    crf: Annotated[
+        float | None,
+        typer.Option(help="Quality of lossy H.264, 0 to 51; without it every gray level is kept.", show_default=False),
+    ] = None,
+) -> None:
+    """Write a film as another kind, with its gray levels and times; .h5 is the fastest to read."""
+    from heliograph.cli.convert import run_convert
+
+    run_convert(film, output, fps, codec, crf)
 
 
 @app.command()

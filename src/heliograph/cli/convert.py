@@ -1,0 +1,31 @@
+"""heliograph convert."""
+
+import sys
+from pathlib import Path
+
+from heliograph.cli import console, options
+
+
+def run_convert(film: Path, output: Path, fps: float | None, codec: str | None, crf: float | None) -> None:
+    """Write a film as another kind."""
+    from heliograph.media import convert_film, open_film
+    from heliograph.media.convert import keeps_levels
+
+    options.refuse_to_replace(output, (film,))
+    written = 0
+    with open_film(film, rate_hz=fps) as source:
+        try:
+            with console.progress("converting", source.frame_count) as advance:
+
+                def note(frames: int) -> None:
+                    nonlocal written
+                    written = frames
+                    advance(frames)
+
+                count = convert_film(source, output, note, codec=codec, crf=crf)
+        except KeyboardInterrupt:
+            kept = f"{output} holds the {written} frames so far" if written else "nothing was written"
+            console.complain(f"interrupted; {kept}")
+            sys.exit(console.INTERRUPTED)
+    exact = "" if keeps_levels(output, codec, crf) else "; its gray levels are not quite those of the source"
+    console.say(f"{output}: {count} frames{exact}")

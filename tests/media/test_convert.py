@@ -1,0 +1,84 @@
+"""A film of one kind becomes one of another, with its levels, times and notes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
+from heliograph.media import convert_film, create_film, open_film
+
+KINDS = (".h5", ".mkv", ".nut", ".mp4")
+PLACES = (0, 1, 2, 5, 6, 9)
+"""Places of the frames on the grid of times: some are missing."""
+
+
+def frames(bits: int, rate_hz: float) -> list[Frame]:
+    rng = np.random.default_rng(4)
+    pictures = [rng.integers(0, 1 << bits, (32, 48)) for _ in PLACES]
+    levels = [p.astype(np.uint8) if bits == 8 else p.astype(np.uint16) for p in pictures]
+    return [Frame(k, 0.25 + k / rate_hz, level, bits) for k, level in zip(PLACES, levels, strict=True)]
+
+
+def film(path: Path, bits: int = 8, rate_hz: float = 1000.0) -> Path:
+    with create_film(path, width=48, height=32, rate_hz=rate_hz, bits=bits, metadata={"note": "mine"},
+                     lossless=path.suffix == ".mp4") as written:  # fmt: skip
+        for frame in frames(bits, rate_hz):
+            written.write(frame)
+    return path
+
+
+def converted(source: Path, target: Path, rate_hz: float | None = None) -> int:
+    with open_film(source, rate_hz=rate_hz) as opened:
+        return convert_film(opened, target)
+
+
+@pytest.mark.parametrize("bits", [8, 10])
+@pytest.mark.parametrize("target", KINDS)
+@pytest.mark.parametrize("source", KINDS)
+def test_levels_times_and_notes_stay(tmp_path: Path, source: str, target: str, bits: int) -> None:
+    path = film(tmp_path / f"a{source}", bits)
+    assert converted(path, tmp_path / f"b{target}") == len(PLACES)
+    with open_film(tmp_path / f"b{target}") as read:
+        got = list(read)
+        assert (read.rate_hz, read.bits, read.metadata["note"]) == (1000.0, bits, "mine")
+    for one, sent in zip(got, frames(bits, 1000.0), strict=True):
+        assert np.array_equal(one.pixels, sent.pixels)
+        assert one.time_s == pytest.approx(sent.time_s, abs=1e-9)
+
+
+def test_the_camera_s_own_rate_is_written(tmp_path: Path) -> None:
+    converted(film(tmp_path / "slow.mkv", rate_hz=25), tmp_path / "b.h5", 1000.0)
+    with open_film(tmp_path / "b.h5") as read:
+        assert read.rate_hz == 1000.0
+        assert np.diff([frame.time_s for frame in read]) == pytest.approx(np.diff(PLACES) / 1000)
+
+
+def test_what_a_kind_does_not_hold_is_an_error_and_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(MediaError, match="12"):
+        converted(film(tmp_path / "a.h5", 12), tmp_path / "b.mp4")
+    with pytest.raises(MediaError, match="unknown kind"):
+        converted(tmp_path / "a.h5", tmp_path / "b.gif")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
+
+
+def test_whole_frames_of_a_damaged_film_are_kept(tmp_path: Path) -> None:
+    path = film(tmp_path / "a.mkv")
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 2 // 3])
+    with pytest.raises(MediaError, match=r"a\.mkv"):
+        converted(path, tmp_path / "b.h5")
+    with open_film(tmp_path / "b.h5") as read:
+        assert 0 < len(list(read)) < len(PLACES)
+
+
+def test_ctrl_c_keeps_the_frames_so_far(tmp_path: Path) -> None:
+    def stop(done: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with open_film(film(tmp_path / "a.h5")) as opened, pytest.raises(KeyboardInterrupt):
+        convert_film(opened, tmp_path / "b.mkv", stop)
+    with open_film(tmp_path / "b.mkv") as read:
+        assert len(list(read)) == 3
