@@ -2,11 +2,12 @@
 
 import os
 
+import numba
 import pytest
 
 from heliograph.base.errors import HeliographError
 from heliograph.experiments.result import Context
-from heliograph.sweeps.executors import THREAD_LIMITS, each
+from heliograph.sweeps.executors import THREAD_LIMITS, each, limit_threads
 
 
 def end(code: int) -> int:
@@ -48,3 +49,11 @@ def test_an_experiment_reports_its_span() -> None:
     context = Context(progress=lambda title, share: seen.append((title, share)))
     assert context.each("half", abs, [-1, 1], (0.5, 1.0)) == [1, 1]
     assert seen == [("half", 0.75), ("half", 1.0)]
+
+
+@pytest.mark.slow
+def test_a_kernel_can_be_compiled_once_threads_were_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    limit_threads()  # Numba's own threads begin, whose number cannot be changed any more
+    for name, value in THREAD_LIMITS.items():
+        monkeypatch.setenv(name, value)
+    assert numba.njit(lambda x: x + 1)(1) == 2

@@ -22,7 +22,8 @@ from heliograph.base.registry import Part, register_again, registered
 Work = TypeVar("Work")
 Result = TypeVar("Result")
 
-_LIBRARIES = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM", "NUMBA_NUM", "NUMEXPR_NUM")
+_LIBRARIES = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM", "NUMEXPR_NUM")
+"""Not Numba: once its threads run, it fails where its variable of the environment has changed."""
 
 THREAD_LIMITS = {f"{name}_THREADS": "1" for name in _LIBRARIES}
 """Environment of a worker: a core each, and no threads of libraries beside it."""
