@@ -5,6 +5,9 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 LOWEST := .venv-lowest
 WHEEL := .wheel
+# the tests start many processes: each loads bytecode, wherever that may be written
+export PYTHONDONTWRITEBYTECODE :=
+export PYTHONPYCACHEPREFIX := $(CURDIR)/.venv/bytecode
 
 .PHONY: install demo test test-quick test-lowest test-wheel lint docs settings bench vectors clean
 

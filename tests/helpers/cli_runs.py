@@ -38,13 +38,15 @@ def called(*arguments: str | Path, capfd: pytest.CaptureFixture[str], monkeypatc
     from heliograph.cli.main import run
 
     monkeypatch.setattr(sys, "argv", ["heliograph", *map(str, arguments)])
-    before = signal.getsignal(signal.SIGTERM)
+    before, environment = signal.getsignal(signal.SIGTERM), dict(os.environ)
     capfd.readouterr()
     try:
         with pytest.raises(SystemExit) as ended:
             run()
     finally:
         signal.signal(signal.SIGTERM, before)
+        os.environ.clear()
+        os.environ.update(environment)
     out, err = capfd.readouterr()
     return subprocess.CompletedProcess(sys.argv, int(ended.value.code or 0), out, err)
 

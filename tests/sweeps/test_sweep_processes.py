@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cli_runs import called
 
 from heliograph.sweeps.store import NAME
 
@@ -149,8 +150,10 @@ def test_ctrl_c_shows_the_results_so_far(tmp_path: Path) -> None:
         (["--vary", "channel.distance_m=9", "--vary", "channel.distance_m=8"], "twice"),
     ],
 )
-def test_wrong_input_is_one_line(options: list[str], said: str) -> None:
-    done = subprocess.run([BIN / "heliograph", "sweep", *options], capture_output=True, text=True, timeout=30)
+def test_wrong_input_is_one_line(
+    options: list[str], said: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = called("sweep", *options, capfd=capfd, monkeypatch=monkeypatch)
     assert done.returncode in (1, 2)
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1
