@@ -24,9 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from heliograph.base.config import parse_assignment, parse_toml, to_mapping, to_toml
+from heliograph.base.config import to_mapping
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
+from heliograph.base.toml_text import parse_assignment, parse_toml, to_toml
 from heliograph.link.film import write_film
 from heliograph.link.notes import noted_signal
 from heliograph.link.recordings import load_imu

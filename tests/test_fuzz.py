@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from heliograph.base.config import parse_assignment, parse_toml
 from heliograph.base.errors import HeliographError
+from heliograph.base.toml_text import parse_assignment, parse_toml
 from heliograph.link.settings import load_settings
 from heliograph.media.record import FilmRecord
 from heliograph.signal.block import unpack

@@ -7,17 +7,9 @@ from typing import Any
 import pytest
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import (
-    CONFIG,
-    from_mapping,
-    keys_of,
-    merge,
-    parse_assignment,
-    parse_toml,
-    to_mapping,
-    to_toml,
-)
+from heliograph.base.config import CONFIG, from_mapping, keys_of, merge, to_mapping
 from heliograph.base.errors import SettingsError
+from heliograph.base.toml_text import parse_assignment, parse_toml, to_toml
 from heliograph.link.settings import PRESETS, LinkSettings, load_settings
 
 

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from heliograph.base.config import from_mapping, merge, parse_assignment, parse_toml, to_mapping, to_toml
+from heliograph.base.config import from_mapping, merge, to_mapping
+from heliograph.base.toml_text import parse_assignment, parse_toml, to_toml
 from heliograph.link.settings import LinkSettings, load_settings
 
 KEYS = st.sampled_from(["a", "b", "c_1", "distance_m"])

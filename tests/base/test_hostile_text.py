@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from heliograph.base.config import from_mapping, parse_assignment, parse_toml, parse_value
+from heliograph.base.config import from_mapping
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.base.files import read_bounded, room_for
+from heliograph.base.toml_text import parse_assignment, parse_toml, parse_value
 from heliograph.cli.options import read_toml
 from heliograph.link.settings import LinkSettings, load_settings
 

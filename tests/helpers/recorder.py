@@ -3,7 +3,7 @@
 from typing import Any, TypeVar
 
 from heliograph.receive.events import DetectEvent, LostEvent, TrackEvent
-from heliograph.receive.track.tracker import TrackedPair
+from heliograph.receive.track.track import TrackedPair
 
 T = TypeVar("T")
 

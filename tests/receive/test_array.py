@@ -16,7 +16,8 @@ from heliograph.receive import Packet, receive_frames
 from heliograph.receive.decode.codeword import ERASED
 from heliograph.receive.packet_reader import SoftReader
 from heliograph.receive.plain.reader import PlainReader
-from heliograph.receive.track.tracker import TrackedPair, Tracker
+from heliograph.receive.track.track import TrackedPair
+from heliograph.receive.track.tracker import Tracker
 
 Floats = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from heliograph.base.config import to_toml
 from heliograph.base.errors import SettingsError
+from heliograph.base.toml_text import to_toml
 from heliograph.sweeps.vary import grid, nested, parse_vary
 
 DECIMALS = st.decimals(-1000, 1000, places=3)

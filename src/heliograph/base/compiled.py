@@ -189,7 +189,7 @@ def _source(name: str) -> _Source | None:
     if spec is None:
         return None
     try:
-        text: str | None = spec.loader.get_source(name)  # type: ignore[union-attr]  # others have none
+        text: str | None = spec.loader.get_source(name)  # type: ignore[union-attr]  # loaders without it are caught below
     except (AttributeError, ImportError, OSError):
         return _Source(None, ())
     return _Source(text, tuple(_imported(text or "", spec.parent or "")))

@@ -1,22 +1,20 @@
-"""Settings as frozen, checked dataclasses, made from TOML or from ``key=value`` text.
+"""Settings as frozen, checked dataclasses.
 
 A settings class is a ``pydantic.dataclasses.dataclass(frozen=True, kw_only=True, config=CONFIG)`` under
-`clear_errors`: pydantic checks its fields when it is made. This module reads and writes the text, merges mappings, and
-turns an error of pydantic into one line that names the rule, the wrong value and the nearest known key.
+`clear_errors`: pydantic checks its fields when it is made. This module merges mappings, and turns an error of pydantic
+into one line that names the rule, the wrong value and the nearest known key. `toml_text` reads and writes the text.
 """
 
 import difflib
 import functools
-import json
 import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass
-from typing import Annotated, Any, TypeVar, cast, get_args, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from heliograph.base.errors import SettingsError, shown
+from heliograph.base.errors import MOST_SHOWN, SettingsError, brief
 
 CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
 """Configuration of every settings class: unknown keys, infinities and NaN are errors."""
@@ -42,26 +40,6 @@ to the right key; at 0.7 93.5 %. Of 40 words that are none, such as channel.foo,
 _WITH_UNIT = 0.95
 """The ratio for a key that lacks nothing but its unit, as speed for speed_m_s."""
 
-_DEEPEST = 32
-"""Most tables within tables. Chosen; settings have four."""
-
-_NO_KEY = re.compile(
-    r'"{3}(?:[^\\"]|\\.|"(?!""))*+(?:"{3,5}|\\?\Z)'
-    r"|'{3}.*?(?:'{3,5}|\Z)"
-    r'|"[^"\\\n]*(?:\\[^\n][^"\\\n]*)*"?'
-    r"|'[^'\n]*'?"
-    r"|#[^\n]*",
-    re.DOTALL,
-)
-"""Quoted text and comments of TOML, whose dots part no key. What has no end reaches to that of its line or of the text,
-so that nothing is looked at twice."""
-
-_LARGEST = 1 << 63
-"""Whole numbers are below this and not below its negative, as TOML has them: 64 bits."""
-
-_SHOWN = 80
-"""Most characters of a wrong value in a message."""
-
 _LONGEST_KEY = 100
 """Most characters of a key for which a known one is proposed."""
 
@@ -85,7 +63,7 @@ def clear_errors(cls: type[T]) -> type[T]:
         except ValidationError as error:
             raise _clear(error, cls) from None
 
-    cls.__init__ = init  # type: ignore[assignment]
+    cls.__init__ = init  # type: ignore[assignment]  # a decorator cannot keep the parameters of each class
     return cls
 
 
@@ -134,119 +112,6 @@ def to_mapping(settings: Any) -> dict[str, Any]:
     return asdict(settings)
 
 
-def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML text to nested dictionaries.
-
-    Parameters
-    ----------
-    text
-        A whole TOML document.
-
-    Raises
-    ------
-    SettingsError
-        The text is not TOML; the message names the line. Or a number has more than 64 bits, or its tables and lists
-        lie too deep.
-    """
-    if _has_deep_key(text):
-        raise SettingsError(f"not valid TOML: tables or lists lie more than {_DEEPEST} deep")
-    try:
-        tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise SettingsError(f"not valid TOML: {brief(error)}") from None
-    except ValueError:  # more digits than Python turns into a number
-        raise SettingsError("not valid TOML: a whole number has more than 64 bits") from None
-    except RecursionError:
-        raise SettingsError(f"not valid TOML: tables or lists lie more than {_DEEPEST} deep") from None
-    return cast(dict[str, Any], _bounded(tree))
-
-
-def _has_deep_key(text: str) -> bool:
-    """Return whether a key has more parts than tables may lie deep: tomllib would take quadratic time for it."""
-    return any(part.count(".") > _DEEPEST for part in re.split(r"[=\n,\[\]{}]", _NO_KEY.sub('""', text)))
-
-
-def _bounded(tree: Any) -> Any:
-    """Return what was read if it is no deeper, and its numbers are no larger, than settings can be."""
-    layer, depth = [tree], 0
-    while layer:
-        if depth > _DEEPEST:
-            raise SettingsError(f"tables or lists lie more than {_DEEPEST} deep")
-        if any(isinstance(value, int) and not -_LARGEST <= value < _LARGEST for value in layer):
-            raise SettingsError("a whole number has more than 64 bits")
-        inner = [value for value in layer if isinstance(value, (dict, list))]
-        layer = [one for value in inner for one in (value.values() if isinstance(value, dict) else value)]
-        depth += 1
-    return tree
-
-
-def brief(value: object) -> str:
-    """Return the text of an error or of a value on one line, cut where it is long.
-
-    Parameters
-    ----------
-    value
-        An error or text, which are shown as they are, or a wrong value, which is shown as Python writes it.
-    """
-    try:
-        text = str(value) if isinstance(value, (str, Exception)) else repr(value)
-    except ValueError:  # a number of more digits than Python writes
-        return "a number of thousands of digits"
-    text = " ".join(text.split())
-    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."
-
-
-def parse_assignment(text: str) -> dict[str, Any]:
-    """Turn ``a.b=3`` into ``{"a": {"b": 3}}``.
-
-    Parameters
-    ----------
-    text
-        Dotted key, ``=`` and value. The value is read as TOML or, where it is none, as bare text.
-
-    Raises
-    ------
-    SettingsError
-        There is no ``=``, a part of the key is empty, or the value is a number of more than 64 bits or lies too deep.
-    """
-    if not isinstance(text, str):
-        raise SettingsError(f"an assignment is text, such as channel.distance_m=60, not {shown(text)}")
-    key, sign, value = text.partition("=")
-    path = [part.strip() for part in key.split(".")]
-    if not sign or not all(path):
-        raise SettingsError(f"'{brief(text)}' is not an assignment; write key=value, such as channel.distance_m=60")
-    leaf = parse_value(value)
-    for part in reversed(path):
-        leaf = {part: leaf}
-    return cast(dict[str, Any], _bounded(leaf))
-
-
-def parse_value(text: str) -> Any:
-    """Read a value as TOML or, where it is none, as bare text.
-
-    Parameters
-    ----------
-    text
-        A number, text with or without quotes, a list or a table in one line.
-
-    Raises
-    ------
-    SettingsError
-        It is a number of more than 64 bits or lies too deep.
-    """
-    if _has_deep_key(text):
-        # only lists and tables hold keys: anything else is text with many dots, or has a second line
-        return parse_toml(f"v = {text}") if text.lstrip().startswith(("[", "{")) else text.strip()
-    try:
-        found = tomllib.loads(f"v = {text}")
-    except tomllib.TOMLDecodeError:
-        return text.strip()
-    except (ValueError, RecursionError):
-        found = parse_toml(f"v = {text}")  # names what is too large
-    # a second line may hold a second key
-    return _bounded(found["v"]) if len(found) == 1 else text.strip()
-
-
 def merge(base: Any, over: Any) -> Any:
     """Merge changes into a value: mappings merge by key, a list changes item by item, other values are replaced.
 
@@ -293,47 +158,6 @@ def keys_of(cls: type) -> Iterator[str]:
             yield field.name
 
 
-def to_toml(mapping: Mapping[str, Any], prefix: str = "") -> str:
-    """Write nested mappings of plain values as TOML; None is left out.
-
-    Parameters
-    ----------
-    mapping
-        Strings, numbers, booleans, sequences of them, and mappings or non-empty lists of mappings, by key.
-    prefix
-        Dotted name of the table that holds `mapping`, with a dot at its end; empty for the whole document.
-
-    Returns
-    -------
-    str
-        TOML that reads back as the same mapping; plain values come before tables.
-    """
-    tables = {k: v for k, v in mapping.items() if _is_table(v)}
-    lines = [f"{k} = {_toml_value(v)}" for k, v in mapping.items() if k not in tables and v is not None]
-    for key, value in tables.items():
-        name = f"{prefix}{key}"
-        parts = [value] if isinstance(value, Mapping) else value
-        mark = "[{}]" if isinstance(value, Mapping) else "[[{}]]"
-        lines += [f"\n{mark.format(name)}\n{to_toml(part, name + '.')}".rstrip() for part in parts]
-    text = "\n".join(lines) + "\n"
-    return text if prefix else text.lstrip("\n")
-
-
-def _is_table(value: Any) -> bool:
-    items = isinstance(value, Sequence) and not isinstance(value, str)
-    return isinstance(value, Mapping) or (items and bool(value) and all(isinstance(v, Mapping) for v in value))
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # as in JSON, and DEL too
-    if isinstance(value, Sequence):
-        return "[" + ", ".join(_toml_value(v) for v in value) + "]"
-    return repr(value)
-
-
 def _merge_items(base: Sequence[Any], over: Mapping[str, Any]) -> list[Any]:
     items = list(base)
     for number, value in over.items():
@@ -351,14 +175,14 @@ def _clear(error: ValidationError, cls: type) -> SettingsError:
 
 def _one_line(error: ValidationError, cls: type) -> str:
     first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])[:_SHOWN]
+    key = ".".join(str(part) for part in first["loc"])[:MOST_SHOWN]
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return f"unknown setting '{key}'{_nearest(key, cls)}"
     if first["type"] == "unexpected_positional_argument":
         return f"settings are given by name, such as {next(keys_of(cls))}=..., not {brief(first['input'])} alone"
     text = " ".join(first["msg"].removeprefix("Value error, ").split())
-    if len(text) > 4 * _SHOWN:  # it quotes a long value
-        text = f"{text[: 4 * _SHOWN - 3]}..."
+    if len(text) > 4 * MOST_SHOWN:  # it quotes a long value
+        text = f"{text[: 4 * MOST_SHOWN - 3]}..."
     value = first["input"]
     named = isinstance(value, Mapping) or (isinstance(value, str) and repr(value) in text)
     shown = "" if named or not key else f", not {brief(value) if not isinstance(value, str) else repr(brief(value))}"

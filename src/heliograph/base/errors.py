@@ -1,8 +1,9 @@
 """Errors for the user: one line that says what is wrong and how to mend it."""
 
+from collections.abc import Callable
 from numbers import Number
 
-_SHOWN = 60
+MOST_SHOWN = 80
 """Most characters of a wrong value in a message."""
 
 
@@ -18,18 +19,31 @@ class MediaError(HeliographError, OSError):
     """A film or data file is missing, damaged, of an unknown form, or cannot be written."""
 
 
+def brief(value: object) -> str:
+    """Return the text of an error or of a value on one line, cut where it is long.
+
+    Parameters
+    ----------
+    value
+        An error or text, which are shown as they are, or a wrong value, which is shown as Python writes it.
+    """
+    return _on_a_line(str if isinstance(value, (str, Exception)) else repr, value)
+
+
 def shown(value: object) -> str:
-    """Return what was given for something else, on a line of an error: a number or text as it is, else its type.
+    """Return what was given for something else, on one line: a number or text as Python writes it, else its type.
 
     Parameters
     ----------
     value
         What was given; an array, say, would fill many lines.
     """
-    if not isinstance(value, (str, Number)):
-        return type(value).__name__
+    return _on_a_line(repr, value) if isinstance(value, (str, Number)) else type(value).__name__
+
+
+def _on_a_line(write: Callable[[object], str], value: object) -> str:
     try:
-        text = " ".join(repr(value).split())
-    except ValueError:
+        text = " ".join(write(value).split())
+    except ValueError:  # a number of more digits than Python writes
         return "a number of thousands of digits"
-    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."
+    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."

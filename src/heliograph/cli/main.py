@@ -48,7 +48,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and no
 
 
 @app.callback(invoke_without_command=True)
-def main(context: typer.Context, load: options.Load = None, version: Version = False) -> None:  # noqa: ARG001
+def main(context: typer.Context, load: options.Load = None, version: Version = False) -> None:  # noqa: ARG001 - it acts by itself
     """Data sent by an LED array, received by a high-speed camera on a moving car."""
     for file in load or ():
         load_parts(file)
@@ -258,8 +258,9 @@ def presets(
     as_json: Json = False,
 ) -> None:
     """List the presets, or print one with all its settings."""
-    from heliograph.base.config import to_mapping, to_toml
+    from heliograph.base.config import to_mapping
     from heliograph.base.describe import commented
+    from heliograph.base.toml_text import to_toml
     from heliograph.link.settings import PRESETS, LinkSettings, load_settings
 
     if name is None and as_json:

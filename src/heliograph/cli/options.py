@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from heliograph import __version__
-from heliograph.base.config import parse_assignment, parse_toml
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.base.files import read_bounded
+from heliograph.base.toml_text import parse_assignment, parse_toml
 from heliograph.cli import console
 
 if TYPE_CHECKING:

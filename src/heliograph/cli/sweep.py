@@ -8,8 +8,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from heliograph.base.config import merge, parse_assignment
+from heliograph.base.config import merge
 from heliograph.base.errors import HeliographError, SettingsError
+from heliograph.base.toml_text import parse_assignment
 from heliograph.cli import console, options
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from heliograph.base.config import brief, from_mapping, keys_of, merge, to_mapping
-from heliograph.base.errors import MediaError
+from heliograph.base.config import from_mapping, keys_of, merge, to_mapping
+from heliograph.base.errors import MediaError, brief
 from heliograph.link.truth import TruthFile
 from heliograph.media import FilmReader
 from heliograph.signal.settings import SignalSettings

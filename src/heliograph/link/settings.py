@@ -7,8 +7,9 @@ from typing import Any
 from pydantic import model_validator
 from pydantic.dataclasses import dataclass
 
-from heliograph.base.config import CONFIG, clear_errors, from_mapping, merge, parse_assignment, to_mapping
+from heliograph.base.config import CONFIG, clear_errors, from_mapping, merge, to_mapping
 from heliograph.base.errors import SettingsError, shown
+from heliograph.base.toml_text import parse_assignment
 from heliograph.channel.settings import ChannelSettings
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings

@@ -20,8 +20,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.config import brief, from_mapping, to_mapping
-from heliograph.base.errors import HeliographError, MediaError
+from heliograph.base.config import from_mapping, to_mapping
+from heliograph.base.errors import HeliographError, MediaError, brief
 from heliograph.base.files import clear_write_errors, whole_file
 from heliograph.channel import NoiseModel, Truth
 from heliograph.link.settings import LinkSettings

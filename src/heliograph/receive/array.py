@@ -21,7 +21,8 @@ from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, Pairing, 
 from heliograph.receive.timing.light_clock import PATTERNS_AROUND
 from heliograph.receive.timing.slips import SlipWatch
 from heliograph.receive.track.lone_frames import REACH
-from heliograph.receive.track.tracker import TrackedPair, Tracker
+from heliograph.receive.track.track import TrackedPair
+from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.formats import Format, ReservedModeError
 from heliograph.signal.header import header_levels
 from heliograph.signal.packet import PacketFormat

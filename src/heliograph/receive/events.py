@@ -14,7 +14,7 @@ from heliograph.receive.image.view import CAMERA, View
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packets import Packet
 from heliograph.receive.timing.frame_pair import AnyFrame
-from heliograph.receive.track.tracker import TrackedPair
+from heliograph.receive.track.track import TrackedPair
 
 __all__ = [
     "DecodeEvent",

@@ -30,7 +30,8 @@ from heliograph.receive.track.decision_directed import DecisionDirectedTracker
 from heliograph.receive.track.lone_frames import SeenPair, lone_cutout
 from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.receive.track.sight import open_lines, open_pixels
-from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
+from heliograph.receive.track.track import Track, TrackedPair
+from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.formats import AGREED, Format, check_mode, known_format
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids

@@ -6,7 +6,7 @@ from typing import Protocol
 from heliograph.receive.events import DecodeEvent
 from heliograph.receive.packets import Codeword, Packet
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
-from heliograph.receive.track.tracker import Track, TrackedPair
+from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.signal.formats import Format
 
 

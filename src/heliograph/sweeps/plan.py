@@ -5,8 +5,9 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
-from heliograph.base.config import merge, parse_assignment
+from heliograph.base.config import merge
 from heliograph.base.errors import SettingsError, shown
+from heliograph.base.toml_text import parse_assignment
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import transmitters

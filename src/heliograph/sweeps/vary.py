@@ -7,8 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from decimal import Decimal
 from typing import Any
 
-from heliograph.base.config import brief, merge, parse_assignment, parse_value
-from heliograph.base.errors import SettingsError, shown
+from heliograph.base.config import merge
+from heliograph.base.errors import SettingsError, brief, shown
+from heliograph.base.toml_text import parse_assignment, parse_value
 from heliograph.link.settings import LinkSettings, load_settings
 
 SHORT = {"receiver": "receive.receiver"}

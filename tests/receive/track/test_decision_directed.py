@@ -12,7 +12,8 @@ from heliograph.receive import Pose
 from heliograph.receive.timing.frame_pair import FramePair
 from heliograph.receive.track.decision_directed import DecisionDirectedTracker
 from heliograph.receive.track.kalman import MotionModel, PoseState
-from heliograph.receive.track.tracker import Track, Tracker
+from heliograph.receive.track.track import Track
+from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.pwm import light_centroids
 
 Floats = NDArray[np.float64]

@@ -33,7 +33,8 @@ from heliograph.receive.reader_protocol import PacketReader, ReadHeader
 from heliograph.receive.receiver import StreamReceiver
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.pose_refinement import ObservedPacket
-from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
+from heliograph.receive.track.track import Track, TrackedPair
+from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.block import Block
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat

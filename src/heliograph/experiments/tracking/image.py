@@ -86,7 +86,7 @@ class MultipleInstance:
 
     def start(self, found: Detection, pattern: Frame, inverted: Frame) -> None:
         """Learn the array; see `Follower`."""
-        opencv: Any = cv2  # its stubs leave this tracker out
+        opencv: Any = cv2  # its type hints leave this tracker out
         params = opencv.TrackerMIL_Params()
         params.samplerSearchWinSize = float(REACH_PX)
         cv2.setRNGSeed(0)

@@ -14,7 +14,8 @@ from heliograph.receive.settings import Equaliser
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.kalman import PoseState
 from heliograph.receive.track.lone_frames import around, state_between
-from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
+from heliograph.receive.track.track import Track, TrackedPair
+from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.formats import AGREED, Format, check_mode
 from heliograph.signal.packet import PacketFormat
 

@@ -32,7 +32,8 @@ from heliograph.receive.track.background import (
     surroundings,
 )
 from heliograph.receive.track.kalman import POSE_SIZE, RATE_STATES, STATE_SIZE, Observation, PoseState
-from heliograph.receive.track.tracker import Track, TrackedPair, Tracker
+from heliograph.receive.track.track import Track, TrackedPair
+from heliograph.receive.track.tracker import Tracker
 
 DECIDED = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.array([0.01, 0.01, 0.002, 0.001, 0.02]) ** 2)
 """What a frame of decided data shows; the variances are those of the images' model.

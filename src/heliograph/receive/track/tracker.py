@@ -1,6 +1,6 @@
 """Tracking: the sum of a pattern and its inverse shows every LED, so each pair gives a new pose."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import erf, exp, pi, sqrt
 
 import cv2
@@ -12,7 +12,6 @@ from heliograph.receive.image.fit import Fit, Prior, fit_array
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.robust import robust_std
 from heliograph.receive.image.window import cut_out, window_around
-from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
 from heliograph.receive.track.kalman import (
     HEADER_OBSERVATION,
@@ -24,12 +23,12 @@ from heliograph.receive.track.kalman import (
     sum_observation,
 )
 from heliograph.receive.track.sight import (
-    LEAST_CHANGE_IN_SIGHT,
     LEAST_DATA_POWER,
     around_leds,
     open_pixels,
     recent_change,
 )
+from heliograph.receive.track.track import Track, TrackedPair
 
 WINDOW_MARGIN_PITCHES, WINDOW_MARGIN_PX = 1.5, 1.5
 """Width of the surroundings that are fitted with the array: they hold its edge, the panel's and the background."""
@@ -96,74 +95,6 @@ FOUND_SPREAD = np.array([1.0, 1.0, 1e-3, 1e-4, 1e-2])
 looked for (`SIDE_STEP`). Roll gets 0.01 rad, ln blur 0.1. Half and twice of it lose none of 192 codewords
 (docs/constants.md).
 """
-
-
-@dataclass(frozen=True, slots=True)
-class Track:
-    """What is known of an array that is followed.
-
-    Attributes
-    ----------
-    state
-        Pose and rates, with their covariance.
-    gain
-        Gray levels of a pair's sum with all LEDs on.
-    data_gain
-        The same as headers show it, where the background cancels.
-    led_gains
-        (n, n) gains of its LEDs, at least 0, 1 for the median LED.
-    last_seen_s
-        Time in seconds when it was last in sight.
-    change
-        (n, n) of `recent_change`: how much each LED changed from pattern to inverse in recent pairs.
-    """
-
-    state: PoseState
-    gain: float
-    data_gain: float
-    led_gains: Floats
-    last_seen_s: float
-    change: Floats
-
-    @property
-    def in_sight(self) -> Floats:
-        """1 for LEDs in sight, 0 for those that something hides, (n, n)."""
-        return (self.change >= LEAST_CHANGE_IN_SIGHT).astype(np.float64)
-
-    @property
-    def shining(self) -> Floats:
-        """Gains of the LEDs, 0 where something hides them, (n, n)."""
-        return self.led_gains * self.in_sight
-
-
-@dataclass(frozen=True, slots=True)
-class TrackedPair:
-    """A pattern and its inverse with the pose found in their sum.
-
-    Attributes
-    ----------
-    before
-        The track before the pair.
-    track
-        The track after it.
-    fit
-        The fit of the sum.
-    seen
-        Whether the array was in sight.
-    cutouts
-        Of data without inverses, the two frames less their background; else none.
-    """
-
-    before: Track
-    track: Track
-    fit: Fit
-    seen: bool
-    cutouts: tuple[Cutout, ...] = ()
-
-    @property
-    def state(self) -> PoseState:
-        """Pose and rates in the middle of the pair."""
-        return self.track.state
 
 
 class Tracker:

@@ -1,0 +1,26 @@
+"""Quantities of the scene with the values that settings may give them."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+LightLevel = Annotated[float, Field(ge=0, le=4)]
+"""Light in full scales. Chosen bound: four times saturation."""
+
+Probability = Annotated[float, Field(ge=0, lt=1)]
+"""Probability of an accident of a frame."""
+
+Ppm = Annotated[float, Field(ge=-1e4, le=1e4)]
+"""Error of a clock's period in millionths. Chosen bound: 1 %, a hundred times what the air interface allows."""
+
+LengthM = Annotated[float, Field(ge=-1e4, le=1e4)]
+"""Place in the scene in m. Chosen bound: 10 km, from which no array is seen."""
+
+SpeedMS = Annotated[float, Field(ge=-1000, le=1000)]
+"""Velocity in m/s. Chosen bound: ten times that of a fast train."""
+
+TimeS = Annotated[float, Field(ge=-60, le=3600)]
+"""Start of a clock in s. What an array shows before the film is computed too, so that a minute is the most."""
+
+TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
+"""Angle of an array's tilt in degrees: at 90 it is seen from its edge."""

@@ -1,0 +1,79 @@
+"""What is known of an array that is followed, and of a pair in which it was."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliograph.base.arrays import Floats
+from heliograph.receive.image.fit import Fit
+from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.track.kalman import PoseState
+from heliograph.receive.track.sight import LEAST_CHANGE_IN_SIGHT
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """What is known of an array that is followed.
+
+    Attributes
+    ----------
+    state
+        Pose and rates, with their covariance.
+    gain
+        Gray levels of a pair's sum with all LEDs on.
+    data_gain
+        The same as headers show it, where the background cancels.
+    led_gains
+        (n, n) gains of its LEDs, at least 0, 1 for the median LED.
+    last_seen_s
+        Time in seconds when it was last in sight.
+    change
+        (n, n) of `recent_change`: how much each LED changed from pattern to inverse in recent pairs.
+    """
+
+    state: PoseState
+    gain: float
+    data_gain: float
+    led_gains: Floats
+    last_seen_s: float
+    change: Floats
+
+    @property
+    def in_sight(self) -> Floats:
+        """1 for LEDs in sight, 0 for those that something hides, (n, n)."""
+        return (self.change >= LEAST_CHANGE_IN_SIGHT).astype(np.float64)
+
+    @property
+    def shining(self) -> Floats:
+        """Gains of the LEDs, 0 where something hides them, (n, n)."""
+        return self.led_gains * self.in_sight
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedPair:
+    """A pattern and its inverse with the pose found in their sum.
+
+    Attributes
+    ----------
+    before
+        The track before the pair.
+    track
+        The track after it.
+    fit
+        The fit of the sum.
+    seen
+        Whether the array was in sight.
+    cutouts
+        Of data without inverses, the two frames less their background; else none.
+    """
+
+    before: Track
+    track: Track
+    fit: Fit
+    seen: bool
+    cutouts: tuple[Cutout, ...] = ()
+
+    @property
+    def state(self) -> PoseState:
+        """Pose and rates in the middle of the pair."""
+        return self.track.state
