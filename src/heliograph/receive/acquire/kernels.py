@@ -124,7 +124,7 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, ring_w
     Number of candidates written.
     """
     rows, cols = total.shape[0] - 1, total.shape[1] - 1
-    sums = np.empty(16)
+    sums, above, below = np.empty(16), np.empty(5), np.empty(5)
     found = 0
     for k in range(sides.shape[0]):
         side = sides[k]
@@ -142,12 +142,19 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, ring_w
                 if energy < contrast * contrast * side * side:
                     x += step
                     continue
+                # neighbouring cells share their corners
+                for j in range(5):
+                    above[j] = _corner(total, y, x + j * cell)
                 power = 0.0
                 for i in range(4):
+                    for j in range(5):
+                        below[j] = _corner(total, y + (i + 1) * cell, x + j * cell)
                     for j in range(4):
-                        value = _box(total, y + i * cell, x + j * cell, cell, cell)
+                        value = below[j + 1] - below[j] - above[j + 1] + above[j]
                         sums[4 * i + j] = value
                         power += value * value
+                    for j in range(5):
+                        above[j] = below[j]
                 # |<D, T>| <= |sums| 4 and |T| |D| = side sqrt(energy)
                 bound = threshold * side * math.sqrt(energy)
                 if 16.0 * power >= bound * bound:
