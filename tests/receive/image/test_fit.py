@@ -10,7 +10,8 @@ from scenes import ALL_ON, SIDE, draw, pitch_at
 from scipy.special import ndtr
 
 from heliograph.receive import Pose
-from heliograph.receive.image.fit import Fit, Prior, fit_array
+from heliograph.receive.image import fit_reference
+from heliograph.receive.image.fit import PANEL_MARGINS, Fit, Prior, fit_array
 from heliograph.receive.image.window import window_around
 from heliograph.signal.header import header_levels
 
@@ -266,3 +267,27 @@ def test_pixels_without_a_number_give_no_pose() -> None:
     prior = Prior(np.array([20.0, 20.0, 0.2, 0.0, -0.5]), np.diag([1.0, 1.0, 0.01, 0.01, 0.1]))
     with pytest.raises(np.linalg.LinAlgError, match="no solution"):
         fit_array(np.full((40, 40), np.nan), (0, 0), prior, np.ones((16, 16)), 3)
+
+
+@pytest.mark.parametrize("gain", [0.0, GAIN])
+@pytest.mark.parametrize("tilted", [False, True])
+@pytest.mark.parametrize("panel", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_machine_code_fits_as_the_reference(seed: int, panel: bool, tilted: bool, gain: float) -> None:
+    rng = np.random.default_rng(seed)
+    pose = Pose(20.0, 22.0, float(rng.uniform(0.6, 1.4)), float(rng.uniform(-0.2, 0.2)), 0.6)
+    corner, shape = window(pose)
+    weights = ALL_ON if panel else HEADER
+    image = GAIN * draw(pose, weights, corner, shape) + LEVEL + rng.normal(0, 2, shape)
+    image[3:6, 4:9] += 60  # something that stands before it
+    spread = BROAD if not tilted else np.diag([*np.diag(BROAD), 0.05**2, 0.05**2])
+    prior = pose.full_vector()[: 7 if tilted else 5] + rng.normal(0, [0.3, 0.3, 0.03, 0.02, 0.1, 0, 0])[: len(spread)]
+    margins = list(PANEL_MARGINS) if panel else []
+    vector, matrix, linear = fit_reference.fit(
+        image, corner, weights, margins, prior, np.linalg.inv(spread), gain, steps := 4
+    )
+    got = fit_array(image, corner, Prior(prior, spread, gain), weights, steps, panel)
+    # the machine code leaves out light beyond 4 standard deviations
+    assert got.vector == pytest.approx(vector, abs=2e-3)
+    assert got.gain == pytest.approx(linear[0], rel=2e-3)
+    assert got.covariance == pytest.approx(np.linalg.inv(matrix)[: len(spread), : len(spread)], rel=0.05, abs=1e-7)

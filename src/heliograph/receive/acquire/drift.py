@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import RCOND, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.candidate import HIDING_BLUR
-from heliograph.receive.image.fit import LEAST_VARIANCE
+from heliograph.receive.image.gauss_newton import LEAST_VARIANCE
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import cut_out, window_around
 

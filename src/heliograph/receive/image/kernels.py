@@ -1,4 +1,4 @@
-"""Hot loops of images: the light of LEDs on pixels, and the normal equations of fits.
+"""Hot loops of images: the light of LEDs on pixels.
 
 `reference.py` holds the same in plain NumPy; a test holds the two together.
 """
@@ -183,99 +183,6 @@ def render_box(pose, half_leds, x0, y0, out, smear_x=0.0, smear_y=0.0):
             out[2, i, j] = -s * by_along - c * by_across
             out[3, i, j] = half * ((left_slope + right_slope) * by + (top_slope + low_slope) * bx)
             out[4, i, j] = across * by_along - along * by_across
-
-
-@compiled()
-def normal_equations(image, shapes, plane, linear, rough, matrix, vector):
-    """Gauss-Newton normal equations of image = linear . (shapes(pose), plane), weighted by Tukey's biweight.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) float64 gray levels.
-    shapes
-        (m, 1 + p, rows, columns): m images, each with its derivatives by p parameters of the pose.
-    plane
-        (3, rows, columns): constant and slopes of the background.
-    linear
-        (m + 3,) coefficients of the images and of the plane, in gray levels.
-    rough
-        Residual in gray levels, above 0, from which on a pixel has the weight 0.
-    matrix
-        (p + m + 3, p + m + 3), overwritten: sum of w J J^T.
-    vector
-        (p + m + 3,), overwritten: sum of w J r.
-
-    Returns
-    -------
-    Sum of the weights w, and of w r^2.
-    """
-    rows, cols = image.shape
-    m = shapes.shape[0]
-    p = shapes.shape[1] - 1
-    size = p + m + 3
-    matrix[:] = 0.0
-    vector[:] = 0.0
-    row = np.empty(size)
-    mass, loss = 0.0, 0.0
-    for i in range(rows):
-        for j in range(cols):
-            r = _residual(image, shapes, plane, linear, i, j)
-            q = r / rough
-            if abs(q) >= 1.0:
-                continue
-            w = (1.0 - q * q) ** 2
-            for k in range(p):
-                slope = 0.0
-                for n in range(m):
-                    slope += linear[n] * shapes[n, k + 1, i, j]
-                row[k] = slope
-            for n in range(m):
-                row[p + n] = shapes[n, 0, i, j]
-            for n in range(3):
-                row[p + m + n] = plane[n, i, j]
-            mass += w
-            loss += w * r * r
-            for k in range(size):
-                wk = w * row[k]
-                vector[k] += wk * r
-                for n in range(k + 1):
-                    matrix[k, n] += wk * row[n]
-    for k in range(size):
-        for n in range(k):
-            matrix[n, k] = matrix[k, n]
-    return mass, loss
-
-
-@compiled()
-def residuals(image, shapes, plane, linear, out):
-    """Residuals of a fit, image - linear . (shapes(pose), plane).
-
-    Parameters
-    ----------
-    image
-        (rows, columns) float64 gray levels.
-    shapes, plane
-        Images with their derivatives, and images of the background, as in `normal_equations`.
-    linear
-        (m + 3,) coefficients of the images and of the plane, in gray levels.
-    out
-        (rows, columns) float64 residuals in gray levels, overwritten.
-    """
-    for i in range(image.shape[0]):
-        for j in range(image.shape[1]):
-            out[i, j] = _residual(image, shapes, plane, linear, i, j)
-
-
-@compiled(inline="always")
-def _residual(image, shapes, plane, linear, i, j):
-    m = shapes.shape[0]
-    r = image[i, j]
-    for n in range(m):
-        r -= linear[n] * shapes[n, 0, i, j]
-    for n in range(3):
-        r -= linear[m + n] * plane[n, i, j]
-    return r
 
 
 def footprint_width(sigma: float) -> int:

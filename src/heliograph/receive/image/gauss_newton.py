@@ -1,0 +1,358 @@
+"""Gauss-Newton steps of a fit, as machine code: between two steps there is too little work to go back to Python.
+
+`fit_reference.py` holds the same in plain NumPy; a test holds the two together.
+"""
+
+import math
+
+import numpy as np
+
+from heliograph.base.compiled import compiled
+from heliograph.receive.image.kernels import render, render_box
+
+BIWEIGHT = 4.685
+"""Standard deviations from which on a residual has no weight: Tukey's biweight of 95 % efficiency."""
+
+FIT_LOADING = 1e-9
+"""Relative loading of the normal equations' diagonal: keeps a parameter that no pixel shows solvable."""
+
+FIRST_LOADING = 1e-6
+"""The same of the first coefficients, where images of the array and of a plane may be alike."""
+
+LEAST_INFORMATION = 1e-3
+"""Added to the diagonal before it is loaded: of images that are 0 all over something must be left to solve for."""
+
+LEAST_RESIDUAL = 0.5
+"""Least standard deviation of residuals in gray levels by which they are weighed: the largest error of rounding."""
+
+LEAST_VARIANCE = 0.08
+"""Least variance of a pixel in squared gray levels: that of rounding to whole levels, 1/12."""
+
+HELD_GAIN = 1e3
+"""Weight of an expected gain in the first coefficients, over that of the pixels: it all but holds the gain.
+
+The pixels can move it by a thousandth of the way to what they say.
+"""
+
+CLOSE_PX, CLOSE_BLUR, CLOSE_GAIN = 0.02, 0.02, 0.1
+"""Steps of the array's rim in px, of ln blur, and of the gain as a fraction of it, below which a fit ends.
+
+The next steps are a tenth of these, so what is left is below the error that noise gives a sum at 80 m (0.004 px rms).
+While the gain is wrong all steps are too short or too long, so a fit goes on until it is right.
+"""
+
+LONGEST_PX = 0.8
+"""Longest step of the centre in px, half a pitch where that is more: the width of an edge of the array."""
+
+LONGEST = (0.1, 0.05, 0.2, 0.05, 0.05)
+"""Longest steps of ln pitch, roll, ln blur, stretch and shear: they move the rim of 16 LEDs by half a pitch or so."""
+
+EXPECTED_GAIN_SPREAD = 0.5
+"""Standard deviation of an expected gain, as a fraction of it: before a bright sky the rim of a dark panel adds half.
+
+With 0.15 the gain was held below what the pixels showed. The sum's blur grew in its place, until the array was lost: 4
+of 40 packets of the high layer in the strongest bumps of a recorded drive, none with 0.5.
+"""
+
+
+@compiled()
+def fit(
+    image,
+    plane,
+    open_pixels,
+    corner,
+    weights,
+    margins,
+    resolved,
+    smear,
+    prior,
+    precision,
+    gain,
+    steps,
+    vector,
+    shapes,
+):
+    """Most probable pose of LEDs in pixels, by Gauss-Newton with robust weights.
+
+    Parameters
+    ----------
+    image
+        (rows, columns) float64 gray levels; of pixels that do not count 0.
+    plane
+        (3, rows, columns): constant and slopes of the background; of pixels that do not count 0.
+    open_pixels
+        (rows, columns) 1 for pixels that count, 0 for others; (0, 0) if all do.
+    corner
+        (2,) x, y on the sensor of the first pixel, in px.
+    weights
+        (n, n) luminance of each LED.
+    margins
+        (k,) rims in pitches of squares around the LEDs.
+    resolved
+        Whether LEDs may show singly; if not the array is an even square.
+    smear
+        (2,) standard deviations in px along x and y of a motion.
+    prior, precision
+        (5,) or (7,) pose vector expected, and the (p, p) inverse of its covariance: with p below 7 the tilt is held.
+    gain
+        Expected gain in gray levels, or 0 where it is unknown.
+    steps
+        Most Gauss-Newton steps, 1 or more.
+    vector
+        (5,) or (7,) pose vector to start from; overwritten with the pose found.
+    shapes
+        (1 + k, 1 + p, rows, columns) scratch; it holds the images of the last pose but for a small last step.
+
+    Returns
+    -------
+    Normal matrix of the last step, and coefficients of the images and of the plane; not finite where a step has no
+    solution.
+    """
+    free = precision.shape[0]
+    size = free + shapes.shape[0] + 3
+    matrix, rhs = np.empty((size, size)), np.empty(size)
+    residual = np.empty(image.shape)
+    _place(vector, open_pixels, corner, weights, margins, resolved, smear, shapes)
+    linear = _coefficients(image, shapes, plane, gain)
+    for _ in range(steps):
+        residuals(image, shapes, plane, linear, residual)
+        rough = BIWEIGHT * _noise_of(residual, open_pixels)
+        mass, loss = normal_equations(image, shapes, plane, linear, rough, matrix, rhs)
+        mass -= _hidden(open_pixels)
+        noise = max(loss / max(mass - size, 1.0), LEAST_VARIANCE)
+        for k in range(size):
+            rhs[k] /= noise
+            for n in range(size):
+                matrix[k, n] /= noise
+        # (J^T W J + P^-1) step = J^T W r + P^-1 (theta_0 - theta), and the same for the gain
+        for k in range(free):
+            for n in range(free):
+                matrix[k, n] += precision[k, n]
+                rhs[k] += precision[k, n] * (prior[n] - vector[n])
+        if gain != 0.0:
+            weight = (EXPECTED_GAIN_SPREAD * gain) ** -2
+            matrix[free, free] += weight
+            rhs[free] += weight * (gain - linear[0])
+        _load(matrix, FIT_LOADING)
+        step = rhs.copy()
+        _solve(matrix, step)
+        for k in range(linear.shape[0]):
+            linear[k] += step[free + k]
+        pitch = math.exp(vector[2])
+        for k in range(free):
+            limit = max(LONGEST_PX, 0.5 * pitch) if k < 2 else LONGEST[k - 2]
+            vector[k] += min(max(step[k], -limit), limit)
+        near = _rim_px(step, free, vector, len(weights)) < CLOSE_PX and abs(step[4]) < CLOSE_BLUR
+        # pitch and blur of a header, from which distances are measured, go on in small steps
+        if len(margins) and near and abs(step[free]) < CLOSE_GAIN * abs(linear[0]):
+            break
+        _place(vector, open_pixels, corner, weights, margins, resolved, smear, shapes)
+    return matrix, linear
+
+
+@compiled()
+def _place(vector, open_pixels, corner, weights, margins, resolved, smear, shapes):
+    """Work the images out at a pose."""
+    half = 0.5 * weights.shape[0]
+    if resolved:
+        render(vector, weights, corner[0], corner[1], shapes[0], smear[0], smear[1])
+    else:
+        render_box(vector, half, corner[0], corner[1], shapes[0], smear[0], smear[1])
+    for k in range(margins.shape[0]):
+        render_box(vector, half + margins[k], corner[0], corner[1], shapes[k + 1], smear[0], smear[1])
+    if open_pixels.size == 0:
+        return
+    for k in range(shapes.shape[0]):
+        for n in range(shapes.shape[1]):
+            for i in range(shapes.shape[2]):
+                for j in range(shapes.shape[3]):
+                    shapes[k, n, i, j] *= open_pixels[i, j]
+
+
+@compiled()
+def _coefficients(image, shapes, plane, gain):
+    """Least squares coefficients of the images, near an expected gain if there is one."""
+    m = shapes.shape[0]
+    matrix, rhs, row = np.zeros((m + 3, m + 3)), np.zeros(m + 3), np.empty(m + 3)
+    for i in range(image.shape[0]):
+        for j in range(image.shape[1]):
+            for n in range(m):
+                row[n] = shapes[n, 0, i, j]
+            for n in range(3):
+                row[m + n] = plane[n, i, j]
+            for k in range(m + 3):
+                rhs[k] += row[k] * image[i, j]
+                for n in range(m + 3):
+                    matrix[k, n] += row[k] * row[n]
+    if gain != 0.0:
+        weight = HELD_GAIN * matrix[0, 0]
+        matrix[0, 0] += weight
+        rhs[0] += weight * gain
+    _load(matrix, FIRST_LOADING)
+    _solve(matrix, rhs)
+    return rhs
+
+
+@compiled(fastmath={"reassoc", "contract"})
+def normal_equations(image, shapes, plane, linear, rough, matrix, vector):
+    """Gauss-Newton normal equations of image = linear . (shapes(pose), plane), weighted by Tukey's biweight.
+
+    Parameters
+    ----------
+    image
+        (rows, columns) float64 gray levels.
+    shapes
+        (m, 1 + p, rows, columns): m images, each with its derivatives by p parameters of the pose.
+    plane
+        (3, rows, columns): constant and slopes of the background.
+    linear
+        (m + 3,) coefficients of the images and of the plane, in gray levels.
+    rough
+        Residual in gray levels, above 0, from which on a pixel has the weight 0.
+    matrix
+        (p + m + 3, p + m + 3), overwritten: sum of w J J^T.
+    vector
+        (p + m + 3,), overwritten: sum of w J r.
+
+    Returns
+    -------
+    Sum of the weights w, and of w r^2.
+    """
+    rows, cols = image.shape
+    m = shapes.shape[0]
+    p = shapes.shape[1] - 1
+    size = p + m + 3
+    matrix[:] = 0.0
+    vector[:] = 0.0
+    # row by row: sums along a row of pixels are fast
+    slopes, weighed = np.empty((size, cols)), np.empty((size, cols))
+    r, w = np.empty(cols), np.empty(cols)
+    mass, loss = 0.0, 0.0
+    for i in range(rows):
+        for j in range(cols):
+            r[j] = _residual(image, shapes, plane, linear, i, j)
+            q = r[j] / rough
+            w[j] = 0.0 if abs(q) >= 1.0 else (1.0 - q * q) ** 2
+            mass += w[j]
+            loss += w[j] * r[j] * r[j]
+        for k in range(p):
+            for j in range(cols):
+                slopes[k, j] = linear[0] * shapes[0, k + 1, i, j]
+            for n in range(1, m):
+                for j in range(cols):
+                    slopes[k, j] += linear[n] * shapes[n, k + 1, i, j]
+        for n in range(m):
+            slopes[p + n] = shapes[n, 0, i]
+        for n in range(3):
+            slopes[p + m + n] = plane[n, i]
+        for k in range(size):
+            for j in range(cols):
+                weighed[k, j] = w[j] * slopes[k, j]
+            total = 0.0
+            for j in range(cols):
+                total += weighed[k, j] * r[j]
+            vector[k] += total
+            for n in range(k + 1):
+                total = 0.0
+                for j in range(cols):
+                    total += weighed[k, j] * slopes[n, j]
+                matrix[k, n] += total
+    for k in range(size):
+        for n in range(k):
+            matrix[n, k] = matrix[k, n]
+    return mass, loss
+
+
+@compiled()
+def residuals(image, shapes, plane, linear, out):
+    """Residuals of a fit, image - linear . (shapes(pose), plane).
+
+    Parameters
+    ----------
+    image
+        (rows, columns) float64 gray levels.
+    shapes, plane
+        Images with their derivatives, and images of the background, as in `normal_equations`.
+    linear
+        (m + 3,) coefficients of the images and of the plane, in gray levels.
+    out
+        (rows, columns) float64 residuals in gray levels, overwritten.
+    """
+    for i in range(image.shape[0]):
+        for j in range(image.shape[1]):
+            out[i, j] = _residual(image, shapes, plane, linear, i, j)
+
+
+@compiled(inline="always")
+def _residual(image, shapes, plane, linear, i, j):
+    m = shapes.shape[0]
+    r = image[i, j]
+    for n in range(m):
+        r -= linear[n] * shapes[n, 0, i, j]
+    for n in range(3):
+        r -= linear[m + n] * plane[n, i, j]
+    return r
+
+
+@compiled()
+def _noise_of(residual, open_pixels):
+    """Standard deviation of the residuals that count, by their median magnitude; at least `LEAST_RESIDUAL`."""
+    sizes, count = np.empty(residual.size), 0
+    for i in range(residual.shape[0]):
+        for j in range(residual.shape[1]):
+            if open_pixels.size == 0 or open_pixels[i, j] > 0.0:
+                sizes[count] = abs(residual[i, j])
+                count += 1
+    # median |x| / Phi^-1(3/4)
+    return max(1.4826 * np.median(sizes[:count]), LEAST_RESIDUAL) if count else LEAST_RESIDUAL
+
+
+@compiled()
+def _hidden(open_pixels):
+    """How many pixels do not count."""
+    found = 0.0
+    for i in range(open_pixels.shape[0]):
+        for j in range(open_pixels.shape[1]):
+            found += 1.0 - open_pixels[i, j]
+    return found
+
+
+@compiled()
+def _load(matrix, loading):
+    """M + lambda (diag M + epsilon 1), in place."""
+    for k in range(matrix.shape[0]):
+        matrix[k, k] += loading * (matrix[k, k] + LEAST_INFORMATION)
+
+
+@compiled()
+def _solve(matrix, rhs):
+    """Solve M x = b in place of b for a positive definite M, by Cholesky; not finite where M is none.
+
+    It is compiled in a tenth of a second; SciPy's, called from here, in three.
+    """
+    size = matrix.shape[0]
+    lower = np.empty((size, size))
+    for k in range(size):
+        for n in range(k + 1):
+            total = matrix[k, n]
+            for i in range(n):
+                total -= lower[k, i] * lower[n, i]
+            lower[k, n] = math.sqrt(total) if k == n and total > 0.0 else np.nan if k == n else total / lower[n, n]
+    # L y = b, then L^T x = y
+    for k in range(size):
+        for i in range(k):
+            rhs[k] -= lower[k, i] * rhs[i]
+        rhs[k] /= lower[k, k]
+    for k in range(size - 1, -1, -1):
+        for i in range(k + 1, size):
+            rhs[k] -= lower[i, k] * rhs[i]
+        rhs[k] /= lower[k, k]
+
+
+@compiled()
+def _rim_px(step, free, vector, side):
+    """How far a step of the pose's `free` parameters moves the rim of an array, in px."""
+    turn = max(abs(step[2]), abs(step[3]))
+    for k in range(5, free):
+        turn = max(turn, abs(step[k]))
+    return max(abs(step[0]), abs(step[1])) + 0.5 * side * math.exp(vector[2]) * turn
