@@ -38,7 +38,8 @@ settings: install
 
 # in an environment of the lowest versions that pyproject.toml allows, which call much that is deprecated now
 test-lowest: $(LOWEST)/.installed
-	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest -n 2 --dist loadfile -W ignore::DeprecationWarning
+	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest -n 2 --dist loadfile -W ignore::DeprecationWarning \
+		-W ignore::numpy.VisibleDeprecationWarning
 
 $(LOWEST)/.installed: pyproject.toml scripts/lowest_versions.py
 	mkdir -p $(LOWEST)

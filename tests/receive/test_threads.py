@@ -9,7 +9,7 @@ from scenes import film, link
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from heliograph.receive import Packet, receive_frames
-from heliograph.receive.equalise.threads import one_thread
+from heliograph.receive.equalise.threads import in_one_thread, one_thread
 
 
 def blas_threads() -> int:
@@ -64,3 +64,28 @@ def test_four_receivers_in_four_threads_read_what_one_after_the_other_reads() ->
     with ThreadPoolExecutor(4) as threads:
         assert list(threads.map(read, range(4))) == alone
     assert blas_threads() == 2
+
+
+def test_ctrl_c_amid_machine_code_is_ctrl_c() -> None:
+    """There it comes as the cause of a SystemError, or of one more."""
+
+    def interrupted() -> Iterator[int]:
+        yield 1
+        try:
+            raise SystemError("amid it") from KeyboardInterrupt()
+        except SystemError as error:
+            raise SystemError("around it") from error
+
+    items = in_one_thread(interrupted())
+    assert next(items) == 1
+    with pytest.raises(KeyboardInterrupt):
+        next(items)
+
+
+def test_other_system_errors_stay_what_they_are() -> None:
+    def broken() -> Iterator[int]:
+        raise SystemError("broken")
+        yield 1
+
+    with pytest.raises(SystemError, match="broken"):
+        next(in_one_thread(broken()))

@@ -623,7 +623,6 @@ def test_progress_is_shown_on_a_terminal_or_when_asked_for(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     tallies = [PointTally(points()[0], StopRule())]
-    monkeypatch.setenv("FORCE_COLOR", "1")  # what Rich takes for a terminal
     said = "0 of 1 points"
     for shown, terminal, text in ((None, False, ""), (None, True, said), (False, True, ""), (True, False, said)):
         monkeypatch.setattr(bar, "on_a_terminal", lambda terminal=terminal: terminal)

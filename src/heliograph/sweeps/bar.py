@@ -44,7 +44,7 @@ def bar(points: int, shown: bool | None = None) -> Iterator[PointProgress]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     # a block may take longer than Rich's half a minute, without which it has no speed
-    screen = Console(stderr=True, force_terminal=shown or None)
+    screen = Console(stderr=True, force_terminal=True)
     period = SPEED_PERIOD_S
     with Progress(*columns, console=screen, transient=True, speed_estimate_period=period, get_time=clock) as progress:
         task = progress.add_task("sweeping", total=SCALE * points)

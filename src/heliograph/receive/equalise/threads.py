@@ -83,13 +83,30 @@ def in_one_thread(items: Iterator[Item]) -> Iterator[Item]:
     ------
     Item
         The same items.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Ctrl-C came, wherever that was.
     """
     while True:
         with one_thread():
-            item = next(items, _END)
+            try:
+                item = next(items, _END)
+            except SystemError as error:
+                if interrupt := _interrupt_of(error):
+                    raise interrupt from None
+                raise
         if isinstance(item, _End):
             return
         yield item
+
+
+def _interrupt_of(error: BaseException | None) -> KeyboardInterrupt | None:
+    """The Ctrl-C that an error is due to: amid machine code that calls Python it comes as a SystemError."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__
+    return error
 
 
 class _End:
