@@ -10,16 +10,21 @@ v is +-1. Where a bit of the format's word is 1 it is +-1/2 in the later pairs, 
 
     max over formats and g of 2 g <d, B v + o> - g^2 |B v + o|^2.
 
+What hides a cell in part dims it too, but in the first pair as well, which has no dimmed cells. So the first pair gives
+each cell's own brightness h, near 1 where noise says little, and h v stands for v.
+
 A camera out of step shows dimmed cells in some of its frames only. There each frame counts by itself: r_k = g A v_k + b
 + n with v_k from the clock and a background b that is the same in all frames and leaves with their mean.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.image import kernels
+from heliograph.receive.image.gauss_newton import LEAST_VARIANCE
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import RIM_PX, Window, cut_out, window_around
 from heliograph.receive.timing.frame_pair import FramePair, HeaderFrames
@@ -38,6 +43,21 @@ Halfway between two words it is 1/4 of their squared distance: nearer ones canno
 """
 
 
+UNEXPLAINED = 0.5
+"""Least power by which another format must explain more than the agreed one, as a fraction of what no cells explain.
+
+What moves before an array leaves light in a difference, and some of it resembles dimmed cells. Of 144 bright bars that
+move by 1 to 3 px a frame before an array at 80 m, 3 name a wrong format so, and 27 without this and without the cells'
+brightness.
+"""
+
+CELL_SPREAD = 0.3
+"""Standard deviation of a cell's brightness about 1 before the first pair is looked at.
+
+A tolerance: LEDs next to those that are known to be hidden may be hidden too, a third of a cell or so.
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class _PairEvidence:
     """What a header pair says of the format.
@@ -50,6 +70,10 @@ class _PairEvidence:
         B^T B, B^T d and B^T o.
     cross, offset_power
         d^T o and o^T o.
+    unexplained
+        Power of d that is no light of cells, in squared gray levels.
+    pixels
+        Pixels of d.
     """
 
     dimmed: tuple[float, float]
@@ -58,6 +82,8 @@ class _PairEvidence:
     offset: Floats
     cross: float
     offset_power: float
+    unexplained: float
+    pixels: int
 
     @property
     def distance(self) -> float:
@@ -65,12 +91,20 @@ class _PairEvidence:
         contrast, light = self.dimmed
         return ((1 - contrast) ** 2 + light**2) * float(self.gram.diagonal().max())
 
-    def moments(self, cells: Floats) -> Floats:
+    def moments(self, cells: Floats, brightness: Floats) -> Floats:
         """<d, B v + o> and |B v + o|^2 of each format, (2, formats); `cells` (16,) of the header, +-1."""
         contrast, light = self.dimmed
-        v = np.where(words(ALL_MODES), contrast * cells + light, cells)
+        v = np.where(words(ALL_MODES), contrast * cells + light, cells) * brightness
         match, norm = v @ self.matched + self.cross, np.einsum("fi,ij,fj->f", v, self.gram, v)
         return np.stack([match, norm + 2 * v @ self.offset + self.offset_power])
+
+    def brightness(self, cells: Floats, gain: float) -> Floats:
+        """Brightness (16,) of each cell, 0 or more, by a pair without dimmed ones; `gain` is that of the array."""
+        # h = argmin |d - g (B C h + o)|^2 / s^2 + |h - 1|^2 / spread^2, C = diag(cells)
+        noise = max(self.unexplained / max(self.pixels - CELL_COUNT, 1), LEAST_VARIANCE)
+        held = noise / (gain * CELL_SPREAD) ** 2
+        matrix = cells[:, None] * self.gram * cells + held * np.eye(CELL_COUNT)
+        return np.maximum(np.linalg.solve(matrix, cells * (self.matched / gain - self.offset) + held), 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +122,7 @@ class _FramesEvidence:
     frames: HeaderFrames
     gram: Floats
     matched: Floats
+    unexplained: ClassVar[float] = 0.0  # there the background is one of the unknowns
 
     @property
     def distance(self) -> float:
@@ -95,14 +130,14 @@ class _FramesEvidence:
         shown = np.diff(self.frames.light, axis=0), 0.5 * np.diff(self.frames.alternation, axis=0)
         return float(sum(part.var() * part.size for part in shown) * self.gram.diagonal().max())
 
-    def moments(self, cells: Floats) -> Floats:
+    def moments(self, cells: Floats, brightness: Floats) -> Floats:
         """See `_PairEvidence`."""
         # v_k = light + alternation / 2 of +-1
         full, dimmed = (
             light[:, None] + 0.5 * alternation[:, None] * cells
             for light, alternation in zip(self.frames.light, self.frames.alternation, strict=True)
         )
-        v = np.where(words(ALL_MODES)[:, None], dimmed, full)
+        v = np.where(words(ALL_MODES)[:, None], dimmed, full) * brightness
         v -= v.mean(1, keepdims=True)
         match = np.einsum("fki,ki->f", v, self.matched)
         return np.stack([match, ((v @ self.gram) * v).sum((1, 2))])
@@ -171,17 +206,22 @@ class FormatReader:
         Parameters
         ----------
         gain
-            Gray levels of the array with all LEDs on, for a header whose first pair was not seen.
+            Gray levels of the array with all LEDs on, above 0.
         """
         if not self._evidence:
             return AGREED.number
-        match, norm = np.sum([one.moments(self._cells) for one in self._evidence.values()], axis=0)
+        first = self._evidence.get(0)
+        brightness = np.ones(CELL_COUNT)
+        if isinstance(first, _PairEvidence):
+            brightness = first.brightness(self._cells, gain)
+        match, norm = np.sum([one.moments(self._cells, brightness) for one in self._evidence.values()], axis=0)
         # the best gain of each format: g = <d, B v + o> / |B v + o|^2
         g = np.maximum(match, 0) / np.maximum(norm, TINY) if 0 in self._evidence else gain
         explained = 2 * g * match - g**2 * norm
         # two words differ in LEAST_DISTANCE cells at least: where these are hidden it is the agreed format
         least = LEAST_DISTANCE * sum(one.distance for one in self._evidence.values())
-        margin = UNDECIDED * float(np.max(g)) ** 2 * least
+        unexplained = sum(one.unexplained for one in self._evidence.values())
+        margin = UNDECIDED * float(np.max(g)) ** 2 * least + UNEXPLAINED * unexplained
         explained[AGREED.number] += margin
         # a mode that is not known must show as clearly: noise alone must not have a packet ignored
         explained[len(words()) :] -= margin
@@ -194,7 +234,8 @@ class FormatReader:
         first, second = (self._images(pose, led_gains, window) for pose in poses)
         b, o, d = 0.5 * (first + second), 0.5 * (first - second).sum(0), up - down
         dimmed = pair.combination.dimmed if pair.combination else (contrast, 0.0)
-        return _PairEvidence(dimmed, b @ b.T, b @ d, b @ o, float(d @ o), float(o @ o))
+        rest = d - b.T @ np.linalg.lstsq(b.T, d, rcond=None)[0]
+        return _PairEvidence(dimmed, b @ b.T, b @ d, b @ o, float(d @ o), float(o @ o), float(rest @ rest), d.size)
 
     def _images(self, pose: Pose, led_gains: Floats, window: Window) -> Floats:
         """Image of each cell with all its LEDs on, (16, pixels)."""
