@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliograph.base.arrays import Floats
+from heliograph.receive.equalise.llr import llr_of
 from heliograph.receive.equalise.lmmse import KNOWN_VARIANCE, Estimate
 
 DAMPING = 0.7
@@ -80,8 +81,9 @@ class ExpectationPropagation:
         -------
         Mean and variance of the sites, (patterns, symbols); of decoded symbols their own.
         """
-        # P(+1) / P(-1) = exp(L), L = 2 artanh(mean) + 2 eta_cavity
-        llr = 2 * np.arctanh(np.clip(mean, KNOWN_VARIANCE - 1, 1 - KNOWN_VARIANCE)) + 2 * self.cavity_weighted
+        # P(+1) / P(-1) = exp(L), L = 2 artanh(mean) + L_cavity
+        llr = 2 * np.arctanh(np.clip(mean, KNOWN_VARIANCE - 1, 1 - KNOWN_VARIANCE))
+        llr += llr_of(self.cavity, self.cavity_weighted)
         both = np.tanh(0.5 * llr)
         spread = np.maximum(1 - both**2, 2 * KNOWN_VARIANCE)
         # Lambda_i = 1 / variance - Lambda_cavity, eta_i = mean / variance - eta_cavity
@@ -108,5 +110,5 @@ class ExpectationPropagation:
         """
         first = not self.cavity[number].any()
         self.cavity[number], self.cavity_weighted[number] = estimate.extrinsic
-        # LLR = ln N(1) / N(-1) = 2 eta_cavity; at first the strongest neighbours are summed over as +-1, more exactly
-        return estimate.llr if first else 2 * self.cavity_weighted[number]
+        # at first the strongest neighbours are summed over as +-1, more exactly
+        return estimate.llr if first else llr_of(self.cavity[number], self.cavity_weighted[number])

@@ -6,6 +6,7 @@ import numpy as np
 
 from heliograph.base.arrays import TINY
 from heliograph.base.compiled import compiled
+from heliograph.receive.equalise.llr import UNMODELLED, UNMODELLED_SPREAD
 
 FEW, MANY = 2, 6
 """Disturbing symbols that are drawn from -1 and +1: at first, and in a second evaluation.
@@ -165,4 +166,14 @@ def _mixture(u, k, power, row, drawn, mean, variance, states):
     for w in range(number):
         plus += math.exp(chance[w] + rest[w] - top)
         minus += math.exp(chance[w] - rest[w] - below)
-    return top - below + math.log(plus / minus)
+    # what no model holds: Laplace's distribution about each; the sums above lack exp(-k^2 / 2 r) and 1/2 of each drawn
+    bend, width = 0.5 * k * k / noise + len(drawn) * math.log(2.0), max(UNMODELLED_SPREAD * k, TINY)
+    other = math.log(UNMODELLED * math.sqrt(2.0 * math.pi * noise) / (2.0 * width))
+    likely = _log_sum(top + math.log(plus) - bend, other - abs(u - k) / width)
+    return likely - _log_sum(below + math.log(minus) - bend, other - abs(u + k) / width)
+
+
+@compiled(inline="always")
+def _log_sum(a, b):
+    """Ln(e^a + e^b)."""
+    return max(a, b) + math.log1p(math.exp(-abs(a - b)))

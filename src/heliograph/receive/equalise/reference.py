@@ -40,12 +40,16 @@ class Drawn:
         In the first evaluation, and in the second.
     doubtful, sure
         LLRs in magnitude between which a symbol is evaluated again.
+    unmodelled, spread
+        Probability that a value is none of -1 and +1 and Gaussian noise, and its mean error then.
     """
 
     few: int
     many: int
     doubtful: float
     sure: float
+    unmodelled: float
+    spread: float
 
 
 def lmmse(b: Floats, d: Floats, noise: Floats, mean: Floats, variance: Floats, drawn: Drawn) -> Posterior:
@@ -93,6 +97,12 @@ def _extrinsic(i: int, k: Floats, b: Floats, rest: Floats, mean: Floats, varianc
         prior = np.prod(0.5 * (1 + others * mean[worst]), axis=1)
         off = z - (others - mean[worst]) @ overlap[worst]
         log_p = [np.logaddexp.reduce(np.log(prior) - (off - sign * mu) ** 2 / (2 * spread)) for sign in (1, -1)]
+        # Laplace's distribution about each, beside the Gaussian's peak of 1
+        other = np.log(drawn.unmodelled * np.sqrt(2 * np.pi * spread) / (2 * drawn.spread * mu))
+        log_p = [
+            np.logaddexp(one, other - abs(z - sign * mu) / (drawn.spread * mu))
+            for one, sign in zip(log_p, (1, -1), strict=True)
+        ]
         llr = float(log_p[0] - log_p[1])
         if not drawn.doubtful < abs(llr) < drawn.sure:
             break
