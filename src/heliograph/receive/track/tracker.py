@@ -145,7 +145,10 @@ class Tracker:
         hides = not track.in_sight.all()
         if track.in_sight.mean() < LEAST_IN_SIGHT:
             return _coasted(before, replace(track, state=predicted))
-        unhidden = open_pixels(track.in_sight, predicted.pose, corner, up.shape) if hides else None
+        # LEDs that a header found dark may be in sight again by now: what shines there counts neither way
+        sure = track.in_sight * (track.led_gains > 0)
+        sure = sure if sure.mean() >= LEAST_IN_SIGHT else track.in_sight
+        unhidden = None if sure.all() else open_pixels(sure, predicted.pose, corner, up.shape)
         # (pattern) + (inverse) = every LED on, Fig. 9
         observation = sum_observation(pair.late_s)
         mean, covariance = predicted.expected(observation)
