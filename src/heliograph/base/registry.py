@@ -68,6 +68,27 @@ class Registry(Generic[T]):
         self._own[name] = part
         self.origins[name] = _registering()
 
+    def register_maker(self, name: str, make: Any, part: T) -> None:
+        """Add a part as `register` does, if what makes it is a function or a class.
+
+        Parameters
+        ----------
+        name
+            Its name, as of `register`.
+        make
+            What makes the part.
+        part
+            What ``registry[name]`` is to return.
+
+        Raises
+        ------
+        SettingsError
+            As of `register`; or `make` cannot be called.
+        """
+        if not callable(make):
+            raise SettingsError(f"a {self._kind} is made by a function or a class, not by {shown(make)}")
+        self.register(name, part)
+
     def __getitem__(self, name: str) -> T:
         """Part of a name.
 

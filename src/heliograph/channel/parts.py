@@ -59,9 +59,9 @@ def register_motion(name: str, make: Callable[..., Any]) -> None:
     Raises
     ------
     SettingsError
-        The name is that of a part of the package, or is no name.
+        The name is that of a part of the package, or is no name; or `make` is no function.
     """
-    MOTIONS.register(name, make)
+    MOTIONS.register_maker(name, make, make)
 
 
 def register_background(name: str, make: Callable[..., Any]) -> None:
@@ -77,9 +77,9 @@ def register_background(name: str, make: Callable[..., Any]) -> None:
     Raises
     ------
     SettingsError
-        The name is that of a part of the package, or is no name.
+        The name is that of a part of the package, or is no name; or `make` is no function.
     """
-    BACKGROUNDS.register(name, make)
+    BACKGROUNDS.register_maker(name, make, make)
 
 
 def register_point_spread(name: str, make: Callable[..., Any]) -> None:
@@ -95,6 +95,6 @@ def register_point_spread(name: str, make: Callable[..., Any]) -> None:
     Raises
     ------
     SettingsError
-        The name is that of a part of the package, or is no name.
+        The name is that of a part of the package, or is no name; or `make` is no function.
     """
-    POINT_SPREADS.register(name, make)
+    POINT_SPREADS.register_maker(name, make, make)

@@ -316,6 +316,8 @@ def _broken_is_clear(path: Path) -> Iterator[None]:
     except HeliographError as error:
         raise _broken(path, brief(error)) from None
     except zipfile.BadZipFile:
+        if path.suffix.lower() not in (".npz", ""):
+            raise MediaError(f"{path} is no truth file: those end in .truth.npz, beside the film") from None
         raise _broken(path, "no whole archive") from None
     except _BROKEN as error:
         # what Python calls it helps nobody, but a system's reason, such as a right that lacks, does

@@ -1,6 +1,5 @@
 """Open and create films. The suffix chooses the kind of a new file; the content tells the kind of an existing one."""
 
-import math
 import os
 from collections.abc import Mapping
 from numbers import Real
@@ -44,7 +43,7 @@ def open_film(path: str | os.PathLike[str], *, expand_range: bool = False, rate_
         further on is reported while iterating, after the whole frames.
     """
     path = _checked_path(path)
-    if rate_hz is not None and not (isinstance(rate_hz, Real) and 0 < rate_hz < math.inf):
+    if rate_hz is not None and not _is_rate(rate_hz):
         raise MediaError(f"a camera takes more than 0 frames/s, not {shown(rate_hz)}; give the rate it was set to")
     if path.is_dir():
         raise MediaError(f"{path} is a folder: give a film in it")
@@ -165,3 +164,11 @@ def _sink(partial: Path, target: Path, spec: FilmSpec, codec: video_write.VideoC
     if codec is None:
         return hdf5.Hdf5Sink(partial, target, spec)  # writes faster than a queue hands over
     return ThreadedSink(video_write.VideoSink(partial, target, spec, codec))
+
+
+def _is_rate(value: object) -> bool:
+    """Whether it is a number above 0 that a float can hold."""
+    try:
+        return isinstance(value, Real) and 0 < float(value) < float("inf")
+    except OverflowError:
+        return False

@@ -42,12 +42,12 @@ def register_receiver(name: str, make: MakeReceiver, settings: type | None = Non
     Raises
     ------
     SettingsError
-        The name is "plain" or "soft", or is no name; or there is no such group.
+        The name is "plain" or "soft", or is no name; `make` is no function; or there is no such group.
     """
     groups = tuple(reads)
     if unknown := [group for group in groups if group not in GROUPS]:
         raise SettingsError(f"a receiver reads groups of {', '.join(GROUPS)}, not {', '.join(unknown)}")
-    RECEIVERS.register(name, ReceiverPart(make, settings, groups))
+    RECEIVERS.register_maker(name, make, ReceiverPart(make, settings, groups))
 
 
 def own_settings(settings: ReceiveSettings) -> Any:

@@ -130,6 +130,6 @@ def register_code(name: str, family: CodeFamily) -> None:
     Raises
     ------
     SettingsError
-        The name is taken by a code of the package, or is no name.
+        The name is taken by a code of the package, or is no name; or `family` is no function.
     """
-    CODES.register(name, family)
+    CODES.register_maker(name, family, family)

@@ -82,7 +82,8 @@ def fewer_workers(count: int | None) -> str:
     """
     if count is None or count <= enough_workers(count):
         return ""
-    return f"{count} workers are more than {cores()} cores can feed: {enough_workers(count)} are started"
+    there = f"{cores()} cores" if cores() > 1 else "one core"
+    return f"{count} workers are more than {there} can feed: {enough_workers(count)} are started"
 
 
 def open_workers(count: int | None = None, scheduler: str | None = None) -> Workers:
