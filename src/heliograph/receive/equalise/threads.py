@@ -31,8 +31,9 @@ class _Holders:
         with self._lock:
             if not self._count:
                 self._before = [library.num_threads for library in _libraries()]
-                for library in _libraries():
-                    _set(library, 1)
+                for library, before in zip(_libraries(), self._before, strict=True):
+                    if before != 1:
+                        _set(library, 1)
             self._count += 1
 
     def leave(self) -> None:
@@ -40,7 +41,8 @@ class _Holders:
             self._count -= 1
             if not self._count:
                 for library, before in zip(_libraries(), self._before, strict=True):
-                    _set(library, before)
+                    if before != 1:
+                        _set(library, before)
 
 
 def _set(library: Any, threads: int) -> None:
