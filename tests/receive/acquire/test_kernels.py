@@ -26,6 +26,21 @@ def test_frames_combined(dtype: type, weights: coarse.FrameWeights) -> None:
     assert means == pytest.approx(reference.block_means(padded, 8), rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    "weights",
+    [coarse.ALTERNATION, coarse.DIFFERENCE, (2.0, -4.0, 4.0, -2.0), (2.0, -2.5, 2.5, -2.0), (9.0, 9.0, 9.0, 9.0)],
+)
+@pytest.mark.parametrize("lit", [(255, 0, 255, 0), (0, 255, 0, 255), (255, 255, 255, 255), None])
+def test_means_in_integers_are_those_of_floats(weights: coarse.FrameWeights, lit: tuple[int, ...] | None) -> None:
+    pixels = np.random.default_rng(1).integers(0, 256, (4, 21, 29), np.uint8)
+    if lit:
+        pixels[:] = np.reshape(lit, (4, 1, 1))
+    got = coarse.combined_means([Frame(k, k * 1e-3, one) for k, one in enumerate(pixels)], weights)
+    want = np.empty((3, 4), np.float32)
+    kernels.combined_means(*pixels, np.array(weights, np.float32), 8, want)
+    assert np.array_equal(got, want)
+
+
 def test_alternation_cancels_even_acceleration() -> None:
     base, rate = np.random.default_rng(0).integers(0, 40, (2, 9, 11))
     frames = [Frame(t, t * 1e-3, np.asarray(base + rate * t + 3 * t * t, np.uint8)) for t in range(4)]

@@ -6,6 +6,7 @@ blocks is searched.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -175,8 +176,23 @@ def combined_means(frames: Sequence[Frame], weights: FrameWeights) -> NDArray[np
 
     f0, f1, f2, f3 = (frame.pixels for frame in frames)
     out = np.empty([-(-size // BLOCK_PX) for size in f0.shape], np.float32)
-    kernels.combined_means(f0, f1, f2, f3, np.array(weights, np.float32), BLOCK_PX, out)
+    whole = _whole(weights) if f0.dtype == np.uint8 else None
+    if whole is None:
+        kernels.combined_means(f0, f1, f2, f3, np.array(weights, np.float32), BLOCK_PX, out)
+    else:
+        kernels.integer_means(f0, f1, f2, f3, *whole, BLOCK_PX, out)
     return out
+
+
+@lru_cache
+def _whole(weights: FrameWeights) -> tuple[NDArray[np.int16], np.float32] | None:
+    """Whole numbers (4,) in proportion to weights, and what they are multiplied by; None where they are too large."""
+    for parts in (1, 2, 4):
+        numbers = np.array(weights) * parts
+        # a column of a block sums to less than 2^16
+        if (numbers == np.rint(numbers)).all() and np.abs(numbers).sum() * 255 * BLOCK_PX < 1 << 16:
+            return numbers.astype(np.int16), np.float32(1 / parts)
+    return None
 
 
 def busy_blocks(
