@@ -19,6 +19,9 @@ CACHE_ROWS, PADDING = 64, 4
 Its columns would lie a multiple of 256 bytes apart and fall on each other in the processor's cache.
 """
 
+SOLVED_ROWS = 65
+"""Most rows of a triangle that is inverted at once; a quarter of those of 256 symbols with their padding."""
+
 FLOOR = 1e-9
 """Added to a matrix whose diagonal is 1 or more.
 
@@ -115,10 +118,8 @@ def equalise(pair: PairStatistics, gain: float, noise: float, mean: Floats, vari
     projected = pair.gram @ mean.astype(np.float32)
     rhs = ratio * (pair.matched - gain * (pair.offset + projected))[unknown]
     # S = (g^2 / s^2 B^T B + V^-1)^-1 = (L L^T)^-1 = R R^T, m = c + S B^T (d - g (B c + o)) g / s^2
-    # R = L^-T; LAPACK's own inverse of a triangle takes twice as long
-    factor = _factor(pair, unknown, ratio * gain, 1.0 / v)
-    half = blas.strsm(1.0, factor, np.eye(len(factor), dtype=np.float32).T, lower=1, overwrite_b=1)
-    root = half.T[: unknown.size, : unknown.size]
+    # R = L^-T
+    root = _inverse(_factor(pair, unknown, ratio * gain, 1.0 / v)).T[: unknown.size, : unknown.size]
     m[unknown] += root @ (rhs.astype(np.float32) @ root)
     spread = np.einsum("ij,ij->i", root, root).astype(np.float64)
     # B^T B S g^2 / s^2 = I - V^-1 S
@@ -169,3 +170,16 @@ def _factor(pair: PairStatistics, unknown: NDArray[np.intp], scale: float, inver
     if failed:
         raise np.linalg.LinAlgError("the equaliser's matrix is not positive definite")
     return np.asarray(factor)
+
+
+def _inverse(lower: NDArray[np.float32]) -> NDArray[np.float32]:
+    """L^-1 of a lower triangular L, in halves: in half the time of LAPACK's own, which multiplies zeros too."""
+    size = len(lower)
+    if size <= SOLVED_ROWS:
+        return np.asarray(blas.strsm(1.0, lower, np.eye(size, dtype=np.float32).T, lower=1, overwrite_b=1))
+    # [[A, 0], [C, D]]^-1 = [[A^-1, 0], [-D^-1 C A^-1, D^-1]]
+    half, out = size // 2, np.zeros((size, size), np.float32, order="F")
+    out[:half, :half] = first = _inverse(lower[:half, :half])
+    out[half:, half:] = last = _inverse(lower[half:, half:])
+    np.matmul(-last, lower[half:, :half] @ first, out=out[half:, :half])
+    return out
