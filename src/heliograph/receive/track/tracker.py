@@ -66,6 +66,13 @@ MOST_SMEAR_PX = 2.0
 LEAST_IN_SIGHT = 0.25
 """Least fraction of the LEDs in sight by which a pose is found: with less an array's place has no hold."""
 
+LEAST_DARK_ZONE = 0.4
+"""Least fraction of the LEDs about one that are dark in a header for it to lie in a zone that something hid then.
+
+Of 16 LEDs in a row two columns at the rim have 3/5 or more, one column 2/5. Of LEDs that are dead here and there, 15 %
+in all, one in 500 has as many dead ones about it.
+"""
+
 GAIN_RATE = 0.1
 """Weight of a pair's gain in the tracker's: sums of about ten pairs count."""
 
@@ -145,10 +152,9 @@ class Tracker:
         hides = not track.in_sight.all()
         if track.in_sight.mean() < LEAST_IN_SIGHT:
             return _coasted(before, replace(track, state=predicted))
-        # LEDs that a header found dark may be in sight again by now: what shines there counts neither way
-        sure = track.in_sight * (track.led_gains > 0)
-        sure = sure if sure.mean() >= LEAST_IN_SIGHT else track.in_sight
-        unhidden = None if sure.all() else open_pixels(sure, predicted.pose, corner, up.shape)
+        unhidden = self._unhidden(track, predicted.pose, corner, up.shape)
+        if unhidden is not None and not unhidden.any():
+            return _coasted(before, replace(track, state=predicted))
         # (pattern) + (inverse) = every LED on, Fig. 9
         observation = sum_observation(pair.late_s)
         mean, covariance = predicted.expected(observation)
@@ -284,6 +290,16 @@ class Tracker:
         """The sums' gain after one more, within what a panel may add to the headers' or take from it."""
         gain = track.gain + GAIN_RATE * (fit.gain - track.gain)
         return float(np.clip(gain, track.data_gain / GAIN_RATIO, track.data_gain * GAIN_RATIO))
+
+    def _unhidden(self, track: Track, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats | None:
+        """Pixels (rows, columns) that count in a sum, 1 or 0; None where all do."""
+        # what a header found hidden may be in sight by now, what it found dead is not: that is no zone of its own
+        dark = (track.led_gains == 0).astype(np.float64)
+        zone = (dark > 0) & (around_leds(dark, pose) >= LEAST_DARK_ZONE)
+        sure = np.where(zone, 0.0, track.in_sight) if zone.any() else track.in_sight
+        if sure.mean() < LEAST_IN_SIGHT:
+            sure = track.in_sight
+        return None if sure.all() else open_pixels(sure, pose, corner, shape)
 
     def _watch(self, track: Track, change: Floats, noise: float, pose: Pose, corner: tuple[int, int]) -> Track:
         """The track with the recent change of its LEDs."""
