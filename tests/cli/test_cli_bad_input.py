@@ -103,7 +103,7 @@ BAD = {
     "receive {}/a.mkv --receiver plane": "unknown receiver 'plane'; did you mean 'plain'?",
     # truth and output
     "receive {}/a.mkv --truth {}/missing.npz": "there is no truth file",
-    "receive {}/a.mkv --truth {}/text.mkv": "no truth file, or damaged",
+    "receive {}/a.mkv --truth {}/text.mkv": "no truth file: those end in .truth.npz",
     "receive {}/a.mkv --truth {}/cut.npz": "no truth file, or damaged",
     "receive {}/a.mkv --truth {}/other.mkv.truth.npz": "is not the truth of",
     "receive {}/a.mkv --output {}/file": "cannot write",
