@@ -100,6 +100,8 @@ class _PairEvidence:
 
     def brightness(self, cells: Floats, gain: float) -> Floats:
         """Brightness (16,) of each cell, 0 or more, by a pair without dimmed ones; `gain` is that of the array."""
+        if gain <= 0:
+            return np.ones(CELL_COUNT)
         # h = argmin |d - g (B C h + o)|^2 / s^2 + |h - 1|^2 / spread^2, C = diag(cells)
         noise = max(self.unexplained / max(self.pixels - CELL_COUNT, 1), LEAST_VARIANCE)
         held = noise / (gain * CELL_SPREAD) ** 2
@@ -129,6 +131,10 @@ class _FramesEvidence:
         """See `_PairEvidence`."""
         shown = np.diff(self.frames.light, axis=0), 0.5 * np.diff(self.frames.alternation, axis=0)
         return float(sum(part.var() * part.size for part in shown) * self.gram.diagonal().max())
+
+    def brightness(self, cells: Floats, gain: float) -> Floats:  # noqa: ARG002 - dimmed frames are among these
+        """See `_PairEvidence`; here 1, as no frame is known to show no dimmed cells."""
+        return np.ones(CELL_COUNT)
 
     def moments(self, cells: Floats, brightness: Floats) -> Floats:
         """See `_PairEvidence`."""
@@ -211,9 +217,7 @@ class FormatReader:
         if not self._evidence:
             return AGREED.number
         first = self._evidence.get(0)
-        brightness = np.ones(CELL_COUNT)
-        if isinstance(first, _PairEvidence):
-            brightness = first.brightness(self._cells, gain)
+        brightness = np.ones(CELL_COUNT) if first is None else first.brightness(self._cells, gain)
         match, norm = np.sum([one.moments(self._cells, brightness) for one in self._evidence.values()], axis=0)
         # the best gain of each format: g = <d, B v + o> / |B v + o|^2
         g = np.maximum(match, 0) / np.maximum(norm, TINY) if 0 in self._evidence else gain
@@ -234,8 +238,10 @@ class FormatReader:
         first, second = (self._images(pose, led_gains, window) for pose in poses)
         b, o, d = 0.5 * (first + second), 0.5 * (first - second).sum(0), up - down
         dimmed = pair.combination.dimmed if pair.combination else (contrast, 0.0)
-        rest = d - b.T @ np.linalg.lstsq(b.T, d, rcond=None)[0]
-        return _PairEvidence(dimmed, b @ b.T, b @ d, b @ o, float(d @ o), float(o @ o), float(rest @ rest), d.size)
+        gram, matched = b @ b.T, b @ d
+        # |d|^2 less that of its part in the cells' span, whatever cells are hidden
+        unexplained = max(float(d @ d - matched @ np.linalg.lstsq(gram, matched, rcond=None)[0]), 0.0)
+        return _PairEvidence(dimmed, gram, matched, b @ o, float(d @ o), float(o @ o), unexplained, d.size)
 
     def _images(self, pose: Pose, led_gains: Floats, window: Window) -> Floats:
         """Image of each cell with all its LEDs on, (16, pixels)."""

@@ -24,7 +24,8 @@ from heliograph.receive.observe.statistics import whiten
 ODD_RATIO = 2.0
 """Least q of a pair whose pose is looked for, as a multiple of the packet's usual q, less for what is hidden.
 
-Of pairs that nothing pulls q is within a fifth of the median.
+Of the pairs before a post came, in a film at 47 m, q was 0.86 to 1.14 times their median. Pulled by 0.2 px and more it
+was six times as large or more.
 """
 
 USUAL_QUANTILE = 0.25
@@ -41,7 +42,7 @@ REACH_PX, STEP_PX = 1.2, 0.2
 """Largest error looked for along x and y, and its step, in px: half of the width of the dip that q has."""
 
 FINE_PX = (0.1, 0.05)
-"""Steps by which a pose is made finer, in px."""
+"""Steps by which a pose is made finer, in px. Poses of decoded packets are refined to less (`pose_refinement`)."""
 
 
 def consistent(
