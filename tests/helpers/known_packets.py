@@ -22,7 +22,7 @@ from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image.reference import blur_matrix
 from heliograph.receive.observe.reference import pair_model, transform
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.packets import Codeword
+from heliograph.receive.packets import Words
 from heliograph.receive.settings import Feedback
 from heliograph.receive.timing.combination import Combination
 from heliograph.signal import haar
@@ -32,7 +32,6 @@ from heliograph.signal.settings import SignalSettings
 
 Floats = NDArray[np.float64]
 Blocks = dict[str, list[Block]]
-Words = dict[str, tuple[Codeword, ...]]
 Statistics = list[PairStatistics | None]
 
 GAIN, NOISE = 180.0, 4.5

@@ -30,6 +30,20 @@ def test_a_post_beside_the_array_pulls_no_packet_away() -> None:
 
 
 @pytest.mark.slow
+def test_an_array_found_behind_the_edge_of_a_post_is_found_again() -> None:
+    # its header at 0.3 s showed it 7 % too narrow; read LED by LED its packet is right all the same, the next one not
+    passage, packets = read(4, 0.505, seed=11)
+    assert [round(packet.start_time_s / 0.1) for packet in packets if packet.status == "ok"][-2:] == [3, 4]
+    assert whole(passage, packets)
+
+
+@pytest.mark.slow
+def test_a_packet_is_read_led_by_led_where_a_post_misleads_the_equaliser() -> None:
+    _, packets = read(23, 0.205, seed=11)
+    assert [packet.status for packet in packets] == ["ok", "ok"]
+
+
+@pytest.mark.slow
 def test_a_packet_that_is_hidden_more_and_more_is_read_by_what_is_left() -> None:
     # LEDs beside the post are hidden in part, and are noticed late: wrong symbols were certain
     _, packets = read(7, 0.31, seed=3)

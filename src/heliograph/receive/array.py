@@ -14,7 +14,7 @@ from heliograph.receive.events import Observer, TrackEvent
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose, rim_distance
 from heliograph.receive.image.view import CAMERA, View
-from heliograph.receive.packets import Codeword, Packet, Status
+from heliograph.receive.packets import Packet, Status, Words
 from heliograph.receive.reader_protocol import PacketReader
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, Pairing, PoseAt
@@ -308,7 +308,7 @@ class ArrayReceiver:
         # neither header nor a right codeword: no array, or out of step; it is found again by its next header
         # where LEDs seem to be missing, a packet read in part may have come from a wrong pose
         whole = bool((self._track.shining == 1).all())
-        self._read = packet.status == "ok" or (packet.status == "partial" and whole)
+        self._read = not reader.misled and (packet.status == "ok" or (packet.status == "partial" and whole))
         self._proven |= packet.status in ("ok", "partial")
         self._failed = packet.status in ("no_header", "no_array")
         # its next header finds it again, in a view that suits
@@ -316,7 +316,7 @@ class ArrayReceiver:
         self._observe(reader.shown(packet))
         return packet
 
-    def _packet(self, gathered: _Gathered, layers: dict[str, tuple[Codeword, ...]], form: Format) -> Packet:
+    def _packet(self, gathered: _Gathered, layers: Words, form: Format) -> Packet:
         header, seen = float(np.mean(gathered.header or [0.0])), float(gathered.seen.mean())
         pose = self._view.pose_out(gathered.poses[len(gathered.poses) // 2])
         calibration = self._calibration
@@ -343,7 +343,7 @@ class ArrayReceiver:
         return _Gathered(np.zeros(self._signal.data_pairs, dtype=bool))
 
 
-def _status(layers: dict[str, tuple[Codeword, ...]], header: float, seen: float) -> Status:
+def _status(layers: Words, header: float, seen: float) -> Status:
     good = [word.status == "ok" for words in layers.values() for word in words]
     if any(good):
         return "ok" if all(good) else "partial"

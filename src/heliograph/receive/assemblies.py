@@ -172,7 +172,7 @@ def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
 
     def reader(detection: Detection, tracker: Tracker) -> PacketReader:
         buffer = buffers[detection.identity, detection.orientation] if settings.soft.combining else None
-        parts = SoftParts(form, tracker, buffer, decoding, settings.soft.feedback, observe)
+        parts = SoftParts(form, tracker, buffer, decoding, settings.soft.feedback, settings.soft.led_by_led, observe)
         return SoftReader(detection.identity, parts)
 
     return reader

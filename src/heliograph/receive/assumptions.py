@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from heliograph.receive.decode.observed import DecodedPacket
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.packets import Codeword
+from heliograph.receive.packets import Codeword, Words
 from heliograph.receive.track.consistent_poses import consistent
 from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.receive.track.realign import realigned
@@ -53,7 +53,7 @@ class ReadPacket:
 
     assumed: Assumption
     decoded: DecodedPacket[ObservedPacket]
-    words: dict[str, tuple[Codeword, ...]]
+    words: Words
     tried: Sequence[Cutout | None]
 
     @classmethod
@@ -72,7 +72,18 @@ class ReadPacket:
     @property
     def open(self) -> int:
         """Codewords that are not decoded."""
-        return sum(word.status == "crc_fail" for by in self.words.values() for word in by)
+        return open_words(self.words)
+
+    def lacks(self, others: Words) -> bool:
+        """Whether another reading decoded a codeword that this one did not.
+
+        Parameters
+        ----------
+        others
+            Codewords by layer of the other reading.
+        """
+        pairs = (pair for name, by in self.words.items() for pair in zip(by, others[name], strict=True))
+        return any(one.status == "crc_fail" and other.status != "crc_fail" for one, other in pairs)
 
     def or_rather(self, later: "ReadPacket") -> "ReadPacket":
         """The later reading if it leaves fewer codewords open, else this one; with the codewords of both.
@@ -85,6 +96,17 @@ class ReadPacket:
         best = later if later.open < self.open else self
         words = {name: tuple(map(_decoded_one, by, later.words[name])) for name, by in self.words.items()}
         return replace(best, words=words, tried=later.tried)
+
+
+def open_words(words: Words) -> int:
+    """How many codewords are not decoded.
+
+    Parameters
+    ----------
+    words
+        Codewords by layer.
+    """
+    return sum(word.status == "crc_fail" for by in words.values() for word in by)
 
 
 def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[ObservedPacket]]) -> ReadPacket:

@@ -9,7 +9,7 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.acquire.header import header_score, header_weights
-from heliograph.receive.assumptions import Assumption, ReadPacket, read_packet
+from heliograph.receive.assumptions import Assumption, ReadPacket, open_words, read_packet
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import decode_iteratively
@@ -21,7 +21,8 @@ from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
-from heliograph.receive.packets import Codeword, Packet
+from heliograph.receive.packets import Packet, Words
+from heliograph.receive.plain.led_by_led import read_led_by_led
 from heliograph.receive.reader_protocol import ReadHeader
 from heliograph.receive.settings import Feedback
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
@@ -66,6 +67,8 @@ class SoftParts:
         Algorithm of the channel decoder, and its most iterations.
     feedback
         What the equaliser gets back from the decoder.
+    led_by_led
+        Whether a packet is read LED by LED first.
     observe
         Gets an `ExtractEvent` each pair and an `EqualiseEvent` each iteration.
     """
@@ -75,6 +78,7 @@ class SoftParts:
     buffer: SharedBuffer | None
     options: Decoding
     feedback: Feedback
+    led_by_led: bool
     observe: Observer
 
 
@@ -160,11 +164,17 @@ class SoftReader:
         self._format_reader = FormatReader(identity, self._side)
         self._decisions: DecisionDirectedTracker | None = None
         self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), _Light(), _Data()
+        self._misled = False
 
     @property
     def format(self) -> Format:
         """The packet's format, as far as its header has shown it."""
         return self._header.format
+
+    @property
+    def misled(self) -> bool:
+        """Whether an array just found was read LED by LED, but not by the pose and the gains it was found with."""
+        return self._misled
 
     def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
         """Read the format, refine the pose and learn the LEDs' gains; see `PacketReader`."""
@@ -230,13 +240,20 @@ class SoftReader:
         self._data = replace(self._data, lone={**self._data.lone, place: lone})
 
     @one_thread()
-    def decode(self) -> dict[str, tuple[Codeword, ...]]:
+    def decode(self) -> Words:
         """Codewords by layer, of all pairs kept."""
         check_mode(self._format_reader.number(self._light.gain))
-        buffer = self._parts.buffer
+        buffer, first = self._parts.buffer, Assumption(self._gains(), self._cutouts())
+        known, learning = self._led_by_led(first), self._learning
+        if known is not None and not open_words(known) and not learning:
+            return known
         earlier = None if buffer is None else buffer.content
-        first = Assumption(self._gains(), self._cutouts())
-        reading = read_packet(first, lambda assumed: self._decode(assumed, earlier))
+        # of an array just found the equaliser must show by itself that its pose is right
+        begin = None if learning else known
+        reading = read_packet(first, lambda assumed: self._decode(assumed, earlier, begin))
+        if learning and known is not None and reading.lacks(known):
+            self._misled = True
+            reading = reading.or_rather(read_packet(first, lambda assumed: self._decode(assumed, earlier, known)))
         self._data = replace(self._data, cutouts={k: one for k, one in enumerate(reading.tried) if one is not None})
         self._led_gains = self._learnt(reading)
         if buffer is not None and reading.decoded.buffer is not None:
@@ -278,13 +295,27 @@ class SoftReader:
         times, headers = (late_s, self._late_s), list(self._header.pairs)
         return DecisionDirectedTracker(self._parts.tracker, times, headers, track.data_gain, track.shining)
 
-    def _decode(self, assumed: Assumption, earlier: SoftBuffer | None) -> DecodedPacket[ObservedPacket]:
-        """Decode all that was kept; `earlier` is what was seen of its codewords before."""
+    @property
+    def _learning(self) -> bool:
+        """Whether packets that are read whole still tell something about the LEDs."""
+        return self._led_gains is not None and not self._led_gains.brightness.settled
+
+    def _led_by_led(self, first: Assumption) -> Words | None:
+        """What the LEDs' positions alone tell; None where they are not asked, or tell nothing."""
+        parts = self._parts
+        if not parts.led_by_led or parts.feedback == "none":
+            return None
+        return read_led_by_led(self._with_lone(first), self._form, self._identity, parts.options)
+
+    def _decode(
+        self, assumed: Assumption, earlier: SoftBuffer | None, known: Words | None
+    ) -> DecodedPacket[ObservedPacket]:
+        """Decode what is not known yet of all that was kept; `earlier` is what was seen of its codewords before."""
         parts, light, form, noise = self._parts, self._light, self._form, self._noise(assumed)
         observed = ObservedPacket.of(self._with_lone(assumed), noise, form, assumed.led_gains)
         channel = GainAndNoise(min(light.gain, light.full_scale), noise.lit, light.full_scale)
         return decode_iteratively(
-            observed, channel, form, self._identity, parts.options, earlier, parts.feedback, parts.observe
+            observed, channel, form, self._identity, parts.options, earlier, parts.feedback, parts.observe, known
         )
 
     def _with_lone(self, assumed: Assumption) -> list[Cutout | None]:
@@ -311,7 +342,7 @@ class SoftReader:
     def _learnt(self, reading: ReadPacket) -> LedGains | None:
         """Gains of the LEDs after a packet was read."""
         led_gains, decoded = reading.assumed.led_gains, reading.decoded
-        if self._led_gains is None or (not reading.open and led_gains.brightness.settled):
+        if self._led_gains is None or not (reading.open or self._learning):
             return self._led_gains
         channel = decoded.channel
         learnt = decoded.observed.learnt(decoded.mean, decoded.variance, channel.gain, channel.noise)

@@ -45,6 +45,10 @@ class Codeword:
     margin: float
 
 
+Words = Mapping[str, tuple[Codeword, ...]]
+"""Codewords of a packet by layer, decoded or not."""
+
+
 @dataclass(frozen=True, slots=True)
 class Packet:
     """A received packet.
@@ -94,7 +98,7 @@ class Packet:
     header_score: float
     track_score: float
     pairs_seen: float
-    layers: Mapping[str, tuple[Codeword, ...]]
+    layers: Words
     format: Format = AGREED
     orientation: Orientation = UPRIGHT
     reason: str = ""

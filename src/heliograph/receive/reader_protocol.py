@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from heliograph.receive.events import DecodeEvent
-from heliograph.receive.packets import Codeword, Packet
+from heliograph.receive.packets import Packet, Words
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.signal.formats import Format
@@ -32,6 +32,10 @@ class PacketReader(Protocol):
     @property
     def format(self) -> Format:
         """The packet's format, as far as its header has shown it."""
+
+    @property
+    def misled(self) -> bool:
+        """Whether the packet just decoded shows that the array is not quite as it is followed."""
 
     def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
         """Read a header pair.
@@ -90,7 +94,7 @@ class PacketReader(Protocol):
             The frame that is there.
         """
 
-    def decode(self) -> dict[str, tuple[Codeword, ...]]:
+    def decode(self) -> Words:
         """Decode all that was taken: codewords by layer."""
 
     def shown(self, packet: Packet) -> DecodeEvent:

@@ -138,10 +138,15 @@ class SoftSettings:
         "soft" values of the others too; or these with expectation "propagation", which reads farthest.
     combining
         Whether codewords of a carousel that are sent again are added to what was seen of them.
+    led_by_led
+        Whether a packet is first read by the luminance at each LED's position, as "plain" does: what that decodes is
+        not equalised. It saves time where LEDs are resolved. False compares equalisers alone, as the feedback "none"
+        does.
     """
 
     feedback: Feedback = "propagation"
     combining: bool = True
+    led_by_led: bool = True
 
 
 @clear_errors

@@ -14,7 +14,6 @@ from known_packets import (
     SHAPE,
     KnownPoses,
     T,
-    Words,
     by_matrices,
     combined_statistics_of,
     decoded,
@@ -37,6 +36,7 @@ from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image.reference import blur_matrix
 from heliograph.receive.observe.reference import pair_model
 from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.receive.packets import Words
 from heliograph.receive.timing.combination import SlotLight, combine_pair
 
 Floats = NDArray[np.float64]

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from known_packets import FORM, GAIN, Words, decoded, random_blocks, right, statistics_of
+from known_packets import FORM, GAIN, decoded, random_blocks, right, statistics_of
 from numpy.typing import NDArray
 
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.soft_combining import BufferedPacket, SharedBuffer, SoftBuffer, consistent
 from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.receive.packets import Words
 from heliograph.signal.block import Block
 from heliograph.signal.formats import AGREED, Format
 
@@ -76,7 +77,8 @@ def test_a_codeword_in_other_company_is_added_to() -> None:
     for _ in range(CODEWORDS - 2):
         others.append(rng.choice([-3.0, 3.0], FORM.layers["middle"].code.length))
         buffer.keep(buffer.content.with_codeword(kind, others[-1], np.zeros_like(others[-1])))
-    sent, words = blocks, Words()
+    sent = blocks
+    words: Words = {}
     for seed in range(1, 4):
         sent = {**random_blocks(seed), "middle": blocks["middle"]}
         words = decoded(statistics_of(sent, FAR - 3, seed), buffer=buffer)

@@ -116,7 +116,9 @@ def films(context: Context) -> list[CalibrationFilm]:
     for z in sorted(QUICK_M if context.quick else FULL_M, reverse=True):
         for case, preset, packets, count in ((STATIC, "static", 1, 24), (DRIVING, "paper", 3, 8)):
             channel = {"distance_m": z, "stop_m": 5.0}
-            settings = load_settings(preset, {"channel": channel, "receive": {"receiver": "soft"}})
+            # the LLRs of the equaliser are counted, near packets included
+            receive = {"receiver": "soft", "soft": {"led_by_led": False}}
+            settings = load_settings(preset, {"channel": channel, "receive": receive})
             seeds = [1000 * context.seed + k for k in range(3 if context.quick else count)]
             out += [CalibrationFilm(case=case, settings=settings, seed=seed, packets=packets) for seed in seeds]
     whole = load_settings("paper", None, ["receive.receiver=soft"])

@@ -17,7 +17,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, simulate, transmitters
 from heliograph.measure.bench import dithered, lasting, random_messages, window_margin_px
 from heliograph.measure.statistics import Count
-from heliograph.receive import Codeword, Packet, Receiver, make_receiver
+from heliograph.receive import Packet, Receiver, make_receiver
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.assemblies import soft_parts, soft_reader
 from heliograph.receive.decode.codeword import Decoding
@@ -29,6 +29,7 @@ from heliograph.receive.events import DecodeEvent, ignore
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.receive.packets import Words
 from heliograph.receive.reader_protocol import PacketReader, ReadHeader
 from heliograph.receive.receiver import StreamReceiver
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
@@ -76,6 +77,11 @@ class KnownReader:
     def format(self) -> Format:
         """The packet's format, as its header signals it."""
         return self._blind.format
+
+    @property
+    def misled(self) -> bool:
+        """The truth does not mislead."""
+        return False
 
     def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
         """Read a header pair blind; see `PacketReader`.
@@ -141,7 +147,7 @@ class KnownReader:
             The frame that is there; ignored.
         """
 
-    def decode(self) -> dict[str, tuple[Codeword, ...]]:
+    def decode(self) -> Words:
         """Codewords by layer."""
         noise, side, receive = true_noise(self._gain, self._link), self._link.signal.side, self._link.receive
         observed = ObservedPacket.of(self._cutouts, noise, self._form, LedGains.sound(side))

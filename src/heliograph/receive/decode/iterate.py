@@ -22,6 +22,7 @@ from heliograph.receive.equalise.llr import information
 from heliograph.receive.equalise.lmmse import Estimate, equalise
 from heliograph.receive.equalise.polarity import SymbolMapper
 from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.receive.packets import Words
 from heliograph.receive.settings import Feedback
 from heliograph.receive.timing import partial_exposure
 from heliograph.receive.timing.combination import Combination
@@ -89,6 +90,7 @@ def decode_iteratively(
     buffer: SoftBuffer | None,
     feedback: Feedback = "propagation",
     observe: Callable[[EqualiseEvent], None] = ignore,
+    known: Words | None = None,
 ) -> DecodedPacket[ObservedT]:
     """Decode all layers of a packet.
 
@@ -110,16 +112,19 @@ def decode_iteratively(
         What the equaliser gets back from the decoder; see `SoftSettings`. Propagation is for pairs in step.
     observe
         Gets an `EqualiseEvent` each iteration.
+    known
+        Its codewords by layer as another reading left them; those that it decoded are not decoded again. None if there
+        was no other.
 
     Returns
     -------
     Its codewords, what was found of its symbols, and the buffer with what could not be decoded.
     """
-    packet = _Packet.begin(observed.statistics, channel, form, identity, options, feedback)
+    packet = _Packet.begin(observed.statistics, channel, form, identity, options, feedback, known)
     observed = packet.decode(observed, buffer, observe)
     if packet.earlier is not None and packet.open.any():
         # the earlier packet may be another one, whose light stands in the way; poses stay refined
-        alone = _Packet.begin(observed.statistics, packet.channel, form, identity, options, feedback)
+        alone = _Packet.begin(observed.statistics, packet.channel, form, identity, options, feedback, known)
         observed = alone.decode(observed, None, observe)
         if alone.open.sum() < packet.open.sum():
             if buffer is not None:
@@ -179,9 +184,12 @@ class _Packet:
         identity: int,
         options: Decoding,
         feedback: Feedback,
+        known: Words | None,
     ) -> "_Packet":
-        """A packet of which nothing is decoded."""
+        """A packet of which nothing is decoded but what is known."""
         layers = {name: Layer.unknown(layer) for name, layer in form.layers.items()}
+        if known is not None:
+            layers = {name: layer.with_known(known[name]) for name, layer in layers.items()}
         header = form.header_pattern(identity) > SLOTS // 2
         codewords = sum(layer.codewords for layer in form.layers.values())
         mapper, none = SymbolMapper(form), np.zeros(codewords)
@@ -197,7 +205,7 @@ class _Packet:
         """Iterate between equaliser and decoder; return the pairs as they are seen with refined poses."""
         # poses of combined pairs are not refined
         refinements = REFINEMENTS if self.feedback != "none" and not self.combined else 0
-        due = moved = False
+        due, moved = not self.open.all(), False
         for number in range(ITERATIONS):
             before, open_ = self.information, self.open
             self.equalise()

@@ -73,6 +73,20 @@ class Layer:
         shape = form.codewords, form.code.length
         return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), np.zeros(shape), np.zeros(shape), ())
 
+    def with_known(self, words: tuple[Codeword, ...]) -> "Layer":
+        """The layer with codewords that another reading gave; those that it could not decode stay unknown.
+
+        Parameters
+        ----------
+        words
+            All codewords of the layer as that reading left them.
+        """
+        soft, variance = self.soft.copy(), self.variance.copy()
+        for i, word in enumerate(words):
+            if word.status != "crc_fail":
+                soft[i], variance[i] = coded_signs(self.form.code, word), 0.0
+        return replace(self, soft=soft, variance=variance, words=words)
+
     @property
     def open(self) -> list[int]:
         """Numbers of the codewords that are not decoded."""

@@ -8,7 +8,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.soft_combining import SoftBuffer
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.packets import Codeword
+from heliograph.receive.packets import Words
 
 
 class Observed(Protocol):
@@ -66,7 +66,7 @@ class DecodedPacket(Generic[ObservedT]):
         What was seen of this array's codewords, this packet included; None where none was given.
     """
 
-    words: dict[str, tuple[Codeword, ...]]
+    words: Words
     observed: ObservedT
     mean: Floats
     variance: Floats

@@ -73,10 +73,31 @@ def luminances(frame: PlacedPixels, pose: Pose, side: int) -> NDArray[np.float64
     -------
     (side, side) float64.
     """
+    window = window_around(pose, side, RIM_PX)
+    return at_leds(cut_out(frame, window), window[:2], pose, side)
+
+
+def at_leds(pixels: NDArray[np.float64], corner: tuple[int, int], pose: Pose, side: int) -> NDArray[np.float64]:
+    """Value of an image at each LED's position, by cubic interpolation.
+
+    Parameters
+    ----------
+    pixels
+        (rows, columns) image, of any unit; what lies beyond it repeats its border.
+    corner
+        (x, y) on the sensor of its first pixel.
+    pose
+        The array's pose in it.
+    side
+        LEDs in a row.
+
+    Returns
+    -------
+    (side, side) float64, in the image's unit.
+    """
     from heliograph.receive.plain import kernels  # Numba is slow to import
 
-    window = window_around(pose, side, RIM_PX)
-    points = pose.leds(side).reshape(-1, 2) - window[:2]
+    points = pose.leds(side).reshape(-1, 2) - corner
     out = np.empty(len(points))
-    kernels.sample_cubic(cut_out(frame, window), points, out)
+    kernels.sample_cubic(pixels, points, out)
     return out.reshape(side, side)

@@ -7,7 +7,7 @@ from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.acquire.header import header_score, header_weights
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
-from heliograph.receive.packets import Codeword, Packet
+from heliograph.receive.packets import Packet, Words
 from heliograph.receive.plain.extract import luminances, normalised, pair_luminances
 from heliograph.receive.reader_protocol import ReadHeader
 from heliograph.receive.settings import Equaliser
@@ -65,6 +65,11 @@ class PlainReader:
         """The agreed one."""
         return AGREED
 
+    @property
+    def misled(self) -> bool:
+        """It reads LED by LED."""
+        return False
+
     def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
         """Refine the pose by a header pair; see `PacketReader`."""
         track, side = tracked.track, self._form.settings.side
@@ -100,7 +105,7 @@ class PlainReader:
         """Keep the frame that is left of a pair; see `PacketReader`."""
         self._lone[place] = lone
 
-    def decode(self) -> dict[str, tuple[Codeword, ...]]:
+    def decode(self) -> Words:
         """Codewords by layer."""
         for place, lone in self._lone.items():
             self._read_lone(place, lone)
