@@ -4,7 +4,8 @@ One receiver gets drives of ten seconds, one after another without a gap in time
 on at 10 to 30 km/h, on roads of class A to C, before a flat or drawn background, past two arrays that are switched on
 and off, with posts before them, and with 1 % of the frames lost. A line a drive says what the process holds in memory
 and how long a frame took. A fresh receiver reads each drive too. Counted are codewords that it reads and the lasting
-one does not, and codewords that were never sent. The last packet of each drive is left out: the next cuts it off.
+one does not, and codewords that were never sent. In the last packet of each drive, which is left out, both arrays are
+off: the next drive begins elsewhere.
 """
 
 import argparse
@@ -25,6 +26,9 @@ from heliograph.signal.settings import LAYERS
 
 DRIVE_S = 10.0
 """Length of a drive in seconds: a whole number of packets."""
+
+LAST_S = 0.1
+"""Length of a drive's last packet in seconds."""
 
 IDENTITIES = (3, 17)
 """Numbers of the two arrays."""
@@ -111,8 +115,8 @@ def draw(rng: np.random.Generator, receiver: str) -> Drive:
         posts.append(Post(start_s, end_s, rng.uniform(1, 3), rng.uniform(5, 150), int(rng.choice([-1, 1]))))
     arrays = []
     for x_m in (rng.uniform(-3, -0.7), rng.uniform(0.7, 3)):
-        off_s = np.sort(rng.uniform(0, DRIVE_S, 4))
-        arrays.append({"x_m": x_m, "y_m": rng.uniform(-1, 0), "off_s": off_s.reshape(2, 2).tolist()})
+        off_s = [*np.sort(rng.uniform(0, DRIVE_S - LAST_S, 4)).reshape(2, 2).tolist(), [DRIVE_S - LAST_S, DRIVE_S]]
+        arrays.append({"x_m": x_m, "y_m": rng.uniform(-1, 0), "off_s": off_s})
     channel = {
         "distance_m": 95.0,
         "stop_m": 10.0,
