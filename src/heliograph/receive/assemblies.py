@@ -220,7 +220,9 @@ def _following(
 
     def follow(detection: Detection) -> ArrayReceiver:
         view = View.of(detection.fit.pose, detection.orientation)
-        model = MotionModel(signal.pattern_period_s, settings.track.acceleration_px, focal_px / 2**view.level)
+        # what a shake moves by is as many of the camera's pixels, however near the array
+        shake_px, view_focal_px = settings.track.acceleration_px / 2**view.level, focal_px / 2**view.level
+        model = MotionModel(signal.pattern_period_s, shake_px, view_focal_px)
         tracker = Tracker(signal.side, model)
         seen = detection.seen_in(view)
         return ArrayReceiver(

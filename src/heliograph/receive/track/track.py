@@ -29,6 +29,8 @@ class Track:
         Time in seconds when it was last in sight.
     change
         (n, n) of `recent_change`: how much each LED changed from pattern to inverse in recent pairs.
+    score
+        Correlation of recent sums with the array's image; 1 before the first.
     """
 
     state: PoseState
@@ -37,6 +39,7 @@ class Track:
     led_gains: Floats
     last_seen_s: float
     change: Floats
+    score: float = 1.0
 
     @property
     def in_sight(self) -> Floats:
