@@ -244,14 +244,14 @@ class SoftReader:
         """Codewords by layer, of all pairs kept."""
         check_mode(self._format_reader.number(self._light.gain))
         buffer, first = self._parts.buffer, Assumption(self._gains(), self._cutouts())
-        known, learning = self._led_by_led(first), self._learning
-        if known is not None and not open_words(known) and not learning:
+        known, new = self._led_by_led(first), self._new
+        if known is not None and not open_words(known) and not new:
             return known
         earlier = None if buffer is None else buffer.content
         # of an array just found the equaliser must show by itself that its pose is right
-        begin = None if learning else known
+        begin = None if new else known
         reading = read_packet(first, lambda assumed: self._decode(assumed, earlier, begin))
-        if learning and known is not None and reading.lacks(known):
+        if new and known is not None and reading.lacks(known):
             self._misled = True
             reading = reading.or_rather(read_packet(first, lambda assumed: self._decode(assumed, earlier, known)))
         self._data = replace(self._data, cutouts={k: one for k, one in enumerate(reading.tried) if one is not None})
@@ -296,9 +296,9 @@ class SoftReader:
         return DecisionDirectedTracker(self._parts.tracker, times, headers, track.data_gain, track.shining)
 
     @property
-    def _learning(self) -> bool:
-        """Whether packets that are read whole still tell something about the LEDs."""
-        return self._led_gains is not None and not self._led_gains.brightness.settled
+    def _new(self) -> bool:
+        """Whether little is known of the LEDs: the array was just found, or long nothing need be equalised."""
+        return self._led_gains is not None and not self._led_gains.brightness.known
 
     def _led_by_led(self, first: Assumption) -> Words | None:
         """What the LEDs' positions alone tell; None where they are not asked, or tell nothing."""
@@ -342,7 +342,7 @@ class SoftReader:
     def _learnt(self, reading: ReadPacket) -> LedGains | None:
         """Gains of the LEDs after a packet was read."""
         led_gains, decoded = reading.assumed.led_gains, reading.decoded
-        if self._led_gains is None or not (reading.open or self._learning):
+        if self._led_gains is None or (not reading.open and led_gains.brightness.settled):
             return self._led_gains
         channel = decoded.channel
         learnt = decoded.observed.learnt(decoded.mean, decoded.variance, channel.gain, channel.noise)

@@ -12,7 +12,7 @@ becomes (x, y), so that places are halved.
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import log, log2, sqrt
+from math import exp, log, log2, sqrt
 
 import cv2
 import numpy as np
@@ -119,10 +119,7 @@ class View:
         if self == CAMERA:
             return fit
         moved = _linear(self)[: len(fit.vector), : len(fit.vector)]
-        vector = moved @ fit.vector
-        vector[2] -= self.level * log(2)
-        vector[4] = log(reduced_blur(float(np.exp(fit.vector[4])), self.level))
-        return replace(fit, vector=vector, covariance=moved @ fit.covariance @ moved.T)
+        return replace(fit, vector=self._vector_in(fit.vector), covariance=moved @ fit.covariance @ moved.T)
 
     def fit_out(self, fit: Fit) -> Fit:
         """A fit in the view, as it is on the sensor; the inverse of `fit_in`.
@@ -135,10 +132,7 @@ class View:
         if self == CAMERA:
             return fit
         moved = _linear(self, inverse=True)[: len(fit.vector), : len(fit.vector)]
-        vector = moved @ fit.vector
-        vector[2] += self.level * log(2)
-        vector[4] = log(_enlarged_blur(float(np.exp(fit.vector[4])), self.level))
-        return replace(fit, vector=vector, covariance=moved @ fit.covariance @ moved.T)
+        return replace(fit, vector=self._vector_out(fit.vector), covariance=moved @ fit.covariance @ moved.T)
 
     def pose_in(self, pose: Pose) -> Pose:
         """A pose on the sensor, as it is in the view.
@@ -148,7 +142,7 @@ class View:
         pose
             Pose on the sensor.
         """
-        return self.fit_in(_as_fit(pose)).pose if self != CAMERA else pose
+        return pose if self == CAMERA else Pose.from_vector(self._vector_in(pose.full_vector()))
 
     def pose_out(self, pose: Pose) -> Pose:
         """A pose in the view, as it is on the sensor; the inverse of `pose_in`.
@@ -158,7 +152,7 @@ class View:
         pose
             Pose in the view.
         """
-        return self.fit_out(_as_fit(pose)).pose if self != CAMERA else pose
+        return pose if self == CAMERA else Pose.from_vector(self._vector_out(pose.full_vector()))
 
     def motion_in(self, motion: tuple[float, float]) -> tuple[float, float]:
         """A motion on the sensor, as it is in the view.
@@ -181,6 +175,20 @@ class View:
         """
         x, y = _linear(self, inverse=True)[:2, :2] @ motion
         return float(x), float(y)
+
+    def _vector_in(self, pose: Floats) -> Floats:
+        """A pose vector on the sensor, (5,) or (7,), as it is in the view."""
+        vector = _linear(self)[: len(pose), : len(pose)] @ pose
+        vector[2] -= self.level * log(2)
+        vector[4] = log(reduced_blur(exp(pose[4]), self.level))
+        return vector
+
+    def _vector_out(self, pose: Floats) -> Floats:
+        """A pose vector in the view, (5,) or (7,), as it is on the sensor."""
+        vector = _linear(self, inverse=True)[: len(pose), : len(pose)] @ pose
+        vector[2] += self.level * log(2)
+        vector[4] = log(_enlarged_blur(exp(pose[4]), self.level))
+        return vector
 
 
 CAMERA = View()
@@ -243,10 +251,6 @@ def _part(frame: Frame, window: Window, grid: int) -> Frame:
     y = min(max(y0 // grid * grid - top, 0), max(rows - 2 * grid, 0))
     x1, y1 = max(x0 + width - left, x + 2 * grid), max(y0 + height - top, y + 2 * grid)
     return replace(frame, pixels=frame.pixels[y:y1, x:x1], origin=(left + x, top + y))
-
-
-def _as_fit(pose: Pose) -> Fit:
-    return Fit(pose.full_vector(), np.zeros((7, 7)), 0.0, 0.0)
 
 
 def _upright(frame: Frame, orientation: Orientation) -> Frame:

@@ -299,23 +299,40 @@ class SlipWatch:
         Where the pair before was uneven as well, poses may be wrong, or the array hidden. A header is then even at any
         place, so all pairs that follow must change for the better.
         """
-        regular, slipped = self._paired(0, self.lost, slip=False), self._paired(1, self.lost + 1)
+        found: dict[tuple[int, int], _Pairs] = {}
+        regular, slipped = self._regular(0, self.lost, found), self._paired(1, self.lost + 1, found)
         even = len(slipped.uneven) >= LEAST_EVEN_PAIRS and max(slipped.uneven) < EVEN_SUM_POWER
         even &= slipped.slips < MOST_SLIPS
         if not self._even_before:
             even &= all(self._even(k + 1) and self._odd(k) for k in range(0, len(self._held) - 2, 2))
         return even and SLIP_COST + slipped.cost < regular.cost
 
-    def _paired(self, place: int, lost: int, slip: bool = True) -> _Pairs:
-        """The frames in hand from one on, paired at the least cost; the first is left alone only if it may `slip`."""
+    def _paired(self, place: int, lost: int, found: dict[tuple[int, int], _Pairs]) -> _Pairs:
+        """The frames in hand from one on, paired at the least cost; `found` keeps what is found by place and parity."""
+        key = place, lost % 2
+        if key not in found:
+            found[key] = self._least(place, lost, found)
+        return found[key]
+
+    def _least(self, place: int, lost: int, found: dict[tuple[int, int], _Pairs]) -> _Pairs:
+        """The first frame paired, or left alone, whichever costs less."""
+        if not self._begins(place, lost):
+            return self._regular(place, lost, found)
+        slipped = self._paired(place + 1, lost + 1, found)
+        slipped = _Pairs(SLIP_COST + slipped.cost, slipped.uneven, slipped.slips + 1)
+        return min(self._regular(place, lost, found), slipped, key=lambda one: one.cost)
+
+    def _regular(self, place: int, lost: int, found: dict[tuple[int, int], _Pairs]) -> _Pairs:
+        """The frames in hand from one on, the first of which is not left alone."""
         if place >= len(self._held) - 1:
             return _Pairs(0.0, (), 0)
-        if (self._held[place].number + lost) % 2 or self._gap(place) > 1:
-            return self._paired(place + 1, lost)
-        e, rest = self._uneven(place), self._paired(place + 2, lost)
-        paired = rest if e is None else _Pairs(e + rest.cost, (e, *rest.uneven), rest.slips)
-        if not slip:
-            return paired
-        slipped = self._paired(place + 1, lost + 1)
-        slipped = _Pairs(SLIP_COST + slipped.cost, slipped.uneven, slipped.slips + 1)
-        return min(paired, slipped, key=lambda one: one.cost)
+        if not self._begins(place, lost):
+            return self._paired(place + 1, lost, found)
+        e, rest = self._uneven(place), self._paired(place + 2, lost, found)
+        return rest if e is None else _Pairs(e + rest.cost, (e, *rest.uneven), rest.slips)
+
+    def _begins(self, place: int, lost: int) -> bool:
+        """Whether a frame in hand begins a pair whose other half is the next."""
+        if place >= len(self._held) - 1:
+            return False
+        return (self._held[place].number + lost) % 2 == 0 and self._gap(place) <= 1
