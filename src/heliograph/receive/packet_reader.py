@@ -297,8 +297,8 @@ class SoftReader:
 
     @property
     def _new(self) -> bool:
-        """Whether little is known of the LEDs: the array was just found, or long nothing need be equalised."""
-        return self._led_gains is not None and not self._led_gains.brightness.known
+        """Whether little is known of the LEDs yet, as the array was just found."""
+        return self._led_gains is not None and not self._led_gains.brightness.learnt
 
     def _led_by_led(self, first: Assumption) -> Words | None:
         """What the LEDs' positions alone tell; None where they are not asked, or tell nothing."""

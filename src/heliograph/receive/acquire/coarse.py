@@ -220,9 +220,12 @@ def busy_blocks(
     left = means.copy()
     for pose in taken:
         _blank(left, pose, side, frame.origin)
+    least = PART_LIT * min_contrast * frame.full_scale
+    if not (left > least).any():  # mostly: then no median is needed
+        return np.zeros(left.shape, bool)
     middle = left.size // 2
     median = float(np.partition(left, middle, axis=None)[middle])
-    least = max(PART_LIT * min_contrast * frame.full_scale, BUSY * median)
+    least = max(least, BUSY * median)
     return np.asarray(cv2.dilate((left > least).astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
 
 

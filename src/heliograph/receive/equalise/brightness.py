@@ -66,7 +66,7 @@ equal for `ENOUGH_PACKETS`. Chosen for speed: at 95 m 16 pairs of one packet sho
 """
 
 ENOUGH_PACKETS = 5
-"""Packets after which LEDs that seem equal are learnt from fewer pairs.
+"""Packets after which LEDs that seem equal are learnt from fewer pairs, and LEDs that saturate are known no better.
 
 It is half of the ten packets that count by `BRIGHTNESS_FADE`.
 """
@@ -180,6 +180,11 @@ class Brightness:
     def settled(self) -> bool:
         """Whether LEDs are known to be equal: while all is read nothing more need be learnt."""
         return self.known and self.equal_so_far
+
+    @property
+    def learnt(self) -> bool:
+        """Whether packets read without it need tell no more: LEDs are known, or enough packets did not show them."""
+        return self.known or self.packets >= ENOUGH_PACKETS
 
     @property
     def stride(self) -> int:
