@@ -78,6 +78,19 @@ def test_a_rate_that_no_film_has(tmp_path: Path, rate: Any) -> None:
     assert "attribute 'rate_hz' is" in refused(hdf5(tmp_path / "a.h5", rate_hz=rate))[1]
 
 
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9, 1e-3])
+def test_times_in_another_unit_than_the_rate(tmp_path: Path, unit: float) -> None:
+    path = hdf5(tmp_path / "a.h5", TIMES * unit, rate_hz=1000.0)
+    assert "write times_s in seconds" in refused(path)[1]
+    with open_film(path, rate_hz=1000.0) as film:
+        assert film.claimed_hz == 1000.0
+
+
+def test_lost_frames_do_not_belie_the_rate(tmp_path: Path) -> None:
+    with open_film(hdf5(tmp_path / "a.h5", TIMES * 3, rate_hz=1000.0)) as film:
+        assert [frame.index for frame in film] == [0, 3, 6, 9, 12]
+
+
 @pytest.mark.parametrize("bits", [-1, 7, 9, 99, 10**18, "x", [8, 8], 8.5, math.nan], ids=str)
 def test_bits_that_no_film_has(tmp_path: Path, bits: Any) -> None:
     assert "attribute 'bits' is" in refused(hdf5(tmp_path / "a.h5", bits=bits))[1]

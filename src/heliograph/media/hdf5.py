@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import BITS, LATEST_S, Frame
 from heliograph.media.reader import FilmReader, checked_size, checked_time
 from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ, FilmSpec
@@ -45,6 +45,12 @@ _MOST_STEPS = 100
 _MOST_PIECE = 300_000_000
 """Most bytes of a piece with a filter, such as gzip, which is held as a whole to read a frame. Chosen: a frame of the
 largest size (`MOST_PIXELS`) in 16 bits has 268 MB, so that one frame a piece is always taken."""
+
+_MOST_RATIO = 10.0
+"""Most that times and the claimed rate may differ by, as a ratio: lost frames make gaps, but not most of them.
+
+Times in milliseconds make it 1000.
+"""
 
 _READ_TIMES = 4096
 """Times read at once: 32 kB. Chosen; it bounds memory."""
@@ -187,9 +193,10 @@ class Hdf5Reader(FilmReader):
             _check_held(path, frames, file["times_s"])
             self.bits = int(_number(path, file.attrs, "bits", *BITS[frames.dtype]) or 8 * frames.dtype.itemsize)
             self.metadata = _read_metadata(file.attrs)
-            self.claimed_hz = _number(path, file.attrs, "rate_hz", SLOWEST_HZ, FASTEST_HZ) or _median_rate(
-                file["times_s"]
-            )
+            claimed_hz = _number(path, file.attrs, "rate_hz", SLOWEST_HZ, FASTEST_HZ)
+            if claimed_hz and rate_hz is None:
+                _check_unit(path, file["times_s"], claimed_hz)
+            self.claimed_hz = claimed_hz or _median_rate(file["times_s"])
 
     def _frames(self) -> Iterator[Frame]:
         if not self.frame_count:
@@ -217,6 +224,16 @@ def _median_rate(times: Any) -> float:
     gaps = np.diff(known[np.abs(known) <= LATEST_S])
     gap = float(np.median(gaps)) if gaps.size else 0.0
     return 1 / gap if gap >= 1 / FASTEST_HZ else 1.0
+
+
+def _check_unit(path: Path, times: Any, claimed_hz: float) -> None:
+    """Say so where times are in another unit than seconds, by the rate that the film claims."""
+    known_hz = _median_rate(times)
+    if times.shape[0] > 1 and not 1 / _MOST_RATIO < known_hz / claimed_hz < _MOST_RATIO:
+        raise MediaError(
+            f"{path}: times_s show {shown(known_hz)} frames/s and rate_hz says {shown(claimed_hz)}; write times_s in "
+            "seconds, or say what the camera did with --fps"
+        )
 
 
 def _write_attributes(attributes: Any, spec: FilmSpec) -> None:
