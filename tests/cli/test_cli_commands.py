@@ -195,8 +195,14 @@ def test_the_version_is_told_and_python_runs_the_command(tmp_path: Path) -> None
     assert wrong.stderr.endswith("see 'heliograph --help'\n")
 
 
-def test_shells_complete_commands_and_options(tmp_path: Path) -> None:
-    for words, found in (("heliograph si", "simulate"), ("heliograph receive --tr", "--truth")):
+def test_shells_complete_commands_options_and_names(tmp_path: Path) -> None:
+    for words, found in (
+        ("heliograph si", "simulate"),
+        ("heliograph receive --tr", "--truth"),
+        ("heliograph demo --preset t", "two-arrays"),
+        ("heliograph presets mo", "motorway"),
+        ("heliograph receive film.h5 --receiver s", "soft"),
+    ):
         asked = {
             "_HELIOGRAPH_COMPLETE": "complete_bash",
             "COMP_WORDS": words,

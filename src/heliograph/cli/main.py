@@ -103,7 +103,9 @@ def receive(
     receiver: Annotated[
         str | None,
         typer.Option(
-            help="Receiver: plain, soft or one of your own; that of the preset if left out.", show_default=False
+            help="Receiver: plain, soft or one of your own; that of the preset if left out.",
+            show_default=False,
+            autocompletion=options.begun_receivers,
         ),
     ] = None,
     output: Annotated[
@@ -253,7 +255,11 @@ def reproduce(
 def presets(
     name: Annotated[
         str | None,
-        typer.Argument(help="Preset to print as TOML, with the meaning of each setting.", show_default=False),
+        typer.Argument(
+            help="Preset to print as TOML, with the meaning of each setting.",
+            show_default=False,
+            autocompletion=options.begun_presets,
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:

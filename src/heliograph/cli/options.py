@@ -26,7 +26,40 @@ Load = Annotated[
     typer.Option("--load", metavar="FILE", show_default=False,
                  help="Python file that registers parts of your own, such as a receiver; may be repeated."),
 ]  # fmt: skip
-Preset = Annotated[str, typer.Option("--preset", help="Preset to start from; 'heliograph presets' lists them.")]
+
+
+def begun_presets(begun: str) -> list[tuple[str, str]]:
+    """Presets with what each is for, for the shell to complete.
+
+    Parameters
+    ----------
+    begun
+        First letters of the name, any number.
+    """
+    from heliograph.link.settings import PRESETS
+
+    return [(name, text) for name, (text, _) in PRESETS.items() if name.startswith(begun)]
+
+
+def begun_receivers(begun: str) -> list[str]:
+    """Receivers for the shell to complete.
+
+    Parameters
+    ----------
+    begun
+        First letters of the name, any number.
+    """
+    from heliograph.receive.registry import RECEIVERS
+
+    return [name for name in RECEIVERS.names() if name.startswith(begun)]
+
+
+Preset = Annotated[
+    str,
+    typer.Option(
+        "--preset", help="Preset to start from; 'heliograph presets' lists them.", autocompletion=begun_presets
+    ),
+]
 SettingsFile = Annotated[
     Path | None, typer.Option("--settings", metavar="FILE", help="TOML file laid over the preset.", show_default=False)
 ]
