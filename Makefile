@@ -1,4 +1,4 @@
-# make install | demo | test | test-quick | test-lowest | test-wheel | lint | docs | settings | bench | vectors
+# make install | demo | test | test-quick | test-lowest | test-wheel | lint | docs | settings | bench | bench-all | vectors
 # (PYTHON picks the interpreter that makes .venv)
 PYTHON ?= python3
 BIN := .venv/bin
@@ -9,7 +9,7 @@ WHEEL := .wheel
 export PYTHONDONTWRITEBYTECODE :=
 export PYTHONPYCACHEPREFIX := $(CURDIR)/.venv/bytecode
 
-.PHONY: install demo test test-quick test-lowest test-wheel lint docs settings bench vectors clean
+.PHONY: install demo test test-quick test-lowest test-wheel lint docs settings bench bench-all vectors clean
 
 install: $(STAMP)
 
@@ -63,7 +63,13 @@ lint: install
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# one table of speeds beside peers; BENCH=--keep adds it to benchmarks/history.jsonl
 bench: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	$(BIN)/python -m benchmarks.table $(BENCH)
+
+# all benchmarks
+bench-all: install
 	$(BIN)/python -m benchmarks
 
 vectors: install
