@@ -12,6 +12,9 @@ from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.cli import console, options
 
+LONG_READING_S = 2.0
+"""Seconds of reading from which on a faster container is worth a word. Chosen."""
+
 if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings
     from heliograph.measure.counts import LayerCounts
@@ -60,9 +63,13 @@ def run_receive(
             console.complain(departure)
         with Folder(output) as folder:
             ending = _read(source, signal, settings, reception, folder)
-            report = reception.report(time.perf_counter() - began)
+            report = {**reception.report(time.perf_counter() - began), "reading_seconds": source.read_s}
             ending = _finish(folder, report) or ending
-    console.say_json(report) if as_json else _show(report, reception, folder)
+    if as_json:
+        console.say_json(report)
+    else:
+        _show(report, reception, folder)
+        _show_reading(source, report)
     if isinstance(ending, KeyboardInterrupt):
         console.complain(f"interrupted after {reception.frames} frames; the results so far are above")
         sys.exit(console.INTERRUPTED)
@@ -167,6 +174,17 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
         console.say(f"array {identity}, {layer}, message {stream}: {had} of {size} bytes")
     if reception.errors is not None:
         _show_errors(reception.errors)
+
+
+def _show_reading(source: "FilmReader", report: dict[str, Any]) -> None:
+    """Say so where the container is what takes the time."""
+    reading_s, faster = report["reading_seconds"], source.path.with_suffix(".h5")
+    slow = reading_s > max(LONG_READING_S, report["frames"] / source.rate_hz)
+    if slow and reading_s > 0.5 * report["seconds"] and source.path.suffix != faster.suffix:
+        console.say(
+            f"reading the film took {reading_s:.1f} s of these: HDF5 and lossless H.264 are read faster, see "
+            f"'heliograph convert {source.path} {faster}'"
+        )
 
 
 def _show_errors(errors: "ErrorCounter") -> None:

@@ -1,5 +1,6 @@
 """The common interface for reading films."""
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
@@ -87,6 +88,8 @@ class FilmReader(ABC):
         duration times the rate, which counts dropped frames too; None where unknown.
     metadata
         Text kept with the film by its writer; of films from elsewhere the container's own tags.
+    read_s
+        Seconds that reading its frames took so far, decoding included.
     """
 
     path: Path
@@ -99,6 +102,7 @@ class FilmReader(ABC):
 
     def __init__(self, path: Path, rate_hz: float | None = None) -> None:
         self.path, self._true_hz = path, rate_hz
+        self.read_s = 0.0
         self._running: Iterator[Frame] | None = None
         self._closed = False
 
@@ -124,13 +128,31 @@ class FilmReader(ABC):
         """
         if self._closed:
             raise MediaError(f"{self.path} is closed: iterate it inside its 'with' block")
-        self._running = self._frames() if self._true_hz is None else self._retimed(self.claimed_hz / self._true_hz)
+        frames = self._frames() if self._true_hz is None else self._retimed(self.claimed_hz / self._true_hz)
+        self._running = self._clocked(frames)
         return self._running
+
+    def _clocked(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """The frames, the time that they take counted."""
+        try:
+            while True:
+                start = time.perf_counter()
+                frame = next(frames, None)
+                self.read_s += time.perf_counter() - start
+                if frame is None:
+                    return
+                yield frame
+        finally:
+            _stop(frames)
 
     def _retimed(self, scale: float) -> Iterator[Frame]:
         """Frames whose times are those of the camera, not of a file in slow motion."""
-        for frame in self._frames():
-            yield replace(frame, time_s=frame.time_s * scale)
+        frames = self._frames()
+        try:
+            for frame in frames:
+                yield replace(frame, time_s=frame.time_s * scale)
+        finally:
+            _stop(frames)
 
     @abstractmethod
     def _frames(self) -> Iterator[Frame]: ...
@@ -138,9 +160,7 @@ class FilmReader(ABC):
     def close(self) -> None:
         """Close the film; may be called twice."""
         self._closed = True
-        stop = getattr(self._running, "close", None)  # a generator holds the file open until it is closed
-        if stop is not None:
-            stop()
+        _stop(self._running)
         self._running = None
 
     def __enter__(self) -> Self:
@@ -150,3 +170,10 @@ class FilmReader(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _stop(frames: Iterator[Frame] | None) -> None:
+    """Close a generator of frames: it holds the file open until then."""
+    stop = getattr(frames, "close", None)
+    if stop is not None:
+        stop()
