@@ -86,10 +86,11 @@ def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64],
     positions = np.arange(mother.shape[1])
     fast = decode_blocks(llr, positions, order, options, a_priori=a_priori, coded_output=True)
     slow = reference.decode(llr.astype(np.float64), order, options, a_priori.astype(np.float64))
-    # the kernel's ln(1 + exp(-x)) is good to 5e-5, each of a few hundred times
-    assert np.allclose(fast.llr, slow.llr, rtol=1e-3, atol=0.02)
+    # the kernel's ln(1 + exp(-x)) is good to 3e-3, each of a few hundred times, mostly alike in all states
+    atol = 0.3 if algorithm == "log-map" else 0.01
+    assert np.allclose(fast.llr, slow.llr, rtol=1e-3, atol=atol)
     assert fast.coded_llr is not None
-    assert np.allclose(fast.coded_llr, slow.mother_llr, rtol=1e-3, atol=0.02)
+    assert np.allclose(fast.coded_llr, slow.mother_llr, rtol=1e-3, atol=atol)
     assert np.array_equal(fast.iterations, slow.iterations)
     assert np.array_equal(fast.stopped, slow.stopped)
 
