@@ -217,16 +217,17 @@ def busy_blocks(
     -------
     (blocks down, blocks across).
     """
-    left = means.copy()
+    free = np.ones(means.shape, bool)
     for pose in taken:
-        _blank(left, pose, side, frame.origin)
+        _blank(free, pose, side, frame.origin)
     least = PART_LIT * min_contrast * frame.full_scale
-    if not (left > least).any():  # mostly: then no median is needed
-        return np.zeros(left.shape, bool)
-    middle = left.size // 2
-    median = float(np.partition(left, middle, axis=None)[middle])
-    least = max(least, BUSY * median)
-    return np.asarray(cv2.dilate((left > least).astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
+    if not ((means > least) & free).any():  # mostly: then no median is needed
+        return np.zeros(means.shape, bool)
+    # a large array lights all of the frame through the windscreen: its own blocks say nothing of that
+    left = means[free]
+    median = float(np.partition(left, left.size // 2)[left.size // 2])
+    busy = (means > max(least, BUSY * median)) & free
+    return np.asarray(cv2.dilate(busy.astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
 
 
 def searched_part(
@@ -324,10 +325,10 @@ def _span(busy: NDArray[np.bool_], reach: int) -> tuple[int, int]:
     return max(int(places[0]) - reach, 0), min(int(places[-1]) + 1 + reach, busy.size)
 
 
-def _blank(mean: NDArray[np.float32], pose: Pose, side: int, origin: tuple[int, int]) -> None:
-    """Clear the blocks of an array that is followed."""
+def _blank(free: NDArray[np.bool_], pose: Pose, side: int, origin: tuple[int, int]) -> None:
+    """Clear the blocks of an array that is followed, True elsewhere."""
     x0, y0, width, height = window_around(pose, side, BLOCK_PX)
     top, left = y0 - origin[1], x0 - origin[0]
     rows = slice(max(0, top // BLOCK_PX), max(0, (top + height) // BLOCK_PX + 1))
     columns = slice(max(0, left // BLOCK_PX), max(0, (left + width) // BLOCK_PX + 1))
-    mean[rows, columns] = 0
+    free[rows, columns] = False
