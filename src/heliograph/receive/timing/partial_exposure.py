@@ -8,7 +8,6 @@ values in all, few enough to list the *response* to each.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.signal.pwm import SLOTS
@@ -130,7 +129,7 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
 def _llr(score: Floats, symbol: int) -> Floats:
     """LLRs (squares,) of a symbol by the log likelihoods (squares, 16) of all values."""
     plus, minus = (score[:, sign * VALUES[:, symbol] > 0] for sign in (1, -1))
-    return np.asarray(logsumexp(plus, axis=-1) - logsumexp(minus, axis=-1))
+    return np.asarray(np.logaddexp.reduce(plus, axis=-1) - np.logaddexp.reduce(minus, axis=-1))
 
 
 def _log_chances(mean: Floats) -> Floats:
