@@ -244,16 +244,19 @@ class SoftReader:
         """Codewords by layer, of all pairs kept."""
         check_mode(self._format_reader.number(self._light.gain))
         buffer, first = self._parts.buffer, Assumption(self._gains(), self._cutouts())
-        known, new = self._led_by_led(first), self._new
-        if known is not None and not open_words(known) and not new:
-            return known
+        shown, new = self._led_by_led(first), self._new
+        if shown is not None and not open_words(shown) and not new:
+            return shown
         earlier = None if buffer is None else buffer.content
+
+        def read(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
+            return self._decode(assumed, earlier, shown if assumed is first else self._led_by_led(assumed))
+
         # of an array just found the equaliser must show by itself that its pose is right
-        begin = None if new else known
-        reading = read_packet(first, lambda assumed: self._decode(assumed, earlier, begin))
-        if new and known is not None and reading.lacks(known):
+        reading = read_packet(first, read if not new else lambda assumed: self._decode(assumed, earlier, None))
+        if new and shown is not None and reading.lacks(shown):
             self._misled = True
-            reading = reading.or_rather(read_packet(first, lambda assumed: self._decode(assumed, earlier, known)))
+            reading = reading.or_rather(read_packet(first, read))
         self._data = replace(self._data, cutouts={k: one for k, one in enumerate(reading.tried) if one is not None})
         self._led_gains = self._learnt(reading)
         if buffer is not None and reading.decoded.buffer is not None:
@@ -300,12 +303,14 @@ class SoftReader:
         """Whether little is known of the LEDs yet, as the array was just found."""
         return self._led_gains is not None and not self._led_gains.brightness.learnt
 
-    def _led_by_led(self, first: Assumption) -> Words | None:
+    def _led_by_led(self, assumed: Assumption) -> Words | None:
         """What the LEDs' positions alone tell; None where they are not asked, or tell nothing."""
         parts = self._parts
         if not parts.led_by_led or parts.feedback == "none":
             return None
-        return read_led_by_led(self._with_lone(first), self._form, self._identity, parts.options)
+        # behind a post the scale of these LLRs is wrong; max-log heeds their proportions alone
+        options = replace(parts.options, algorithm="max-log")
+        return read_led_by_led(self._with_lone(assumed), self._form, self._identity, options)
 
     def _decode(
         self, assumed: Assumption, earlier: SoftBuffer | None, known: Words | None
