@@ -1,17 +1,15 @@
 """The receivers "plain" and "soft": two assemblies of the same parts."""
 
-from collections import defaultdict
 from collections.abc import Callable
 
 from heliograph.base.errors import SettingsError
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.acquire.hypotheses import Hypothesis
 from heliograph.receive.acquire.phases import PhasedSearch
 from heliograph.receive.acquire.pyramid import PyramidSearch
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.soft_combining import SharedBuffer
+from heliograph.receive.decode.soft_combining import SharedBuffers
 from heliograph.receive.events import Observer
 from heliograph.receive.image.view import View
 from heliograph.receive.packet_reader import SoftParts, SoftReader
@@ -168,10 +166,10 @@ def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
     form = PacketFormat(signal)
     decoding = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
     # by identity, not by array: one lost and found again goes on with its carousel
-    buffers: dict[Hypothesis, SharedBuffer] = defaultdict(SharedBuffer)
+    buffers = SharedBuffers()
 
     def reader(detection: Detection, tracker: Tracker) -> PacketReader:
-        buffer = buffers[detection.identity, detection.orientation] if settings.soft.combining else None
+        buffer = buffers.of((detection.identity, detection.orientation)) if settings.soft.combining else None
         parts = SoftParts(form, tracker, buffer, decoding, settings.soft.feedback, settings.soft.led_by_led, observe)
         return SoftReader(detection.identity, parts)
 

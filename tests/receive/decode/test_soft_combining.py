@@ -6,7 +6,14 @@ from known_packets import FORM, GAIN, decoded, random_blocks, right, statistics_
 from numpy.typing import NDArray
 
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
-from heliograph.receive.decode.soft_combining import BufferedPacket, SharedBuffer, SoftBuffer, consistent
+from heliograph.receive.decode.soft_combining import (
+    BUFFERS_KEPT,
+    BufferedPacket,
+    SharedBuffer,
+    SharedBuffers,
+    SoftBuffer,
+    consistent,
+)
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packets import Words
 from heliograph.signal.block import Block
@@ -273,3 +280,13 @@ def test_without_a_buffer_nothing_is_combined() -> None:
     blocks = random_blocks(0)
     for seed in range(2):
         assert right(decoded(statistics_of(blocks, FAR, seed)), blocks) == [True, False, False, False]
+
+
+def test_only_arrays_seen_of_late_keep_their_buffers() -> None:
+    buffers = SharedBuffers()
+    first, second = buffers.of(0), buffers.of(1)
+    for array in range(2, BUFFERS_KEPT + 1):
+        assert buffers.of(0) is first
+        buffers.of(array)
+    assert buffers.of(0) is first
+    assert buffers.of(1) is not second
