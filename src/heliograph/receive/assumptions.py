@@ -104,7 +104,7 @@ def open_words(words: Words) -> int:
     Parameters
     ----------
     words
-        Codewords by layer.
+        Codewords by layer, decoded or not, as a reading left them.
     """
     return sum(word.status == "crc_fail" for by in words.values() for word in by)
 
