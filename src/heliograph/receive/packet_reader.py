@@ -28,9 +28,9 @@ from heliograph.receive.settings import Feedback
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.background import SeenHeader
 from heliograph.receive.track.decision_directed import DecisionDirectedTracker
+from heliograph.receive.track.hidden_leds import beside_what_hides, hidden_since
 from heliograph.receive.track.lone_frames import SeenPair, lone_cutout
 from heliograph.receive.track.pose_refinement import ObservedPacket
-from heliograph.receive.track.sight import open_lines, open_pixels
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.formats import AGREED, Format, check_mode, known_format
@@ -42,12 +42,6 @@ RELEARN = 3
 
 Chosen: it bounds the time where the gain of an LED changes from fit to fit. With 2 and 6 none of 192 codewords is lost
 (docs/constants.md).
-"""
-
-NOTICED_PAIRS = 6
-"""Pairs after which an LED that is hidden from one pair to the next is known to be so.
-
-Its recent change falls by 0.75 a pair (`RECENT_PAIR_WEIGHT`), from 1 to `LEAST_CHANGE_IN_SIGHT` in six.
 """
 
 
@@ -227,7 +221,7 @@ class SoftReader:
         self._light = replace(light, gain=track.data_gain, full_scale=pair.pattern.full_scale)
         kept = {**data.cutouts, **dict(enumerate(cutouts, len(cutouts) * place))}
         if not tracked.cutouts and not track.in_sight.all():
-            kept |= _hidden_since(kept, place, track.in_sight)
+            kept |= hidden_since(kept, place, track.in_sight)
         self._data = replace(data, cutouts=kept)
         if not tracked.cutouts and pair.combination is None:
             self._light = replace(self._light, sum_gain=track.gain)
@@ -363,7 +357,7 @@ class SoftReader:
         poses = _poses_at(track, pair, late_s)
         cutout = take_cutout(pair, poses, self._side)
         if not track.in_sight.all():
-            cutout = _beside_what_hides(cutout, track.in_sight)
+            cutout = beside_what_hides(cutout, track.in_sight)
         return cutout.motion_compensated(track.gain, led_gains.values)
 
     def _gains(self) -> LedGains:
@@ -376,25 +370,6 @@ class SoftReader:
     def _cutouts(self) -> list[Cutout | None]:
         """One per pair, in the single mode one per pattern; None where the array was not seen."""
         return [self._data.cutouts.get(k) for k in range(self._form.layers["high"].pairs)]
-
-
-def _hidden_since(cutouts: Mapping[int, Cutout], place: int, in_sight: Floats) -> dict[int, Cutout]:
-    """The last pairs' cut-outs in which LEDs were hidden already that are noticed as hidden only now."""
-    found = dict[int, Cutout]()
-    for earlier in range(place - NOTICED_PAIRS, place):
-        cutout = cutouts.get(earlier)
-        seen = None if cutout is None else cutout.shining(in_sight)
-        if cutout is not None and seen is not None and not np.array_equal(seen, cutout.shining(np.ones(seen.shape))):
-            found[earlier] = _beside_what_hides(cutout, seen)
-    return found
-
-
-def _beside_what_hides(cutout: Cutout, in_sight: Floats) -> Cutout:
-    """A cut-out without the pixels that something hides, or may hide in part: LEDs next to hidden ones."""
-    across, down = open_lines(open_pixels(in_sight, cutout.middle, cutout.corner, cutout.shape))
-    if cutout.covered is not None:
-        across, down = across * cutout.covered[0], down * cutout.covered[1]
-    return replace(cutout, in_sight=in_sight, covered=(across, down))
 
 
 def _poses_at(track: Track, pair: FramePair, late_s: tuple[float, float]) -> tuple[Pose, Pose]:
