@@ -17,7 +17,7 @@ from heliograph.receive.decode.observed import DecodedPacket
 from heliograph.receive.decode.soft_combining import SharedBuffer, SoftBuffer
 from heliograph.receive.equalise.led_gains import LearntGains, LedGains
 from heliograph.receive.equalise.threads import one_thread
-from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
+from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer, ignore
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
@@ -147,14 +147,16 @@ class SoftReader:
         What all its readers share.
     led_gains
         Gains of its LEDs by earlier packets; None takes those of the detection.
+    proven
+        Whether the equaliser has decoded a codeword of it since it was found: its pose and gains are then right.
     """
 
-    def __init__(self, identity: int, parts: SoftParts, led_gains: LedGains | None = None):
+    def __init__(self, identity: int, parts: SoftParts, led_gains: LedGains | None = None, proven: bool = False):
         self._identity, self._parts, self._side = identity, parts, parts.form.settings.side
         _, data = light_centroids(parts.form.settings.slot_order)
         # the data's light was in the middle of the exposure, or about it
         self._late_s = (data - 0.5) * parts.form.settings.pattern_period_s
-        self._led_gains = led_gains
+        self._led_gains, self._proven = led_gains, proven
         self._format_reader = FormatReader(identity, self._side)
         self._decisions: DecisionDirectedTracker | None = None
         self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), _Light(), _Data()
@@ -238,8 +240,9 @@ class SoftReader:
         """Codewords by layer, of all pairs kept."""
         check_mode(self._format_reader.number(self._light.gain))
         buffer, first = self._parts.buffer, Assumption(self._gains(), self._cutouts())
-        shown, new = self._led_by_led(first), self._new
+        shown, new = self._led_by_led(first), self._led_gains is not None and not self._proven
         if shown is not None and not open_words(shown) and not new:
+            self._learn_brightness(first, shown)
             return shown
         earlier = None if buffer is None else buffer.content
 
@@ -252,6 +255,7 @@ class SoftReader:
             self._misled = True
             reading = reading.or_rather(read_packet(first, read))
         self._data = replace(self._data, cutouts={k: one for k, one in enumerate(reading.tried) if one is not None})
+        self._proven |= new and not self._misled and reading.open < sum(map(len, reading.words.values()))
         self._led_gains = self._learnt(reading)
         if buffer is not None and reading.decoded.buffer is not None:
             buffer.keep(reading.decoded.buffer)
@@ -263,7 +267,8 @@ class SoftReader:
 
     def next(self) -> "SoftReader":
         """The reader of the next packet; it knows the LEDs."""
-        return SoftReader(self._identity, self._parts, None if self._led_gains is None else self._led_gains.faded())
+        led_gains = None if self._led_gains is None else self._led_gains.faded()
+        return SoftReader(self._identity, self._parts, led_gains, self._proven)
 
     def _learn(
         self, pair: FramePair, weights: Floats, before: Track, track: Track, led_gains: LedGains
@@ -292,11 +297,6 @@ class SoftReader:
         times, headers = (late_s, self._late_s), list(self._header.pairs)
         return DecisionDirectedTracker(self._parts.tracker, times, headers, track.data_gain, track.shining)
 
-    @property
-    def _new(self) -> bool:
-        """Whether little is known of the LEDs yet, as the array was just found."""
-        return self._led_gains is not None and not self._led_gains.brightness.learnt
-
     def _led_by_led(self, assumed: Assumption) -> Words | None:
         """What the LEDs' positions alone tell; None where they are not asked, or tell nothing."""
         parts = self._parts
@@ -307,14 +307,15 @@ class SoftReader:
         return read_led_by_led(self._with_lone(assumed), self._form, self._identity, options)
 
     def _decode(
-        self, assumed: Assumption, earlier: SoftBuffer | None, known: Words | None
+        self, assumed: Assumption, earlier: SoftBuffer | None, known: Words | None, observe: Observer | None = None
     ) -> DecodedPacket[ObservedPacket]:
         """Decode what is not known yet of all that was kept; `earlier` is what was seen of its codewords before."""
         parts, light, form, noise = self._parts, self._light, self._form, self._noise(assumed)
         observed = ObservedPacket.of(self._with_lone(assumed), noise, form, assumed.led_gains)
         channel = GainAndNoise(min(light.gain, light.full_scale), noise.lit, light.full_scale)
+        told = observe or parts.observe
         return decode_iteratively(
-            observed, channel, form, self._identity, parts.options, earlier, parts.feedback, parts.observe, known
+            observed, channel, form, self._identity, parts.options, earlier, parts.feedback, told, known
         )
 
     def _with_lone(self, assumed: Assumption) -> list[Cutout | None]:
@@ -340,12 +341,20 @@ class SoftReader:
 
     def _learnt(self, reading: ReadPacket) -> LedGains | None:
         """Gains of the LEDs after a packet was read."""
-        led_gains, decoded = reading.assumed.led_gains, reading.decoded
+        led_gains = reading.assumed.led_gains
         if self._led_gains is None or (not reading.open and led_gains.brightness.settled):
             return self._led_gains
-        channel = decoded.channel
-        learnt = decoded.observed.learnt(decoded.mean, decoded.variance, channel.gain, channel.noise)
-        return replace(led_gains, brightness=learnt)
+        return _learnt_from(reading.decoded, led_gains)
+
+    def _learn_brightness(self, assumed: Assumption, shown: Words) -> None:
+        """Learn the LEDs' brightness from a packet that they showed by themselves, unless it is known."""
+        if self._led_gains is None or self._led_gains.brightness.learnt:
+            return
+        # only these pairs are learnt from
+        stride = assumed.led_gains.brightness.stride
+        kept = [cutout if k % stride == 0 else None for k, cutout in enumerate(assumed.cutouts)]
+        decoded = self._decode(replace(assumed, cutouts=kept), None, shown, ignore)
+        self._led_gains = _learnt_from(decoded, assumed.led_gains, stride=1)
 
     def _cutout(self, pair: FramePair, track: Track, led_gains: LedGains) -> Cutout:
         """Cut-out of a pair where the data's light was, the background's motion compensated."""
@@ -370,6 +379,13 @@ class SoftReader:
     def _cutouts(self) -> list[Cutout | None]:
         """One per pair, in the single mode one per pattern; None where the array was not seen."""
         return [self._data.cutouts.get(k) for k in range(self._form.layers["high"].pairs)]
+
+
+def _learnt_from(decoded: DecodedPacket[ObservedPacket], led_gains: LedGains, stride: int | None = None) -> LedGains:
+    """Gains of the LEDs with what a decoded packet shows of their brightness."""
+    channel = decoded.channel
+    learnt = decoded.observed.learnt(decoded.mean, decoded.variance, channel.gain, channel.noise, stride)
+    return replace(led_gains, brightness=learnt)
 
 
 def _poses_at(track: Track, pair: FramePair, late_s: tuple[float, float]) -> tuple[Pose, Pose]:

@@ -1,5 +1,6 @@
 """Packets read LED by LED before they are equalised."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from scenes import drawn_film, link
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, Pose, receive_frames
 from heliograph.receive.decode.codeword import Decoding
+from heliograph.receive.equalise.brightness import Brightness, DecodedPair
 from heliograph.receive.events import DecodeEvent, EqualiseEvent
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.plain.led_by_led import read_led_by_led
@@ -34,16 +36,31 @@ def received(distance_m: float, soft: SoftSettings, frames: int = 318) -> tuple[
     return settings, list(receive_frames(film, settings.signal, receive, recorder)), recorder
 
 
-def test_near_packets_are_not_equalised_once_the_leds_are_known() -> None:
+def test_near_packets_are_not_equalised_once_the_array_is_known() -> None:
     _, packets, recorder = received(40.0, SoftSettings())
     assert [packet.status for packet in packets] == ["ok"] * 6
-    # the first packets tell how bright each LED is
-    assert 0 < len(recorder.of(EqualiseEvent)) < len(packets)
+    # the first one shows that it was found as it is
+    assert len(recorder.of(EqualiseEvent)) == 1
     _, alone, other = received(40.0, SoftSettings(led_by_led=False))
     assert len(other.of(EqualiseEvent)) >= len(packets)
     for packet, equalised in zip(packets, alone, strict=True):
         for name, words in packet.layers.items():
             assert [word.block for word in words] == [word.block for word in equalised.layers[name]]
+
+
+def test_leds_are_learnt_from_packets_that_are_not_equalised(monkeypatch: pytest.MonkeyPatch) -> None:
+    learnt, learn = list[int](), Brightness.learn
+
+    def noted(self: Brightness, pairs: Sequence[DecodedPair], gain: float, noise: float) -> Brightness:
+        learnt.append(len(pairs))
+        return learn(self, pairs, gain, noise)
+
+    monkeypatch.setattr(Brightness, "learn", noted)
+    _, packets, recorder = received(25.0, SoftSettings(), 212)
+    assert [packet.status for packet in packets] == ["ok"] * 4
+    assert len(recorder.of(EqualiseEvent)) == 1
+    # at this distance one packet is not enough
+    assert learnt[:3] == [8] * 3
 
 
 def test_without_feedback_everything_is_equalised() -> None:

@@ -171,7 +171,9 @@ class ObservedPacket:
         pairs = [None if pair is None else relit._observe(pair.cutout, pair.error) for pair in self.pairs]
         return replace(relit, pairs=pairs)
 
-    def learnt(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Brightness:
+    def learnt(
+        self, mean: Floats, variance: Floats, gain: float, noise: float, stride: int | None = None
+    ) -> Brightness:
         """Brightness of the LEDs with the evidence of this packet.
 
         Parameters
@@ -182,13 +184,15 @@ class ObservedPacket:
             Gray levels of the array with all LEDs on.
         noise
             Variance of a pixel of a difference in squared gray levels.
+        stride
+            One pair of so many is learnt from; None for as many as are worth it.
         """
         decoded = int((variance < KNOWN_VARIANCE).sum())
         if not self._learns or not decoded:
             return self.brightness
         if decoded not in self.memo:
             before = replace(self.brightness, values=self.led_gains.brightness.values)
-            pairs = self._decoded(mean, variance, before.stride)
+            pairs = self._decoded(mean, variance, stride or before.stride)
             self.memo[decoded] = before.learn([*pairs.values()], gain, noise)
         return self.memo[decoded]
 
