@@ -56,6 +56,16 @@ def test_statistics_are_those_of_all_pixels(roll: float, motion: tuple[float, fl
         assert not got.offset.any()
 
 
+@pytest.mark.parametrize("motion", [(0.3, 0.0), (0.1, -0.6), (0.7, 0.8)])
+def test_far_motion_makes_two_images_and_no_wider_one(motion: tuple[float, float]) -> None:
+    """A pothole moves the array by up to a pixel between pattern and inverse."""
+    _, x = random_levels()
+    poses, noise = moving(95, 0.0, motion), Noise(4.5, 4.5)
+    whole = WholePair(poses, pair_of(poses, x), noise)
+    want = whole.b.T @ (whole.w[:, None] * whole.b)
+    assert np.abs(whiten(whole.cutout, noise, SIDE).statistics().gram - want).max() < 1e-5 * want.max()
+
+
 @pytest.mark.parametrize(("weight", "gain"), [(0.5, 1.0), (1.0, 0.7), (3.0, 1.8)])
 def test_scaled_statistics_are_those_of_scaled_weights_and_light(weight: float, gain: float) -> None:
     rng = np.random.default_rng(0)
