@@ -180,7 +180,7 @@ def combined_means(frames: Sequence[Frame], weights: FrameWeights) -> NDArray[np
     if whole is None:
         kernels.combined_means(f0, f1, f2, f3, np.array(weights, np.float32), BLOCK_PX, out)
     else:
-        kernels.integer_means(f0, f1, f2, f3, *whole, BLOCK_PX, out)
+        kernels.integer_means(f0, f1, f2, f3, *whole, out)
     return out
 
 

@@ -95,7 +95,7 @@ class _PairEvidence:
         """<d, B v + o> and |B v + o|^2 of each format, (2, formats); `cells` (16,) of the header, +-1."""
         contrast, light = self.dimmed
         v = np.where(words(ALL_MODES), contrast * cells + light, cells) * brightness
-        match, norm = v @ self.matched + self.cross, np.einsum("fi,ij,fj->f", v, self.gram, v)
+        match, norm = v @ self.matched + self.cross, ((v @ self.gram) * v).sum(1)
         return np.stack([match, norm + 2 * v @ self.offset + self.offset_power])
 
     def brightness(self, cells: Floats, gain: float) -> Floats:

@@ -6,6 +6,7 @@ import numpy as np
 
 from heliograph.base.arrays import TINY
 from heliograph.base.compiled import compiled
+from heliograph.receive.acquire.coarse import BLOCK_PX
 
 
 @compiled(fastmath=True)
@@ -62,8 +63,8 @@ def combined_means(f0, f1, f2, f3, weights, size, out):
 
 
 @compiled()
-def integer_means(f0, f1, f2, f3, weights, scale, size, out):
-    """`combined_means` of frames of 8 bits with whole weights, in integers of 16 bits: two thirds of the time.
+def integer_means(f0, f1, f2, f3, weights, scale, out):
+    """`combined_means` over blocks of `BLOCK_PX` of frames of 8 bits with whole weights, in integers of 16 bits.
 
     Parameters
     ----------
@@ -73,17 +74,15 @@ def integer_means(f0, f1, f2, f3, weights, scale, size, out):
         (4,) int16; a block's column of weighted sums stays below 65536.
     scale
         float32 that the sums are multiplied by.
-    size
-        Pixels of a block's side; what a block lacks at the frames' end counts as 0.
     out
         (blocks down, blocks across) float32, overwritten.
     """
     rows, cols = f0.shape
     w0, w1, w2, w3 = weights[0], weights[1], weights[2], weights[3]
-    sums = np.empty(out.shape[1] * size, np.uint16)
+    sums = np.empty(out.shape[1] * BLOCK_PX, np.uint16)
     for bi in range(out.shape[0]):
         sums[:] = 0
-        for i in range(bi * size, min(bi * size + size, rows)):
+        for i in range(bi * BLOCK_PX, min(bi * BLOCK_PX + BLOCK_PX, rows)):
             a, b, c, d = f0[i], f1[i], f2[i], f3[i]
             for j in range(cols):
                 # each step is told its type: Numba would go on in 64 bits
@@ -92,10 +91,11 @@ def integer_means(f0, f1, f2, f3, weights, scale, size, out):
                 whole = np.int16(np.int16(one + two) + np.int16(three + four))
                 sums[j] = np.uint16(sums[j] + np.uint16(np.int16(-whole) if whole < 0 else whole))
         for bj in range(out.shape[1]):
-            total = 0
-            for j in range(bj * size, bj * size + size):
-                total += sums[j]
-            out[bi, bj] = np.float32(total) * scale / np.float32(size * size)
+            # so many columns, known to the compiler, are added at once
+            total = np.uint32(0)
+            for j in range(BLOCK_PX):
+                total = np.uint32(total + np.uint32(sums[bj * BLOCK_PX + j]))
+            out[bi, bj] = np.float32(total) * scale / np.float32(BLOCK_PX * BLOCK_PX)
 
 
 @compiled()

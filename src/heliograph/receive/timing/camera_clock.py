@@ -144,8 +144,8 @@ class CameraClock:
     def __init__(self) -> None:
         self.period_s = 0.0
         self._time_s = 0.0
-        # covariance of time and period, in frame periods
-        self._covariance = np.zeros((2, 2))
+        # covariance of time and period, in frame periods: P_00, P_01, P_11
+        self._covariance = 0.0, 0.0, 0.0
         self._held: list[Frame] = []
         self._last: Frame | None = None
 
@@ -183,7 +183,7 @@ class CameraClock:
         # least squares of time = time_0 + number * period
         self.period_s = float(centred @ times / (centred @ centred))
         self._time_s = float(times.mean() + (number[0] - number.mean() - 1) * self.period_s)
-        self._covariance = np.diag([1.0, 12 / len(held) ** 2]) * JITTER**2
+        self._covariance = JITTER**2, 0.0, 12 / len(held) ** 2 * JITTER**2
         for frame in held:
             yield self._timed(frame)
 
@@ -191,14 +191,16 @@ class CameraClock:
         """Give a frame the time of the clock, and correct the clock by its stamp."""
         late = (frame.time_s - self._time_s) / self.period_s - 1
         steps = 1 + (round(late) if abs(late) >= MISSING else 0)
-        # x = F x, P = F P F^T + Q; K = P H^T / (H P H^T + R)
-        move = np.array([[1.0, steps], [0.0, 1.0]])
-        covariance = move @ self._covariance @ move.T + np.diag([0.0, WANDER**2 * max(steps, 0)])
-        gain = covariance[:, 0] / (covariance[0, 0] + JITTER**2)
+        # P = F P F^T + Q, F = ((1, steps), (0, 1)); two numbers need no arrays
+        p00, p01, p11 = self._covariance
+        p00, p01 = p00 + 2 * steps * p01 + steps**2 * p11, p01 + steps * p11
+        p11 += WANDER**2 * max(steps, 0)
+        # K = P H^T / (H P H^T + R), P = (1 - K H) P
+        k0, k1 = p00 / (p00 + JITTER**2), p01 / (p00 + JITTER**2)
         error = (late + 1 - steps) * self.period_s
-        self._time_s += steps * self.period_s + float(gain[0]) * error
-        self.period_s += float(gain[1]) * error
-        self._covariance = covariance - np.outer(gain, covariance[0])
+        self._time_s += steps * self.period_s + k0 * error
+        self.period_s += k1 * error
+        self._covariance = p00 - k0 * p00, p01 - k0 * p01, p11 - k1 * p01
         return replace(frame, time_s=self._time_s)
 
 

@@ -5,8 +5,8 @@ from pattern to pattern as the light slows down.
 """
 
 from dataclasses import dataclass, field, replace
-from functools import partial
-from math import inf
+from functools import lru_cache, partial
+from math import exp, inf
 
 import numpy as np
 
@@ -99,16 +99,8 @@ class MotionModel:
         dt
             Time that goes by, in seconds, at least 0.
         """
-        a = np.array([self.acceleration_px, self.acceleration_px, EXPANSION]) / self.period_s**2
-        q = 2 * ACCELERATION_PATTERNS * self.period_s * a**2
-        walked = self.walked(dt)
-        noise = np.zeros((STATE_SIZE, STATE_SIZE))
-        noise[[0, 1, 2], [0, 1, 2]] = q * dt**3 / 3
-        noise[[0, 1, 2], [5, 6, 7]] = noise[[5, 6, 7], [0, 1, 2]] = q * dt**2 / 2
-        noise[[5, 6, 7], [5, 6, 7]] = q * dt
-        noise[3, 3], noise[4, 4] = ROLL_WALK**2 * walked, BLUR_WALK**2 * walked
-        noise[[8, 9], [8, 9]] = SUM_WALK**2 * walked
-        return noise
+        linear, quadratic, cubic = _noise_by_powers(self)
+        return np.asarray(dt * linear + dt**2 * quadratic + dt**3 * cubic)
 
     def walked(self, dt: float) -> float:
         """A time in units of `WALK_PATTERNS`.
@@ -124,6 +116,19 @@ class MotionModel:
     def start_rates(self) -> Floats:
         """Prior standard deviations of the rates per second, (3,)."""
         return START_RATES / self.period_s
+
+
+@lru_cache(maxsize=8)  # arrays of one film move by one model
+def _noise_by_powers(model: MotionModel) -> tuple[Floats, Floats, Floats]:
+    """What Q has in proportion to dt, dt^2 and dt^3, (10, 10) each."""
+    a = np.array([model.acceleration_px, model.acceleration_px, EXPANSION]) / model.period_s**2
+    q, place, rate = 2 * ACCELERATION_PATTERNS * model.period_s * a**2, [0, 1, 2], [5, 6, 7]
+    linear, quadratic, cubic = np.zeros((3, STATE_SIZE, STATE_SIZE))
+    cubic[place, place] = q / 3
+    quadratic[place, rate] = quadratic[rate, place] = q / 2
+    linear[rate, rate] = q
+    linear[[3, 4, 8, 9], [3, 4, 8, 9]] = np.array([ROLL_WALK, BLUR_WALK, *SUM_WALK]) ** 2 * model.walked(1.0)
+    return linear, quadratic, cubic
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +147,7 @@ class Observation:
     variances: Floats
 
 
+@lru_cache(maxsize=8)  # in step all sums have one lateness
 def sum_observation(late_s: float) -> Observation:
     """What the sum of a pattern and its inverse shows.
 
@@ -153,6 +159,7 @@ def sum_observation(late_s: float) -> Observation:
     matrix = np.eye(POSE_SIZE, STATE_SIZE)
     matrix[:3, RATE_STATES] = late_s * np.eye(3)
     matrix[2, 8] = matrix[4, 9] = 1.0
+    matrix.setflags(write=False)
     return Observation(matrix, SUM_SPREAD**2)
 
 
@@ -302,7 +309,7 @@ class PoseState:
     @property
     def pose(self) -> Pose:
         """The pose alone."""
-        return Pose.from_vector(np.append(self.mean[:POSE_SIZE], self.tilt.mean))
+        return self.pose_at(self.time_s)
 
     def pose_at(self, time_s: float) -> Pose:
         """The pose a little earlier or later, at constant rates.
@@ -312,6 +319,8 @@ class PoseState:
         time_s
             Time of the pose in seconds, before or after the state's own.
         """
-        vector = self.mean[:POSE_SIZE].copy()
-        vector[:3] += (time_s - self.time_s) * self.mean[RATE_STATES]
-        return Pose.from_vector(np.append(vector, self.tilt.mean))
+        x, y, log_pitch, roll, log_blur, *rates = self.mean.tolist()
+        dt = time_s - self.time_s
+        # number by number: arrays of five cost more than their sums
+        place = x + dt * rates[0], y + dt * rates[1], exp(log_pitch + dt * rates[2])
+        return Pose(*place, roll, exp(log_blur), *self.tilt.mean.tolist())

@@ -155,14 +155,15 @@ class Tracker:
             (n, n) luminances of the header less its inverse, +-1, where the pair is one; None for data.
         """
         predicted = self.predict(track, pair.time_s)
-        corner, up, down = self._cut(pair, predicted.pose)
+        pose = predicted.pose
+        corner, up, down = self._cut(pair, pose)
         differs = up - down
-        noise = self._noise(differs, predicted.pose, corner)
-        before, track = track, self._watch(track, differs, noise, predicted.pose, corner)
+        noise = self._noise(differs, pose, corner)
+        before, track = track, self._watch(track, differs, noise, pose, corner)
         hides = not track.in_sight.all()
         if track.in_sight.mean() < LEAST_IN_SIGHT:
             return _coasted(before, replace(track, state=predicted))
-        unhidden = self._unhidden(track, predicted.pose, corner, up.shape)
+        unhidden = self._unhidden(track, pose, corner, up.shape)
         if unhidden is not None and not unhidden.any():
             return _coasted(before, replace(track, state=predicted))
         # (pattern) + (inverse) = every LED on, Fig. 9
@@ -184,7 +185,7 @@ class Tracker:
             smear=self._smear(predicted),
         )
         fit = sums_fit(PAIR_STEPS)
-        if self._unsure(predicted) and (hides or not _as_expected(track, predicted.pose, fit)):
+        if self._unsure(predicted) and (hides or not _as_expected(track, pose, fit)):
             # a start of its own saves a step
             fit = sums_fit(PAIR_STEPS - 1, start=self._unresolved(total, corner, prior, track.shining, unhidden))
         seen = _inside(fit, pair.pattern) and self._active(differs, noise, fit.pose, corner, track.gain)
