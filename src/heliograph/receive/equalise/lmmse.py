@@ -127,6 +127,41 @@ def equalise(pair: PairStatistics, gain: float, noise: float, mean: Floats, vari
     return Estimate(mean, variance, m, unknown, spread, root, trace)
 
 
+def posterior_mean(pair: PairStatistics, gain: float, noise: float, mean: Floats, variance: Floats) -> Floats:
+    """The mean of `equalise` alone, where no symbol is known: without their covariance it takes a third of the time.
+
+    Parameters
+    ----------
+    pair
+        Sufficient statistics of the pair for its symbols.
+    gain
+        g, gray levels of the array with all LEDs on.
+    noise
+        s^2, variance of a pixel of the difference of the two frames in squared gray levels, above 0.
+    mean
+        (symbols,) prior means: of gains of LEDs they may lie beyond 1.
+    variance
+        (symbols,) prior variances, above 0.
+
+    Returns
+    -------
+    (symbols,) posterior means.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The posterior precision is not positive definite: gain or noise are absurd.
+    """
+    ratio, everything = gain / noise, np.arange(mean.size)
+    rhs = ratio * (pair.matched - gain * (pair.offset + pair.gram @ mean.astype(np.float32)))
+    factor = _factor(pair, everything, ratio * gain, 1.0 / variance)
+    seen = np.zeros((len(factor), 1), np.float32, order="F")
+    seen[: mean.size, 0] = rhs
+    # m = c + (L L^T)^-1 B^T (d - g (B c + o)) g / s^2
+    solved, _ = lapack.spotrs(factor, seen, lower=1, overwrite_b=1)
+    return np.asarray(mean + solved[: mean.size, 0])
+
+
 def products(
     whitened: WhitenedCutout, pair: PairStatistics, images: Floats, unknown: NDArray[np.intp], scale: float
 ) -> Floats:

@@ -140,12 +140,7 @@ class WhitenedCutout:
 
     def statistics(self) -> PairStatistics:
         """Sufficient statistics for the symbols."""
-        if self.apart:
-            light = self._light()
-            gram = np.ascontiguousarray(light.T @ light)
-        else:
-            gram = gram_of(self.between, self._shape)
-        return self._statistics(gram, self.correlated(self.difference), self.correlated(self.offset))
+        return self._statistics(self._gram(), self.correlated(self.difference), self.correlated(self.offset))
 
     def without(self, slopes: Floats, precision: Floats) -> PairStatistics:
         """Statistics where the image may also hold some of other images, whose amplitudes are marginalised.
@@ -158,13 +153,14 @@ class WhitenedCutout:
             (k, k) prior precision of their amplitudes, in units of g^2 / s^2.
         """
         # d = g (B c + o + F e) + n: G - C K C^T and B^T d - C K F^T d, C = B^T F, K = (F^T F + P^-1)^-1
-        b, f = self._light().astype(np.float64), slopes.reshape(len(slopes), -1)
+        f, images = slopes.reshape(len(slopes), -1), [*slopes, self.difference, self.offset]
         seen = np.stack([self.difference.ravel(), self.offset.ravel()], axis=1)
-        c = b.T @ f.T
+        # all by the one B of G: else the difference of two large matrices would not be positive definite
+        found = _correlated(np.array(images), self._parts)
+        c = found[:, :-2]
         part = np.linalg.solve(f @ f.T + precision, np.column_stack([c.T, f @ seen]))
-        d, o = (b.T @ seen - c @ part[:, -2:]).T
-        # all by one B: else the difference of two large matrices would not be positive definite
-        return self._statistics((b.T @ b - c @ part[:, :-2]).astype(np.float32), d, o)
+        d, o = (found[:, -2:] - c @ part[:, -2:]).T
+        return self._statistics((self._gram() - c @ part[:, :-2]).astype(np.float32), d, o)
 
     def correlated(self, image: Floats) -> Floats:
         """B^T W^(1/2) of an image, (symbols,).
@@ -187,11 +183,7 @@ class WhitenedCutout:
         images
             (k, rows, columns) images, themselves times W^(1/2).
         """
-        stack = np.ascontiguousarray(np.moveaxis(images, 0, -1))
-        parts = np.empty((len(self.frames), len(self.frames[0].across), len(images)))
-        for frame, part in zip(self.frames, parts, strict=True):
-            kernels.correlate_all(stack, *frame, part)
-        return np.asarray(parts.mean(0))
+        return _correlated(images, self.frames)
 
     def residual(self, gain: float, symbols: Floats) -> Floats:
         """W^(1/2) (d - g (B c + o)), (rows, columns).
@@ -229,14 +221,20 @@ class WhitenedCutout:
         # combined frames have another noise than a difference of two
         return found if self.combination is None else found.scaled(1 / self.combination.noise)
 
-    def _light(self) -> NDArray[np.float32]:
-        """W^(1/2) B, (pixels, symbols)."""
-        parts = self.frames if self.apart else (self.between,)
+    @property
+    def _parts(self) -> tuple[Footprints, ...]:
+        """Footprints whose mean is the W^(1/2) B of G."""
+        return self.frames if self.apart else (self.between,)
+
+    def _gram(self) -> NDArray[np.float32]:
+        """G, (symbols, symbols)."""
+        if not self.apart:
+            return gram_of(self.between, self._shape)
         light = np.zeros((*self.difference.shape, len(self.between.across)), np.float32)
-        for part in parts:
+        for part in self._parts:
             kernels.add_light(*part, light)
-        light /= len(parts)
-        return light.reshape(self.difference.size, -1)
+        b = light.reshape(self.difference.size, -1) / np.float32(len(self._parts))
+        return np.asarray(b.T @ b, np.float32)
 
 
 def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = None) -> WhitenedCutout:
@@ -285,6 +283,15 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
         offset = root * image_of(gains, cutout.mean_light_pose, corner, shape)
     apart = len(frames) > 1 and 2 * float(np.hypot(*motion)) > APART_PX
     return WhitenedCutout(root, root * cutout.difference, offset, frames, between, apart, cutout.combination)
+
+
+def _correlated(images: Floats, light: tuple[Footprints, ...]) -> Floats:
+    """B^T of images (k, rows, columns), B being the mean of footprints, (symbols, k)."""
+    stack = np.ascontiguousarray(np.moveaxis(images, 0, -1))
+    parts = np.empty((len(light), len(light[0].across), len(images)))
+    for footprint, part in zip(light, parts, strict=True):
+        kernels.correlate_all(stack, *footprint, part)
+    return np.asarray(parts.mean(0))
 
 
 def gram_of(light: Footprints, shape: tuple[int, int]) -> NDArray[np.float32]:
