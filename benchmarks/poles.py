@@ -13,12 +13,15 @@ post is gone.
 """
 
 import argparse
+import contextlib
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from rich.console import Console
+from rich.progress import track
 
 from heliograph.base.frames import Frame
 from heliograph.channel import Truth
@@ -223,16 +226,18 @@ def main() -> None:
         return
     words = {name: Counter[str]() for name in names}
     clear, lost = {name: Count() for name in names}, Count()
-    for k in range(given.passages):
-        passage = draw(np.random.default_rng((given.seed, k)))
-        frames = list(passage.frames())
-        packets = {name: receive(passage, frames, name) for name in names}
-        found = {name: right(passage, packets[name]) for name in names}
-        for name, one in found.items():
-            words[name].update(layer for _, layer, _ in one)
-            clear[name].add(1, not whole(passage, packets[name]))
-        if {"plain", "soft"} <= found.keys():
-            lost.add(len(found["plain"]), len(found["plain"] - found["soft"]))
+    # interrupted, it prints what it has counted
+    with contextlib.suppress(KeyboardInterrupt):
+        for k in track(range(given.passages), "passages", console=Console(stderr=True), transient=True):
+            passage = draw(np.random.default_rng((given.seed, k)))
+            frames = list(passage.frames())
+            packets = {name: receive(passage, frames, name) for name in names}
+            found = {name: right(passage, packets[name]) for name in names}
+            for name, one in found.items():
+                words[name].update(layer for _, layer, _ in one)
+                clear[name].add(1, not whole(passage, packets[name]))
+            if {"plain", "soft"} <= found.keys():
+                lost.add(len(found["plain"]), len(found["plain"] - found["soft"]))
     for name in names:
         print(f"{name}: right {dict(words[name])}; first packet in clear sight not whole {_text(clear[name])}")
     if lost.trials:

@@ -1,0 +1,177 @@
+"""What a frame costs as work grows: `python -m benchmarks.growth [size|arrays|side|distance|length ...] [--seed 0]`.
+
+One thing grows at a time, from the static link: the frame, the arrays in view, their LEDs, their distance, or the film.
+Each case is a process of its own, on one core. Prints a table in Markdown for each receiver: ms of processor time a
+frame, codewords right of those sent, and memory beyond that of the film and of a process that has received nothing.
+Below it stands the exponent: the slope of ln ms over ln of what grows.
+"""
+
+import argparse
+import multiprocessing
+import resource
+import statistics
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from heliograph.base.frames import Frame
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import simulate
+from heliograph.measure.bench import block_settings, random_messages
+from heliograph.receive import Packet, make_receiver
+from heliograph.sweeps.executors import limit_threads
+
+RUNS = 3
+PACKETS = 6
+"""Packets of a film: an array is acquired in the first, and its LEDs are learnt in the first two."""
+
+APART_M = 0.6
+"""Distance of neighbouring arrays, nearly two of their sides."""
+
+DATA_PAIRS = {8: 96, 16: 48, 32: 12}
+"""Pairs of a packet by LEDs in a row, so that it holds whole codewords."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A film.
+
+    Attributes
+    ----------
+    size
+        What grows, as a number.
+    name
+        The same in words.
+    changes
+        Settings that differ from those of the static link.
+    packets
+        Packets in the film.
+    """
+
+    size: float
+    name: str
+    changes: Sequence[str]
+    packets: int = PACKETS
+
+
+def sizes() -> list[Case]:
+    """Frames of more and more pixels about one array."""
+    shapes = ((256, 256), (512, 512), (1024, 512), (1024, 1024), (2048, 1024))
+    middle = ("channel.arrays.0.x_m=0", "channel.arrays.0.y_m=0")
+    return [
+        Case(w * h, f"{w} x {h}", (f"channel.camera.width={w}", f"channel.camera.height={h}", *middle))
+        for w, h in shapes
+    ]
+
+
+def arrays() -> list[Case]:
+    """More and more arrays side by side; with none the array is dark."""
+    cases = []
+    for count in (0, 1, 2, 4, 8, 16):
+        places = [f"{{x_m={APART_M * (k - (count - 1) / 2):.2f}, y_m=0}}" for k in range(count)]
+        identities = ",".join(map(str, range(count)))
+        lit = (f"transmit.identities=[{identities}]", f"channel.arrays=[{','.join(places)}]")
+        cases.append(Case(count, f"{count}", lit if count else ("channel.arrays.0.start_s=1000",)))
+    return cases
+
+
+def sides() -> list[Case]:
+    """More and more LEDs in a row."""
+    return [
+        Case(n, f"{n} x {n}", (f"signal.side={n}", f"signal.data_pairs={pairs}", "channel.distance_m=25"))
+        for n, pairs in DATA_PAIRS.items()
+    ]
+
+
+def distances() -> list[Case]:
+    """Farther and farther away."""
+    return [Case(z, f"{z} m", (f"channel.distance_m={z}",)) for z in (15, 25, 40, 60, 80, 110, 150)]
+
+
+def lengths() -> list[Case]:
+    """Longer and longer films."""
+    return [Case(count, f"{count / 10:g} s", (), count) for count in (3, 6, 12, 24)]
+
+
+AXES: Mapping[str, tuple[str, list[Case]]] = {
+    "size": ("frame", sizes()),
+    "arrays": ("arrays", arrays()),
+    "side": ("LEDs", sides()),
+    "distance": ("distance", distances()),
+    "length": ("film", lengths()),
+}
+
+
+def measure(case: Case, receiver: str, seed: int) -> tuple[float, int, int, float]:
+    """Median ms a frame, codewords right and sent, and memory in MB that receiving takes.
+
+    Parameters
+    ----------
+    case
+        The film.
+    receiver
+        Name of the receiver.
+    seed
+        Of messages and noise.
+    """
+    limit_threads()
+    cv2.setNumThreads(1)
+    changes = ("channel.distance_m=60", f"receive.receiver={receiver}", *case.changes)
+    settings = block_settings(load_settings("static", None, changes), case.packets)
+    film = [frame for frame, _ in simulate(settings, random_messages(settings, seed), seed)]
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    times, packets = list[float](), list[Packet]()
+    for run in range(RUNS + 1):
+        start = time.process_time()
+        packets = receive(settings, film)
+        if run:  # the first loads the machine code
+            times.append(time.process_time() - start)
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    words = [word.status == "ok" for packet in packets for by in packet.layers.values() for word in by]
+    lit = any(array.start_s < 1 for array in settings.channel.arrays)
+    sent = 4 * case.packets * len(settings.channel.arrays) if lit else 0
+    return 1e3 * statistics.median(times) / len(film), sum(words), sent, grown / 1e3
+
+
+def receive(settings: LinkSettings, film: Sequence[Frame]) -> list[Packet]:
+    """All packets of a film.
+
+    Parameters
+    ----------
+    settings
+        The link.
+    film
+        Its frames.
+    """
+    receiver = make_receiver(settings.signal, settings.receive)
+    return [packet for frame in film for packet in receiver.push(frame)] + list(receiver.finish())
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("axes", nargs="*", choices=[[], *AXES], default=[])
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    for axis in given.axes or AXES:
+        title, cases = AXES[axis]
+        for receiver in ("plain", "soft"):
+            print(f'\n| {title} | "{receiver}", ms a frame | frames/s | codewords right | memory, MB |')
+            print("|---|---|---|---|---|")
+            points = []
+            for case in cases:
+                # a process of its own: the most memory of a process never falls
+                with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+                    ms, right, sent, memory = pool.submit(measure, case, receiver, given.seed).result()
+                points.append((case.size, ms))
+                print(f"| {case.name} | {ms:.2f} | {1e3 / ms:.0f} | {right}/{sent} | {memory:.0f} |", flush=True)
+            x, y = np.log(np.array([point for point in points if point[0] > 0])).T
+            print(f"\nexponent {np.polyfit(x, y, 1)[0]:.2f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
