@@ -75,7 +75,7 @@ def arrays() -> list[Case]:
         places = [f"{{x_m={APART_M * (k - (count - 1) / 2):.2f}, y_m=0}}" for k in range(count)]
         identities = ",".join(map(str, range(count)))
         lit = (f"transmit.identities=[{identities}]", f"channel.arrays=[{','.join(places)}]")
-        cases.append(Case(count, f"{count}", lit if count else ("channel.arrays.0.start_s=1000",)))
+        cases.append(Case(count, f"{count}", lit if count else ("channel.arrays.0.brightness=0",)))
     return cases
 
 
@@ -132,8 +132,7 @@ def measure(case: Case, receiver: str, seed: int) -> tuple[float, int, int, floa
             times.append(time.process_time() - start)
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     words = [word.status == "ok" for packet in packets for by in packet.layers.values() for word in by]
-    lit = any(array.start_s < 1 for array in settings.channel.arrays)
-    sent = 4 * case.packets * len(settings.channel.arrays) if lit else 0
+    sent = 4 * case.packets * sum(array.brightness > 0 for array in settings.channel.arrays)
     return 1e3 * statistics.median(times) / len(film), sum(words), sent, grown / 1e3
 
 
