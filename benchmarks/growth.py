@@ -3,7 +3,7 @@
 One thing grows at a time, from the static link: the frame, the arrays in view, their LEDs, their distance, or the film.
 Each case is a process of its own, on one core. Prints a table in Markdown for each receiver: ms of processor time a
 frame, codewords right of those sent, and memory beyond that of the film and of a process that has received nothing.
-Below it stands the exponent: the slope of ln ms over ln of what grows.
+Below it stands the exponent: the slope of ln ms over ln of what grows. First come yardsticks of the same run.
 """
 
 import argparse
@@ -11,7 +11,7 @@ import multiprocessing
 import resource
 import statistics
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
@@ -150,12 +150,36 @@ def receive(settings: LinkSettings, film: Sequence[Frame]) -> list[Packet]:
     return [packet for frame in film for packet in receiver.push(frame)] + list(receiver.finish())
 
 
+def yardsticks() -> dict[str, float]:
+    """Median times in ms of reading a frame once and of solving for its symbols once."""
+    rng = np.random.default_rng(0)
+    one, other = rng.integers(0, 256, (2, 512, 1024), np.uint8)
+    out, matrix = np.empty_like(one), rng.normal(size=(256, 256)).astype(np.float32)
+    calls: dict[str, Callable[[], object]] = {
+        "difference of two frames of 1024 x 512": lambda: cv2.absdiff(one, other, out),
+        "blur 5 x 5 of one": lambda: cv2.GaussianBlur(one, (5, 5), 0, out),
+        "inverse of 256 x 256": lambda: np.linalg.inv(matrix),
+    }
+    found = {}
+    for name, call in calls.items():
+        times = []
+        for _ in range(50):
+            start = time.process_time()
+            call()
+            times.append(time.process_time() - start)
+        found[name] = 1e3 * statistics.median(times)
+    return found
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("axes", nargs="*", choices=[[], *AXES], default=[])
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
+    limit_threads()
+    cv2.setNumThreads(1)
+    print("; ".join(f"{name}: {ms:.3f} ms" for name, ms in yardsticks().items()), flush=True)
     for axis in given.axes or AXES:
         title, cases = AXES[axis]
         for receiver in ("plain", "soft"):
