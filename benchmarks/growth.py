@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from heliograph.base.frames import Frame
-from heliograph.link.settings import LinkSettings, load_settings
+from benchmarks.near import DATA_PAIRS, receive
+from heliograph.link.settings import load_settings
 from heliograph.link.simulate import simulate
 from heliograph.measure.bench import block_settings, random_messages
-from heliograph.receive import Packet, make_receiver
+from heliograph.receive import Packet
 from heliograph.sweeps.executors import limit_threads
 
 RUNS = 3
@@ -31,9 +31,6 @@ PACKETS = 6
 
 APART_M = 0.6
 """Distance of neighbouring arrays, nearly two of their sides."""
-
-DATA_PAIRS = {8: 96, 16: 48, 32: 12}
-"""Pairs of a packet by LEDs in a row, so that it holds whole codewords."""
 
 
 @dataclass(frozen=True)
@@ -134,20 +131,6 @@ def measure(case: Case, receiver: str, seed: int) -> tuple[float, int, int, floa
     words = [word.status == "ok" for packet in packets for by in packet.layers.values() for word in by]
     sent = 4 * case.packets * sum(array.brightness > 0 for array in settings.channel.arrays)
     return 1e3 * statistics.median(times) / len(film), sum(words), sent, grown / 1e3
-
-
-def receive(settings: LinkSettings, film: Sequence[Frame]) -> list[Packet]:
-    """All packets of a film.
-
-    Parameters
-    ----------
-    settings
-        The link.
-    film
-        Its frames.
-    """
-    receiver = make_receiver(settings.signal, settings.receive)
-    return [packet for frame in film for packet in receiver.push(frame)] + list(receiver.finish())
 
 
 def yardsticks() -> dict[str, float]:
