@@ -3,9 +3,11 @@
 import random
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from benchmarks import __main__ as all_benchmarks
 from benchmarks.fuzz import SHARES, mutated, outcome, seeds, shares
 from hypothesis import given
 from hypothesis import strategies as st
@@ -35,6 +37,28 @@ def test_all_parsers_have_their_part_of_the_cases() -> None:
     plan = shares(100_000, NAMES)
     assert sum(plan.values()) == pytest.approx(100_000, rel=1e-3)
     assert set(SHARES) < set(plan)
+
+
+@pytest.mark.parametrize("status", [0, "something is missing"])
+def test_a_benchmark_that_exits_does_not_end_the_others(status: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[str] = []
+
+    def exits(name: str) -> object:
+        def main() -> None:
+            begun.append(name)
+            raise SystemExit(status)
+
+        return SimpleNamespace(main=main)
+
+    monkeypatch.setattr(all_benchmarks, "import_module", exits)
+    monkeypatch.setattr("sys.argv", ["benchmarks"])
+    ended = None
+    try:
+        all_benchmarks.main()
+    except SystemExit as end:
+        ended = end.code
+    assert {"benchmarks.fuzz", "benchmarks.media", "benchmarks.table"} <= set(begun)
+    assert bool(ended) == bool(status)
 
 
 def settles(call: Callable[[], object]) -> None:
