@@ -34,6 +34,8 @@ def test_motion_is_read_by_the_names_of_its_columns(tmp_path: Path) -> None:
     ("lines", "said"),
     [
         ([], "is empty"),
+        (["q#"], "is empty"),
+        (["#", " ", "# "], "is empty"),
         ([HEAD], "at least 32"),
         ([HEAD, *rows(5)], "at least 32"),
         ([HEAD.replace("gyro_down", "gyro_up"), *rows()], "lacks the column 'gyro_down'"),

@@ -76,12 +76,12 @@ def _table(path: Path) -> Any:
         raise MediaError(f"cannot read the motion file {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise MediaError(f"the motion file {path} is no text; give a CSV file") from None
-    if not text.strip():
-        raise MediaError(f"the motion file {path} is empty; a motion file has {', '.join(IMU_COLUMNS)}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a file without rows: its length is checked
             return np.genfromtxt(text.splitlines(), delimiter=",", names=True, dtype=np.float64)
+    except IndexError:  # NumPy's, where all lines are blank or comments
+        raise MediaError(f"the motion file {path} is empty; a motion file has {', '.join(IMU_COLUMNS)}") from None
     except ValueError as error:
         reason = str(error).splitlines()[:2][-1].strip()  # the second line names the row that is short
         raise MediaError(f"cannot read the motion file {path}: {reason}") from None
