@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 PROJECT = Path(__file__).parents[1] / "pyproject.toml"
-FLOOR = re.compile(r"(?P<name>[\w.-]+)(\[[\w,.-]+\])?>=(?P<version>[\d.]+)")
+FLOOR = re.compile(r"(?P<name>[\w.-]+)(\[[\w,.-]+\])?>=(?P<version>[\d.]+)( *;.*)?")
 
 
 def lowest_versions(project: dict[str, Any]) -> list[str]:
@@ -27,7 +27,7 @@ def lowest_versions(project: dict[str, Any]) -> list[str]:
     Raises
     ------
     ValueError
-        A requirement is not of the form "name>=version" or "name[extra]>=version".
+        A requirement is not of the form "name>=version" or "name[extra]>=version", with a marker or without.
     """
     extras = project["optional-dependencies"]
     lists = [project["dependencies"], *(extras[name] for name in extras if name not in ("dev", "docs"))]

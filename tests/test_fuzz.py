@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from benchmarks import __main__ as all_benchmarks
+from benchmarks import guided_fuzz
 from benchmarks.fuzz import SHARES, mutated, outcome, seeds, shares
 from hypothesis import given
 from hypothesis import strategies as st
@@ -37,6 +38,19 @@ def test_all_parsers_have_their_part_of_the_cases() -> None:
     plan = shares(100_000, NAMES)
     assert sum(plan.values()) == pytest.approx(100_000, rel=1e-3)
     assert set(SHARES) < set(plan)
+
+
+def test_the_guided_fuzzer_says_that_atheris_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guided_fuzz, "find_spec", lambda name: None)
+    monkeypatch.setattr("sys.argv", ["guided_fuzz"])
+    with pytest.raises(SystemExit, match="pip install atheris"):
+        guided_fuzz.main()
+
+
+def test_the_guided_fuzzer_leaves_modules_with_kernels_alone() -> None:
+    found = guided_fuzz.with_kernels()
+    assert {"heliograph.receive.image.kernels", "heliograph.signal.turbo.kernel"} <= set(found)
+    assert "heliograph.base.toml_text" not in found
 
 
 @pytest.mark.parametrize("status", [0, "something is missing"])
