@@ -120,6 +120,15 @@ def test_every_slice_is_checked(tmp_path: Path) -> None:
         assert not whole.slices_whole(bytes(damaged))
 
 
+@pytest.mark.parametrize("length", ["01ffffffffffff00", "00ffffffffffffff00"])
+def test_a_film_whose_head_claims_more_than_any_file_has_ends_early(tmp_path: Path, length: str) -> None:
+    path = tmp_path / "a.mkv"
+    path.write_bytes(bytes.fromhex(f"1a45dfa3{length}") + bytes(9))
+    assert whole.ends_early(path)
+    with pytest.raises(MediaError, match="ends in the middle"):
+        open_film(path)
+
+
 def test_whole_films_are_known_as_whole(tmp_path: Path) -> None:
     assert [whole.ends_early(film_of(tmp_path / f"a{suffix}")) for suffix in ALL[:-1]] == [False] * 4
     assert whole.ends_early(Path(__file__)) is None

@@ -72,7 +72,10 @@ def slices_whole(packet: bytes) -> bool:
 
 def _matroska_cut(file: BinaryIO, size: int) -> bool | None:
     file.seek(4)
-    file.seek(_vint(file) or 0, os.SEEK_CUR)
+    start = (_vint(file) or 0) + file.tell()
+    if start > size:  # it may be more than any file can have, where the system seeks no place
+        return True
+    file.seek(start)
     if file.read(4) != _SEGMENT:
         return True
     length = _vint(file)
