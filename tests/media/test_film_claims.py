@@ -73,6 +73,30 @@ def test_texts_that_lie_nowhere_do_not_hang(tmp_path: Path) -> None:
     assert "damaged where its texts lie" in refused(path)[1]
 
 
+def test_a_text_whose_type_is_damaged_does_not_crash(tmp_path: Path) -> None:
+    """HDF5 would read a list of any length of a kind that is none, and end the process."""
+    path = tmp_path / "a.h5"
+    with create_film(path, width=16, height=16, rate_hz=1000, metadata={"a": "b"}) as film:
+        film.write(Frame(0, 0.0, np.zeros((16, 16), np.uint8)))
+    data = bytearray(path.read_bytes())
+    kind = data.index(b"metadata\0") + 17  # behind the name, filled to 16 bytes, and the class
+    assert data[kind - 1 : kind + 1] == b"\x19\x01"  # version 1 of a list of any length, which is a text
+    data[kind] = 2
+    path.write_bytes(data)
+    with open_film(path) as film:
+        assert film.metadata == {}
+
+
+@pytest.mark.parametrize("name", ["rate_hz", "bits"])
+def test_an_attribute_that_is_a_list_of_any_length_is_no_number(tmp_path: Path, name: str) -> None:
+    held = np.empty(1, h5py.vlen_dtype(np.int64))
+    held[0] = np.array([8])
+    path = hdf5(tmp_path / "a.h5")
+    with h5py.File(path, "a") as file:
+        file.attrs.create(name, held, dtype=held.dtype)
+    assert f"attribute '{name}' is a list, not" in refused(path)[1]
+
+
 @pytest.mark.parametrize("rate", [-1.0, math.nan, math.inf, 1e300, 1e-300, 1e7, "fast", [1, 2], 1j], ids=str)
 def test_a_rate_that_no_film_has(tmp_path: Path, rate: Any) -> None:
     assert "attribute 'rate_hz' is" in refused(hdf5(tmp_path / "a.h5", rate_hz=rate))[1]

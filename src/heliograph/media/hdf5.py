@@ -246,14 +246,14 @@ def _write_attributes(attributes: Any, spec: FilmSpec) -> None:
 
 def _read_metadata(attributes: Any) -> dict[str, str]:
     try:
-        return {str(name): str(text) for name, text in json.loads(attributes.get("metadata", "{}")).items()}
+        return {str(name): str(text) for name, text in json.loads(_attribute(attributes, "metadata", "{}")).items()}
     except (ValueError, TypeError, AttributeError, RecursionError):  # somebody else's attribute of the same name
         return {}
 
 
 def _number(path: Path, attributes: Any, name: str, least: float, most: float) -> float:
     """Read an attribute that is a number; 0 where it is missing."""
-    held = attributes.get(name, 0)
+    held = _attribute(attributes, name, 0)
     try:
         value = math.nan if np.iscomplexobj(held) else float(np.asarray(held).item())
     except (ValueError, TypeError, OverflowError):
@@ -263,6 +263,17 @@ def _number(path: Path, attributes: Any, name: str, least: float, most: float) -
         allowed = f"{least:g}" if least == most else f"{least:g} to {most:g}"
         raise MediaError(f"{path}: its attribute '{name}' is {says}, not {allowed}: correct it or delete it")
     return value
+
+
+def _attribute(attributes: Any, name: str, missing: Any) -> Any:
+    """Read an attribute; a list of any length is not read, as HDF5 crashes where a damaged type makes one of a text."""
+    import h5py
+
+    try:
+        held = attributes.get_id(name)
+    except KeyError:
+        return missing
+    return "a list" if held.get_type().detect_class(h5py.h5t.VLEN) else attributes[name]
 
 
 @contextmanager
