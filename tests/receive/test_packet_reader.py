@@ -1,5 +1,8 @@
 """The soft receiver's reader: when a pair's data were lit, and LEDs taken for dead by mistake."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -7,6 +10,7 @@ from recorder import Recorder
 from scenes import SIDE, drawn_film, film, link
 
 from heliograph.receive import receive_frames
+from heliograph.receive.equalise.brightness import Brightness, DecodedPair
 from heliograph.receive.equalise.led_gains import LearntGains, LedGains
 from heliograph.receive.events import DecodeEvent, ExtractEvent
 from heliograph.receive.observe.cutout import Cutout
@@ -75,3 +79,32 @@ def test_leds_taken_for_dead_by_mistake_cost_nothing(monkeypatch: pytest.MonkeyP
     settings = link("receive.receiver=soft", distance_m=80.0)
     packets = list(receive_frames(film(settings, 101), settings.signal, settings.receive))
     assert [word.status for by in packets[0].layers.values() for word in by] == ["ok"] * 4
+
+
+@pytest.mark.parametrize(("px_a_frame", "learnt"), [(0.1, True), (0.5, False)])
+@pytest.mark.slow
+def test_leds_are_not_learnt_where_light_smears(
+    px_a_frame: float, learnt: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """LEDs of an array that passes sideways seemed dim, its pose was found without them, and more seemed so."""
+
+    def passing(t: Floats) -> Floats:
+        return np.stack([40.3 + 1e3 * px_a_frame * t, np.full_like(t, 48.8)], -1)
+
+    calls, headers, data = list[str](), LedGains.learn, Brightness.learn
+
+    def by_header(self: LedGains, *args: Any) -> LearntGains:
+        calls.append("header")
+        return headers(self, *args)
+
+    def by_data(self: Brightness, pairs: Sequence[DecodedPair], gain: float, noise: float) -> Brightness:
+        calls.extend(["data"] * len(pairs))
+        return data(self, pairs, gain, noise)
+
+    monkeypatch.setattr(LedGains, "learn", by_header)
+    monkeypatch.setattr(Brightness, "learn", by_data)
+    settings = link("receive.receiver=soft", "signal.data_pairs=24")
+    frames = drawn_film(settings, 108, passing, distance_m=40.0)
+    packets = list(receive_frames(frames, settings.signal, settings.receive))
+    assert [packet.status for packet in packets] == ["ok", "ok"]
+    assert set(calls) == ({"header", "data"} if learnt else set())

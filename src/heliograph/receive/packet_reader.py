@@ -279,7 +279,11 @@ class SoftReader:
             if pair.combination is not None or np.any(np.abs(weights) != 1):
                 # combined frames do not show it; dimmed cells are another pattern than those that are summed up
                 break
-            learnt = self._learn_gains(pair, weights, track, led_gains)
+            cutout = self._cutout(pair, track, led_gains)
+            if cutout.apart:
+                # light smears within an exposure: LEDs would seem dim, the pose be found without them, and more seem so
+                break
+            learnt = self._learn_gains(cutout, weights, track, led_gains)
             led_gains = learnt.led_gains
             track = replace(track, data_gain=learnt.gain, led_gains=led_gains.values)
             if not learnt.changed:
@@ -289,8 +293,8 @@ class SoftReader:
         return track, led_gains
 
     @one_thread()
-    def _learn_gains(self, pair: FramePair, header: Floats, track: Track, led_gains: LedGains) -> LearntGains:
-        return led_gains.learn(self._cutout(pair, track, led_gains), header, track.data_gain, track.in_sight)
+    def _learn_gains(self, cutout: Cutout, header: Floats, track: Track, led_gains: LedGains) -> LearntGains:
+        return led_gains.learn(cutout, header, track.data_gain, track.in_sight)
 
     @one_thread()
     def _begin_decisions(self, late_s: float, track: Track) -> DecisionDirectedTracker:
@@ -352,7 +356,11 @@ class SoftReader:
             return
         # only these pairs are learnt from
         stride = assumed.led_gains.brightness.stride
-        kept = [cutout if k % stride == 0 else None for k, cutout in enumerate(assumed.cutouts)]
+        kept = [
+            None if k % stride or cutout is None or cutout.apart else cutout for k, cutout in enumerate(assumed.cutouts)
+        ]
+        if all(cutout is None for cutout in kept):
+            return
         decoded = self._decode(replace(assumed, cutouts=kept), None, shown, ignore)
         self._led_gains = _learnt_from(decoded, assumed.led_gains, stride=1)
 

@@ -1,6 +1,7 @@
 """Cut-outs: pairs of frames about the array, kept until their packet is whole."""
 
 from dataclasses import dataclass, replace
+from math import hypot
 
 import numpy as np
 
@@ -15,6 +16,13 @@ from heliograph.receive.timing.frame_pair import FramePair
 
 RING_PX = 2.0
 """Pixels beyond the rim whose difference shows what changes in the background."""
+
+APART_PX = 0.25
+"""Motion in px from one frame to the other above which one wider Gaussian does not stand for both.
+
+At 0.3 px it makes an error of 6e-4 in G, at 0.6 px of 2e-2, at 1.1 px, as in a pothole, of 0.15. A G of both frames
+takes twenty times as long.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +62,12 @@ class Cutout:
     covered: tuple[Floats, Floats] | None = None
     noise: float = 1.0
     in_sight: Floats | None = None
+
+    @property
+    def apart(self) -> bool:
+        """Whether the array moves farther than `APART_PX` from one frame to the other."""
+        first, last = self.poses[0], self.poses[-1]
+        return hypot(last.x - first.x, last.y - first.y) > APART_PX
 
     @property
     def middle(self) -> Pose:

@@ -26,13 +26,6 @@ from heliograph.receive.observe.cutout import RING_PX, Cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.timing.combination import Combination
 
-APART_PX = 0.25
-"""Motion in px from one frame to the other above which one wider Gaussian does not stand for both.
-
-At 0.3 px it makes an error of 6e-4 in G, at 0.6 px of 2e-2, at 1.1 px, as in a pothole, of 0.15. A G of both frames
-takes twenty times as long.
-"""
-
 
 @dataclass(frozen=True, slots=True)
 class PairStatistics:
@@ -281,8 +274,7 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
     else:
         gains = np.ones((side, side)) if led_gains is None else led_gains
         offset = root * image_of(gains, cutout.mean_light_pose, corner, shape)
-    apart = len(frames) > 1 and 2 * float(np.hypot(*motion)) > APART_PX
-    return WhitenedCutout(root, root * cutout.difference, offset, frames, between, apart, cutout.combination)
+    return WhitenedCutout(root, root * cutout.difference, offset, frames, between, cutout.apart, cutout.combination)
 
 
 def _correlated(images: Floats, light: tuple[Footprints, ...]) -> Floats:

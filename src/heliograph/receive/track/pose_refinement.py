@@ -192,8 +192,9 @@ class ObservedPacket:
             return self.brightness
         if decoded not in self.memo:
             before = replace(self.brightness, values=self.led_gains.brightness.values)
-            pairs = self._decoded(mean, variance, stride or before.stride)
-            self.memo[decoded] = before.learn([*pairs.values()], gain, noise)
+            pairs = self._decoded(mean, variance, stride or before.stride).values()
+            # in fast motion light smears within an exposure, and LEDs of the rim would seem dim
+            self.memo[decoded] = before.learn([one for one in pairs if not one.whitened.apart], gain, noise)
         return self.memo[decoded]
 
     @property
