@@ -18,7 +18,6 @@ from heliograph.measure.bench import run_block
 from heliograph.receive import Packet, ReceiveSettings, make_receiver, receive_frames
 from heliograph.receive.decode import iterate
 from heliograph.receive.equalise import led_gains
-from heliograph.receive.equalise.lmmse import Estimate, equalise
 from heliograph.receive.track import decision_directed
 from heliograph.signal.settings import SignalSettings
 
@@ -80,17 +79,19 @@ def test_another_light_is_refused_in_one_line(setting: str, read: str, other: st
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("room", [iterate, led_gains, decision_directed])
+@pytest.mark.parametrize(
+    ("room", "name"), [(iterate, "equalise"), (led_gains, "posterior_mean"), (decision_directed, "equalise")]
+)
 @pytest.mark.slow
-def test_its_algebra_runs_in_one_thread(room: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_algebra_runs_in_one_thread(room: ModuleType, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever calls it: many threads share small matrices slowly."""
-    threads: list[int] = []
+    threads, called = list[int](), getattr(room, name)
 
-    def counting(*given: Any) -> Estimate:
+    def counting(*given: Any) -> Any:
         threads.extend(info["num_threads"] for info in threadpool_info() if info["user_api"] == "blas")
-        return equalise(*given)
+        return called(*given)
 
-    monkeypatch.setattr(room, "equalise", counting)
+    monkeypatch.setattr(room, name, counting)
     settings = link("static", "soft", "channel.distance_m=50", "transmit.formats=[{mode='single'}]")
     with threadpool_limits(limits=2, user_api="blas"):
         list(receive_frames(film(settings, 101), settings.signal, settings.receive))
