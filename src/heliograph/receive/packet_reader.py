@@ -1,8 +1,7 @@
 """The soft receiver's reader: a packet's frames are kept until its end, equalised and decoded together."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,8 +27,8 @@ from heliograph.receive.settings import Feedback
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.background import SeenHeader
 from heliograph.receive.track.decision_directed import DecisionDirectedTracker
-from heliograph.receive.track.hidden_leds import beside_what_hides, hidden_since
-from heliograph.receive.track.lone_frames import SeenPair, lone_cutout
+from heliograph.receive.track.hidden_leds import beside_what_hides
+from heliograph.receive.track.kept_pairs import KeptPairs
 from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
@@ -117,25 +116,6 @@ class _Light:
     sum_gain: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Data:
-    """What was kept of a packet's data, by number of the pair.
-
-    Attributes
-    ----------
-    cutouts
-        Cut-outs of pairs, in the single mode by number of the pattern.
-    seen
-        Pairs in step of which both frames are there.
-    lone
-        What is left of the others.
-    """
-
-    cutouts: Mapping[int, Cutout] = field(default_factory=dict)
-    seen: Mapping[int, SeenPair] = field(default_factory=dict)
-    lone: Mapping[int, LoneFrame] = field(default_factory=dict)
-
-
 class SoftReader:
     """Reads a packet at the limit of the channel; see `array.PacketReader`.
 
@@ -159,7 +139,7 @@ class SoftReader:
         self._led_gains, self._proven = led_gains, proven
         self._format_reader = FormatReader(identity, self._side)
         self._decisions: DecisionDirectedTracker | None = None
-        self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), _Light(), _Data()
+        self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), _Light(), KeptPairs()
         self._misled = False
 
     @property
@@ -218,22 +198,20 @@ class SoftReader:
 
     def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
         """Keep a pair; see `PacketReader`."""
-        track, data, light = tracked.track, self._data, self._light
-        cutouts = tracked.cutouts or (self._cutout(pair, track, self._gains()),)
-        self._light = replace(light, gain=track.data_gain, full_scale=pair.pattern.full_scale)
-        kept = {**data.cutouts, **dict(enumerate(cutouts, len(cutouts) * place))}
-        if not tracked.cutouts and not track.in_sight.all():
-            kept |= hidden_since(kept, place, track.in_sight)
-        self._data = replace(data, cutouts=kept)
-        if not tracked.cutouts and pair.combination is None:
-            self._light = replace(self._light, sum_gain=track.gain)
-            self._data = replace(self._data, seen={**data.seen, place: SeenPair(tracked.state, cutouts[0])})
+        track = tracked.track
+        self._light = replace(self._light, gain=track.data_gain, full_scale=pair.pattern.full_scale)
+        if tracked.cutouts:
+            cutouts, self._data = tracked.cutouts, self._data.with_patterns(place, tracked.cutouts)
+        else:
+            cutouts, in_step = (self._cutout(pair, track, self._gains()),), pair.combination is None
+            self._data = self._data.with_pair(place, cutouts[0], track, in_step)
+            self._light = replace(self._light, sum_gain=track.gain) if in_step else self._light
         poses = tuple(pose for cutout in cutouts for pose in cutout.poses)
         self._parts.observe(ExtractEvent(self._identity, (pair.pattern, pair.inverted), poses))
 
     def take_lone(self, place: int, lone: LoneFrame) -> None:
         """Keep the frame that is left of a pair; see `PacketReader`."""
-        self._data = replace(self._data, lone={**self._data.lone, place: lone})
+        self._data = self._data.with_lone(place, lone)
 
     @one_thread()
     def decode(self) -> Words:
@@ -254,7 +232,7 @@ class SoftReader:
         if new and shown is not None and reading.lacks(shown):
             self._misled = True
             reading = reading.or_rather(read_packet(first, read))
-        self._data = replace(self._data, cutouts={k: one for k, one in enumerate(reading.tried) if one is not None})
+        self._data = self._data.rather(reading.tried)
         self._proven |= new and not self._misled and reading.open < sum(map(len, reading.words.values()))
         self._led_gains = self._learnt(reading)
         if buffer is not None and reading.decoded.buffer is not None:
@@ -324,9 +302,9 @@ class SoftReader:
 
     def _with_lone(self, assumed: Assumption) -> list[Cutout | None]:
         """All cut-outs, those of frames included whose other half is lost."""
-        cutouts, data, values = [*assumed.cutouts], self._data, assumed.led_gains.values
-        for place, lone in data.lone.items():
-            cutouts[place] = lone_cutout(lone, place, data.seen, self._late_s, self._light.sum_gain, values)
+        cutouts, gain, values = [*assumed.cutouts], self._light.sum_gain, assumed.led_gains.values
+        for place, lone in self._data.lone_cutouts(self._late_s, gain, values).items():
+            cutouts[place] = lone
         return cutouts
 
     def _noise(self, assumed: Assumption) -> Noise:
@@ -386,7 +364,7 @@ class SoftReader:
 
     def _cutouts(self) -> list[Cutout | None]:
         """One per pair, in the single mode one per pattern; None where the array was not seen."""
-        return [self._data.cutouts.get(k) for k in range(self._form.layers["high"].pairs)]
+        return self._data.in_order(self._form.layers["high"].pairs)
 
 
 def _learnt_from(decoded: DecodedPacket[ObservedPacket], led_gains: LedGains, stride: int | None = None) -> LedGains:

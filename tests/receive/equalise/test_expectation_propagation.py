@@ -81,9 +81,9 @@ def test_cavities_that_were_dropped_leave_no_trace() -> None:
 def test_a_site_moves_by_seven_tenths_of_its_way() -> None:
     """Site and cavity together shall have the moments of +-1; the cavity has precision 2 and mean 1/2."""
     propagation = ExpectationPropagation.begin((1, 1))
-    cavity = Estimate(
-        np.zeros(1), np.ones(1), np.array([1 / 3]), np.arange(1), np.array([1 / 3]), np.ones((1, 1), np.float32), 0.0
-    )
+    # L L^T is the posterior precision, 2 of the cavity and 1 of the prior
+    factor = np.full((1, 1), np.sqrt(3), np.float32)
+    cavity = Estimate(np.zeros(1), np.ones(1), np.array([1 / 3]), np.arange(1), factor, 0.0)
     propagation.take(0, cavity)
     both = np.tanh(0.5 * 2 * 1.0)
     # G = mean / variance - G_cavity, and the site began at precision 1 and G 0

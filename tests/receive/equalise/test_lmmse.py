@@ -10,7 +10,7 @@ from scenes import SIDE
 from whole_pairs import GAIN, MOTIONS, SYMBOLS, WholePair, moving, pair_of, random_levels
 
 from heliograph.receive.equalise import reference
-from heliograph.receive.equalise.lmmse import equalise, posterior_mean, products
+from heliograph.receive.equalise.lmmse import equalise, products
 from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import whiten
@@ -95,14 +95,6 @@ def test_the_estimate_is_linear_mmse(distance_m: float, kind: str) -> None:
     assert got.trace == pytest.approx(trace, rel=2e-3)
     # and it is worth the name: most symbols of the layer that shows best are right
     assert np.mean((got.llr > 0) == (symbols > 0), where=open_) > 0.6
-
-
-@pytest.mark.parametrize("kind", ["nothing", "something"])
-def test_the_mean_alone_is_that_of_the_estimate(kind: str) -> None:
-    mean, variance = priors(kind)
-    pair = whiten(pair_at_rest(80).cutout, Noise(4.0, 4.0), SIDE).statistics()
-    want = equalise(pair, GAIN, 4.0, mean, variance).mean
-    assert posterior_mean(pair, GAIN, 4.0, mean, variance) == pytest.approx(want, abs=1e-4)
 
 
 @pytest.mark.parametrize("kind", ["nothing", "something", "the high layer"])

@@ -16,7 +16,7 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.brightness import POSE_SPREADS, Brightness
-from heliograph.receive.equalise.lmmse import posterior_mean
+from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.image.footprint import by_squares, to_grid
 from heliograph.receive.observe import kernels
 from heliograph.receive.observe.cutout import Cutout
@@ -189,5 +189,5 @@ def _estimate(seen: PairStatistics, header: Floats, brightness: Floats, gain: fl
     signs = by_squares(header)
     mean = kernels.symbols_of(by_squares(header * brightness))
     # of diag(w) (2 Y - 1) of the variance s^2 the symbols have the variance 4 s^2, T T^T being 1/4
-    symbols = posterior_mean(seen, gain, noise, mean, np.full(mean.size, 4 * LED_GAIN_SPREAD**2))
+    symbols = equalise(seen, gain, noise, mean, np.full(mean.size, 4 * LED_GAIN_SPREAD**2)).mean
     return to_grid(kernels.leds_of(symbols) / signs)

@@ -1,6 +1,7 @@
 """Linear MMSE estimate of all symbols of a pair, with a Gaussian prior from the decoder."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ several times as long.
 """
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots: what takes most of the time is found when it is asked for, and kept
 class Estimate:
     """Symbols of a pair after equalising.
 
@@ -44,21 +45,35 @@ class Estimate:
         (symbols,) posterior mean of each; of known symbols the prior mean.
     unknown
         (unknown,) numbers of the symbols that were estimated.
-    spread
-        (unknown,) their posterior variances.
-    root
-        R of their posterior covariance S = R R^T, upper triangular, (unknown, unknown) float32.
-    trace
-        Trace of B^T W B S.
+    factor
+        L of their posterior precision S^-1 = L L^T, lower triangular, (unknown, unknown) float32 and rows that pad it.
+    scale
+        g^2 / s^2, ratio of the squared gain to the noise variance.
     """
 
     prior: Floats
     variance: Floats
     mean: Floats
     unknown: NDArray[np.intp]
-    spread: Floats
-    root: NDArray[np.float32]
-    trace: float
+    factor: NDArray[np.float32]
+    scale: float
+
+    @cached_property
+    def root(self) -> NDArray[np.float32]:
+        """R of the posterior covariance S = R R^T, upper triangular, (unknown, unknown) float32."""
+        # R = L^-T
+        return _inverse(self.factor).T[: self.unknown.size, : self.unknown.size]
+
+    @cached_property
+    def spread(self) -> Floats:
+        """(unknown,) posterior variances of the symbols that were estimated."""
+        return np.einsum("ij,ij->i", self.root, self.root).astype(np.float64)
+
+    @property
+    def trace(self) -> float:
+        """Trace of B^T W B S."""
+        # B^T B S g^2 / s^2 = I - V^-1 S
+        return float((1.0 - self.spread / self.variance[self.unknown]).sum()) / max(self.scale, TINY)
 
     @property
     def covariance(self) -> NDArray[np.float32]:
@@ -111,55 +126,17 @@ def equalise(pair: PairStatistics, gain: float, noise: float, mean: Floats, vari
         The posterior precision is not positive definite: gain or noise are absurd.
     """
     unknown = np.flatnonzero(variance >= KNOWN_VARIANCE)
-    m, v = mean.copy(), variance[unknown]
+    m, ratio = mean.copy(), gain / noise
     if not unknown.size:
-        return Estimate(mean, variance, m, unknown, v, np.zeros((0, 0), np.float32), 0.0)
-    ratio = gain / noise
+        return Estimate(mean, variance, m, unknown, np.zeros((0, 0), np.float32), ratio * gain)
     projected = pair.gram @ mean.astype(np.float32)
-    rhs = ratio * (pair.matched - gain * (pair.offset + projected))[unknown]
-    # S = (g^2 / s^2 B^T B + V^-1)^-1 = (L L^T)^-1 = R R^T, m = c + S B^T (d - g (B c + o)) g / s^2
-    # R = L^-T
-    root = _inverse(_factor(pair, unknown, ratio * gain, 1.0 / v)).T[: unknown.size, : unknown.size]
-    m[unknown] += root @ (rhs.astype(np.float32) @ root)
-    spread = np.einsum("ij,ij->i", root, root).astype(np.float64)
-    # B^T B S g^2 / s^2 = I - V^-1 S
-    trace = float((1.0 - spread / v).sum()) / max(ratio * gain, TINY)
-    return Estimate(mean, variance, m, unknown, spread, root, trace)
-
-
-def posterior_mean(pair: PairStatistics, gain: float, noise: float, mean: Floats, variance: Floats) -> Floats:
-    """The mean of `equalise` alone, where no symbol is known: without their covariance it takes a third of the time.
-
-    Parameters
-    ----------
-    pair
-        Sufficient statistics of the pair for its symbols.
-    gain
-        g, gray levels of the array with all LEDs on.
-    noise
-        s^2, variance of a pixel of the difference of the two frames in squared gray levels, above 0.
-    mean
-        (symbols,) prior means: of gains of LEDs they may lie beyond 1.
-    variance
-        (symbols,) prior variances, above 0.
-
-    Returns
-    -------
-    (symbols,) posterior means.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The posterior precision is not positive definite: gain or noise are absurd.
-    """
-    ratio, everything = gain / noise, np.arange(mean.size)
-    rhs = ratio * (pair.matched - gain * (pair.offset + pair.gram @ mean.astype(np.float32)))
-    factor = _factor(pair, everything, ratio * gain, 1.0 / variance)
-    seen = np.zeros((len(factor), 1), np.float32, order="F")
-    seen[: mean.size, 0] = rhs
-    # m = c + (L L^T)^-1 B^T (d - g (B c + o)) g / s^2
-    solved, _ = lapack.spotrs(factor, seen, lower=1, overwrite_b=1)
-    return np.asarray(mean + solved[: mean.size, 0])
+    # S = (g^2 / s^2 B^T B + V^-1)^-1 = (L L^T)^-1, m = c + S B^T (d - g (B c + o)) g / s^2
+    factor = _factor(pair, unknown, ratio * gain, 1.0 / variance[unknown])
+    right = np.zeros((len(factor), 1), np.float32, order="F")
+    right[: unknown.size, 0] = ratio * (pair.matched - gain * (pair.offset + projected))[unknown]
+    solved, _ = lapack.spotrs(factor, right, lower=1, overwrite_b=1)
+    m[unknown] += solved[: unknown.size, 0]
+    return Estimate(mean, variance, m, unknown, factor, ratio * gain)
 
 
 def products(

@@ -1,0 +1,111 @@
+"""What a reader keeps of a packet's data until its end."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from heliograph.base.arrays import Floats
+from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.timing.frame_pair import LoneFrame
+from heliograph.receive.track.hidden_leds import hidden_since
+from heliograph.receive.track.lone_frames import SeenPair, lone_cutout
+from heliograph.receive.track.track import Track
+
+
+@dataclass(frozen=True, slots=True)
+class KeptPairs:
+    """What was kept of a packet's data, by number of the pair.
+
+    Attributes
+    ----------
+    cutouts
+        Cut-outs of pairs, in the single mode by number of the pattern.
+    seen
+        Pairs in step of which both frames are there.
+    lone
+        What is left of the others.
+    """
+
+    cutouts: Mapping[int, Cutout] = field(default_factory=dict)
+    seen: Mapping[int, SeenPair] = field(default_factory=dict)
+    lone: Mapping[int, LoneFrame] = field(default_factory=dict)
+
+    def with_pair(self, place: int, cutout: Cutout, track: Track, in_step: bool) -> "KeptPairs":
+        """A further pair, and of the pairs before it the cut-outs without LEDs that were hidden already.
+
+        Parameters
+        ----------
+        place
+            Number of the pair in the packet's data.
+        cutout
+            Its frames about the array.
+        track
+            The array in it.
+        in_step
+            Whether they are its own two frames, not a combination of four.
+        """
+        cutouts = {**self.cutouts, place: cutout}
+        if not track.in_sight.all():
+            cutouts |= hidden_since(cutouts, place, track.in_sight)
+        seen = {**self.seen, place: SeenPair(track.state, cutout)} if in_step else self.seen
+        return replace(self, cutouts=cutouts, seen=seen)
+
+    def with_patterns(self, place: int, cutouts: Sequence[Cutout]) -> "KeptPairs":
+        """A further pair in the single mode, where both frames are patterns and neither is an inverse.
+
+        Parameters
+        ----------
+        place
+            Number of the pair in the packet's data.
+        cutouts
+            One of each pattern.
+        """
+        patterns = dict(enumerate(cutouts, len(cutouts) * place))
+        return replace(self, cutouts={**self.cutouts, **patterns})
+
+    def with_lone(self, place: int, lone: LoneFrame) -> "KeptPairs":
+        """A further pair, of which a frame is lost.
+
+        Parameters
+        ----------
+        place
+            Number of the pair in the packet's data.
+        lone
+            The frame that is left.
+        """
+        return replace(self, lone={**self.lone, place: lone})
+
+    def rather(self, cutouts: Sequence[Cutout | None]) -> "KeptPairs":
+        """The same with other cut-outs.
+
+        Parameters
+        ----------
+        cutouts
+            One per pair, None where the array was not seen.
+        """
+        return replace(self, cutouts={k: one for k, one in enumerate(cutouts) if one is not None})
+
+    def in_order(self, count: int) -> list[Cutout | None]:
+        """The cut-outs of all pairs, in the single mode of all patterns; None where the array was not seen.
+
+        Parameters
+        ----------
+        count
+            Number of pairs, or of patterns, that the packet's data has.
+        """
+        return [self.cutouts.get(k) for k in range(count)]
+
+    def lone_cutouts(self, late_s: float, gain: float, led_gains: Floats) -> dict[int, Cutout | None]:
+        """What the frames whose other half is lost show, by number of the pair; None where that is nothing.
+
+        Parameters
+        ----------
+        late_s
+            Seconds by which the data's light comes after the middle of an exposure.
+        gain
+            Gray levels of the sum of a pair with all LEDs on.
+        led_gains
+            (n, n) gains of the LEDs, at least 0, 1 for the median LED.
+        """
+        return {
+            place: lone_cutout(lone, place, self.seen, late_s, gain, led_gains) for place, lone in self.lone.items()
+        }
