@@ -31,6 +31,9 @@ class Track:
         (n, n) of `recent_change`: how much each LED changed from pattern to inverse in recent pairs.
     score
         Correlation of recent sums with the array's image; 1 before the first.
+    lines
+        (2, n + 2) gray levels that sums usually show along columns and rows and beside them, by `clear_leds`; None
+        before the first.
     """
 
     state: PoseState
@@ -40,6 +43,7 @@ class Track:
     last_seen_s: float
     change: Floats
     score: float = 1.0
+    lines: Floats | None = None
 
     @property
     def in_sight(self) -> Floats:

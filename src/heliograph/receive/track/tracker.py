@@ -14,6 +14,7 @@ from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.robust import robust_std
 from heliograph.receive.image.window import cut_out, window_around
 from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
+from heliograph.receive.track.beside import clear_leds
 from heliograph.receive.track.kalman import (
     HEADER_OBSERVATION,
     POSE_SIZE,
@@ -160,17 +161,18 @@ class Tracker:
         differs = up - down
         noise = self._noise(differs, pose, corner)
         before, track = track, self._watch(track, differs, noise, pose, corner)
-        hides = not track.in_sight.all()
-        if track.in_sight.mean() < LEAST_IN_SIGHT:
-            return _coasted(before, replace(track, state=predicted))
-        unhidden = self._unhidden(track, pose, corner, up.shape)
-        if unhidden is not None and not unhidden.any():
+        total = up + down
+        light = max(track.gain, track.data_gain)
+        clear, lines = clear_leds(total, pose, corner, track.lines, light, track.in_sight)
+        track, open_leds = replace(track, lines=lines), track.in_sight * clear
+        hides = not open_leds.all()
+        unhidden = self._unhidden(track, open_leds, pose, corner, up.shape)
+        if open_leds.mean() < LEAST_IN_SIGHT or (unhidden is not None and not unhidden.any()):
             return _coasted(before, replace(track, state=predicted))
         # (pattern) + (inverse) = every LED on, Fig. 9
         observation = sum_observation(pair.late_s)
         mean, covariance = predicted.expected(observation)
         prior = Prior(np.append(mean, predicted.tilt.mean), covariance, track.gain)
-        total = up + down
         if header is not None and pair.combination is None:
             left = self._left_by_motion(predicted, pair, corner, total.shape, header * track.shining)
             total = total - track.data_gain * left
@@ -310,14 +312,16 @@ class Tracker:
         gain = track.gain + GAIN_RATE * (fit.gain - track.gain)
         return float(np.clip(gain, track.data_gain / GAIN_RATIO, track.data_gain * GAIN_RATIO))
 
-    def _unhidden(self, track: Track, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats | None:
+    def _unhidden(
+        self, track: Track, open_leds: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]
+    ) -> Floats | None:
         """Pixels (rows, columns) that count in a sum, 1 or 0; None where all do."""
         # what a header found hidden may be in sight by now, what it found dead is not: that is no zone of its own
         dark = (track.led_gains == 0).astype(np.float64)
         zone = (dark > 0) & (around_leds(dark, pose) >= LEAST_DARK_ZONE)
-        sure = np.where(zone, 0.0, track.in_sight) if zone.any() else track.in_sight
+        sure = np.where(zone, 0.0, open_leds) if zone.any() else open_leds
         if sure.mean() < LEAST_IN_SIGHT:
-            sure = track.in_sight
+            sure = open_leds
         return None if sure.all() else open_pixels(sure, pose, corner, shape)
 
     def _watch(self, track: Track, change: Floats, noise: float, pose: Pose, corner: tuple[int, int]) -> Track:

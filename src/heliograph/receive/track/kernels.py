@@ -1,0 +1,124 @@
+"""Lines of LEDs in a sum, as machine code: there are too many small steps each pair to take them in Python."""
+
+import math
+
+import numpy as np
+
+from heliograph.base.compiled import compiled
+
+USUAL_RATE, COVERED_RATE = 0.1, 0.02
+"""Weights of a pair in what a line usually shows: of lines as usual, and of covered ones.
+
+What stays beside the array belongs to its surroundings after some 100 pairs. The slowest post that is drawn in
+`benchmarks.poles` hides the outermost LEDs after 45.
+"""
+
+HIDDEN_BELOW = 0.5
+"""Fraction of a line's LEDs in sight below which the line counts as hidden."""
+
+LEAST_OPEN_LINES = 0.25
+"""Least fraction of the lines across another that must be open for the other to show anything."""
+
+
+@compiled()
+def uncover(image, middle, axes, away, least, in_sight, usual, clear):
+    """Mark LEDs before which something came from a side, and renew what lines usually show.
+
+    Parameters
+    ----------
+    image
+        (rows, columns) float64 sum of a pair in gray levels.
+    middle
+        (2,) column and row of the array's centre in px.
+    axes
+        (2, 2) steps from one LED to the next along a row and along a column, in px, one per column.
+    away
+        Distance of the lines beside the array from its centre in pitches.
+    least
+        Least change in gray levels of a covered line.
+    in_sight
+        (n, n) 1 for LEDs in sight, 0 for those that something hides.
+    usual
+        (2, n + 2) gray levels that columns and rows usually show, the first and last of them beside the array; NaN
+        before they were seen. Overwritten.
+    clear
+        (n, n) of 1; overwritten with 0 where an LED is covered.
+    """
+    side = in_sight.shape[0]
+    levels, across, seen = np.empty(side + 2), np.empty(side), np.empty(side)
+    hidden, covered = np.empty((2, side + 2), np.bool_), np.zeros((2, side + 2), np.bool_)
+    for k in range(side):
+        column, row = 0.0, 0.0
+        for n in range(side):
+            column += in_sight[n, k]
+            row += in_sight[k, n]
+        hidden[0, k + 1], hidden[1, k + 1] = column < HIDDEN_BELOW * side, row < HIDDEN_BELOW * side
+    for axis in range(2):
+        # the lines beside the array go with the outermost
+        hidden[axis, 0], hidden[axis, side + 1] = hidden[axis, 1], hidden[axis, side]
+    # columns first: posts are upright. Rows are looked at where no column is covered
+    for axis in range(2):
+        count = 0
+        for k in range(side):
+            if not (hidden[1 - axis, k + 1] or covered[1 - axis, k + 1]):
+                across[count] = k - 0.5 * (side - 1)
+                count += 1
+        if count < LEAST_OPEN_LINES * side:
+            continue
+        _medians(image, middle, axes, axis, away, across, count, seen, levels)
+        if math.isnan(usual[axis, 0]):
+            for k in range(side + 2):
+                usual[axis, k] = levels[k]
+            continue
+        _cover(levels, usual, least, hidden, covered, axis)
+        for k in range(side + 2):
+            # hidden LEDs come back as they were
+            rate = 0.0 if hidden[axis, k] else COVERED_RATE if covered[axis, k] else USUAL_RATE
+            usual[axis, k] += rate * (levels[k] - usual[axis, k])
+    for i in range(side):
+        for j in range(side):
+            if covered[0, j + 1] or covered[1, i + 1]:
+                clear[i, j] = 0.0
+
+
+@compiled()
+def _medians(image, middle, axes, axis, away, places, count, seen, levels):
+    """Medians of an image along lines of LEDs and beside them, at so many places along each; they are at least one."""
+    bottom, right = image.shape[0] - 1, image.shape[1] - 1
+    last = levels.size - 1
+    for line in range(last + 1):
+        at = -away if line == 0 else away if line == last else line - 0.5 * last
+        for k in range(count):
+            x = min(max(middle[0] + at * axes[0, axis] + places[k] * axes[0, 1 - axis], 0.0), right - 1e-6)
+            y = min(max(middle[1] + at * axes[1, axis] + places[k] * axes[1, 1 - axis], 0.0), bottom - 1e-6)
+            i, j = int(y), int(x)
+            down, over = y - i, x - j
+            above = (1.0 - over) * image[i, j] + over * image[i, j + 1]
+            below = (1.0 - over) * image[i + 1, j] + over * image[i + 1, j + 1]
+            level = (1.0 - down) * above + down * below
+            # sorted in
+            n = k
+            while n > 0 and seen[n - 1] > level:
+                seen[n] = seen[n - 1]
+                n -= 1
+            seen[n] = level
+        levels[line] = seen[count // 2]
+
+
+@compiled()
+def _cover(levels, usual, least, hidden, covered, axis):
+    """Mark lines that are hidden or changed one after the other, from a line beside the array on."""
+    last = levels.size - 1
+    for end in (0, last):
+        step, k = (1, 0) if end == 0 else (-1, last)
+        while 0 <= k <= last:
+            # the outermost LEDs seem to change where the pose is off: they go with the line beside them
+            asked = end if k == end + step else k
+            if not (hidden[axis, asked] or abs(levels[asked] - usual[axis, asked]) > least):
+                break
+            covered[axis, k] = True
+            k += step
+    if covered[axis, 0] and covered[axis, last]:
+        # nothing would hold the array's place
+        for k in range(last + 1):
+            covered[axis, k] = False

@@ -1,0 +1,135 @@
+"""What comes before an array from a side, and poses that its light does not pull."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
+
+from heliograph.receive import Pose
+from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.track.beside import clear_leds
+from heliograph.receive.track.kalman import MotionModel, PoseState
+from heliograph.receive.track.kernels import COVERED_RATE, USUAL_RATE
+from heliograph.receive.track.track import Track
+from heliograph.receive.track.tracker import Tracker
+
+Floats = NDArray[np.float64]
+
+SHAPE, GAIN = (70, 70), 204.0
+
+
+def pose_at(distance_m: float) -> Pose:
+    return Pose(34.6, 35.3, pitch_at(distance_m), 0.02, 0.53)
+
+
+def scene(pose: Pose, reach: float | None = None, level: float = 1.0, side: str = "left") -> Floats:
+    """Light of an array of all LEDs at a quarter of their light; a post reaches so many pitches into it from a side."""
+    light = 0.1 + 0.2 * draw(pose, ALL_ON, (0, 0), SHAPE)
+    if reach is None:
+        return light
+    turns = {"left": 0, "top": 1, "right": 2, "bottom": -1}[side]
+    turned = np.rot90(light, turns).copy()
+    middle = {"left": pose.x, "top": pose.y, "right": 69 - pose.x, "bottom": 69 - pose.y}[side]
+    edge = middle + (reach - 0.5 * SIDE) * pose.pitch
+    hides = np.clip(edge + 0.5 - np.arange(70), 0, 1)
+    return np.asarray(np.rot90(turned + hides * (level - turned), -turns), np.float64)
+
+
+def cleared(pose: Pose, light: Floats, usual: Floats | None, in_sight: Floats = ALL_ON) -> tuple[Floats, Floats]:
+    return clear_leds(2 * 255 * light, pose, (0, 0), usual, GAIN, in_sight)
+
+
+@pytest.mark.parametrize("distance_m", [20.0, 50.0, 95.0])
+@pytest.mark.parametrize("level", [0.0, 1.0])
+@pytest.mark.parametrize("side", ["left", "top", "right", "bottom"])
+def test_leds_are_covered_from_the_side_on(distance_m: float, level: float, side: str) -> None:
+    pose = pose_at(distance_m)
+    clear, usual = cleared(pose, scene(pose), None)
+    assert clear.all()
+    found, _ = cleared(pose, scene(pose, 5.0, level, side), usual)
+    lines = np.rot90(found, {"left": 0, "top": 1, "right": 2, "bottom": -1}[side]).mean(0)
+    # a line is covered as a whole, and blur reaches a pixel or so further
+    assert set(lines) <= {0.0, 1.0}
+    covered = int((lines == 0).sum())
+    assert not lines[:covered].any()
+    assert 4 <= covered <= 6 + 1.5 / pose.pitch
+
+
+@pytest.mark.parametrize("distance_m", [20.0, 50.0, 95.0])
+def test_a_post_is_seen_before_it_hides_an_led(distance_m: float) -> None:
+    pose = pose_at(distance_m)
+    _, usual = cleared(pose, scene(pose), None)
+    clear, _ = cleared(pose, scene(pose, -0.5), usual)
+    assert not clear[:, 0].any()
+    assert clear[:, 1 + int(2 / pose.pitch) :].all()
+
+
+@pytest.mark.parametrize("offset", [(0.6, 0.0), (-0.6, 0.5), (0.0, -0.6)])
+@pytest.mark.parametrize("distance_m", [20.0, 50.0, 95.0])
+def test_an_array_off_its_place_is_not_covered(offset: tuple[float, float], distance_m: float) -> None:
+    pose = pose_at(distance_m)
+    _, usual = cleared(pose, scene(pose), None)
+    clear, _ = cleared(pose.moved(*offset), scene(pose), usual)
+    assert clear.all()
+
+
+def test_what_changes_everywhere_covers_nothing() -> None:
+    """Nothing would hold the array's place."""
+    pose = pose_at(50.0)
+    _, usual = cleared(pose, scene(pose), None)
+    clear, _ = cleared(pose, 0.3 + scene(pose), usual)
+    assert clear.all()
+
+
+def test_what_stays_beside_the_array_belongs_to_its_surroundings() -> None:
+    pose, post = pose_at(50.0), 0
+    _, usual = cleared(pose, scene(pose), None)
+    for pairs in range(400):
+        clear, usual = cleared(pose, scene(pose, -0.3), usual)
+        if clear.all():
+            post = pairs
+            break
+    # ln(change / least) / rate
+    assert 0.5 / COVERED_RATE < post < 3.5 / COVERED_RATE
+
+
+def test_lines_follow_slow_changes() -> None:
+    pose = pose_at(50.0)
+    _, before = cleared(pose, scene(pose), None)
+    _, after = cleared(pose, scene(pose) + 0.01, before)
+    assert after - before == pytest.approx(USUAL_RATE * 2 * 255 * 0.01, abs=1e-6)
+
+
+def test_hidden_leds_come_back_as_they_were() -> None:
+    pose, in_sight = pose_at(50.0), ALL_ON.copy()
+    in_sight[:, :7] = 0
+    _, before = cleared(pose, scene(pose), None)
+    after = before
+    for _ in range(300):
+        clear, after = cleared(pose, scene(pose, 7.0), after, in_sight)
+    assert not clear[:, :7].any()
+    assert np.array_equal(after[0, :8], before[0, :8])
+    clear, _ = cleared(pose, scene(pose), after)
+    assert clear.all()
+
+
+@pytest.mark.parametrize("level", [0.02, 0.6, 0.95])
+@pytest.mark.parametrize("distance_m", [41.0, 60.0])
+def test_a_post_does_not_pull_the_pose(distance_m: float, level: float) -> None:
+    """A post as bright as 146 of 255 pulled an array at 41 m by 1.2 px before it hid an LED, then by 20."""
+    pose, rng, model = pose_at(distance_m), np.random.default_rng(8), MotionModel(1e-3, 0.1)
+    tracker = Tracker(SIDE, model)
+    state = PoseState.start(0.0, pose.full_vector()[:5], np.diag([0.05, 0.05, 1e-3, 1e-3, 0.05]) ** 2, model)
+    track, worst = Track(state, GAIN, GAIN, ALL_ON, 0.0, ALL_ON), 0.0
+    for k in range(150):
+        reach = -5 + 0.1 * k
+        levels = rng.choice([0.0, 0.25, 0.5, 0.75, 1.0], (SIDE, SIDE), p=np.array([1, 4, 6, 4, 1]) / 16)
+        post = scene(pose, reach, level)
+        hides = post != scene(pose)
+        frames = [
+            frame_of(np.where(hides, post, 0.1 + 0.8 * draw(pose, x, (0, 0), SHAPE)), 2 * k + j, rng)
+            for j, x in enumerate((levels, 1 - levels))
+        ]
+        track = tracker.follow(track, FramePair(frames[0], frames[1])).track
+        worst = max(worst, abs(track.state.pose.x - pose.x))
+    assert worst < 0.25 * pose.pitch
