@@ -221,10 +221,12 @@ def busy_blocks(
     for pose in taken:
         _blank(free, pose, side, frame.origin)
     least = PART_LIT * min_contrast * frame.full_scale
-    if not ((means > least) & free).any():  # mostly: then no median is needed
+    left = means[free] if taken else means.ravel()
+    most = float(left.max(initial=0.0))
+    # mostly nothing is busy, and then no median is needed: half of the blocks have more than most / BUSY
+    if most <= least or np.count_nonzero(left < most / BUSY) <= left.size // 2:
         return np.zeros(means.shape, bool)
     # a large array lights all of the frame through the windscreen: its own blocks say nothing of that
-    left = means[free]
     median = float(np.partition(left, left.size // 2)[left.size // 2])
     busy = (means > max(least, BUSY * median)) & free
     return np.asarray(cv2.dilate(busy.astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
