@@ -1,12 +1,15 @@
-"""What a frame costs as work grows: `python -m benchmarks.growth [size|arrays|side|distance|length ...] [--seed 0]`.
+"""What a frame costs as work grows: `python -m benchmarks.growth [size|arrays|side|distance|length|workers ...]`.
 
 One thing grows at a time, from the static link: the frame, the arrays in view, their LEDs, their distance, or the film.
 Each case is a process of its own, on one core. Prints a table in Markdown for each receiver: ms of processor time a
 frame, codewords right of those sent, and memory beyond that of the film and of a process that has received nothing.
 Below it stands the exponent: the slope of ln ms over ln of what grows. First come yardsticks of the same run.
+
+"workers" is another table: seconds that a sweep takes with one and two of them, starting them included.
 """
 
 import argparse
+import math
 import multiprocessing
 import resource
 import statistics
@@ -24,10 +27,14 @@ from heliograph.link.simulate import simulate
 from heliograph.measure.bench import block_settings, random_messages
 from heliograph.receive import Packet
 from heliograph.sweeps.executors import limit_threads
+from heliograph.sweeps.sweep import sweep
 
 RUNS = 3
 PACKETS = 6
 """Packets of a film: an array is acquired in the first, and its LEDs are learnt in the first two."""
+
+SWEPT_M, SWEPT_WORDS = (40.0, 55.0, 70.0, 85.0), 12
+"""Distances in m and codewords of each in the sweep that workers share."""
 
 APART_M = 0.6
 """Distance of neighbouring arrays, nearly two of their sides."""
@@ -133,6 +140,27 @@ def measure(case: Case, receiver: str, seed: int) -> tuple[float, int, int, floa
     return 1e3 * statistics.median(times) / len(film), sum(words), sent, grown / 1e3
 
 
+def workers(seed: int) -> None:
+    """Print how long a sweep takes with one worker and with two.
+
+    Parameters
+    ----------
+    seed
+        Of the sweep.
+    """
+    print("\n| workers | sweep, s | of one |\n|---|---|---|")
+    first = math.nan
+    for count in (1, 2):
+        times = []
+        for _ in range(RUNS):
+            start = time.perf_counter()
+            sweep({"channel.distance_m": SWEPT_M}, workers=count, seed=seed, max_codewords=SWEPT_WORDS, min_errors=1000)
+            times.append(time.perf_counter() - start)
+        seconds = statistics.median(times)
+        first = seconds if count == 1 else first
+        print(f"| {count} | {seconds:.1f} | {seconds / first:.2f} |", flush=True)
+
+
 def yardsticks() -> dict[str, float]:
     """Median times in ms of reading a frame once and of solving for its symbols once."""
     rng = np.random.default_rng(0)
@@ -157,13 +185,14 @@ def yardsticks() -> dict[str, float]:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("axes", nargs="*", choices=[[], *AXES], default=[])
+    parser.add_argument("axes", nargs="*", choices=[[], *AXES, "workers"], default=[])
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     limit_threads()
     cv2.setNumThreads(1)
     print("; ".join(f"{name}: {ms:.3f} ms" for name, ms in yardsticks().items()), flush=True)
-    for axis in given.axes or AXES:
+    asked = given.axes or [*AXES, "workers"]
+    for axis in (one for one in asked if one in AXES):
         title, cases = AXES[axis]
         for receiver in ("plain", "soft"):
             print(f'\n| {title} | "{receiver}", ms a frame | frames/s | codewords right | memory, MB |')
@@ -177,6 +206,8 @@ def main() -> None:
                 print(f"| {case.name} | {ms:.2f} | {1e3 / ms:.0f} | {right}/{sent} | {memory:.0f} |", flush=True)
             x, y = np.log(np.array([point for point in points if point[0] > 0])).T
             print(f"\nexponent {np.polyfit(x, y, 1)[0]:.2f}", flush=True)
+    if "workers" in asked:
+        workers(given.seed)
 
 
 if __name__ == "__main__":
