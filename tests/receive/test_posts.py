@@ -49,3 +49,17 @@ def test_a_packet_that_is_hidden_more_and_more_is_read_by_what_is_left() -> None
     # LEDs beside the post are hidden in part, and are noticed late: wrong symbols were certain
     _, packets = read(7, 0.31, seed=3)
     assert [packet.status for packet in packets] == ["ok", "ok", "ok"]
+
+
+@pytest.mark.slow
+def test_what_a_post_hides_in_a_header_is_not_dead() -> None:
+    # the post is as bright as the array; LEDs learnt as dead stayed so for the packet, and led the pose a LED astray
+    _, packets = read(96, 0.41, seed=41)
+    assert [packet.status for packet in packets] == ["ok", "ok", "ok", "ok"]
+
+
+@pytest.mark.slow
+def test_a_post_brighter_than_the_array_does_not_pull_its_pose() -> None:
+    # by 1.2 px before it hid an LED, then by 20
+    _, packets = read(6, 0.41, seed=23)
+    assert [packet.status for packet in packets] == ["ok", "ok", "ok", "ok"]

@@ -30,6 +30,7 @@ from heliograph.receive.track.decision_directed import DecisionDirectedTracker
 from heliograph.receive.track.hidden_leds import beside_what_hides
 from heliograph.receive.track.kept_pairs import KeptPairs
 from heliograph.receive.track.pose_refinement import ObservedPacket
+from heliograph.receive.track.sight import dark_zone
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.formats import AGREED, Format, check_mode, known_format
@@ -262,17 +263,21 @@ class SoftReader:
                 # light smears within an exposure: LEDs would seem dim, the pose be found without them, and more seem so
                 break
             learnt = self._learn_gains(cutout, weights, track, led_gains)
-            led_gains = learnt.led_gains
-            track = replace(track, data_gain=learnt.gain, led_gains=led_gains.values)
+            # of LEDs that packets showed, what lies together is hidden, not dead: data will show when it is seen again
+            gone = (learnt.led_gains.sight == 0) & (led_gains.sight > 0) & self._proven
+            hidden = dark_zone(gone, track.state.pose)
+            led_gains = learnt.led_gains.rather(np.where(hidden, led_gains.sight, learnt.led_gains.sight))
+            change = np.where(hidden, 0.0, track.change)
+            track = replace(track, data_gain=learnt.gain, led_gains=led_gains.values, change=change)
             if not learnt.changed:
                 break
-            before_it = replace(track, state=before.state, change=before.change)
+            before_it = replace(track, state=before.state, change=np.where(hidden, 0.0, before.change))
             track = self._parts.tracker.follow(before_it, pair, weights).track
         return track, led_gains
 
     @one_thread()
     def _learn_gains(self, cutout: Cutout, header: Floats, track: Track, led_gains: LedGains) -> LearntGains:
-        return led_gains.learn(cutout, header, track.data_gain, track.in_sight)
+        return led_gains.learn(cutout, header, track.data_gain, track.unhidden)
 
     @one_thread()
     def _begin_decisions(self, late_s: float, track: Track) -> DecisionDirectedTracker:

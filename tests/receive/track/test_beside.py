@@ -11,7 +11,7 @@ from heliograph.receive.track.beside import clear_leds
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.kernels import COVERED_RATE, USUAL_RATE
 from heliograph.receive.track.track import Track
-from heliograph.receive.track.tracker import Tracker
+from heliograph.receive.track.tracker import USUAL_PAIRS, Tracker
 
 Floats = NDArray[np.float64]
 
@@ -113,6 +113,15 @@ def test_hidden_leds_come_back_as_they_were() -> None:
     assert clear.all()
 
 
+def test_of_an_array_just_found_it_is_not_known_what_is_usual() -> None:
+    """It may have been found behind a post: what comes to light is not taken for covered."""
+    pose = pose_at(50.0)
+    _, usual = clear_leds(2 * 255 * scene(pose, -0.5), pose, (0, 0), None, np.inf, ALL_ON)
+    clear, after = clear_leds(2 * 255 * scene(pose), pose, (0, 0), usual, np.inf, ALL_ON)
+    assert clear.all()
+    assert after[0, 0] - usual[0, 0] == pytest.approx(-USUAL_RATE * 2 * 255 * 0.9, rel=0.05)
+
+
 @pytest.mark.parametrize("level", [0.02, 0.6, 0.95])
 @pytest.mark.parametrize("distance_m", [41.0, 60.0])
 def test_a_post_does_not_pull_the_pose(distance_m: float, level: float) -> None:
@@ -120,7 +129,7 @@ def test_a_post_does_not_pull_the_pose(distance_m: float, level: float) -> None:
     pose, rng, model = pose_at(distance_m), np.random.default_rng(8), MotionModel(1e-3, 0.1)
     tracker = Tracker(SIDE, model)
     state = PoseState.start(0.0, pose.full_vector()[:5], np.diag([0.05, 0.05, 1e-3, 1e-3, 0.05]) ** 2, model)
-    track, worst = Track(state, GAIN, GAIN, ALL_ON, 0.0, ALL_ON), 0.0
+    track, worst = Track(state, GAIN, GAIN, ALL_ON, 0.0, ALL_ON, pairs=USUAL_PAIRS), 0.0
     for k in range(150):
         reach = -5 + 0.1 * k
         levels = rng.choice([0.0, 0.25, 0.5, 0.75, 1.0], (SIDE, SIDE), p=np.array([1, 4, 6, 4, 1]) / 16)

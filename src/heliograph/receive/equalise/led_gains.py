@@ -122,6 +122,16 @@ class LedGains:
         """Whether any LED seems hidden or failed."""
         return bool((self.sight < 1).any() or (self.brightness.values < FAILED).any())
 
+    def rather(self, sight: Floats) -> "LedGains":
+        """The same with other LEDs in sight.
+
+        Parameters
+        ----------
+        sight
+            (n, n) how much of each LED is in sight, 0 to 1.
+        """
+        return LedGains(sight, self.brightness, self.seen)
+
     def faded(self) -> "LedGains":
         """Trust earlier headers and packets less, as a packet has gone by."""
         seen = None if self.seen is None else self.seen.scaled(FADE)

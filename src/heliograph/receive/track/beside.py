@@ -39,7 +39,7 @@ def clear_leds(
     usual
         (2, n + 2) what the lines usually showed before the pair; None before the first.
     gain
-        Gray levels of a sum with all LEDs on.
+        Gray levels of a sum with all LEDs on; infinite as long as it is not known what is usual: nothing is covered.
     in_sight
         (n, n) 1 for LEDs that changed from patterns to inverses, 0 for those that something hides.
 

@@ -31,9 +31,13 @@ class Track:
         (n, n) of `recent_change`: how much each LED changed from pattern to inverse in recent pairs.
     score
         Correlation of recent sums with the array's image; 1 before the first.
+    pairs
+        Pairs that were followed so far.
     lines
         (2, n + 2) gray levels that sums usually show along columns and rows and beside them, by `clear_leds`; None
         before the first.
+    clear
+        (n, n) 1 for LEDs before which nothing has come from a side, else 0, by `clear_leds`; None if all are.
     """
 
     state: PoseState
@@ -43,12 +47,19 @@ class Track:
     last_seen_s: float
     change: Floats
     score: float = 1.0
+    pairs: int = 0
     lines: Floats | None = None
+    clear: Floats | None = None
 
     @property
     def in_sight(self) -> Floats:
         """1 for LEDs in sight, 0 for those that something hides, (n, n)."""
         return (self.change >= LEAST_CHANGE_IN_SIGHT).astype(np.float64)
+
+    @property
+    def unhidden(self) -> Floats:
+        """1 for LEDs in sight that nothing covers, as far as is known, (n, n)."""
+        return self.in_sight if self.clear is None else self.in_sight * self.clear
 
     @property
     def shining(self) -> Floats:

@@ -27,6 +27,7 @@ from heliograph.receive.track.kalman import (
 from heliograph.receive.track.sight import (
     LEAST_DATA_POWER,
     around_leds,
+    dark_zone,
     open_pixels,
     recent_change,
 )
@@ -77,11 +78,10 @@ MOST_SMEAR_PX = 2.0
 LEAST_IN_SIGHT = 0.25
 """Least fraction of the LEDs in sight by which a pose is found: with less an array's place has no hold."""
 
-LEAST_DARK_ZONE = 0.4
-"""Least fraction of the LEDs about one that are dark in a header for it to lie in a zone that something hid then.
+USUAL_PAIRS = 50
+"""Pairs after which it is known what an array and its surroundings usually show in sums: a packet.
 
-Of 16 LEDs in a row two columns at the rim have 3/5 or more, one column 2/5. Of LEDs that are dead here and there, 15 %
-in all, one in 500 has as many dead ones about it.
+Of arrays found while a post was leaving them, what it had covered was taken for covered when it came to light.
 """
 
 GAIN_RATE = 0.1
@@ -162,9 +162,11 @@ class Tracker:
         noise = self._noise(differs, pose, corner)
         before, track = track, self._watch(track, differs, noise, pose, corner)
         total = up + down
-        light = max(track.gain, track.data_gain)
+        # an array just found may be covered in part: what is usual shows later
+        light = max(track.gain, track.data_gain) if track.pairs >= USUAL_PAIRS else np.inf
         clear, lines = clear_leds(total, pose, corner, track.lines, light, track.in_sight)
-        track, open_leds = replace(track, lines=lines), track.in_sight * clear
+        track = replace(track, pairs=track.pairs + 1, lines=lines, clear=None if clear.all() else clear)
+        open_leds = track.unhidden
         hides = not open_leds.all()
         unhidden = self._unhidden(track, open_leds, pose, corner, up.shape)
         if open_leds.mean() < LEAST_IN_SIGHT or (unhidden is not None and not unhidden.any()):
@@ -317,8 +319,7 @@ class Tracker:
     ) -> Floats | None:
         """Pixels (rows, columns) that count in a sum, 1 or 0; None where all do."""
         # what a header found hidden may be in sight by now, what it found dead is not: that is no zone of its own
-        dark = (track.led_gains == 0).astype(np.float64)
-        zone = (dark > 0) & (around_leds(dark, pose) >= LEAST_DARK_ZONE)
+        zone = dark_zone(track.led_gains == 0, pose)
         sure = np.where(zone, 0.0, open_leds) if zone.any() else open_leds
         if sure.mean() < LEAST_IN_SIGHT:
             sure = open_leds
