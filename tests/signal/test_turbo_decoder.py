@@ -73,12 +73,13 @@ def test_iterations_reach_the_optimum_of_a_toy_code() -> None:
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 @pytest.mark.parametrize("order", [TOY_ORDER, interleaver(40), interleaver(528)], ids=["8", "40", "528"])
 @pytest.mark.parametrize("stop", ["none", "agreement"])
+@pytest.mark.parametrize("blocks", [3, 35])
 @pytest.mark.slow
-def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64], stop: Stop) -> None:
-    """35 blocks, so that one tile is full and one is padded; a-priori and coded-bit LLRs too."""
+def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64], stop: Stop, blocks: int) -> None:
+    """3 blocks one by one, or 35, so that one tile is full and one is padded; a-priori and coded-bit LLRs too."""
     rng = np.random.default_rng(5)
     k = len(order)
-    bits = rng.integers(0, 2, (35, k), dtype=np.uint8)
+    bits = rng.integers(0, 2, (blocks, k), dtype=np.uint8)
     mother = encode_mother(bits, order)
     llr = (2.0 * (1 - 2.0 * mother) + 2 * rng.normal(size=mother.shape)).astype(np.float32)
     a_priori = (0.5 * (1 - 2.0 * bits) + rng.normal(size=bits.shape)).astype(np.float32)
@@ -93,6 +94,23 @@ def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64],
     assert np.allclose(fast.coded_llr, slow.mother_llr, rtol=1e-3, atol=atol)
     assert np.array_equal(fast.iterations, slow.iterations)
     assert np.array_equal(fast.stopped, slow.stopped)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("k", [40, 1056])
+@pytest.mark.parametrize("stop", ["none", "agreement"])
+def test_few_blocks_are_decoded_as_many(algorithm: Algorithm, k: int, stop: Stop) -> None:
+    """The kernel of few blocks finds the very values of the one of many, a-priori and coded-bit LLRs included."""
+    code = TurboCode(k=k, coded_bits=3 * k)
+    bits, llr = noisy(code, 20, 0.7, 17)
+    a_priori = np.random.default_rng(18).normal(size=bits.shape)
+    many = code.decode(llr, algorithm=algorithm, stop=stop, a_priori=a_priori, coded_output=True)
+    for size in (1, 4):
+        for start in range(0, 20, size):
+            part = slice(start, start + size)
+            few = code.decode(llr[part], algorithm=algorithm, stop=stop, a_priori=a_priori[part], coded_output=True)
+            for name, expected in vars(many).items():
+                assert np.array_equal(getattr(few, name), expected[part]), name
 
 
 @pytest.mark.real_data

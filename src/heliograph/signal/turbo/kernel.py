@@ -1,19 +1,21 @@
-"""The decoder written for speed: Numba, 16 blocks side by side in the innermost, contiguous axis.
+"""The decoder of many blocks: Numba, 16 of them side by side in the innermost, contiguous axis.
 
-Arrays are tiles, float32 of shape (tiles, rows, 16). The loops over the 16 lanes hold the whole unrolled
-trellis. Each loop slices its rows itself (else their reference counts cost more than the arithmetic), indexes
-them with the lane plus a constant (else LLVM sees gathers), and writes to few arrays (else LLVM gives up
-proving that they do not overlap). `reference` holds the same steps, written for reading.
+Arrays are tiles, float32 of shape (tiles, rows, 16). The loops over the 16 lanes hold a whole step of the trellis.
+Each loop slices its rows itself (else their reference counts cost more than the arithmetic), indexes them with the
+lane plus a constant (else LLVM sees gathers), and writes to few arrays (else LLVM gives up proving that they do not
+overlap). `single` decodes few blocks and finds the same values; `reference` holds the steps written for reading.
 
-In these loops ``exact`` is None for max-log and True for log-MAP; Numba compiles one version for each and
-drops the branch not taken.
+``exact`` is None for max-log and True for log-MAP, as in `steps`.
 """
 
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.compiled import compiled
+from heliograph.signal.turbo import steps
+from heliograph.signal.turbo.steps import FAST_MATH, IMPOSSIBLE, NORMALISE_EVERY
 from heliograph.signal.turbo.tiles import LANES as L
 from heliograph.signal.turbo.trellis import STATES, TAIL, TAIL_BITS
 
@@ -26,119 +28,62 @@ _LU = STATES * L
 _EXTRINSIC = 0
 """Place of the extrinsic LLR in a row, where it overwrites the first metric once that is used."""
 
-_NORMALISE_EVERY = 8
-"""Steps of the trellis between two subtractions of the largest metric, which keep the metrics small in float32. Chosen:
-the largest error of an LLR of max-log against `reference` (64 blocks of K = 1024 at 1 dB, 8 iterations) is 5e-5; at 4
-steps 3e-5, at 16 steps 1e-4, without any 5e-3. Their speeds differ by less than the noise of measuring them."""
-
-_IMPOSSIBLE = np.float32(-1e30)
-"""Metric of an impossible state: below any sum of LLRs, and finite, so that no difference is NaN."""
-
 _TAIL_IS_ZERO = np.ascontiguousarray(1 - TAIL, dtype=np.float32)
 """(8, 6) 1 where a tail bit of a final state is 0."""
 
-# "contract" alone: additions keep their order, so a block's result does not depend on its lane
-_compile = compiled(error_model="numpy", fastmath={"contract", "nsz"})
-
-# ln(1 + exp(-x)) = q(x)^4 on 0 <= x <= 8 within 2.7e-3, q = _Q0 + _Q1 x + _Q2 x^2 fitted by minimax; the fourth root
-# keeps the polynomial short, as it falls only to exp(-2) at x = 8. At 5e-5, with a polynomial of the fifth degree, as
-# many blocks are wrong, and log-MAP takes 1.8 times as long as max-log, now 1.4 times
-_LARGEST_X = np.float32(8.0)
-"""End of the fit of q. Beyond, the correction keeps its value there, 2e-5."""
-
-_Q0, _Q1, _Q2 = np.float32(0.91332227), np.float32(-0.17360270), np.float32(0.0084177786)
-"""Coefficients of q."""
+_compile = compiled(error_model="numpy", fastmath=set(FAST_MATH))
+_inlined = compiled(error_model="numpy", fastmath=set(FAST_MATH), forceinline=True)
 
 
-def work_size(k: int) -> int:
-    """Return the number of float32 values of working memory that a tile needs.
+def working_memory(k: int) -> NDArray[np.float32]:
+    """Return the working memory that a tile needs.
 
     Parameters
     ----------
     k : int
         Information bits of each block, K.
     """
-    return (k + 1) * _ROW
+    return np.empty((k + 1) * _ROW, dtype=np.float32)
 
 
-@_compile
-def _add(a: Any, b: Any, exact: Any) -> Any:
-    """Return ln(exp a + exp b), or for max-log the larger."""
-    larger = a if a > b else b
-    if exact is None:
-        return larger
-    # max*(a, b) = max(a, b) + ln(1 + exp(-|a - b|))
-    x = abs(a - b)
-    x = x if x < _LARGEST_X else _LARGEST_X
-    q = (_Q2 * x + _Q1) * x + _Q0
-    q = q * q
-    return larger + q * q
+@_inlined
+def _metrics(m: Any, i: int) -> Any:
+    """Read the eight metrics of a lane."""
+    return m[i], m[i + L], m[i + 2 * L], m[i + 3 * L], m[i + 4 * L], m[i + 5 * L], m[i + 6 * L], m[i + 7 * L]
 
 
-@_compile
-def _add4(a: Any, b: Any, c: Any, d: Any, exact: Any) -> Any:
-    return _add(_add(a, b, exact), _add(c, d, exact), exact)
+@_inlined
+def _write(m: Any, i: int, metrics: Any) -> None:
+    """Write the eight metrics of a lane."""
+    m[i], m[i + L], m[i + 2 * L], m[i + 3 * L], m[i + 4 * L], m[i + 5 * L], m[i + 6 * L], m[i + 7 * L] = metrics
 
 
 @_compile
 def _normalise(work: Any, first: int) -> None:
-    """Subtract the largest of eight metrics, as only differences matter."""
     m = work[first : first + STATES * L]
     for i in range(L):
-        top = m[i]
-        for s in range(1, STATES):
-            value = m[i + s * L]
-            top = value if value > top else top
-        for s in range(STATES):
-            m[i + s * L] -= top
+        _write(m, i, steps.normalised(_metrics(m, i)))
 
 
 @_compile
 def _forward_step(mother: Any, passed: Any, work: Any, k: int, to: int, row: int, exact: Any) -> None:
-    # alpha'(s') = ln sum over s -> s' of exp(alpha(s) + gamma); gamma = (1 - u) L_u + (1 - z) L_z
     info, extrinsic, parity = mother[3 * to], passed[to], mother[row]
     w = work[k * _ROW : (k + 2) * _ROW]
     for i in range(L):
-        lu, lp = info[i] + extrinsic[i], parity[i]
-        both = lu + lp
-        a0, a1, a2, a3 = w[i], w[i + L], w[i + 2 * L], w[i + 3 * L]
-        a4, a5, a6, a7 = w[i + 4 * L], w[i + 5 * L], w[i + 6 * L], w[i + 7 * L]
+        lu = info[i] + extrinsic[i]
         w[i + _LU] = lu
-        w[i + _ROW] = _add(a0 + both, a1, exact)
-        w[i + _ROW + L] = _add(a2 + lp, a3 + lu, exact)
-        w[i + _ROW + 2 * L] = _add(a4 + lu, a5 + lp, exact)
-        w[i + _ROW + 3 * L] = _add(a6, a7 + both, exact)
-        w[i + _ROW + 4 * L] = _add(a0, a1 + both, exact)
-        w[i + _ROW + 5 * L] = _add(a2 + lu, a3 + lp, exact)
-        w[i + _ROW + 6 * L] = _add(a4 + lp, a5 + lu, exact)
-        w[i + _ROW + 7 * L] = _add(a6 + both, a7, exact)
+        _write(w, i + _ROW, steps.forward(_metrics(w, i), lu, parity[i], exact))
 
 
 @_compile
 def _backward_step(mother: Any, work: Any, beta: Any, k: int, row: int, exact: Any) -> None:
-    # beta(s) = ln sum over s -> s' of exp(gamma + beta'(s')), in place
     w, b, parity = work[k * _ROW : (k + 1) * _ROW], beta[: STATES * L], mother[row]
     for i in range(L):
         lu, lp = w[i + _LU], parity[i]
-        both = lu + lp
-        a0, a1, a2, a3 = w[i], w[i + L], w[i + 2 * L], w[i + 3 * L]
-        a4, a5, a6, a7 = w[i + 4 * L], w[i + 5 * L], w[i + 6 * L], w[i + 7 * L]
-        b0, b1, b2, b3 = b[i], b[i + L], b[i + 2 * L], b[i + 3 * L]
-        b4, b5, b6, b7 = b[i + 4 * L], b[i + 5 * L], b[i + 6 * L], b[i + 7 * L]
-        u0z0 = _add4(a0 + b0, a1 + b4, a6 + b7, a7 + b3, exact)
-        u0z1 = _add4(a2 + b5, a3 + b1, a4 + b2, a5 + b6, exact)
-        u1z0 = _add4(a2 + b1, a3 + b5, a4 + b6, a5 + b2, exact)
-        u1z1 = _add4(a0 + b4, a1 + b0, a6 + b3, a7 + b7, exact)
-        # L_e(u) = ln sum over u = 0 less the same over u = 1; it takes the place of alpha's first metric, used up
-        w[i + _EXTRINSIC] = _add(u0z0 + lp, u0z1, exact) - _add(u1z0 + lp, u1z1, exact)
-        b[i] = _add(b0 + both, b4, exact)
-        b[i + L] = _add(b0, b4 + both, exact)
-        b[i + 2 * L] = _add(b1 + lp, b5 + lu, exact)
-        b[i + 3 * L] = _add(b1 + lu, b5 + lp, exact)
-        b[i + 4 * L] = _add(b2 + lu, b6 + lp, exact)
-        b[i + 5 * L] = _add(b2 + lp, b6 + lu, exact)
-        b[i + 6 * L] = _add(b3, b7 + both, exact)
-        b[i + 7 * L] = _add(b3 + both, b7, exact)
+        after = _metrics(b, i)
+        # it takes the place of alpha's first metric, used up
+        w[i + _EXTRINSIC] = steps.extrinsic(_metrics(w, i), after, lp, exact)
+        _write(b, i, steps.backward(after, lu, lp, exact))
 
 
 @_compile
@@ -152,29 +97,19 @@ def _deliver(work: Any, passed: Any, app: Any, k: int, to: int, scale: Any) -> N
 
 @_compile
 def _parity_step(mother: Any, work: Any, beta: Any, posterior: Any, k: int, row: int, exact: Any) -> None:
-    # L(z) = L_z + ln sum over z = 0 less the same over z = 1
     w, b, parity, out = work[k * _ROW : (k + 1) * _ROW], beta[: STATES * L], mother[row], posterior[row]
     for i in range(L):
-        lu = w[i + _LU]
-        a0, a1, a2, a3 = w[i], w[i + L], w[i + 2 * L], w[i + 3 * L]
-        a4, a5, a6, a7 = w[i + 4 * L], w[i + 5 * L], w[i + 6 * L], w[i + 7 * L]
-        b0, b1, b2, b3 = b[i], b[i + L], b[i + 2 * L], b[i + 3 * L]
-        b4, b5, b6, b7 = b[i + 4 * L], b[i + 5 * L], b[i + 6 * L], b[i + 7 * L]
-        u0z0 = _add4(a0 + b0, a1 + b4, a6 + b7, a7 + b3, exact)
-        u0z1 = _add4(a2 + b5, a3 + b1, a4 + b2, a5 + b6, exact)
-        u1z0 = _add4(a2 + b1, a3 + b5, a4 + b6, a5 + b2, exact)
-        u1z1 = _add4(a0 + b4, a1 + b0, a6 + b3, a7 + b7, exact)
-        out[i] = parity[i] + _add(u0z0 + lu, u1z0, exact) - _add(u0z1 + lu, u1z1, exact)
+        out[i] = steps.parity_posterior(_metrics(w, i), _metrics(b, i), w[i + _LU], parity[i], exact)
 
 
 @_compile
 def _forward(mother: Any, passed: Any, work: Any, order: Any, code: int, exact: Any) -> None:
     """Compute all forward metrics, and the LLRs of the information bits in the order of this trellis."""
-    work[: STATES * L] = _IMPOSSIBLE
+    work[: STATES * L] = IMPOSSIBLE
     work[:L] = np.float32(0.0)
     for k in range(order.size):
         _forward_step(mother, passed, work, k, order[k], 3 * k + code + 1, exact)
-        if k % _NORMALISE_EVERY == 0:
+        if k % NORMALISE_EVERY == 0:
             _normalise(work, (k + 1) * _ROW)
 
 
@@ -198,7 +133,7 @@ def _siso(
     for k in range(order.size - 1, -1, -1):
         _backward_step(mother, work, beta, k, 3 * k + code + 1, exact)
         _deliver(work, passed, app, k, order[k], scale)
-        if k % _NORMALISE_EVERY == 0:
+        if k % NORMALISE_EVERY == 0:
             _normalise(beta, 0)
 
 
@@ -214,8 +149,8 @@ def iterate(
         Input LLRs, a-priori LLRs already added to the systematic ones.
     passed : float32 (tiles, K, 16)
         Scaled extrinsic LLRs of the second decoder, natural order; changed.
-    work : float32 (work_size(K),)
-        Working memory, kept by the caller from call to call, since fresh pages cost as much as an iteration.
+    work : float32 (9 * 16 (K + 1),)
+        `working_memory` of K, kept by the caller from call to call, since fresh pages cost as much as an iteration.
     app_1, app_2 : float32 (tiles, K, 16)
         Written: a-posteriori LLRs after each half iteration, natural order. May be one array.
     order : int64 (K,)
@@ -239,13 +174,13 @@ def iterate(
 def _tail_posterior(alpha: Any, beta: Any, first_tail: int, out: Any, exact: Any) -> None:
     for j in range(TAIL_BITS):
         for i in range(L):
-            zero, one = _IMPOSSIBLE, _IMPOSSIBLE
+            zero, one = IMPOSSIBLE, IMPOSSIBLE
             for s in range(STATES):
                 metric = alpha[s * L + i] + beta[s * L + i]
                 if _TAIL_IS_ZERO[s, j] > 0:
-                    zero = _add(zero, metric, exact)
+                    zero = steps.add(zero, metric, exact)
                 else:
-                    one = _add(one, metric, exact)
+                    one = steps.add(one, metric, exact)
             out[first_tail + j, i] = zero - one
 
 
@@ -289,5 +224,5 @@ def mother_posterior(mother: Any, passed: Any, app: Any, order: Any, scale: Any,
                 _parity_step(mother[t], work, beta, out[t], k, row, exact)
                 _backward_step(mother[t], work, beta, k, row, exact)
                 _deliver(work, passed[t], unused, k, walk[k], scale)
-                if k % _NORMALISE_EVERY == 0:
+                if k % NORMALISE_EVERY == 0:
                     _normalise(beta, 0)

@@ -1,7 +1,7 @@
-"""Move blocks into and out of the kernel's tiles: float32 of shape (tiles, rows, 16), one block a lane.
+"""Move blocks into and out of the kernels' tiles: float32 of shape (tiles, rows, L), one block a lane.
 
-Written for Numba like `kernel`, and imported with it at the first decoding. ``B`` is the number of blocks, ``lanes``
-a number tile * 16 + lane for each block in question.
+L is 16 for `kernel` and 1 for `single`. Written for Numba like these, and imported with them at the first decoding.
+``B`` is the number of blocks, ``lanes`` a number tile * L + lane for each block in question.
 """
 
 from typing import Any
@@ -24,7 +24,7 @@ decoding was the same within its noise."""
 _compile = compiled(error_model="numpy")
 
 
-def zeros(blocks: int, rows: int) -> NDArray[np.float32]:
+def zeros(blocks: int, rows: int, width: int) -> NDArray[np.float32]:
     """Return zeroed tiles.
 
     Parameters
@@ -33,12 +33,14 @@ def zeros(blocks: int, rows: int) -> NDArray[np.float32]:
         Number of blocks, B.
     rows
         Values of each block: K for information bits, 3 K + 12 for a mother codeword.
+    width
+        Lanes of a tile, L.
 
     Returns
     -------
-    (ceil(B / 16), rows, 16) float32.
+    (ceil(B / L), rows, L) float32.
     """
-    return np.zeros((-(-blocks // LANES), rows, LANES), dtype=np.float32)
+    return np.zeros((-(-blocks // width), rows, width), dtype=np.float32)
 
 
 @_compile
@@ -48,18 +50,19 @@ def agree(app_1: Any, app_2: Any, out: Any) -> None:
     Parameters
     ----------
     app_1, app_2
-        (tiles, K, 16) float32 a-posteriori LLRs after each half iteration, in the same order.
+        (tiles, K, L) float32 a-posteriori LLRs after each half iteration, in the same order.
     out
-        (tiles, 16) bool, written: True for the lanes of these blocks.
+        (tiles, L) bool, written: True for the lanes of these blocks.
     """
-    differ = np.empty(LANES, dtype=np.int32)
+    width = app_1.shape[2]
+    differ = np.empty(width, dtype=np.int32)
     for t in range(app_1.shape[0]):
         differ[:] = 0
         for k in range(app_1.shape[1]):
             x, y = app_1[t, k], app_2[t, k]
-            for i in range(LANES):
+            for i in range(width):
                 differ[i] |= (x[i] < 0) != (y[i] < 0)
-        for i in range(LANES):
+        for i in range(width):
             out[t, i] = differ[i] == 0
 
 
@@ -76,10 +79,11 @@ def pack(llr: Any, positions: Any, mother: Any) -> None:
     positions
         (E,) int64 position of each LLR in the mother codeword: the row of its tile.
     mother
-        (tiles, rows, 16) float32 LLRs of mother codewords, changed.
+        (tiles, rows, L) float32 LLRs of mother codewords, changed.
     """
+    width = mother.shape[2]
     for t in range(mother.shape[0]):
-        blocks = llr[t * LANES : (t + 1) * LANES]
+        blocks = llr[t * width : (t + 1) * width]
         for e in range(positions.size):
             row = mother[t, positions[e]]
             for lane in range(blocks.shape[0]):
@@ -95,7 +99,7 @@ def unpack(tiles: Any, lanes: Any, positions: Any, out: Any) -> None:
     Parameters
     ----------
     tiles
-        (tiles, rows, 16) float32 values of blocks, such as LLRs.
+        (tiles, rows, L) float32 values of blocks, such as LLRs.
     lanes
         (n,) int64 lanes to read.
     positions
@@ -103,8 +107,9 @@ def unpack(tiles: Any, lanes: Any, positions: Any, out: Any) -> None:
     out
         (n, E) float32, written: the values of each lane.
     """
+    width = tiles.shape[2]
     for n in range(lanes.size):
-        t, lane = lanes[n] // LANES, lanes[n] % LANES
+        t, lane = lanes[n] // width, lanes[n] % width
         for e in range(positions.size):
             out[n, e] = tiles[t, positions[e], lane]
 
@@ -116,9 +121,9 @@ def collect(app: Any, mother: Any, lanes: Any, blocks: Any, llr: Any, extrinsic:
     Parameters
     ----------
     app
-        (tiles, K, 16) float32 a-posteriori LLRs of the information bits.
+        (tiles, K, L) float32 a-posteriori LLRs of the information bits.
     mother
-        (tiles, 3 K + 12, 16) float32 input LLRs.
+        (tiles, 3 K + 12, L) float32 input LLRs.
     lanes
         (n,) int64 lanes to read.
     blocks
@@ -130,10 +135,11 @@ def collect(app: Any, mother: Any, lanes: Any, blocks: Any, llr: Any, extrinsic:
     bits
         (B, K) uint8, written: decisions, 1 where the LLR is below 0.
     """
+    width = app.shape[2]
     for start in range(0, app.shape[1], _RUN):
         end = min(start + _RUN, app.shape[1])
         for n in range(lanes.size):
-            t, lane, b = lanes[n] // LANES, lanes[n] % LANES, blocks[n]
+            t, lane, b = lanes[n] // width, lanes[n] % width, blocks[n]
             for k in range(start, end):
                 value = app[t, k, lane]
                 llr[b, k] = value
@@ -148,14 +154,15 @@ def move(source: Any, lanes: Any, target: Any) -> None:
     Parameters
     ----------
     source
-        (tiles, rows, 16) float32 values to copy from.
+        (tiles, rows, L) float32 values to copy from.
     lanes
         (n,) int64 lanes to copy.
     target
-        (ceil(n / 16), rows, 16) float32, written.
+        (ceil(n / L), rows, L) float32, written.
     """
+    width = source.shape[2]
     for n in range(lanes.size):
-        t, lane = lanes[n] // LANES, lanes[n] % LANES
-        to, to_lane = n // LANES, n % LANES
+        t, lane = lanes[n] // width, lanes[n] % width
+        to, to_lane = n // width, n % width
         for row in range(source.shape[1]):
             target[to, row, to_lane] = source[t, row, lane]
