@@ -31,8 +31,8 @@ class DecoderOptions:
     Attributes
     ----------
     algorithm : {"max-log", "log-map"}
-        "log-map" gives the exact a-posteriori LLRs of each constituent code, "max-log" takes the maximum in place of
-        each sum.
+        "log-map" gives the a-posteriori LLRs of each constituent code, where ln(1 + exp(-x)) is taken good to 0.032;
+        "max-log" takes the maximum in place of each sum.
     iterations : int
         Most full iterations (of both constituent decoders), at least 1.
     scale : float, optional
