@@ -1,35 +1,81 @@
 """Open and create films. The suffix chooses the kind of a new file; the content tells the kind of an existing one."""
 
 import os
-from collections.abc import Mapping
-from numbers import Real
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from heliograph.base.errors import MediaError, shown
-from heliograph.media import hdf5, video_read, video_write
+from heliograph.media import arrays, hdf5, video_read, video_write
+from heliograph.media.arrays import ArrayReader
 from heliograph.media.reader import FilmReader
+from heliograph.media.reading import Reading
 from heliograph.media.record import FilmSpec
+from heliograph.media.view import View, ViewReader
 from heliograph.media.writer import FilmWriter, Sink, ThreadedSink, partial_path, write_error
 
 FILM_SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
 """Suffixes of films that can be created."""
 
 
-def open_film(path: str | os.PathLike[str], *, expand_range: bool = False, rate_hz: float | None = None) -> FilmReader:
-    """Open a film: HDF5 as written by `create_film`, or any video FFmpeg reads, as gray frames.
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """A kind of recording, by its suffixes and by the first bytes of its files."""
 
-    Gray levels are those in the file: luma of YUV video is not rescaled, RGB is weighted to luma.
+    open: Callable[[Path, Reading], FilmReader]
+    suffixes: tuple[str, ...]
+    signatures: tuple[bytes, ...] = ()
+
+
+_KINDS = (
+    _Kind(hdf5.Hdf5Reader, hdf5.SUFFIXES, (hdf5.SIGNATURE,)),
+    _Kind(ArrayReader, arrays.SUFFIXES, (arrays.SIGNATURE,)),
+)
+"""Kinds of files that are read without FFmpeg; all others are taken for videos."""
+
+_HEAD = max(len(signature) for kind in _KINDS for signature in kind.signatures)
+"""Bytes of a file that tell its kind."""
+
+
+def open_film(
+    path: str | os.PathLike[str],
+    *,
+    expand_range: bool = False,
+    rate_hz: float | None = None,
+    crop: tuple[int, int, int, int] | None = None,
+    rotate: int = 0,
+    channel: str = "luma",
+) -> FilmReader:
+    """Open a recording as gray frames: a film of `create_film`, a video, a camera's own file, or pictures.
+
+    ======================================== ============================ =================================
+    recording                                what is named                rate and times
+    ======================================== ============================ =================================
+    HDF5 of `create_film`                    .h5, .hdf5                   the file's
+    NumPy's array (frames, rows, columns)    .npy                         ``rate_hz``
+    any video that FFmpeg reads              .mp4, .mov, .avi, .y4m ...   the file's
+    ======================================== ============================ =================================
+
+    Gray levels are those in the file: luma of YUV video is not rescaled, RGB is weighted to luma by Rec. ITU-R BT.601.
+    Videos are put upright as their display matrix says.
 
     Parameters
     ----------
     path
-        The file. Its suffix does not matter, but that .h5 and .hdf5 must be HDF5.
+        The file. Its first bytes tell its kind, and its suffix where they do not.
     expand_range
         Stretch limited-range video (black at 16, white at 235, usual for dashcams) to the full scale. Films written
         here are full range and stay as they are.
     rate_hz
         Frames per second that the camera took, above 0, where the file claims another rate, as films in slow motion
-        do. None believes the file.
+        do, or has no clock. None believes the file.
+    crop
+        (x, y, width, height) in pixels of the upright frames, of the part that is kept; x and y count from 0 at the
+        upper left. None keeps all.
+    rotate
+        0, 90, 180 or 270 degrees clockwise by which the part is then turned.
+    channel
+        "luma", "red", "green" or "blue": what is taken of a colour for a gray level.
 
     Returns
     -------
@@ -39,12 +85,15 @@ def open_film(path: str | os.PathLike[str], *, expand_range: bool = False, rate_
     Raises
     ------
     MediaError
-        The rate is not above 0; the file is missing, a folder, empty, no film, or damaged beyond reading. Damage
-        further on is reported while iterating, after the whole frames.
+        An option is none of those, or a rate is needed; the file is missing, empty, no film, or damaged beyond reading;
+        or a folder has no pictures. Damage further on is reported while iterating, after the whole frames.
     """
-    path = _checked_path(path)
-    if rate_hz is not None and not _is_rate(rate_hz):
-        raise MediaError(f"a camera takes more than 0 frames/s, not {shown(rate_hz)}; give the rate it was set to")
+    path, view = _checked_path(path), View(crop=crop, rotate=rotate)
+    film = _opened(path, Reading(rate_hz=rate_hz, expand_range=expand_range, channel=channel))
+    return film if view.is_whole else ViewReader(film, view)
+
+
+def _opened(path: Path, reading: Reading) -> FilmReader:
     if path.is_dir():
         raise MediaError(f"{path} is a folder: give a film in it")
     if not path.exists():
@@ -53,14 +102,15 @@ def open_film(path: str | os.PathLike[str], *, expand_range: bool = False, rate_
         raise MediaError(f"{path} is a pipe or a device: save the film to a file first")
     try:
         with path.open("rb") as file:
-            head = file.read(len(hdf5.SIGNATURE))
+            head = file.read(_HEAD)
     except OSError as error:
         raise MediaError(f"cannot read {path}: {error.strerror}") from error
     if not head:
         raise MediaError(f"{path} is empty: copy or record it again")
-    if head == hdf5.SIGNATURE or path.suffix.lower() in hdf5.SUFFIXES:
-        return hdf5.Hdf5Reader(path, rate_hz)
-    return video_read.VideoReader(path, expand_range, rate_hz)
+    told = (kind for kind in _KINDS if head.startswith(kind.signatures))
+    named = (kind for kind in _KINDS if path.suffix.lower() in kind.suffixes)
+    kind = next(told, None) or next(named, None)
+    return kind.open(path, reading) if kind else video_read.VideoReader(path, reading)
 
 
 def create_film(
@@ -164,11 +214,3 @@ def _sink(partial: Path, target: Path, spec: FilmSpec, codec: video_write.VideoC
     if codec is None:
         return hdf5.Hdf5Sink(partial, target, spec)  # writes faster than a queue hands over
     return ThreadedSink(video_write.VideoSink(partial, target, spec, codec))
-
-
-def _is_rate(value: object) -> bool:
-    """Whether it is a number above 0 that a float can hold."""
-    try:
-        return isinstance(value, Real) and 0 < float(value) < float("inf")
-    except OverflowError:
-        return False

@@ -12,6 +12,7 @@ import numpy as np
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import BITS, LATEST_S, Frame
 from heliograph.media.reader import FilmReader, checked_size, checked_time
+from heliograph.media.reading import Reading
 from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ, FilmSpec
 from heliograph.media.writer import write_error
 
@@ -175,8 +176,8 @@ class Hdf5Reader(FilmReader):
     ----------
     path
         HDF5 film to read.
-    rate_hz
-        Frames per second of the camera, where the file claims another.
+    reading
+        How the film is to be read; its levels are gray, so the channel has no effect.
 
     Raises
     ------
@@ -184,8 +185,8 @@ class Hdf5Reader(FilmReader):
         The file is no readable film.
     """
 
-    def __init__(self, path: Path, rate_hz: float | None = None) -> None:
-        super().__init__(path, rate_hz)
+    def __init__(self, path: Path, reading: Reading) -> None:
+        super().__init__(path, reading.rate_hz)
         with _opened(path) as file, _damage_is_clear(path, 0):
             frames = file["frames"]
             self.frame_count, self.height, self.width = frames.shape
@@ -194,7 +195,7 @@ class Hdf5Reader(FilmReader):
             self.bits = int(_number(path, file.attrs, "bits", *BITS[frames.dtype]) or 8 * frames.dtype.itemsize)
             self.metadata = _read_metadata(file.attrs)
             claimed_hz = _number(path, file.attrs, "rate_hz", SLOWEST_HZ, FASTEST_HZ)
-            if claimed_hz and rate_hz is None:
+            if claimed_hz and reading.rate_hz is None:
                 _check_unit(path, file["times_s"], claimed_hz)
             self.claimed_hz = claimed_hz or _median_rate(file["times_s"])
 

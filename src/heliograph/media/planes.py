@@ -28,6 +28,9 @@ _LUMA_FIRST = re.compile(r"(gray|yuva?4[0-4][0-4]p|yuvj4[0-4][0-4]p|nv(12|21|16|
 _GRAY = {8: "gray", 9: "gray9le", 10: "gray10le", 12: "gray12le", 14: "gray14le", 16: "gray16le"}
 """FFmpeg's gray pixel formats by bits."""
 
+_GBR = {"green": 0, "blue": 1, "red": 2}
+"""Planes of FFmpeg's planar RGB."""
+
 
 def gray_format(bits: int) -> str:
     """Return FFmpeg's name of the smallest gray pixel format that holds gray levels.
@@ -61,10 +64,11 @@ def to_video(pixels: Pixels, pixel_format: str) -> "av.VideoFrame":
     return picture
 
 
-def to_gray(picture: "av.VideoFrame", expand_range: bool) -> tuple[Pixels, int]:
+def to_gray(picture: "av.VideoFrame", expand_range: bool, channel: str = "luma") -> tuple[Pixels, int]:
     """Return a copy of the gray levels and their bits.
 
-    Luma is read as it is stored; only RGB and packed formats are converted.
+    Luma is read as it is stored; only RGB and packed formats are converted, by Rec. ITU-R BT.601. Red, green and blue
+    of YUV follow from the matrix that the file states, Rec. 601 or 709, else from Rec. 601; they have the full range.
 
     Parameters
     ----------
@@ -73,6 +77,8 @@ def to_gray(picture: "av.VideoFrame", expand_range: bool) -> tuple[Pixels, int]:
     expand_range
         Whether to stretch the limited range 16..235 to 0..255 (in proportion for more bits); levels outside are
         clipped.
+    channel
+        "luma", "red", "green" or "blue"; gray pictures are the same in all of them.
 
     Returns
     -------
@@ -81,6 +87,8 @@ def to_gray(picture: "av.VideoFrame", expand_range: bool) -> tuple[Pixels, int]:
     bits
         Bits of a gray level.
     """
+    if channel != "luma" and (len(picture.format.components) > 2 or picture.format.has_palette):
+        return _colour(picture, channel)
     limited = is_limited(picture)
     if not _LUMA_FIRST.fullmatch(picture.format.name):
         picture = _as_gray(picture)
@@ -112,6 +120,13 @@ def _as_gray(picture: "av.VideoFrame") -> "av.VideoFrame":
         return picture.reformat(format=f"yuv444p{bits}le" if bits > 8 else "yuv444p")
     # The same range on both sides, "JPEG" being the full one, keeps the levels where they are.
     return picture.reformat(format=_GRAY.get(bits, "gray16le"), src_color_range="JPEG", dst_color_range="JPEG")
+
+
+def _colour(picture: "av.VideoFrame", channel: str) -> tuple[Pixels, int]:
+    held = max(picture.format.components[0].bits, 8)
+    bits = min(b for b in _GRAY if b >= held)
+    colours = picture.reformat(format="gbrp" if bits == 8 else f"gbrp{bits}le")
+    return _plane(colours, _GBR[channel], bits)[: picture.height, : picture.width].copy(), bits
 
 
 def _plane(picture: "av.VideoFrame", index: int, bits: int) -> Pixels:

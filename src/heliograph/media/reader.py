@@ -149,8 +149,8 @@ class FilmReader(ABC):
         """Frames whose times are those of the camera, not of a file in slow motion."""
         frames = self._frames()
         try:
-            for frame in frames:
-                yield replace(frame, time_s=frame.time_s * scale)
+            for count, frame in enumerate(frames):
+                yield replace(frame, time_s=checked_time(self.path, frame.time_s * scale, count))
         finally:
             _stop(frames)
 

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame, Pixels
 from heliograph.media import planes, whole
+from heliograph.media.display import Orientation, orientation
 from heliograph.media.reader import FilmReader, checked_size, checked_time
+from heliograph.media.reading import Reading
 from heliograph.media.record import from_tags, restored_time
 
 if TYPE_CHECKING:
@@ -43,10 +45,8 @@ class VideoReader(FilmReader):
     ----------
     path
         Video of any kind that FFmpeg reads.
-    expand_range
-        Whether to stretch limited-range video to the full scale.
-    rate_hz
-        Frames per second of the camera, where the file claims another.
+    reading
+        How the film is to be read.
 
     Raises
     ------
@@ -54,9 +54,9 @@ class VideoReader(FilmReader):
         The file is no readable video.
     """
 
-    def __init__(self, path: Path, expand_range: bool, rate_hz: float | None = None) -> None:
-        super().__init__(path, rate_hz)
-        self._expand_range = expand_range
+    def __init__(self, path: Path, reading: Reading) -> None:
+        super().__init__(path, reading.rate_hz)
+        self._reading = reading
         with _opened(path) as container:
             stream = container.streams.video[0]
             self._record = from_tags(container.metadata)
@@ -66,6 +66,8 @@ class VideoReader(FilmReader):
             self.bits = self._record.bits if self._record else _bits(stream)
             self.frame_count = _frame_count(container, self.claimed_hz)
             checked_size(path, self.width, self.height)
+            self._way_up = Orientation() if self._record else _way_up(container)
+            self.width, self.height = self._way_up.size(self.width, self.height)
 
     def _frames(self) -> Iterator[Frame]:
         with _opened(self.path) as container:
@@ -81,9 +83,10 @@ class VideoReader(FilmReader):
         import av
 
         try:
-            return planes.to_gray(picture, self._expand_range)
+            pixels, bits = planes.to_gray(picture, self._reading.expand_range, self._reading.channel)
         except (av.error.FFmpegError, ValueError) as error:  # a form of pixels that FFmpeg cannot turn into gray
             raise MediaError(f"{self.path} is damaged after {count} whole frames: copy it again") from error
+        return (pixels if self._way_up == Orientation() else self._way_up.upright(pixels)), bits
 
     def _check_form(self, pixels: Pixels, bits: int, count: int) -> None:
         if self._record and (bits > _LEAST_BITS) != (self.bits > _LEAST_BITS):
@@ -207,6 +210,17 @@ def _prepared(container: "InputContainer", strict: bool) -> "av.VideoStream":
     if strict:  # our own films are perfect or damaged; other footage is taken as the decoder mends it
         stream.codec_context.options = {"err_detect": "explode"}
     return stream
+
+
+def _way_up(container: "InputContainer") -> Orientation:
+    """How pictures are put upright, by the first one; of a film without a whole picture it does not matter."""
+    import av
+
+    try:
+        first = next(container.decode(video=0), None)
+    except (av.error.FFmpegError, ValueError):
+        return Orientation()
+    return Orientation() if first is None else orientation(first)
 
 
 def _tags(container: "InputContainer") -> dict[str, str]:

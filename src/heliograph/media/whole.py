@@ -1,6 +1,7 @@
 """Find out from a file's bytes whether it is whole: codecs stop silently at a cut and patch up damaged pictures."""
 
 import os
+import re
 import zlib
 from pathlib import Path
 from typing import BinaryIO
@@ -10,6 +11,18 @@ _EBML, _SEGMENT = bytes.fromhex("1A45DFA3"), bytes.fromhex("18538067")
 
 _NUT, _NUT_INDEX = b"nut/multimedia container", bytes.fromhex("4E58DD672F23E64E")
 """First bytes of a NUT file, and of its index (the NUT specification)."""
+
+_Y4M = b"YUV4MPEG2 "
+"""First bytes of a YUV4MPEG file (the mjpegtools' description, yuv4mpeg(5))."""
+
+_Y4M_HEAD = 4096
+"""Most bytes of its first line. Chosen: it names ten things or so."""
+
+_Y4M_FRAME = b"FRAME\n"
+"""Line before each of its frames, where nothing is noted of the frame."""
+
+_Y4M_FORM = re.compile(rb"C(mono|420|411|422|444)(alpha|jpeg|mpeg2|paldv)?p?(9|1[0-6])?")
+"""Its form of colours, with more bits than 8 at the end."""
 
 _NUT_TAIL = 12
 """Bytes that end a NUT index: its own length (8) and a checksum (4)."""
@@ -29,7 +42,7 @@ _MIRROR = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 def ends_early(path: Path) -> bool | None:
-    """Return whether a Matroska, NUT, MP4 or AVI file is cut short; None where its bytes do not show it.
+    """Return whether a Matroska, NUT, MP4, AVI or YUV4MPEG file is cut short; None where its bytes do not show it.
 
     Parameters
     ----------
@@ -47,6 +60,8 @@ def ends_early(path: Path) -> bool | None:
             return _boxes_cut(file, size)
         if head.startswith(b"RIFF"):
             return _riff_cut(file, size)
+        if head.startswith(_Y4M):
+            return _y4m_cut(file, size)
     return None
 
 
@@ -127,3 +142,20 @@ def _riff_cut(file: BinaryIO, size: int) -> bool:
         length = int.from_bytes(head[4:], "little")
         place += 8 + length + (length & 1)
     return place > size
+
+
+def _y4m_cut(file: BinaryIO, size: int) -> bool | None:
+    file.seek(0)
+    line = file.readline(_Y4M_HEAD)
+    said = {word[:1]: word[1:] for word in line.split()[1:]}
+    form = _Y4M_FORM.fullmatch(b"C" + said.get(b"C", b"420"))
+    try:
+        width, height = int(said[b"W"]), int(said[b"H"])
+    except (KeyError, ValueError):
+        return None
+    if not form or file.read(len(_Y4M_FRAME)) != _Y4M_FRAME:
+        return None
+    across, down = {b"mono": (0, 0), b"420": (2, 2), b"411": (4, 1), b"422": (2, 1), b"444": (1, 1)}[form[1]]
+    colours = 2 * -(-width // across) * -(-height // down) if across else 0
+    levels = width * height * (2 if form[2] == b"alpha" else 1) + colours
+    return (size - len(line)) % (len(_Y4M_FRAME) + levels * (2 if form[3] else 1)) != 0

@@ -1,0 +1,80 @@
+"""Read films that NumPy saved: .npy files of an array (frames, rows, columns)."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from tokenize import TokenError
+from typing import Any
+
+import numpy as np
+
+from heliograph.base.errors import MediaError, brief
+from heliograph.base.frames import BITS, Pixels
+from heliograph.media.numbered import NumberedReader, blocks, camera_rate
+from heliograph.media.reader import checked_size
+from heliograph.media.reading import Reading
+
+SUFFIXES = (".npy",)
+"""Suffixes of arrays."""
+
+SIGNATURE = b"\x93NUMPY"
+"""First bytes of an .npy file, by its format specification."""
+
+_BROKEN = (ValueError, OSError, SyntaxError, TypeError, RecursionError, MemoryError, TokenError)
+"""All that NumPy makes of a damaged header."""
+
+
+class ArrayReader(NumberedReader):
+    """A film in an .npy file; see `FilmReader`. It has no clock, so the rate is needed.
+
+    Parameters
+    ----------
+    path
+        File of an array (frames, rows, columns) of uint8 or uint16.
+    reading
+        How the film is to be read; its levels are gray, so the channel has no effect.
+
+    Raises
+    ------
+    MediaError
+        The file is no such array, or no rate was given.
+    """
+
+    def __init__(self, path: Path, reading: Reading) -> None:
+        super().__init__(path, reading.rate_hz)
+        shape, self._dtype, self._start = _header(path)
+        self.frame_count, self.height, self.width = shape
+        self.bits = 8 * self._dtype.itemsize
+        checked_size(path, self.width, self.height)
+        self.claimed_hz = camera_rate(path, reading.rate_hz)
+        self.metadata = {}
+
+    def _pictures(self) -> Iterator[tuple[int, Pixels]]:
+        size = self.width * self.height * self._dtype.itemsize
+        places = (self._start + count * size for count in range(self.frame_count or 0))
+        for number, data in enumerate(blocks(self.path, places, size)):
+            levels: Any = np.frombuffer(data, self._dtype).reshape(self.height, self.width)
+            yield number, levels.astype(self._dtype.newbyteorder("="), copy=False)
+
+
+def _header(path: Path) -> tuple[tuple[int, int, int], np.dtype[np.uint8] | np.dtype[np.uint16], int]:
+    """The array's shape and type, and where its numbers begin."""
+    try:
+        with path.open("rb") as file:
+            version = np.lib.format.read_magic(file)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, by_columns, dtype = read(file)
+            start = file.tell()
+    except _BROKEN as error:
+        raise MediaError(
+            f"{path} is no array of NumPy, or damaged: save it again by numpy.save ({brief(error)})"
+        ) from None
+    if len(shape) != 3 or dtype.newbyteorder("=") not in BITS:
+        got = brief(f"{shape} of {dtype}")
+        raise MediaError(
+            f"{path} holds an array {got}: a film is (frames, rows, columns) of uint8 or uint16; reshape it, use astype"
+        )
+    if by_columns and sum(length > 1 for length in shape) > 1:
+        raise MediaError(
+            f"{path} is in Fortran's order, each frame all over the file: save numpy.ascontiguousarray of it"
+        )
+    return shape, dtype, start

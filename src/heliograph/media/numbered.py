@@ -1,0 +1,107 @@
+"""What recordings have in common whose frames have numbers, and no times of their own."""
+
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame, Pixels
+from heliograph.media.reader import FilmReader, checked_time
+
+
+class NumberedReader(FilmReader):
+    """A recording whose frame of number k is taken at ``k / claimed_hz``; see `FilmReader`."""
+
+    def _frames(self) -> Iterator[Frame]:
+        count = 0
+        for number, pixels in self._pictures():
+            check_levels(self.path, pixels, self.bits, count)
+            time_s = checked_time(self.path, number / self.claimed_hz, count)
+            yield Frame(number, time_s, pixels, self.bits)
+            count += 1
+        if not count:
+            raise MediaError(f"{self.path} holds no frames: record it again")
+
+    @abstractmethod
+    def _pictures(self) -> Iterator[tuple[int, Pixels]]:
+        """Yield each frame's number, rising from 0, and its gray levels."""
+
+
+def camera_rate(path: Path, rate_hz: float | None, said_hz: float | None = None) -> float:
+    """Return the frames per second that a file says, else those that were asked for.
+
+    Parameters
+    ----------
+    path
+        The recording, for the error.
+    rate_hz
+        Frames per second that were given where the film was opened; None for none.
+    said_hz
+        Frames per second as the file says; None or 0 where it has no clock.
+
+    Raises
+    ------
+    MediaError
+        Neither is known.
+    """
+    rate = said_hz or rate_hz
+    if not rate:
+        raise MediaError(f"{path} has no clock: say how many frames a second the camera took, by --fps (rate_hz)")
+    return rate
+
+
+def check_levels(path: Path, pixels: Pixels, bits: int, count: int) -> None:
+    """Check that gray levels have no more bits than the file says.
+
+    Parameters
+    ----------
+    path
+        The recording, for the error.
+    pixels
+        (rows, columns) gray levels, uint8 or uint16.
+    bits
+        Bits of a gray level as the file says, 8 to 16.
+    count
+        Number of whole frames before, which the error tells.
+
+    Raises
+    ------
+    MediaError
+        A level is above full scale.
+    """
+    if bits < 8 * pixels.itemsize and int(pixels.max()) >> bits:
+        raise MediaError(
+            f"{path} has a gray level of {int(pixels.max())} after {count} whole frames, and its header says {bits} "
+            "bits: correct the header, or save the recording again"
+        )
+
+
+def blocks(path: Path, places: Iterable[int], size: int) -> Iterator[bytes]:
+    """Yield a file's blocks of bytes, one for each frame.
+
+    Parameters
+    ----------
+    path
+        The file, which stays open meanwhile.
+    places
+        First byte of each block.
+    size
+        Bytes of a block, at least 1.
+
+    Raises
+    ------
+    MediaError
+        The file ends within a block, after those before are delivered; or it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            length = path.stat().st_size
+            for count, place in enumerate(places):
+                if place + size > length:  # before memory is taken for it
+                    raise MediaError(f"{path} ends in the middle, after {count} whole frames: copy it again")
+                file.seek(place)
+                yield file.read(size)
+    except MediaError:
+        raise
+    except OSError as error:
+        raise MediaError(f"cannot read {path}: {error.strerror}") from error

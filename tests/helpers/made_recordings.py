@@ -1,0 +1,161 @@
+"""Recordings as cameras and their programs write them, made of given frames."""
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Levels = NDArray[Any]
+"""Gray levels, shape (frames, rows, columns)."""
+
+CIH = """#Camera Information Header
+Date : 2024/5/6
+Time : 12:34
+Camera Type : FASTCAM Mini
+Record Rate(fps) : {rate:g}
+Total Frame : {frames}
+Start Frame : 0
+Save Step : {step}
+Image Width : {width}
+Image Height : {height}
+Color Type : {colour}
+Color Bit : {word}
+File Format : {kind}
+EffectiveBit Depth : {depth}
+EffectiveBit Side : {side}
+Comment Text : a: b
+Date : 1999/1/1
+"""
+
+CIHX = """<?xml version="1.0" encoding="utf-8"?>
+<cih><fileInfo><date>2024/5/6</date><time>12:34</time></fileInfo>
+<imageFileInfo><fileFormat>{kind}</fileFormat></imageFileInfo>
+<imageDataInfo><resolution><width>{width}</width><height>{height}</height></resolution>
+<colorInfo><type>{colour}</type><bit>{word}</bit></colorInfo>
+<effectiveBit><depth>{depth}</depth><side>{side}</side></effectiveBit></imageDataInfo>
+<frameInfo><totalFrame>{frames}</totalFrame><skipFrame>{step}</skipFrame></frameInfo>
+<recordInfo><recordRate>{rate:g}</recordRate></recordInfo>
+<deviceInfo><deviceName>FASTCAM Mini</deviceName></deviceInfo></cih>"""
+
+
+def noise(frames: int, rows: int, columns: int, bits: int, seed: int = 0) -> Levels:
+    levels = np.random.default_rng(seed).integers(0, 1 << bits, (frames, rows, columns))
+    return levels.astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def packed(levels: Levels, bits: int) -> bytes:
+    """Levels of so many bits without gaps, the upper bits first."""
+    words = levels.astype(">u2").reshape(-1, 1).view(np.uint8)
+    return np.packbits(np.unpackbits(words, axis=1)[:, -bits:]).tobytes()
+
+
+def write_mraw(path: Path, levels: Levels, word: int, depth: int, header: str = ".cih", **said: Any) -> Path:
+    """A .mraw file and its header; returns the first."""
+    values = {"frames": len(levels), "height": levels.shape[1], "width": levels.shape[2], "word": word, "depth": depth,
+              "rate": 1000.0, "step": 1, "side": "Lower", "colour": "Mono", "kind": "MRaw", **said}  # fmt: skip
+    stored = levels.astype("<u2") << (max(word - depth, 0) if values["side"] == "Higher" else 0)
+    path.write_bytes(packed(levels, 12) if word == 12 else stored.astype(f"<u{word // 8}").tobytes())
+    if header == ".cihx":
+        path.with_suffix(header).write_bytes(b"!!! not text \0\xff" + CIHX.format(**values).encode() + b"\0\0 end")
+    else:
+        path.with_suffix(header).write_bytes(CIH.format(**values).encode())
+    return path
+
+
+def write_cine(
+    path: Path,
+    frames: Sequence[Levels],
+    word: int,
+    depth: int,
+    times_s: Sequence[float] | None = None,
+    rate: int = 1000,
+    upwards: bool = True,
+) -> Path:
+    """A .cine file of 8, 16, 24 or 48 bits a pixel as they are, or of 10 or 12 packed ones."""
+    rows, columns = frames[0].shape[:2]
+    packing = {10: 256, 12: 1024}.get(word, 0)
+    setup = bytearray(6000)
+    setup[140:144] = b"ST" + struct.pack("<H", len(setup))
+    setup[768:772], setup[896:900] = struct.pack("<I", rate), struct.pack("<I", depth)
+    blocks = struct.pack("<IHH", 12, 1003, 1) + bytes(4)
+    if times_s is not None:
+        stamps = [(1_700_000_000 << 32) + round(time_s * (1 << 32)) & ~3 | 2 for time_s in times_s]
+        blocks += struct.pack("<IHH", 8 + 8 * len(stamps), 1002, 0) + struct.pack(f"<{len(stamps)}Q", *stamps)
+    table = 84 + len(setup) + len(blocks)
+    pictures = [_picture(frame, word, upwards) for frame in frames]
+    size, notes = len(pictures[0]), struct.pack("<I4x", 12)
+    start = table + 8 * len(frames)
+    places = [start + number * (12 + size) for number in range(len(frames))]
+    head = struct.pack("<2sHHHiIiIIIIQ", b"CI", 44, 0, 1, -3, 99, -3, len(frames), 44, 84, table, 1_700_000_000 << 32)
+    height = rows if upwards else -rows
+    bitmap = struct.pack("<IiiHHIIiiII", 40, columns, height, 1, 16 if packing else word, packing, size, 0, 0, 0, 0)
+    body = b"".join(notes + struct.pack("<I", size) + picture for picture in pictures)
+    path.write_bytes(head + bitmap + setup + blocks + struct.pack(f"<{len(frames)}Q", *places) + body)
+    return path
+
+
+def _picture(frame: Levels, word: int, upwards: bool) -> bytes:
+    if word in (10, 12):
+        return packed(frame, word)
+    stored = frame.astype("u1" if word in (8, 24) else "<u2")
+    return (stored[::-1] if upwards else stored).tobytes()
+
+
+def write_pictures(folder: Path, levels: Levels, name: str = "img%04d.png", first: int = 1) -> Path:
+    folder.mkdir(exist_ok=True)
+    for number, picture in enumerate(levels, first):
+        assert cv2.imwrite(str(folder / (name % number)), picture)
+    return folder
+
+
+def write_tiff(path: Path, levels: Levels, order: str = "<", big: bool = False) -> Path:
+    """A TIFF stack without compression, each page in two strips."""
+    place, offset = ("Q", 16) if big else ("I", 8)
+    head = (b"II" if order == "<" else b"MM") + struct.pack(f"{order}H", 43 if big else 42)
+    out = bytearray(head + (struct.pack(f"{order}HHQ", 8, 0, offset) if big else struct.pack(f"{order}I", offset)))
+    room = struct.calcsize(f"={place}")
+    for number, picture in enumerate(levels):
+        rows, columns = picture.shape
+        half = rows // 2
+        strips = [picture[:half].astype(picture.dtype.newbyteorder(order)).tobytes(),
+                  picture[half:].astype(picture.dtype.newbyteorder(order)).tobytes()]  # fmt: skip
+        tags: list[tuple[int, int, list[int]]] = [
+            (256, 4, [columns]), (257, 4, [rows]), (258, 3, [8 * picture.itemsize]), (259, 3, [1]), (262, 3, [1]),
+            (273, 4, []), (277, 3, [1]), (278, 4, [half]), (279, 4, [len(strip) for strip in strips])]  # fmt: skip
+        start = len(out)
+        entries = struct.calcsize(f"={'Q' if big else 'H'}") + len(tags) * (4 + 2 * room) + room
+        data = start + entries + 16
+        tags[5][2][:] = [data, data + len(strips[0])]
+        out += struct.pack(order + ("Q" if big else "H"), len(tags))
+        outside, far = bytearray(), start + entries
+        for tag, kind, numbers in tags:
+            packed_numbers = struct.pack(f"{order}{len(numbers)}{'H' if kind == 3 else 'I'}", *numbers)
+            if len(packed_numbers) > room:
+                held = struct.pack(f"{order}{place}", far + len(outside))
+                outside += packed_numbers
+            else:
+                held = packed_numbers.ljust(room, b"\0")
+            out += struct.pack(f"{order}HH{place}", tag, kind, len(numbers)) + held
+        end = data + sum(map(len, strips))
+        out += struct.pack(order + place, end if number + 1 < len(levels) else 0)
+        out += outside.ljust(16, b"\0") + b"".join(strips)
+    path.write_bytes(out)
+    return path
+
+
+def write_kinds(folder: Path, levels: Levels, rate: int) -> dict[str, tuple[Path, bool]]:
+    """The same film of 8 bits in every kind that is not video: its path, and whether it needs the rate."""
+    np.save(folder / "a.npy", levels)
+    times_s = [number / rate for number in range(len(levels))]
+    return {
+        "folder": (write_pictures(folder / "shots", levels), True),
+        "pattern": (folder / "shots" / "img%04d.png", True),
+        "tiff": (write_tiff(folder / "a.tif", levels), True),
+        "npy": (folder / "a.npy", True),
+        "mraw": (write_mraw(folder / "b.mraw", levels, 8, 8, rate=rate), False),
+        "cine": (write_cine(folder / "a.cine", list(levels), 8, 8, times_s, rate), False),
+    }

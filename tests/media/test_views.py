@@ -1,0 +1,213 @@
+"""What of a film is seen: its crop, its turn, its way up, its colour."""
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+from made_recordings import noise
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
+from heliograph.media import convert_film, create_film, open_film, planes, whole
+from heliograph.media.display import Orientation
+
+
+def film(path: Path, bits: int = 8) -> Path:
+    with create_film(path, width=10, height=6, rate_hz=100, bits=bits, metadata={"a": "b"}) as written:
+        for number, pixels in enumerate(noise(3, 6, 10, bits)):
+            written.write(Frame(number, number / 100, pixels, bits))
+    return path
+
+
+@pytest.mark.parametrize("crop", [None, (2, 1, 5, 4), (0, 0, 10, 6), (9, 5, 1, 1)])
+@pytest.mark.parametrize("rotate", [0, 90, 180, 270])
+@pytest.mark.parametrize("kind", ["a.h5", "a.mkv"])
+def test_crop_then_turn(tmp_path: Path, crop: Any, rotate: int, kind: str) -> None:
+    x, y, width, height = crop or (0, 0, 10, 6)
+    with open_film(film(tmp_path / kind, 12), crop=crop, rotate=rotate, rate_hz=200) as seen:
+        got = list(seen)
+        size = (width, height) if rotate in (0, 180) else (height, width)
+        assert ((seen.width, seen.height), seen.bits, seen.rate_hz, seen.metadata["a"]) == (size, 12, 200, "b")
+        assert [frame.pixels.shape for frame in got] == [size[::-1]] * 3
+    for frame, sent in zip(got, noise(3, 6, 10, 12), strict=True):
+        part = sent[y : y + height, x : x + width]
+        turned = {0: part, 90: part[::-1].T, 180: part[::-1, ::-1], 270: part.T[::-1]}[rotate]
+        assert np.array_equal(frame.pixels, turned)
+        assert frame.bits == 12
+    assert [(frame.index, frame.time_s) for frame in got] == [(0, 0.0), (1, 0.005), (2, 0.01)]
+
+
+def test_a_turn_by_90_is_clockwise(tmp_path: Path) -> None:
+    """What is at the upper left comes to the upper right."""
+    with open_film(film(tmp_path / "a.h5"), rotate=90) as seen:
+        assert next(iter(seen)).pixels[0, -1] == noise(3, 6, 10, 8)[0, 0, 0]
+
+
+@pytest.mark.parametrize(("options", "says"), [
+    ({"crop": (0, 0, 11, 6)}, "the crop 0,0,11,6 reaches beyond the frames of"),
+    ({"crop": (5, 3, 5, 4)}, "which have 10x6 pixels"),
+    ({"crop": (0, 0, 0, 6)}, "a crop is x, y, width and height in whole pixels"),
+    ({"crop": (-1, 0, 5, 5)}, "a crop is x, y, width and height in whole pixels"),
+    ({"crop": (0, 0, 5)}, "a crop is x, y, width and height in whole pixels"),
+    ({"crop": (0, 0, 5, 2.5)}, "a crop is x, y, width and height in whole pixels"),
+    ({"crop": "abcd"}, "a crop is x, y, width and height in whole pixels"),
+    ({"rotate": 45}, "turned by 0, 90, 180 or 270 degrees clockwise, not by 45"),
+    ({"channel": "alpha"}, "there is no channel 'alpha': choose one of luma, red, green, blue"),
+])  # fmt: skip
+def test_views_that_are_none(tmp_path: Path, options: dict[str, Any], says: str) -> None:
+    with pytest.raises(MediaError) as caught:
+        open_film(film(tmp_path / "a.h5"), **options)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_view_is_closed_with_its_film_and_gives_the_frames_before_damage(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    np.save(path, noise(3, 6, 10, 8))
+    path.write_bytes(path.read_bytes()[:-1])
+    got: list[Frame] = []
+    with open_film(path, rate_hz=10, rotate=90) as seen, pytest.raises(MediaError, match="after 2 whole frames"):
+        got.extend(seen)
+    assert len(got) == 2
+    with pytest.raises(MediaError, match="is closed"):
+        iter(seen)
+
+
+def test_a_view_is_converted(tmp_path: Path) -> None:
+    with open_film(film(tmp_path / "a.mkv"), crop=(2, 1, 5, 4), rotate=270) as seen:
+        assert convert_film(seen, tmp_path / "b.h5") == 3
+    with open_film(tmp_path / "b.h5") as read:
+        assert np.array_equal(next(iter(read)).pixels, noise(3, 6, 10, 8)[0, 1:5, 2:7].T[::-1])
+
+
+def coded(path: Path, pixel_format: str, *, degrees: int = 0, codec: str = "ffv1", **options: Any) -> Path:
+    """A video of two pictures, one colour a quarter, with a note of its way up."""
+    rgb = np.zeros((16, 32, 3), np.uint8)
+    rgb[:8, :16], rgb[:8, 16:], rgb[8:, :16], rgb[8:, 16:] = (255, 0, 0), (0, 255, 0), (0, 0, 255), (90, 90, 90)
+    with av.open(str(path), "w") as container:
+        stream: Any = container.add_stream(codec, rate=Fraction(50))
+        stream.width, stream.height, stream.pix_fmt = 32, 16, pixel_format
+        if degrees:
+            if not hasattr(stream, "set_display_rotation"):
+                pytest.skip("this PyAV writes no display matrix")
+            stream.set_display_rotation(degrees, **options)
+        for number in range(2):
+            picture = av.VideoFrame.from_ndarray(rgb, "rgb24").reformat(format=pixel_format)
+            picture.pts = number
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode())
+    return path
+
+
+def quarters(pixels: Any) -> list[list[int]]:
+    """Level of the middle of each quarter, the upper two first."""
+    rows, columns = pixels.shape
+    return [[int(pixels[y, x]) for x in (columns // 4, 3 * columns // 4)] for y in (rows // 4, 3 * rows // 4)]
+
+
+@pytest.mark.parametrize(("degrees", "expected"), [
+    (0, [[255, 0], [0, 90]]), (90, [[0, 90], [255, 0]]), (180, [[90, 0], [0, 255]]), (270, [[0, 255], [90, 0]]),
+])  # fmt: skip
+def test_videos_are_put_upright(tmp_path: Path, degrees: int, expected: list[list[int]]) -> None:
+    """PyAV's angles are against the clock."""
+    with open_film(coded(tmp_path / "a.mkv", "bgr0", degrees=degrees), channel="red") as seen:
+        assert (seen.width, seen.height) == ((32, 16) if degrees in (0, 180) else (16, 32))
+        for frame in seen:
+            assert frame.pixels.shape == (seen.height, seen.width)
+            assert quarters(frame.pixels) == expected
+
+
+@pytest.mark.parametrize(("flip", "expected"), [("hflip", [[0, 255], [90, 0]]), ("vflip", [[0, 90], [255, 0]])])
+def test_mirrored_videos_are_put_upright(tmp_path: Path, flip: str, expected: list[list[int]]) -> None:
+    with open_film(
+        coded(tmp_path / "a.mkv", "bgr0", degrees=360, hflip=flip == "hflip", vflip=flip == "vflip"), channel="red"
+    ) as seen:
+        assert quarters(next(iter(seen)).pixels) == expected
+
+
+def test_upright_leaves_what_is_upright() -> None:
+    pixels = noise(1, 4, 6, 8)[0]
+    assert np.array_equal(Orientation().upright(pixels), pixels)
+    assert Orientation().size(6, 4) == (6, 4)
+
+
+@pytest.mark.parametrize(("channel", "expected"), [
+    ("red", [[255, 0], [0, 90]]), ("green", [[0, 255], [0, 90]]), ("blue", [[0, 0], [255, 90]]),
+    ("luma", [[76, 150], [29, 90]]),  # 0.299, 0.587 and 0.114 of 255: Rec. 601
+])  # fmt: skip
+@pytest.mark.parametrize(("pixel_format", "codec", "tolerance"), [
+    ("bgr0", "ffv1", 1), ("bgra", "ffv1", 1), ("yuv444p", "ffv1", 2), ("yuv420p", "mpeg4", 8),
+])  # fmt: skip
+def test_a_channel_of_colours(
+    tmp_path: Path, pixel_format: str, codec: str, tolerance: int, channel: str, expected: list[list[int]]
+) -> None:
+    path = coded(tmp_path / "a.mkv", pixel_format, codec=codec)
+    with open_film(path, channel=channel, expand_range=True) as seen:
+        got = quarters(next(iter(seen)).pixels)
+    assert np.abs(np.subtract(got, expected)).max() <= tolerance
+
+
+def test_colours_by_the_matrix_that_the_file_states() -> None:
+    """Luma of green is 0.7152 of white by Rec. 709, and 0.587 by Rec. 601."""
+    green = np.zeros((16, 32, 3), np.uint8)
+    green[..., 1] = 255
+    picture = av.VideoFrame.from_ndarray(green, "rgb24").reformat(format="yuv444p", dst_colorspace="ITU709")
+    picture.colorspace = av.video.reformatter.Colorspace.ITU709
+    assert int(planes.to_gray(picture, True)[0][0, 0]) == pytest.approx(0.7152 * 255, abs=2)
+    levels = [int(planes.to_gray(picture, True, channel)[0][0, 0]) for channel in ("red", "green", "blue")]
+    assert levels == pytest.approx([0, 255, 0], abs=2)
+
+
+@pytest.mark.parametrize("pixel_format", ["gray", "gray10le", "ya8"])
+def test_gray_pictures_are_the_same_in_all_channels(pixel_format: str) -> None:
+    picture = av.VideoFrame.from_ndarray(noise(1, 16, 32, 8)[0], "gray").reformat(format=pixel_format)
+    luma, bits = planes.to_gray(picture, False)
+    for channel in ("red", "green", "blue"):
+        pixels, same_bits = planes.to_gray(picture, False, channel)
+        assert np.array_equal(pixels, luma)
+        assert same_bits == bits
+
+
+def test_red_of_ten_bits() -> None:
+    rgb = np.zeros((16, 32, 3), np.uint8)
+    rgb[..., 0] = 200
+    picture = av.VideoFrame.from_ndarray(rgb, "rgb24").reformat(format="gbrp10le")
+    pixels, bits = planes.to_gray(picture, False, "red")
+    assert (bits, pixels.dtype.name) == (10, "uint16")
+    assert abs(int(pixels[0, 0]) - 200 * 1023 / 255) <= 3
+
+
+FORMS = {"mono": 1, "420jpeg": 1.5, "422": 2, "444": 3, "mono12": 2, "420p10": 3, "mono16": 2}
+"""Forms of .y4m, and bytes of a pixel."""
+
+
+def y4m(path: Path, form: str, frames: int = 5) -> Path:
+    size = int(10 * 6 * FORMS[form])
+    body = b"".join(b"FRAME\n" + bytes([number]) * size for number in range(frames))
+    path.write_bytes(f"YUV4MPEG2 W10 H6 F1000:1 Ip A1:1 C{form}\n".encode() + body)
+    return path
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_y4m(tmp_path: Path, form: str) -> None:
+    path = y4m(tmp_path / "a.y4m", form)
+    with open_film(path) as seen:
+        got = list(seen)
+        assert (seen.width, seen.height, seen.rate_hz) == (10, 6, 1000)
+    assert [frame.time_s for frame in got] == [0, 0.001, 0.002, 0.003, 0.004]
+    assert [int(frame.pixels[0, 0]) & 255 for frame in got] == [0, 1, 2, 3, 4]
+    assert whole.ends_early(path) is False
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("lost", [1, 30])
+def test_a_cut_y4m_gives_its_whole_frames_first(tmp_path: Path, form: str, lost: int) -> None:
+    path = y4m(tmp_path / "a.y4m", form)
+    path.write_bytes(path.read_bytes()[:-lost])
+    got: list[Frame] = []
+    with open_film(path) as seen, pytest.raises(MediaError, match="ends in the middle, after 4 whole frames"):
+        got.extend(seen)
+    assert len(got) == 4
