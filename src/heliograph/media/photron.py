@@ -1,0 +1,264 @@
+"""Read recordings of Photron cameras: raw frames in a .mraw file, and their header beside it in .cih or .cihx."""
+
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from heliograph.base.errors import MediaError, brief
+from heliograph.base.files import read_bounded
+from heliograph.base.frames import Pixels
+from heliograph.media.numbered import NumberedReader, blocks, camera_rate
+from heliograph.media.packed import packed_size, unpack
+from heliograph.media.reader import checked_size
+from heliograph.media.reading import Reading
+
+FRAMES_SUFFIX = ".mraw"
+"""Suffix of the file of frames."""
+
+HEADER_SUFFIXES = (".cihx", ".cih")
+"""Suffixes of headers: XML, and lines of text by older programs."""
+
+SUFFIXES = (FRAMES_SUFFIX, *HEADER_SUFFIXES)
+"""Suffixes by which a recording may be named."""
+
+_MOST_HEADER = 1 << 24
+"""Most bytes of a header. Chosen: the largest that was seen has 19 kB, most of it tables of colours."""
+
+_START, _END = b"<cih>", b"</cih>"
+"""What the XML of a .cihx file is between; around it are bytes of another kind."""
+
+_WORDS = (8, 12, 16)
+"""Bits that a level may take in the file."""
+
+_PLACES = {
+    "width": ("image width", "imageDataInfo/resolution/width"),
+    "height": ("image height", "imageDataInfo/resolution/height"),
+    "frames": ("total frame", "frameInfo/totalFrame"),
+    "rate": ("record rate(fps)", "recordInfo/recordRate"),
+    "step": ("save step", "frameInfo/skipFrame"),
+    "word": ("color bit", "imageDataInfo/colorInfo/bit"),
+    "colour": ("color type", "imageDataInfo/colorInfo/type"),
+    "depth": ("effectivebit depth", "imageDataInfo/effectiveBit/depth"),
+    "side": ("effectivebit side", "imageDataInfo/effectiveBit/side"),
+    "kind": ("file format", "imageFileInfo/fileFormat"),
+    "camera": ("camera type", "deviceInfo/deviceName"),
+    "date": ("date", "fileInfo/date"),
+    "time": ("time", "fileInfo/time"),
+    "shutter": ("shutter speed(s)", "recordInfo/shutterSpeedNsec"),
+    "comment": ("comment text", "basicInfo/comment"),
+}
+"""Where a header has each value: the name of its line in .cih, in small letters, and its path in .cihx."""
+
+_NOTES = ("camera", "date", "time", "shutter", "comment", "step")
+"""Values that become metadata of the film."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotronHeader:
+    """What a header says of its frames.
+
+    Attributes
+    ----------
+    width, height
+        Columns and rows in pixels, at least 1.
+    frames
+        Number of frames in the file.
+    record_hz
+        Frames per second that the camera took; 0 where the header does not say.
+    step
+        Each so many-th frame was saved, at least 1.
+    word
+        Bits of a level in the file: 8, 12 (packed) or 16.
+    bits
+        Bits of a gray level, 8 to 16.
+    shift
+        Bits by which a level is moved down, as some programs keep it at the upper end of its word.
+    notes
+        Camera, date and the like as text, by name.
+    """
+
+    width: int
+    height: int
+    frames: int
+    record_hz: float
+    step: int
+    word: int
+    bits: int
+    shift: int
+    notes: Mapping[str, str]
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of a frame in the file."""
+        pixels = self.width * self.height
+        return packed_size(pixels, 12) if self.word == 12 else pixels * self.word // 8
+
+
+class PhotronReader(NumberedReader):
+    """A Photron recording; see `FilmReader`.
+
+    The frame of number k is taken at ``k / record rate``. Where only each so many-th frame was saved, the numbers of
+    the others are left out, as those of lost frames are.
+
+    Parameters
+    ----------
+    path
+        The .mraw file, or the .cih or .cihx file beside it.
+    reading
+        How the film is to be read; its levels are gray, so the channel has no effect.
+
+    Raises
+    ------
+    MediaError
+        One of the two files is missing, or the header is none, or is not that of the frames.
+    """
+
+    def __init__(self, path: Path, reading: Reading) -> None:
+        frames, header = _pair(path)
+        super().__init__(frames, reading.rate_hz)
+        self._header = read_header(header)
+        self.width, self.height, self.bits = self._header.width, self._header.height, self._header.bits
+        self.claimed_hz = camera_rate(header, reading.rate_hz, self._header.record_hz)
+        self.frame_count = self._header.frames
+        self.metadata = dict(self._header.notes)
+        _check_length(frames, header, self._header)
+
+    def _pictures(self) -> Iterator[tuple[int, Pixels]]:
+        head = self._header
+        places = (count * head.frame_bytes for count in range(head.frames))
+        for count, data in enumerate(blocks(self.path, places, head.frame_bytes)):
+            yield count * head.step, _levels(data, head)
+
+
+def read_header(path: Path) -> PhotronHeader:
+    """Read a .cih or .cihx file.
+
+    Parameters
+    ----------
+    path
+        The header; its content tells which of the two it is.
+
+    Raises
+    ------
+    MediaError
+        It cannot be read, lacks a value, or says what no recording of gray levels has.
+    """
+    try:
+        data = read_bounded(path, _MOST_HEADER)
+    except OSError as error:
+        raise MediaError(f"cannot read {path}: {error.strerror}") from None
+    texts = _of_xml(path, data) if _START in data else _of_lines(data)
+    if not any(texts.values()):
+        raise MediaError(f"{path} is no header of a Photron recording: copy the .cih or .cihx file again")
+    return _checked(path, texts)
+
+
+def _checked(path: Path, texts: Mapping[str, str]) -> PhotronHeader:
+    kind, colour = texts["kind"] or "mraw", texts["colour"].lower() or "mono"
+    if kind.lower() != "mraw":
+        raise MediaError(f"{path} says that its frames are {brief(kind)} files: give their folder and --fps")
+    word = _whole(path, texts, "word")
+    if word not in _WORDS or colour not in ("mono", "raw", "bayer"):
+        raise MediaError(
+            f"{path} says {brief(colour)} of {word} bits, and gray of 8, 12 or 16 bits can be read: save the recording "
+            "as raw or monochrome, or as TIFF"
+        )
+    bits = min(_whole(path, texts, "depth", word), word)
+    if bits < 8 + (word > 8):
+        raise MediaError(
+            f"{path} says that {word} bits hold levels of {bits}, fewer than can be read: save the recording in 8 bits"
+        )
+    width, height = _whole(path, texts, "width"), _whole(path, texts, "height")
+    checked_size(path, width, height)
+    return PhotronHeader(
+        width=width,
+        height=height,
+        frames=_whole(path, texts, "frames"),
+        record_hz=_rate(path, texts["rate"]),
+        step=max(1, _whole(path, texts, "step", 1)),
+        word=word,
+        bits=bits,
+        shift=word - bits if texts["side"].lower() == "higher" else 0,
+        notes={name: texts[name] for name in _NOTES if texts[name]},
+    )
+
+
+def _levels(data: bytes, head: PhotronHeader) -> Pixels:
+    shape, pixels = (head.height, head.width), head.width * head.height
+    if head.word == 8:
+        return np.frombuffer(data, np.uint8).reshape(shape)
+    levels = unpack(data, 12)[:pixels] if head.word == 12 else np.frombuffer(data, "<u2").astype(np.uint16)
+    return np.right_shift(levels, np.uint16(head.shift)).reshape(shape)
+
+
+def _pair(path: Path) -> tuple[Path, Path]:
+    """The file of frames and its header, whichever of the two is named."""
+    if path.suffix.lower() in HEADER_SUFFIXES:
+        frames = _beside(path, (FRAMES_SUFFIX,))
+        if frames is None:
+            raise MediaError(f"{path} has no frames beside it: copy {path.stem}{FRAMES_SUFFIX} to the same folder")
+        return frames, path
+    header = _beside(path, HEADER_SUFFIXES)
+    if header is None:
+        raise MediaError(f"{path} has no header beside it: copy {path.stem}.cihx or .cih to the same folder")
+    return path, header
+
+
+def _beside(path: Path, suffixes: tuple[str, ...]) -> Path | None:
+    cased = (name for suffix in suffixes for name in (suffix, suffix.upper()))
+    return next((found for name in cased if (found := path.with_suffix(name)).is_file()), None)
+
+
+def _check_length(frames: Path, header: Path, head: PhotronHeader) -> None:
+    """Refuse a file that is longer than its header says: it is that of another recording. A cut one is read."""
+    claimed, size = head.frames * head.frame_bytes, frames.stat().st_size
+    if size > claimed:
+        raise MediaError(
+            f"{frames} has {size} bytes, and {header.name} says {head.frames} frames of {head.frame_bytes}: give it "
+            "its own header"
+        )
+
+
+def _of_xml(path: Path, data: bytes) -> dict[str, str]:
+    # cut out of the file, it has no declarations, so nothing can be made to expand
+    start, end = data.find(_START), data.rfind(_END)
+    try:
+        root = ElementTree.fromstring(data[start : end + len(_END)].decode("utf-8", "replace"))
+    except ElementTree.ParseError as error:
+        raise MediaError(f"{path} is damaged, its XML ends wrongly: copy it again ({brief(error)})") from None
+    return {name: (root.findtext(place) or "").strip() for name, (_, place) in _PLACES.items()}
+
+
+def _of_lines(data: bytes) -> dict[str, str]:
+    held: dict[str, str] = {}
+    for line in data.decode("utf-8", "replace").splitlines():
+        name, colon, text = line.partition(":")
+        if colon:
+            held.setdefault(name.strip().lower(), text.strip())
+    return {name: held.get(line, "") for name, (line, _) in _PLACES.items()}
+
+
+def _whole(path: Path, texts: Mapping[str, str], name: str, missing: int | None = None) -> int:
+    if not texts[name] and missing is not None:
+        return missing
+    try:
+        value = int(texts[name])
+    except ValueError:
+        value = -1
+    if not 0 <= value < 1 << 31:
+        raise MediaError(f"{path} says {texts[name]!r:.40} for its {_PLACES[name][0]}: copy the header again")
+    return value
+
+
+def _rate(path: Path, text: str) -> float:
+    try:
+        rate = float(text or 0)
+    except ValueError:
+        rate = math.nan
+    if not 0 <= rate < math.inf:
+        raise MediaError(f"{path} says {text!r:.40} for its record rate: give the rate by --fps, or copy it again")
+    return rate

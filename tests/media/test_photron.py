@@ -1,0 +1,173 @@
+"""Photron recordings: .mraw with .cih or .cihx."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made_recordings import noise, write_mraw
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
+from heliograph.media import open_film
+
+
+def refused(path: Path, **options: Any) -> tuple[list[Frame], str]:
+    """Frames before the error, and the error."""
+    got: list[Frame] = []
+    with pytest.raises(MediaError) as caught, open_film(path, **options) as film:
+        got.extend(film)
+    assert "\n" not in str(caught.value)
+    return got, str(caught.value)
+
+
+@pytest.mark.parametrize("header", [".cih", ".cihx"])
+@pytest.mark.parametrize(("word", "depth", "side"), [
+    (8, 8, "Lower"), (8, 12, "Higher"), (12, 12, "Lower"), (16, 12, "Lower"), (16, 12, "Higher"), (16, 16, "Lower"),
+])  # fmt: skip
+@pytest.mark.parametrize("named", [".mraw", "header"])
+def test_levels_rate_and_times(tmp_path: Path, header: str, word: int, depth: int, side: str, named: str) -> None:
+    bits = min(word, depth)
+    levels = noise(4, 6, 10, bits)
+    path = write_mraw(tmp_path / "a.b.mraw", levels, word, depth, header, side=side, rate=4000.0)
+    with open_film(path if named == ".mraw" else path.with_suffix(header)) as film:
+        got = list(film)
+        assert (film.width, film.height, film.bits, film.rate_hz, film.frame_count) == (10, 6, bits, 4000.0, 4)
+        assert (film.metadata["date"], film.metadata["camera"]) == ("2024/5/6", "FASTCAM Mini")
+    assert [frame.time_s for frame in got] == [0, 0.25e-3, 0.5e-3, 0.75e-3]
+    assert [frame.index for frame in got] == [0, 1, 2, 3]
+    assert all(np.array_equal(frame.pixels, sent) for frame, sent in zip(got, levels, strict=True))
+
+
+def test_an_odd_number_of_packed_levels(tmp_path: Path) -> None:
+    levels = noise(1, 3, 5, 12)
+    path = write_mraw(tmp_path / "a.mraw", levels, 12, 12)
+    path.write_bytes(path.read_bytes().ljust(24, b"\0"))
+    with open_film(path) as film:
+        assert np.array_equal(next(iter(film)).pixels, levels[0])
+
+
+def test_frames_that_were_not_saved_are_gaps(tmp_path: Path) -> None:
+    with open_film(write_mraw(tmp_path / "a.mraw", noise(3, 4, 4, 8), 8, 8, step=10)) as film:
+        assert film.rate_hz == 1000
+        assert [(frame.index, frame.time_s) for frame in film] == [(0, 0.0), (10, 0.01), (20, 0.02)]
+
+
+def test_the_rate_that_is_said_wins_over_the_header(tmp_path: Path) -> None:
+    with open_film(write_mraw(tmp_path / "a.mraw", noise(3, 4, 4, 8), 8, 8), rate_hz=500) as film:
+        assert [(frame.index, frame.time_s) for frame in film] == [(0, 0.0), (1, 0.002), (2, 0.004)]
+
+
+@pytest.mark.parametrize("word", [8, 12, 16])
+@pytest.mark.parametrize("lost", [1, 50])
+def test_a_cut_file_gives_its_whole_frames_first(tmp_path: Path, word: int, lost: int) -> None:
+    levels = noise(5, 6, 10, 8)
+    path = write_mraw(tmp_path / "a.mraw", levels, word, 8 if word == 8 else 12)
+    os.truncate(path, path.stat().st_size - lost)
+    got, says = refused(path)
+    assert [np.array_equal(frame.pixels, sent) for frame, sent in zip(got, levels, strict=False)] == [True] * 4
+    assert "a.mraw ends in the middle, after 4 whole frames" in says
+
+
+@pytest.mark.parametrize(("said", "says"), [
+    ({"width": 0}, "frames of 0x6 pixels"),
+    ({"width": 1 << 30, "height": 1 << 30}, "frames of 1073741824x1073741824 pixels"),
+    ({"height": -6}, "'-6' for its image height"),
+    ({"width": "wide"}, "'wide' for its image width"),
+    ({"frames": ""}, "'' for its total frame"),
+    ({"frames": 4}, "has 300 bytes, and a.cih says 4 frames of 60"),
+    ({"frames": 0}, "says 0 frames"),
+    ({"word": 10, "written": 8}, "mono of 10 bits, and gray of 8, 12 or 16"),
+    ({"colour": "Color", "word": 24, "written": 8}, "color of 24 bits"),
+    ({"depth": 6}, "levels of 6"),
+    ({"kind": "Tiff"}, "its frames are Tiff files: give their folder"),
+])  # fmt: skip
+def test_headers_that_say_what_is_not_so(tmp_path: Path, said: dict[str, Any], says: str) -> None:
+    path = write_mraw(tmp_path / "a.mraw", noise(5, 6, 10, 8), 8, 8)
+    values = {key: value for key, value in said.items() if key != "written"}
+    text = path.with_suffix(".cih").read_text()
+    lines = {"width": "Image Width", "height": "Image Height", "frames": "Total Frame", "word": "Color Bit",
+             "colour": "Color Type", "depth": "EffectiveBit Depth", "kind": "File Format"}  # fmt: skip
+    for key, value in values.items():
+        start = text.index(lines[key] + " : ")
+        text = text[:start] + f"{lines[key]} : {value}" + text[text.index("\n", start) :]
+    path.with_suffix(".cih").write_text(text)
+    assert says in refused(path)[1]
+
+
+@pytest.mark.parametrize("rate", [0, float("nan"), -5])
+def test_a_rate_that_is_none(tmp_path: Path, rate: float) -> None:
+    path = write_mraw(tmp_path / "a.mraw", noise(2, 4, 4, 8), 8, 8, rate=rate)
+    assert "--fps" in refused(path)[1]
+
+
+def test_levels_above_the_bits_of_the_header(tmp_path: Path) -> None:
+    levels = noise(3, 4, 4, 10)
+    levels[1, 2, 3] = 1024
+    got, says = refused(write_mraw(tmp_path / "a.mraw", levels, 16, 10))
+    assert len(got) == 1
+    assert "a gray level of 1024 after 1 whole frames, and its header says 10 bits" in says
+
+
+def test_a_file_without_its_other_half(tmp_path: Path) -> None:
+    path = write_mraw(tmp_path / "a.mraw", noise(2, 4, 4, 8), 8, 8)
+    path.with_suffix(".cih").rename(tmp_path / "b.cih")
+    assert "a.mraw has no header beside it: copy a.cihx or .cih" in refused(path)[1]
+    assert "b.cih has no frames beside it: copy b.mraw" in refused(tmp_path / "b.cih")[1]
+
+
+@pytest.mark.parametrize(
+    "text", [b"Dear film,\nthis is a letter.\n", b"\0" * 100, b"<cih><a></cih>", b"<cih>&x;</cih>"]
+)
+def test_headers_that_are_none(tmp_path: Path, text: bytes) -> None:
+    path = write_mraw(tmp_path / "a.mraw", noise(2, 4, 4, 8), 8, 8)
+    path.with_suffix(".cih").write_bytes(text)
+    assert "copy" in refused(path)[1]
+
+
+def test_capital_suffixes(tmp_path: Path) -> None:
+    path = write_mraw(tmp_path / "a.mraw", noise(2, 4, 4, 8), 8, 8)
+    path.rename(tmp_path / "a.MRAW")
+    path.with_suffix(".cih").rename(tmp_path / "a.CIH")
+    for name in ("a.MRAW", "a.CIH"):
+        with open_film(tmp_path / name) as film:
+            assert len(list(film)) == 2
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(("name", "size", "bits", "rate", "indices"), [
+    ("ball_12bit.mraw", (384, 384), 12, 30_000, range(15)),
+    ("ball_12bit.cihx", (384, 384), 12, 30_000, range(15)),
+    ("beam.mraw", (1024, 80), 12, 50_000, range(0, 10_000, 2500)),
+    ("data_showcase.cih", (640, 40), 8, 15_000, range(0, 7500, 100)),
+])  # fmt: skip
+def test_recordings_of_real_cameras(
+    data: Path, name: str, size: tuple[int, int], bits: int, rate: float, indices: range
+) -> None:
+    with open_film(data / "photron" / name) as film:
+        got = list(film)
+        assert ((film.width, film.height), film.bits, film.rate_hz) == (size, bits, rate)
+    assert [frame.index for frame in got] == list(indices)
+    assert [frame.time_s for frame in got] == [index / rate for index in indices]
+    assert all(frame.pixels.shape == size[::-1] for frame in got)
+
+
+@pytest.mark.real_data
+def test_packed_levels_of_a_real_camera_are_smooth(data: Path) -> None:
+    """With the halves of the shared byte exchanged, or the bytes in another order, they are not."""
+    with open_film(data / "photron" / "ball_12bit.mraw") as film:
+        pixels = next(iter(film)).pixels
+    raw = np.fromfile(data / "photron" / "ball_12bit.mraw", np.uint8, 384 * 384 * 3 // 2).reshape(-1, 3).astype(int)
+    other = np.stack([raw[:, 0] | (raw[:, 1] & 15) << 8, raw[:, 1] >> 4 | raw[:, 2] << 4], axis=1).reshape(384, 384)
+    steps = [float(np.abs(np.diff(one.astype(int), axis=1)).mean()) for one in (pixels, other)]
+    assert steps[0] < 0.2 * steps[1]
+
+
+@pytest.mark.real_data
+def test_pymraw_reads_the_same(data: Path) -> None:
+    pymraw = pytest.importorskip("pyMRAW")
+    for name in ("ball_12bit.cihx", "beam.cihx", "data_showcase.cih"):
+        images, _ = pymraw.load_video(str(data / "photron" / name))
+        with open_film(data / "photron" / name) as film:
+            assert all(np.array_equal(frame.pixels, image) for frame, image in zip(film, images, strict=True))
