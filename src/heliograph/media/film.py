@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from heliograph.base.errors import MediaError, shown
-from heliograph.media import arrays, hdf5, photron, video_read, video_write
+from heliograph.media import arrays, hdf5, phantom, photron, video_read, video_write
 from heliograph.media.arrays import ArrayReader
+from heliograph.media.phantom import PhantomReader
 from heliograph.media.photron import PhotronReader
 from heliograph.media.reader import FilmReader
 from heliograph.media.reading import Reading
@@ -31,6 +32,7 @@ class _Kind:
 _KINDS = (
     _Kind(hdf5.Hdf5Reader, hdf5.SUFFIXES, (hdf5.SIGNATURE,)),
     _Kind(PhotronReader, photron.SUFFIXES),
+    _Kind(PhantomReader, phantom.SUFFIXES, (phantom.SIGNATURE,)),
     _Kind(ArrayReader, arrays.SUFFIXES, (arrays.SIGNATURE,)),
 )
 """Kinds of files that are read without FFmpeg; all others are taken for videos."""
@@ -55,6 +57,7 @@ def open_film(
     ======================================== ============================ =================================
     HDF5 of `create_film`                    .h5, .hdf5                   the file's
     Photron                                  .mraw, .cih or .cihx         record rate of the header
+    Phantom                                  .cine                        the camera's rate and stamps
     NumPy's array (frames, rows, columns)    .npy                         ``rate_hz``
     any video that FFmpeg reads              .mp4, .mov, .avi, .y4m ...   the file's
     ======================================== ============================ =================================

@@ -1,0 +1,165 @@
+"""Phantom recordings: .cine."""
+
+import os
+import struct
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from made_recordings import Levels, noise, write_cine
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
+from heliograph.media import open_film
+from heliograph.media.phantom import linear
+
+WORDS = [(8, 8), (16, 12), (16, 16), (12, 12)]
+"""Bits of a pixel in the file, and those of them that are used."""
+
+
+def refused(path: Path) -> tuple[list[Frame], str]:
+    """Frames before the error, and the error."""
+    got: list[Frame] = []
+    with pytest.raises(MediaError) as caught, open_film(path) as film:
+        got.extend(film)
+    assert "\n" not in str(caught.value)
+    return got, str(caught.value)
+
+
+def by_ffmpeg(path: Path) -> Levels:
+    with av.open(str(path)) as container:
+        return np.stack([picture.to_ndarray() for picture in container.decode(video=0)])
+
+
+@pytest.mark.parametrize(("word", "depth"), WORDS)
+@pytest.mark.parametrize("upwards", [True, False])
+def test_levels_rate_and_stamps(tmp_path: Path, word: int, depth: int, upwards: bool) -> None:
+    levels = noise(4, 6, 8, depth)
+    times = [0.25, 0.252, 0.26, 0.262]
+    path = write_cine(tmp_path / "a.cine", list(levels), word, depth, times, rate=500, upwards=upwards)
+    with open_film(path) as film:
+        got = list(film)
+        assert (film.width, film.height, film.bits, film.rate_hz, film.frame_count) == (8, 6, depth, 500.0, 4)
+    assert [frame.index for frame in got] == [0, 1, 5, 6]
+    assert [frame.time_s for frame in got] == pytest.approx([0, 0.002, 0.01, 0.012], abs=2e-9)
+    assert all(np.array_equal(frame.pixels, sent) for frame, sent in zip(got, levels, strict=True))
+
+
+@pytest.mark.parametrize(("word", "depth"), [(8, 8), (16, 16), (24, 8), (48, 16)])
+def test_ffmpeg_reads_the_same_pixels_of_a_made_recording(tmp_path: Path, word: int, depth: int) -> None:
+    frames = noise(3, 6, 8 * (3 if word in (24, 48) else 1), depth)
+    colours = frames.reshape(3, 6, 8, -1) if word in (24, 48) else frames
+    path = write_cine(tmp_path / "a.cine", list(colours), word, depth)
+    theirs = by_ffmpeg(path)
+    for channel, place in {"red": 2, "green": 1, "blue": 0}.items():
+        with open_film(path, channel=channel) as film:
+            ours = np.stack([frame.pixels for frame in film])
+        assert np.array_equal(ours, colours[..., place] if word in (24, 48) else colours)
+    # theirs are bgr24 and bgr48
+    assert np.array_equal(theirs.reshape(colours.shape), colours)
+
+
+def test_without_stamps_the_rate_gives_the_times(tmp_path: Path) -> None:
+    with open_film(write_cine(tmp_path / "a.cine", list(noise(3, 4, 4, 8)), 8, 8, rate=250)) as film:
+        assert [frame.time_s for frame in film] == [0, 0.004, 0.008]
+
+
+def test_codes_of_ten_bits_are_on_a_curve() -> None:
+    codes = np.array([64, 512, 1008, 1014, 1015, 1023], np.uint16)
+    assert linear(codes).tolist()[0] == 64
+    # the vendor's table has these levels
+    assert np.abs(linear(codes).astype(int) - [64, 998, 4014, 4064, 4095, 4095]).max() <= 3
+    assert (np.diff(linear(np.arange(1024, dtype=np.uint16)).astype(int)) >= 0).all()
+
+
+@pytest.mark.parametrize("wrong", [-5.0, 0.25, 4e6])
+def test_a_stamp_that_cannot_be_is_put_right(tmp_path: Path, wrong: float) -> None:
+    times = [0.25, 0.252, wrong, 0.26]
+    with open_film(write_cine(tmp_path / "a.cine", list(noise(4, 4, 4, 8)), 8, 8, times, rate=500)) as film:
+        assert [frame.time_s for frame in film] == pytest.approx([0, 0.002, 0.004, 0.01], abs=2e-9)
+
+
+@pytest.mark.real_data
+def test_a_recording_of_a_real_camera(data: Path) -> None:
+    """Its ten packed bits are FFmpeg's, which repeats their upper bits up to 16, and knows no curve."""
+    path = data / "phantom" / "data_small_cine.cine"
+    with open_film(path) as film:
+        got = list(film)
+        assert (film.width, film.height, film.bits, film.rate_hz, film.frame_count) == (256, 32, 12, 100.0, 235)
+    theirs = by_ffmpeg(path)
+    assert len(got) == len(theirs) == 235
+    for frame, picture in zip(got, theirs, strict=True):
+        assert np.array_equal(frame.pixels, linear(picture >> 6))
+    assert [frame.index for frame in got] == list(range(235))
+    # its clock has steps of 1 us
+    assert np.allclose([frame.time_s for frame in got], np.arange(235) / 100, atol=2e-6)
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_a_cut_file_gives_its_whole_frames_first(tmp_path: Path, stamped: bool) -> None:
+    levels = noise(5, 6, 8, 12)
+    path = write_cine(tmp_path / "a.cine", list(levels), 16, 12, [0, 1, 2, 3, 4] if stamped else None)
+    whole = path.read_bytes()
+    for lost, left in ((1, 4), (96 + 11, 4), (96 + 13, 3), (3 * 108 + 5, 1)):
+        path.write_bytes(whole)
+        os.truncate(path, len(whole) - lost)
+        got, says = refused(path)
+        assert len(got) == left
+        assert all(np.array_equal(frame.pixels, sent) for frame, sent in zip(got, levels, strict=False))
+        assert f"a.cine ends in the middle, after {left} whole frames" in says
+
+
+def test_a_file_cut_within_its_headers(tmp_path: Path) -> None:
+    whole = write_cine(tmp_path / "a.cine", list(noise(5, 6, 8, 8)), 8, 8, [0, 1, 2, 3, 4]).read_bytes()
+    path = tmp_path / "b.cine"
+    for size in (3, 20, 44, 83, 200, 900, 6083):
+        path.write_bytes(whole[:size])
+        assert "ends in the middle of its headers" in refused(path)[1]
+
+
+@pytest.mark.parametrize(("place", "form", "value", "says"), [
+    (0, "<2s", b"XX", "is no Phantom recording"),
+    (4, "<H", 1, "is compressed"),
+    (20, "<I", 0, "holds no frames"),
+    (20, "<I", 1 << 31, "claims 2147483648 frames"),
+    (48, "<i", 0, "frames of 0x6 pixels"),
+    (48, "<i", -8, "frames of -8x6 pixels"),
+    (52, "<i", 1 << 30, "frames of 8x1073741824 pixels"),
+    (58, "<H", 14, "pixels of 14 bits"),
+    (60, "<I", 512, "is compressed"),
+    (28, "<I", 90, "settings are not where its header says"),
+    (84 + 768, "<I", 0, "--fps"),
+    (32, "<I", 0xFFFFFFF0, "ends in the middle, after 0 whole frames"),
+])  # fmt: skip
+def test_headers_that_say_what_is_not_so(tmp_path: Path, place: int, form: str, value: object, says: str) -> None:
+    path = write_cine(tmp_path / "a.cine", list(noise(5, 6, 8, 8)), 8, 8)
+    data = bytearray(path.read_bytes())
+    struct.pack_into(form, data, place, value)
+    path.write_bytes(data)
+    assert says in refused(path)[1]
+
+
+def test_levels_above_the_bits_of_the_settings(tmp_path: Path) -> None:
+    levels = noise(3, 6, 8, 10)
+    levels[2, 0, 0] = 5000
+    got, says = refused(write_cine(tmp_path / "a.cine", list(levels), 16, 10))
+    assert len(got) == 2
+    assert "a gray level of 5000 after 2 whole frames" in says
+
+
+@pytest.mark.slow
+def test_bytes_changed_by_chance_give_frames_or_one_clear_line(tmp_path: Path) -> None:
+    whole = write_cine(tmp_path / "a.cine", list(noise(3, 6, 8, 12)), 16, 12, [0, 1, 2]).read_bytes()
+    rng, path = np.random.default_rng(1), tmp_path / "b.cine"
+    heads = [*range(84), *range(84 + 140, 84 + 144), *range(84 + 768, 84 + 772), *range(6084, 6160)]
+    for _ in range(1500):
+        data = bytearray(whole)
+        for place in rng.choice(heads, 2):
+            data[place] = rng.integers(256)
+        path.write_bytes(data)
+        try:
+            with open_film(path, rate_hz=10) as film:
+                list(film)
+        except MediaError as error:
+            assert "\n" not in str(error)  # noqa: PT017 - mostly there is one
