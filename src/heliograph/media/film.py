@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from heliograph.base.errors import MediaError, shown
-from heliograph.media import arrays, hdf5, phantom, photron, video_read, video_write
+from heliograph.media import arrays, hdf5, images, phantom, photron, tiff, video_read, video_write
 from heliograph.media.arrays import ArrayReader
 from heliograph.media.phantom import PhantomReader
 from heliograph.media.photron import PhotronReader
 from heliograph.media.reader import FilmReader
 from heliograph.media.reading import Reading
 from heliograph.media.record import FilmSpec
+from heliograph.media.tiff import TiffReader
 from heliograph.media.view import View, ViewReader
 from heliograph.media.writer import FilmWriter, Sink, ThreadedSink, partial_path, write_error
 
@@ -33,6 +34,7 @@ _KINDS = (
     _Kind(hdf5.Hdf5Reader, hdf5.SUFFIXES, (hdf5.SIGNATURE,)),
     _Kind(PhotronReader, photron.SUFFIXES),
     _Kind(PhantomReader, phantom.SUFFIXES, (phantom.SIGNATURE,)),
+    _Kind(TiffReader, tiff.SUFFIXES, tiff.SIGNATURES),
     _Kind(ArrayReader, arrays.SUFFIXES, (arrays.SIGNATURE,)),
 )
 """Kinds of files that are read without FFmpeg; all others are taken for videos."""
@@ -58,6 +60,8 @@ def open_film(
     HDF5 of `create_film`                    .h5, .hdf5                   the file's
     Photron                                  .mraw, .cih or .cihx         record rate of the header
     Phantom                                  .cine                        the camera's rate and stamps
+    TIFF, a page for each frame              .tif, .tiff                  ``rate_hz``
+    PNG, TIFF or JPEG for each frame         folder, or ``img%04d.png``   ``rate_hz``
     NumPy's array (frames, rows, columns)    .npy                         ``rate_hz``
     any video that FFmpeg reads              .mp4, .mov, .avi, .y4m ...   the file's
     ======================================== ============================ =================================
@@ -68,7 +72,8 @@ def open_film(
     Parameters
     ----------
     path
-        The file. Its first bytes tell its kind, and its suffix where they do not.
+        The file, the folder of pictures, or their names with %d or %04d for a number. A file's first bytes tell its
+        kind, and its suffix where they do not.
     expand_range
         Stretch limited-range video (black at 16, white at 235, usual for dashcams) to the full scale. Films written
         here are full range and stay as they are.
@@ -100,8 +105,8 @@ def open_film(
 
 
 def _opened(path: Path, reading: Reading) -> FilmReader:
-    if path.is_dir():
-        raise MediaError(f"{path} is a folder: give a film in it")
+    if path.is_dir() or images.is_pattern(path):
+        return images.ImagesReader(path, reading)
     if not path.exists():
         raise MediaError(f"there is no file {path}: check the name")
     if not path.is_file():

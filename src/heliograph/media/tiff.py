@@ -1,0 +1,96 @@
+"""Read TIFF stacks: a page for each frame, one in memory at a time.
+
+Pages of gray levels without compression are read from the file as they lie. All others OpenCV decodes.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Pixels
+from heliograph.media import pictures
+from heliograph.media.numbered import NumberedReader, camera_rate
+from heliograph.media.packed import unpack
+from heliograph.media.reader import checked_size
+from heliograph.media.reading import Reading
+from heliograph.media.tiff_pages import Page, Stack, damaged, opened_stack
+
+SUFFIXES = (".tif", ".tiff")
+"""Suffixes of stacks."""
+
+SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""First bytes of a TIFF file in either order of bytes, and of BigTIFF (TIFF 6.0, section 2)."""
+
+_MOST_DECODED = (1 << 31) - 1
+"""Most bytes of a file that OpenCV decodes from memory."""
+
+
+class TiffReader(NumberedReader):
+    """A TIFF stack; see `FilmReader`. It has no clock, so the rate is needed.
+
+    Parameters
+    ----------
+    path
+        The stack, a TIFF file.
+    reading
+        How the film is to be read.
+
+    Raises
+    ------
+    MediaError
+        The file is no TIFF, its first page cannot be read, or no rate was given.
+    """
+
+    def __init__(self, path: Path, reading: Reading) -> None:
+        super().__init__(path, reading.rate_hz)
+        self._channel = reading.channel
+        self.claimed_hz = camera_rate(path, reading.rate_hz)
+        with opened_stack(path) as stack:
+            page = next(stack.pages(), None)
+            if page is None:
+                raise MediaError(f"{path} holds no pages: save it again")
+            first, self.bits = self._page(stack, page, 0)
+            self.frame_count = stack.count()
+        self.height, self.width = first.shape
+        self.metadata = {}
+
+    def _pictures(self) -> Iterator[tuple[int, Pixels]]:
+        with opened_stack(self.path) as stack:
+            for number, page in enumerate(stack.pages()):
+                pixels, bits = self._page(stack, page, number)
+                if pixels.shape != (self.height, self.width) or bits != self.bits:
+                    raise MediaError(
+                        f"{self.path} has a page of {page.width}x{page.height} pixels of {bits} bits after {number} of "
+                        f"{self.width}x{self.height} of {self.bits}: save it without that page"
+                    )
+                yield number, pixels
+
+    def _page(self, stack: Stack, page: Page, count: int) -> tuple[Pixels, int]:
+        """Gray levels of a page, and their bits."""
+        checked_size(self.path, page.width, page.height)
+        if page.strips is not None:
+            return _levels(stack, page, page.strips, count), page.bits
+        if stack.size > _MOST_DECODED:
+            picture = pictures.read_page(self.path, page.number)
+        else:
+            with stack.first(page) as held:
+                picture = pictures.decode(held)
+        if picture is None:
+            raise damaged(self.path, count)
+        pixels = pictures.to_gray(pictures.checked_form(self.path, picture), self._channel)
+        return pixels, 8 * pixels.itemsize
+
+
+def _levels(stack: Stack, page: Page, strips: tuple[tuple[int, int], ...], count: int) -> Pixels:
+    """Gray levels that lie in the file as they are."""
+    data = bytearray()
+    for place, length in strips:  # which may claim more than the page has
+        data += stack.read(place, min(length, page.held_bytes - len(data)), count)
+    shape = (page.height, page.width)
+    if page.bits == 12:
+        return unpack(bytes(data), 12).reshape(shape)
+    if page.bits == 8:
+        return np.frombuffer(data, np.uint8).reshape(shape)
+    return np.frombuffer(data, f"{stack.order}u2").astype(np.uint16).reshape(shape)

@@ -1,0 +1,27 @@
+"""Memory does not grow with the film, whatever its kind."""
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_recordings import write_kinds
+
+from heliograph.media import open_film
+
+FRAMES, ROWS, COLUMNS = 200, 64, 512
+
+
+@pytest.mark.parametrize("kind", ["folder", "pattern", "tiff", "npy", "mraw", "cine"])
+@pytest.mark.slow
+def test_a_few_frames_are_held(tmp_path: Path, kind: str) -> None:
+    levels = np.zeros((FRAMES, ROWS, COLUMNS), np.uint8)
+    path, _ = write_kinds(tmp_path, levels, 1000)[kind]
+    with open_film(path, rate_hz=1000) as film:
+        next(iter(film))  # what is imported is held for good
+        tracemalloc.start()
+        count = sum(1 for _ in film)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert count == FRAMES
+    assert peak < 12 * ROWS * COLUMNS

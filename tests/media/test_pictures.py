@@ -1,0 +1,185 @@
+"""Films of pictures: folders and patterns of PNG, TIFF and JPEG, and .npy arrays."""
+
+import os
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from made_recordings import Levels, noise, write_pictures
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
+from heliograph.media import open_film
+
+
+def refused(path: Path, rate_hz: float | None = 1000.0, **options: Any) -> tuple[list[Frame], str]:
+    """Frames before the error, and the error."""
+    got: list[Frame] = []
+    with pytest.raises(MediaError) as caught, open_film(path, rate_hz=rate_hz, **options) as film:
+        got.extend(film)
+    assert "\n" not in str(caught.value)
+    return got, str(caught.value)
+
+
+def same(frames: list[Frame], levels: Levels) -> bool:
+    return all(np.array_equal(frame.pixels, sent) for frame, sent in zip(frames, levels, strict=True))
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".TIFF"])
+def test_a_folder_and_a_pattern(tmp_path: Path, bits: int, suffix: str) -> None:
+    levels = noise(12, 6, 10, bits)
+    write_pictures(tmp_path / "a", levels, f"img%d{suffix}", first=95)  # img100 comes after img99
+    (tmp_path / "a" / "notes.txt").write_text("of the day")
+    (tmp_path / "a" / ".hidden.png").write_text("of the system")
+    for path in (tmp_path / "a", tmp_path / "a" / f"img%d{suffix}"):
+        with open_film(path, rate_hz=500) as film:
+            got = list(film)
+            assert (film.width, film.height, film.bits, film.rate_hz, film.frame_count) == (10, 6, bits, 500, 12)
+        assert same(got, levels)
+        assert [frame.time_s for frame in got] == pytest.approx(np.arange(12) / 500)
+
+
+def test_a_number_that_a_pattern_lacks_is_a_lost_frame(tmp_path: Path) -> None:
+    write_pictures(tmp_path / "a", noise(5, 6, 10, 8), "img%04d.png", first=7)
+    (tmp_path / "a" / "img0009.png").unlink()
+    with open_film(tmp_path / "a" / "img%04d.png", rate_hz=100) as film:
+        assert [(frame.index, frame.time_s) for frame in film] == [(0, 0), (1, 0.01), (3, 0.03), (4, 0.04)]
+    with open_film(tmp_path / "a", rate_hz=100) as film:
+        assert [frame.index for frame in film] == [0, 1, 2, 3]
+
+
+def test_a_pattern_takes_no_other_names(tmp_path: Path) -> None:
+    folder = write_pictures(tmp_path / "a", noise(3, 6, 10, 8), "img%04d.png")
+    for other in ("img5.png", "img0005.jpg", "ximg0005.png", "img0005.png.bak"):
+        (folder / other).write_bytes((folder / "img0001.png").read_bytes())
+    with open_film(folder / "img%04d.png", rate_hz=100) as film:
+        assert len(list(film)) == 3
+
+
+def test_jpeg(tmp_path: Path) -> None:
+    folder = write_pictures(tmp_path / "a", np.full((3, 16, 24), 77, np.uint8), "%03d.jpg")
+    with open_film(folder, rate_hz=100) as film:
+        assert [np.unique(frame.pixels).tolist() for frame in film] == [[77]] * 3
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_colours(tmp_path: Path, bits: int) -> None:
+    colours = noise(2, 6, 30, bits).reshape(2, 6, 10, 3)  # OpenCV's order: blue, green, red
+    write_pictures(tmp_path / "a", colours)
+    for channel, place in {"blue": 0, "green": 1, "red": 2}.items():
+        with open_film(tmp_path / "a", rate_hz=10, channel=channel) as film:
+            assert same(list(film), colours[..., place])
+    with open_film(tmp_path / "a", rate_hz=10) as film:
+        weighted = np.rint(colours @ np.array([0.114, 0.587, 0.299]))  # Rec. 601
+        assert same(list(film), weighted)
+
+
+def test_equal_colours_are_their_gray_level(tmp_path: Path) -> None:
+    levels = np.arange(256, dtype=np.uint8).reshape(1, 16, 16)
+    with open_film(write_pictures(tmp_path / "a", np.stack([levels] * 3, axis=-1)), rate_hz=10) as film:
+        assert same(list(film), levels)
+
+
+def test_without_a_rate_one_line_says_so(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", noise(2, 4, 4, 8))
+    folder = write_pictures(tmp_path / "a", noise(2, 4, 4, 8))
+    for path in (folder, folder / "img%04d.png", tmp_path / "a.npy"):
+        assert refused(path, None)[1] == (
+            f"{path} has no clock: say how many frames a second the camera took, by --fps (rate_hz)"
+        )
+
+
+def test_folders_that_are_no_film(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    assert "is a folder without pictures" in refused(tmp_path / "empty")[1]
+    write_pictures(tmp_path / "two", noise(2, 4, 4, 8), "%d.png")
+    write_pictures(tmp_path / "two", noise(2, 4, 4, 8), "%d.jpg")
+    assert "several kinds (.jpg, .png): give those you mean as a pattern" in refused(tmp_path / "two")[1]
+    assert "there is no picture" in refused(tmp_path / "two" / "img%04d.png")[1]
+    assert "cannot read the folder" in refused(tmp_path / "none" / "img%04d.png")[1]
+
+
+def test_a_damaged_picture_comes_after_those_before(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    levels = noise(5, 20, 30, 8)
+    folder = write_pictures(tmp_path / "a", levels)
+    third = folder / "img0003.png"
+    whole = third.read_bytes()
+    for data in (b"", b"Dear film", whole[:100], whole[: len(whole) // 2]):
+        third.write_bytes(data)
+        got, says = refused(folder)
+        assert same(got, levels[:2])
+        assert f"{third} is damaged or no picture, after 2 frames" in says
+    assert capfd.readouterr().err == ""
+
+
+def test_pictures_of_another_form(tmp_path: Path) -> None:
+    folder = write_pictures(tmp_path / "a", noise(3, 20, 30, 8))
+    for other, says in ((noise(1, 10, 30, 8)[0], "30x10 pixels of 8 bits"),
+                        (noise(1, 20, 30, 16)[0], "30x20 pixels of 16 bits")):  # fmt: skip
+        cv2.imwrite(str(folder / "img0002.png"), other)
+        got, message = refused(folder)
+        assert len(got) == 1
+        assert says in message
+
+
+def test_numbers_that_are_no_gray_levels(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    cv2.imwrite(str(tmp_path / "a" / "1.tif"), np.zeros((4, 4), np.float32))
+    assert "pixels of float32 in 1 channels: save gray or RGB of 8 or 16 bits" in refused(tmp_path / "a")[1]
+
+
+def test_a_picture_that_claims_more_than_any_camera_has(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    head = b"IHDR" + struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0)
+    chunk = struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
+    (tmp_path / "a" / "1.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
+    assert "frames of 60000x60000 pixels" in refused(tmp_path / "a")[1]
+
+
+@pytest.mark.parametrize("dtype", ["u1", "<u2", ">u2"])
+def test_an_array(tmp_path: Path, dtype: str) -> None:
+    levels = noise(4, 6, 10, 8 if dtype == "u1" else 16)
+    np.save(tmp_path / "a.npy", levels.astype(dtype))
+    (tmp_path / "a.npy").rename(tmp_path / "b.film")  # its first bytes tell its kind
+    with open_film(tmp_path / "b.film", rate_hz=250) as film:
+        got = list(film)
+        assert (film.width, film.height, film.bits, film.frame_count) == (10, 6, 8 * levels.itemsize, 4)
+    assert same(got, levels)
+    assert {frame.pixels.dtype.str for frame in got} == {levels.dtype.str}
+    assert [frame.time_s for frame in got] == [0, 0.004, 0.008, 0.012]
+
+
+def test_a_cut_array_gives_its_whole_frames_first(tmp_path: Path) -> None:
+    levels, path = noise(4, 6, 10, 16), tmp_path / "a.npy"
+    np.save(path, levels)
+    os.truncate(path, path.stat().st_size - 1)
+    got, says = refused(path)
+    assert same(got, levels[:3])
+    assert "ends in the middle, after 3 whole frames" in says
+
+
+@pytest.mark.parametrize(("array", "says"), [
+    (np.zeros((4, 6), np.uint8), "holds an array (4, 6) of uint8: a film is (frames, rows, columns)"),
+    (np.zeros((4, 6, 8), np.float64), "of float64: a film is"),
+    (np.zeros((4, 6, 8, 3), np.uint8), "(4, 6, 8, 3) of uint8"),
+    (np.zeros((4, 6, 8), np.int16), "of int16"),
+    (np.zeros((4, 0, 8), np.uint8), "frames of 8x0 pixels"),
+    (np.zeros((0, 6, 8), np.uint8), "holds no frames"),
+    (np.asfortranarray(np.zeros((4, 6, 8), np.uint8)), "Fortran's order"),
+    (np.array([{}]), "holds an array (1,) of object"),
+], ids=str)  # fmt: skip
+def test_arrays_that_are_no_film(tmp_path: Path, array: Any, says: str) -> None:
+    np.save(tmp_path / "a.npy", array)
+    assert says in refused(tmp_path / "a.npy")[1]
+
+
+@pytest.mark.parametrize("data", [b"Dear film", b"\x93NUMPY\x01\x00", b"\x93NUMPY\x09\x00" + bytes(99),
+                                  b"\x93NUMPY\x01\x00\x10\x00" + b"(" * 16])  # fmt: skip
+def test_files_that_are_no_array(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "a.npy").write_bytes(data)
+    assert "is no array of NumPy, or damaged" in refused(tmp_path / "a.npy")[1]
