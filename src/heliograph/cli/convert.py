@@ -6,14 +6,14 @@ from pathlib import Path
 from heliograph.cli import console, options
 
 
-def run_convert(film: Path, output: Path, fps: float | None, codec: str | None, crf: float | None) -> None:
+def run_convert(film: Path, output: Path, seen: options.FilmOptions, codec: str | None, crf: float | None) -> None:
     """Write a film as another kind."""
     from heliograph.media import convert_film, open_film
     from heliograph.media.convert import keeps_levels
 
     options.refuse_to_replace(output, (film,))
     written = 0
-    with open_film(film, rate_hz=fps) as source:
+    with open_film(film, **seen.keywords()) as source:
         try:
             with console.progress("converting", source.frame_count) as advance:
 

@@ -25,6 +25,9 @@ NAME = "heliograph"
 TyperError: type[Exception] = getattr(typer, "TyperException", typer.BadParameter.__mro__[2])
 """What a wrong command line raises: before Typer 0.27, Click's exception at the root of `typer.BadParameter`."""
 
+READ = "Video, .h5, .mraw, .cine, TIFF stack, .npy, folder of pictures, or their names such as img%04d.png."
+"""Films that are read, for the help."""
+
 High = Annotated[Path | None, options.message_option("high")]
 Middle = Annotated[Path | None, options.message_option("middle")]
 Low = Annotated[Path | None, options.message_option("low")]
@@ -41,9 +44,23 @@ Fps = Annotated[
         "--fps",
         metavar="RATE",
         show_default=False,
-        help="Frames per second that the camera took, where the film claims another rate, as in slow motion.",
+        help="Frames per second that the camera took, where the film claims another rate, as in slow motion, or has no "
+        "clock: a folder of pictures, TIFF, .npy.",
     ),
 ]
+Crop = Annotated[
+    str | None,
+    typer.Option(
+        "--crop",
+        metavar="X,Y,WIDTH,HEIGHT",
+        show_default=False,
+        help="Part of the frames that is read, in pixels; x and y count from 0 at the upper left.",
+    ),
+]
+Rotate = Annotated[
+    int, typer.Option("--rotate", metavar="DEGREES", help="Turn the part clockwise: 0, 90, 180 or 270 degrees.")
+]
+Channel = Annotated[str, typer.Option("--channel", help="Gray level of a colour: luma, red, green or blue.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
@@ -99,7 +116,7 @@ def transmit(
 
 @app.command()
 def receive(
-    film: Annotated[Path, typer.Argument(help="Film to read.")],
+    film: Annotated[Path, typer.Argument(help=READ)],
     receiver: Annotated[
         str | None,
         typer.Option(
@@ -117,6 +134,9 @@ def receive(
         typer.Option("--truth", metavar="FILE", help="Truth of the film, to count errors by.", show_default=False),
     ] = None,
     fps: Fps = None,
+    crop: Crop = None,
+    rotate: Rotate = 0,
+    channel: Channel = "luma",
     preset: options.Preset = "paper",
     settings: options.SettingsFile = None,
     assignments: options.Assignments = None,
@@ -129,14 +149,18 @@ def receive(
     """
     from heliograph.cli.receive import run_receive
 
-    run_receive(film, fps, receiver, output, truth, preset, settings, assignments, as_json)
+    seen = options.FilmOptions(fps, crop, rotate, channel)
+    run_receive(film, seen, receiver, output, truth, preset, settings, assignments, as_json)
 
 
 @app.command()
 def convert(
-    film: Annotated[Path, typer.Argument(help="Film to read.")],
+    film: Annotated[Path, typer.Argument(help=READ)],
     output: Annotated[Path, typer.Argument(help="Film to write: .mkv, .nut, .mp4, .avi or .h5.")],
     fps: Fps = None,
+    crop: Crop = None,
+    rotate: Rotate = 0,
+    channel: Channel = "luma",
     codec: Codec = None,
     crf: Annotated[
         float | None,
@@ -146,7 +170,7 @@ def convert(
     """Write a film as another kind, with its gray levels and times; .h5 is the fastest to read."""
     from heliograph.cli.convert import run_convert
 
-    run_convert(film, output, fps, codec, crf)
+    run_convert(film, output, options.FilmOptions(fps, crop, rotate, channel), codec, crf)
 
 
 @app.command()

@@ -3,13 +3,14 @@
 import contextlib
 import sys
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from heliograph import __version__
-from heliograph.base.errors import MediaError, SettingsError
+from heliograph.base.errors import MediaError, SettingsError, shown
 from heliograph.base.files import read_bounded
 from heliograph.base.toml_text import parse_assignment, parse_toml
 from heliograph.cli import console
@@ -86,6 +87,24 @@ WorkersOption = Annotated[
     int | None,
     typer.Option("--workers", min=1, help="Worker processes; one for each core if left out.", show_default=False),
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class FilmOptions:
+    """How a film is read: options of the command, as they were given."""
+
+    fps: float | None
+    crop: str | None
+    rotate: int
+    channel: str
+
+    def keywords(self) -> dict[str, Any]:
+        """Return them as `open_film` takes them; a MediaError where the crop is no four whole numbers."""
+        try:
+            crop = tuple(map(int, self.crop.split(","))) if self.crop is not None else None
+        except ValueError:
+            raise MediaError(f"--crop takes X,Y,WIDTH,HEIGHT in whole pixels, not {shown(self.crop)}") from None
+        return {"rate_hz": self.fps, "crop": crop, "rotate": self.rotate, "channel": self.channel}
 
 
 def message_option(layer: str) -> Any:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def run_receive(
     film: Path,
-    fps: float | None,
+    seen: options.FilmOptions,
     receiver: str | None,
     output: Path | None,
     truth: Path | None,
@@ -55,7 +55,7 @@ def run_receive(
     # its images are small: a second thread would only wait, and take a core
     cv2.setNumThreads(1)
     began = time.perf_counter()
-    with open_film(film, rate_hz=fps) as source:
+    with open_film(film, **seen.keywords()) as source:
         signal, departure = signal_of(source, base.signal, signal_changes)
         if known is not None:
             check_truth(source, known, signal)

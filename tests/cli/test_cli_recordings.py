@@ -1,0 +1,132 @@
+"""The command takes what cameras and their programs write, and reads the same of it."""
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runs import Run, called, failed, heliograph, lasting, succeeded
+from made_recordings import write_kinds
+
+from heliograph.media import open_film
+
+pytestmark = pytest.mark.slow
+
+Call = Callable[..., Run]
+HIGH = b"brake\x00\xff"
+KINDS = ("folder", "pattern", "tiff", "npy", "mraw", "cine")
+
+
+@pytest.fixture
+def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: called(*arguments, capfd=capfd, monkeypatch=monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def shots(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one film in each kind."""
+    folder = tmp_path_factory.mktemp("shots")
+    (folder / "high").write_bytes(HIGH)
+    succeeded(heliograph("simulate", "a.h5", *lasting(0.3), "--seed", "4", "--high", "high", cwd=folder))
+    heliograph("receive", "a.h5", cwd=folder)  # where its loops are compiled it tells how long it takes
+    with open_film(folder / "a.h5") as film:
+        levels, rate = np.stack([frame.pixels for frame in film]), film.rate_hz
+    assert set(write_kinds(folder, levels, round(rate))) == set(KINDS)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def paths(shots: Path) -> dict[str, tuple[Path, bool]]:
+    return {
+        "folder": (shots / "shots", True), "pattern": (shots / "shots" / "img%04d.png", True),
+        "tiff": (shots / "a.tif", True), "npy": (shots / "a.npy", True),
+        "mraw": (shots / "b.mraw", False), "cine": (shots / "a.cine", False),
+    }  # fmt: skip
+
+
+def read(call: Call, film: Path, output: Path, *options: str) -> tuple[list[dict[str, Any]], dict[str, bytes]]:
+    """What a film says: its packets, and its messages by name."""
+    succeeded(call("receive", film, "--preset", "static", "--output", output, *options))
+    packets = [json.loads(line) for line in (output / "packets.jsonl").read_text().splitlines()]
+    return packets, {path.name: path.read_bytes() for path in output.glob("*.bin")}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_same_words_are_read_of_each_kind(
+    kind: str, shots: Path, paths: dict[str, tuple[Path, bool]], tmp_path: Path, call: Call
+) -> None:
+    known, messages = read(call, shots / "a.h5", tmp_path / "known")
+    assert len(known) >= 2
+    path, clockless = paths[kind]
+    packets, got = read(call, path, tmp_path / "got", *(("--fps", "1000") if clockless else ()))
+    assert got == messages == {"array-0-high-0.bin": HIGH}
+    assert [packet["status"] for packet in packets] == [packet["status"] for packet in known]
+    if kind != "cine":  # the camera's stamps are rounded to 1 ns
+        assert packets == known
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("target", ["c.h5", "c.mkv"])
+def test_each_kind_is_converted(
+    kind: str, target: str, shots: Path, paths: dict[str, tuple[Path, bool]], tmp_path: Path, call: Call
+) -> None:
+    path, clockless = paths[kind]
+    said = succeeded(call("convert", path, target, *(("--fps", "1000") if clockless else ())))
+    assert said == f"{target}: 300 frames\n"
+    with open_film(shots / "a.h5") as known, open_film(tmp_path / target) as written:
+        assert written.rate_hz == known.rate_hz
+        for one, other in zip(known, written, strict=True):
+            assert np.array_equal(one.pixels, other.pixels)
+            assert one.time_s == pytest.approx(other.time_s, abs=2e-9)
+            assert one.index == other.index
+
+
+@pytest.mark.parametrize("kind", ["folder", "pattern", "tiff", "npy"])
+@pytest.mark.parametrize("command", ["receive", "convert"])
+def test_what_has_no_clock_says_so_in_one_line(
+    kind: str, command: str, paths: dict[str, tuple[Path, bool]], call: Call
+) -> None:
+    path, _ = paths[kind]
+    said = failed(call(command, path, *(["b.h5"] if command == "convert" else [])))
+    assert "has no clock: say how many frames a second the camera took, by --fps" in said
+
+
+def test_a_crop_and_a_turn_are_read(shots: Path, tmp_path: Path, call: Call) -> None:
+    known, messages = read(call, shots / "a.h5", tmp_path / "known")
+    packets, got = read(call, shots / "a.h5", tmp_path / "got", "--crop", "40,20,80,80", "--rotate", "90")
+    assert got == messages == {"array-0-high-0.bin": HIGH}
+    assert [packet["status"] for packet in packets] == [packet["status"] for packet in known]
+    assert {packet["orientation"] for packet in packets} != {packet["orientation"] for packet in known}
+
+
+@pytest.mark.parametrize(("options", "says"), [
+    (("--crop", "1,2,3"), "a crop is x, y, width and height"),
+    (("--crop", "a,b,c,d"), "--crop takes X,Y,WIDTH,HEIGHT in whole pixels, not 'a,b,c,d'"),
+    (("--crop", "0,0,161,1"), "reaches beyond the frames"),
+    (("--rotate", "1"), "0, 90, 180 or 270"),
+    (("--channel", "pink"), "choose one of luma, red, green, blue"),
+])  # fmt: skip
+@pytest.mark.parametrize("command", ["receive", "convert"])
+def test_wrong_options(command: str, options: tuple[str, ...], says: str, shots: Path, call: Call) -> None:
+    assert says in failed(call(command, shots / "a.h5", *(["b.h5"] if command == "convert" else []), *options))
+
+
+@pytest.mark.parametrize("kind", ["npy", "mraw", "cine", "tiff"])
+def test_of_a_cut_recording_the_whole_frames_are_kept(
+    kind: str, paths: dict[str, tuple[Path, bool]], tmp_path: Path, call: Call
+) -> None:
+    whole, clockless = paths[kind]
+    path = tmp_path / whole.name
+    path.write_bytes(whole.read_bytes())
+    if kind == "mraw":
+        path.with_suffix(".cih").write_bytes(whole.with_suffix(".cih").read_bytes())
+    os.truncate(path, path.stat().st_size * 2 // 3)
+    said = failed(call("convert", path, "c.h5", *(("--fps", "1000") if clockless else ())))
+    with open_film(tmp_path / "c.h5") as kept:
+        count = len(list(kept))
+    assert 150 < count < 250
+    assert f"ends in the middle, after {count} whole frames: copy it again" in said
