@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-PACKED_BITS = (10, 12)
-"""Bits of a gray level that `unpack` knows: Phantom cameras pack both, Photron cameras 12."""
+_GROUPS = {10: (4, 5), 12: (2, 3)}
+"""Levels of a group and its bytes, by the bits of a level: groups begin and end with a byte."""
 
 
 def unpack(data: bytes, bits: int) -> NDArray[np.uint16]:
@@ -15,18 +15,19 @@ def unpack(data: bytes, bits: int) -> NDArray[np.uint16]:
     data
         Whole groups of bytes: 5 bytes hold four levels of 10 bits, 3 bytes two of 12.
     bits
-        Bits of a gray level, one of `PACKED_BITS`.
+        Bits of a gray level, 10 or 12.
 
     Returns
     -------
     (levels,) gray levels in the order of the file.
     """
-    if bits == 12:
-        one, two, three = np.frombuffer(data, np.uint8).reshape(-1, 3).T.astype(np.uint16)
-        return np.stack([one << 4 | two >> 4, (two & 0xF) << 8 | three], axis=1).ravel()
-    a, b, c, d, e = np.frombuffer(data, np.uint8).reshape(-1, 5).T.astype(np.uint16)
-    levels = [a << 2 | b >> 6, (b & 0x3F) << 4 | c >> 4, (c & 0xF) << 6 | d >> 2, (d & 0x3) << 8 | e]
-    return np.stack(levels, axis=1).ravel()
+    held, size = _GROUPS[bits]
+    levels = np.empty((len(data) // size, held), np.uint16)
+    for place in range(held):
+        # each level lies within two neighbouring bytes, `bits - 8` bits further on than the level before
+        words = np.ndarray((len(levels),), ">u2", data, place, (size,))
+        levels[:, place] = (words >> (16 - bits - place * (bits - 8))) & ((1 << bits) - 1)
+    return levels.ravel()
 
 
 def packed_size(levels: int, bits: int) -> int:
@@ -37,7 +38,7 @@ def packed_size(levels: int, bits: int) -> int:
     levels
         Number of gray levels, 0 or more.
     bits
-        Bits of a gray level, one of `PACKED_BITS`.
+        Bits of a gray level, 10 or 12.
     """
-    held, size = (4, 5) if bits == 10 else (2, 3)
+    held, size = _GROUPS[bits]
     return -(-levels // held) * size
