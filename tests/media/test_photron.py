@@ -126,6 +126,31 @@ def test_headers_that_are_none(tmp_path: Path, text: bytes) -> None:
     assert "copy" in refused(path)[1]
 
 
+@pytest.mark.parametrize("first", [b"II*\0", b"CI\x2c\0", b"\x93NUMPY"])
+def test_frames_that_begin_like_another_kind(tmp_path: Path, first: bytes) -> None:
+    levels = noise(2, 4, 8, 8)
+    levels[0, 0, : len(first)] = list(first)
+    with open_film(write_mraw(tmp_path / "a.mraw", levels, 8, 8)) as film:
+        assert np.array_equal(next(iter(film)).pixels, levels[0])
+
+
+@pytest.mark.parametrize("header", [".cih", ".cihx"])
+@pytest.mark.slow
+def test_bytes_changed_by_chance_give_frames_or_one_clear_line(tmp_path: Path, header: str) -> None:
+    path = write_mraw(tmp_path / "a.mraw", noise(2, 4, 4, 8), 8, 8, header)
+    whole, rng = path.with_suffix(header).read_bytes(), np.random.default_rng(3)
+    for _ in range(700):
+        data = bytearray(whole)
+        for place in rng.integers(0, len(data), 6):
+            data[place] = rng.choice(list(b"0123456789-.eE<>&:\n\0\xff"))
+        path.with_suffix(header).write_bytes(data)
+        try:
+            with open_film(path, rate_hz=10) as film:
+                list(film)
+        except MediaError as error:
+            assert "\n" not in str(error)  # noqa: PT017 - mostly there is one
+
+
 def test_capital_suffixes(tmp_path: Path) -> None:
     path = write_mraw(tmp_path / "a.mraw", noise(2, 4, 4, 8), 8, 8)
     path.rename(tmp_path / "a.MRAW")

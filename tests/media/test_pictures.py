@@ -117,6 +117,15 @@ def test_a_damaged_picture_comes_after_those_before(tmp_path: Path, capfd: pytes
     assert capfd.readouterr().err == ""
 
 
+def test_a_picture_that_is_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    folder = write_pictures(tmp_path / "a", noise(3, 20, 30, 8))
+    (folder / "img0002.png").unlink()
+    os.mkfifo(folder / "img0002.png")
+    got, says = refused(folder)
+    assert len(got) == 1
+    assert "img0002.png is damaged or no picture, after 1 frames" in says
+
+
 def test_pictures_of_another_form(tmp_path: Path) -> None:
     folder = write_pictures(tmp_path / "a", noise(3, 20, 30, 8))
     for other, says in ((noise(1, 10, 30, 8)[0], "30x10 pixels of 8 bits"),

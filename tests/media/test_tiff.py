@@ -190,7 +190,7 @@ def test_bytes_changed_by_chance_give_frames_or_one_clear_line(
     rng, path = np.random.default_rng(2), tmp_path / "b.tif"
     plain = write_tiff(tmp_path / "a.tif", noise(3, 6, 10, 16)).read_bytes()
     for whole in (plain, by_opencv(tmp_path / "a.tif", noise(3, 6, 10, 16), 5).read_bytes()):
-        for _ in range(700):
+        for _ in range(300):
             data = bytearray(whole)
             for place in rng.integers(0, len(data), 3):
                 data[place] = rng.integers(256)

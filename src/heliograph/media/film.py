@@ -118,9 +118,10 @@ def _opened(path: Path, reading: Reading) -> FilmReader:
         raise MediaError(f"cannot read {path}: {error.strerror}") from error
     if not head:
         raise MediaError(f"{path} is empty: copy or record it again")
-    told = (kind for kind in _KINDS if head.startswith(kind.signatures))
-    named = (kind for kind in _KINDS if path.suffix.lower() in kind.suffixes)
-    kind = next(told, None) or next(named, None)
+    told = next((kind for kind in _KINDS if head.startswith(kind.signatures)), None)
+    named = next((kind for kind in _KINDS if path.suffix.lower() in kind.suffixes), None)
+    # raw frames may begin with any bytes
+    kind = named if named and not named.signatures else told or named
     return kind.open(path, reading) if kind else video_read.VideoReader(path, reading)
 
 

@@ -72,9 +72,7 @@ class ImagesReader(NumberedReader):
     def _picture(self, name: str, count: int) -> Pixels:
         path = self._folder / name
         try:
-            size, data = path.stat().st_size, b""
-            if size < _MOST_BYTES:
-                data = path.read_bytes()
+            data = path.read_bytes() if path.is_file() and path.stat().st_size < _MOST_BYTES else b""
         except OSError as error:
             raise MediaError(f"cannot read {path}, after {count} frames: {error.strerror}") from error
         check_claim(path, data)

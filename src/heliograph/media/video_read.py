@@ -199,7 +199,10 @@ def _unreadable(path: Path, error: Exception) -> MediaError:
         return MediaError(f"not allowed to read {path}: check its rights")
     if whole.ends_early(path):
         return MediaError(f"{path} ends in the middle and cannot be read without its end: copy or record it again")
-    return MediaError(f"{path} is not a video that can be read: give a video (.mkv, .nut, .mp4, .avi ...) or .h5 film")
+    return MediaError(
+        f"{path} is not a video that can be read: give a video (.mkv, .mp4 ...), .h5, .mraw, .cine, TIFF, .npy or "
+        "a folder of pictures"
+    )
 
 
 def _prepared(container: "InputContainer", strict: bool) -> "av.VideoStream":
