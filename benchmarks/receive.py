@@ -1,18 +1,21 @@
-"""Speed of the plain receiver on whole frames kept in memory, beside plain filters of the same frame.
+"""Speed of the plain receiver on whole frames kept in memory, in processor time, beside filters of the same frame.
 
-python benchmarks/receive.py
+`python -m benchmarks.receive [CLIP ...]`: a drive past nothing is searched over each clip of a road too.
 """
 
+import argparse
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from heliograph.base.frames import Frame
+from heliograph.link.recordings import load_footage
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import default_messages, simulate
+from heliograph.link.simulate import Recordings, default_messages, simulate
 from heliograph.receive import Packet, Pose, ReceiveSettings
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
 from heliograph.receive.assemblies import plain_parts, plain_receiver
@@ -30,15 +33,16 @@ def static(distance_m: float, background: str = "flat") -> LinkSettings:
     return load_settings("static", {"channel": scene})
 
 
-def film(settings: LinkSettings) -> list[Frame]:
-    return [frame for frame, _ in simulate(settings, default_messages(settings), 1)]
+def film(settings: LinkSettings, recordings: Recordings | None = None) -> list[Frame]:
+    return [frame for frame, _ in simulate(settings, default_messages(settings), 1, recordings)]
 
 
-def empty(background: str) -> list[Frame]:
-    """A drive over a rough road past nothing: the array is dark."""
+def empty(background: str, clip: Path | None = None) -> list[Frame]:
+    """A drive over a rough road past nothing, before a clip or what is drawn: the array is dark."""
     drive = {"speed_m_s": 8.33, "shake": "road", "road_class": "C", "stop_m": 1.0, "distance_m": 50.0}
     scene = {**drive, "duration_s": FRAMES * 1e-3, "background": {"kind": background}, "arrays": [{"start_s": 1e3}]}
-    return film(load_settings("static", {"channel": scene}))
+    recordings = None if clip is None else Recordings(footage=load_footage(clip))
+    return film(load_settings("static", {"channel": scene}), recordings)
 
 
 def plain() -> StreamReceiver:
@@ -51,10 +55,10 @@ def rate(frames: Sequence[Frame]) -> tuple[float, list[Packet], int]:
     rates, packets, fitted = list[float](), list[Packet](), 0
     for _ in range(RUNS):
         receiver, packets = plain(), []
-        start = time.perf_counter()
+        start = time.process_time()
         for frame in frames:
             packets += receiver.push(frame)
-        rates.append(len(frames) / (time.perf_counter() - start))
+        rates.append(len(frames) / (time.process_time() - start))
         fitted = receiver.candidates_fitted
     return float(np.median(rates)), packets, fitted
 
@@ -95,10 +99,10 @@ def following_rate(frames: Sequence[Frame]) -> float:
     for run in range(RUNS):
         part = [replace(f, index=f.index + run * period, time_s=f.time_s + run * period * 1e-3) for f in frames]
         part = part[20 if not run else len(frames) - period : len(frames)]
-        start = time.perf_counter()
+        start = time.process_time()
         for frame in part:
             list(receiver.push(frame))
-        rates.append(len(part) / (time.perf_counter() - start))
+        rates.append(len(part) / (time.process_time() - start))
     return float(np.median(rates))
 
 
@@ -106,9 +110,9 @@ def plain_ms(work: Callable[[], object]) -> float:
     """Median time of a call in ms."""
     times = []
     for _ in range(200):
-        start = time.perf_counter()
+        start = time.process_time()
         work()
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return float(np.median(times)) * 1e3
 
 
@@ -119,6 +123,9 @@ def baselines(frames: Sequence[Frame]) -> tuple[float, float]:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("clips", nargs="*", type=Path)
+    clips: list[Path] = parser.parse_args().clips
     cv2.setNumThreads(1)
     near = film(static(30.0))
     list(plain().push(near[0]))
@@ -133,6 +140,7 @@ def main() -> None:
         ("following, drawn scene, 50 m", film(static(50.0, "synthetic"))),
         ("searching, flat", empty("flat")),
         ("searching, drawn scene shaken", empty("synthetic")),
+        *((f"searching, {clip.stem}", empty("flat", clip)) for clip in clips),
     )
     for name, frames in cases:
         per_s, packets, fitted = rate(frames)
