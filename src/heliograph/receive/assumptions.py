@@ -7,7 +7,6 @@ from heliograph.receive.decode.observed import DecodedPacket
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packets import Codeword, Words
-from heliograph.receive.track.consistent_poses import consistent
 from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.receive.track.realign import realigned
 
@@ -47,14 +46,11 @@ class ReadPacket:
         What came of it.
     words
         Codewords by layer, with those that only other readings gave.
-    tried
-        Cut-outs of the latest reading, be it this one or one that was no better.
     """
 
     assumed: Assumption
     decoded: DecodedPacket[ObservedPacket]
     words: Words
-    tried: Sequence[Cutout | None]
 
     @classmethod
     def of(cls, assumed: Assumption, decoded: DecodedPacket[ObservedPacket]) -> "ReadPacket":
@@ -67,7 +63,7 @@ class ReadPacket:
         decoded
             What came of it.
         """
-        return cls(assumed, decoded, decoded.words, assumed.cutouts)
+        return cls(assumed, decoded, decoded.words)
 
     @property
     def open(self) -> int:
@@ -95,7 +91,7 @@ class ReadPacket:
         """
         best = later if later.open < self.open else self
         words = {name: tuple(map(_decoded_one, by, later.words[name])) for name, by in self.words.items()}
-        return replace(best, words=words, tried=later.tried)
+        return replace(best, words=words)
 
 
 def open_words(words: Words) -> int:
@@ -124,7 +120,7 @@ def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[
     The reading that leaves the fewest codewords open, the earliest of several, with the codewords of all.
     """
     reading = ReadPacket.of(first, decode(first))
-    for otherwise in (all_leds_sound, poses_by_consistency, poses_by_power, poses_by_both):
+    for otherwise in (all_leds_sound, poses_by_power):
         assumed = otherwise(reading) if reading.open else None
         if assumed is not None:
             reading = reading.or_rather(ReadPacket.of(assumed, decode(assumed)))
@@ -164,51 +160,6 @@ def poses_by_power(reading: ReadPacket) -> Assumption | None:
         return None
     cutouts, largest_px = realigned(assumed.cutouts, assumed.led_gains.values)
     return replace(assumed, cutouts=cutouts) if largest_px > PULLED_PX else None
-
-
-def poses_by_consistency(reading: ReadPacket) -> Assumption | None:
-    """Assume each pair's array where its difference is one that an array can give, if something passes before it.
-
-    Parameters
-    ----------
-    reading
-        The best reading so far.
-
-    Returns
-    -------
-    The assumption; None in the single mode, out of step, where nothing passes, and where the poses are right by it.
-    """
-    return _consistent(reading, reading.assumed.cutouts) if _passed(reading.assumed.cutouts) else None
-
-
-def poses_by_both(reading: ReadPacket) -> Assumption | None:
-    """Assume the array where the differences have their power, and near there where each is one that an array can give.
-
-    Parameters
-    ----------
-    reading
-        The best reading so far, whose latest took the poses by power.
-
-    Returns
-    -------
-    The assumption; None where `poses_by_consistency` gives none, and where the latest reading was the best one.
-    """
-    return None if reading.tried is reading.assumed.cutouts else _consistent(reading, reading.tried)
-
-
-def _consistent(reading: ReadPacket, cutouts: Sequence[Cutout | None]) -> Assumption | None:
-    """Cut-outs at poses at which each pair is consistent; None where that moves none."""
-    assumed, decoded = reading.assumed, reading.decoded
-    if decoded.observed.form.single or any(one is not None and one.combination is not None for one in cutouts):
-        return None
-    values, noise = assumed.led_gains.values, decoded.observed.noise
-    moved, largest_px = consistent(cutouts, noise, values, decoded.channel.gain)
-    return replace(assumed, cutouts=moved) if largest_px > 0 else None
-
-
-def _passed(cutouts: Sequence[Cutout | None]) -> bool:
-    """Whether something hides the array, or a part of it, in some pairs."""
-    return any(cutout is None or cutout.in_sight is not None for cutout in cutouts)
 
 
 def _decoded_one(one: Codeword, other: Codeword) -> Codeword:

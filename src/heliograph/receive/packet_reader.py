@@ -233,7 +233,7 @@ class SoftReader:
         if new and shown is not None and reading.lacks(shown):
             self._misled = True
             reading = reading.or_rather(read_packet(first, read))
-        self._data = self._data.rather(reading.tried)
+        self._data = self._data.rather(reading.assumed.cutouts)
         self._proven |= new and not self._misled and reading.open < sum(map(len, reading.words.values()))
         self._led_gains = self._learnt(reading)
         if buffer is not None and reading.decoded.buffer is not None:
