@@ -178,12 +178,12 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
 
 def _show_reading(source: "FilmReader", report: dict[str, Any]) -> None:
     """Say so where the container is what takes the time."""
-    reading_s, faster = report["reading_seconds"], source.path.with_suffix(".h5")
+    reading_s = report["reading_seconds"]
     slow = reading_s > max(LONG_READING_S, report["frames"] / source.rate_hz)
-    if slow and reading_s > 0.5 * report["seconds"] and source.path.suffix != faster.suffix:
+    if slow and reading_s > 0.5 * report["seconds"] and source.path.suffix != ".h5":
         console.say(
             f"reading the film took {reading_s:.1f} s of these: HDF5 and lossless H.264 are read faster, see "
-            f"'heliograph convert {source.path} {faster}'"
+            f"'heliograph convert {source.path} {source.path.parent / (source.path.stem or 'film')}.h5'"
         )
 
 
