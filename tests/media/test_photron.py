@@ -1,5 +1,6 @@
 """Photron recordings: .mraw with .cih or .cihx."""
 
+import itertools
 import os
 from pathlib import Path
 from typing import Any
@@ -196,3 +197,10 @@ def test_pymraw_reads_the_same(data: Path) -> None:
         images, _ = pymraw.load_video(str(data / "photron" / name))
         with open_film(data / "photron" / name) as film:
             assert all(np.array_equal(frame.pixels, image) for frame, image in zip(film, images, strict=True))
+
+
+def test_no_more_frames_are_expected_than_the_file_has_room_for(tmp_path: Path) -> None:
+    path = write_mraw(tmp_path / "a.mraw", noise(4, 6, 10, 8), 8, 8, frames=2_000_000_000)
+    with open_film(path) as film:
+        assert film.frame_count == 4
+        assert len(list(itertools.islice(film, 4))) == 4

@@ -9,7 +9,7 @@ import numpy as np
 
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import BITS, Pixels
-from heliograph.media.numbered import NumberedReader, blocks, camera_rate
+from heliograph.media.numbered import NumberedReader, blocks, camera_rate, expected_frames
 from heliograph.media.reader import checked_size
 from heliograph.media.reading import Reading
 
@@ -42,16 +42,17 @@ class ArrayReader(NumberedReader):
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading.rate_hz)
         shape, self._dtype, self._start = _header(path)
-        self.frame_count, self.height, self.width = shape
+        self._claimed, self.height, self.width = shape
         self.bits = 8 * self._dtype.itemsize
         checked_size(path, self.width, self.height)
+        self._frame_bytes = self.width * self.height * self._dtype.itemsize
+        self.frame_count = expected_frames(path, self._claimed, self._frame_bytes)
         self.claimed_hz = camera_rate(path, reading.rate_hz)
         self.metadata = {}
 
     def _pictures(self) -> Iterator[tuple[int, Pixels]]:
-        size = self.width * self.height * self._dtype.itemsize
-        places = (self._start + count * size for count in range(self.frame_count or 0))
-        for number, data in enumerate(blocks(self.path, places, size)):
+        places = (self._start + count * self._frame_bytes for count in range(self._claimed))
+        for number, data in enumerate(blocks(self.path, places, self._frame_bytes)):
             levels: Any = np.frombuffer(data, self._dtype).reshape(self.height, self.width)
             yield number, levels.astype(self._dtype.newbyteorder("="), copy=False)
 
@@ -68,7 +69,7 @@ def _header(path: Path) -> tuple[tuple[int, int, int], np.dtype[np.uint8] | np.d
         raise MediaError(
             f"{path} is no array of NumPy, or damaged: save it again by numpy.save ({brief(error)})"
         ) from None
-    if len(shape) != 3 or dtype.newbyteorder("=") not in BITS:
+    if len(shape) != 3 or min(shape) < 0 or dtype.newbyteorder("=") not in BITS:
         got = brief(f"{shape} of {dtype}")
         raise MediaError(
             f"{path} holds an array {got}: a film is (frames, rows, columns) of uint8 or uint16; reshape it, use astype"

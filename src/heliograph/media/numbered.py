@@ -50,6 +50,21 @@ def camera_rate(path: Path, rate_hz: float | None, said_hz: float | None = None)
     return rate
 
 
+def expected_frames(path: Path, claimed: int, frame_bytes: int) -> int:
+    """Return how many frames are to be expected of a file: those it claims, but no more than it has room for.
+
+    Parameters
+    ----------
+    path
+        The file of the frames' levels.
+    claimed
+        Frames that it has as its header says.
+    frame_bytes
+        Bytes of a frame, at least 1.
+    """
+    return min(claimed, path.stat().st_size // frame_bytes)
+
+
 def check_levels(path: Path, pixels: Pixels, bits: int, count: int) -> None:
     """Check that gray levels have no more bits than the file says.
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame, Pixels
 from heliograph.media import pictures
-from heliograph.media.numbered import blocks, camera_rate, check_levels
+from heliograph.media.numbered import blocks, camera_rate, check_levels, expected_frames
 from heliograph.media.packed import packed_size, unpack
 from heliograph.media.reader import FilmReader, checked_size, checked_time
 from heliograph.media.reading import Reading
@@ -137,7 +137,7 @@ class PhantomReader(FilmReader):
         self._header, self._channel = read_header(path), reading.channel
         self.width, self.height, self.bits = self._header.width, self._header.height, self._header.bits
         self.claimed_hz = camera_rate(path, reading.rate_hz, self._header.record_hz)
-        self.frame_count = self._header.frames
+        self.frame_count = expected_frames(path, self._header.frames, self._header.frame_bytes)
         self.metadata = {}
 
     def _frames(self) -> Iterator[Frame]:

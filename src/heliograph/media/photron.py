@@ -11,7 +11,7 @@ import numpy as np
 from heliograph.base.errors import MediaError, brief
 from heliograph.base.files import read_bounded
 from heliograph.base.frames import Pixels
-from heliograph.media.numbered import NumberedReader, blocks, camera_rate
+from heliograph.media.numbered import NumberedReader, blocks, camera_rate, expected_frames
 from heliograph.media.packed import packed_size, unpack
 from heliograph.media.reader import checked_size
 from heliograph.media.reading import Reading
@@ -123,7 +123,7 @@ class PhotronReader(NumberedReader):
         self._header = read_header(header)
         self.width, self.height, self.bits = self._header.width, self._header.height, self._header.bits
         self.claimed_hz = camera_rate(header, reading.rate_hz, self._header.record_hz)
-        self.frame_count = self._header.frames
+        self.frame_count = expected_frames(frames, self._header.frames, self._header.frame_bytes)
         self.metadata = dict(self._header.notes)
         _check_length(frames, header, self._header)
 
