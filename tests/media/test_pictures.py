@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from made_recordings import Levels, noise, write_pictures
+from made_recordings import Levels, noise, write_pictures, write_tiff
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
@@ -192,3 +192,73 @@ def test_arrays_that_are_no_film(tmp_path: Path, array: Any, says: str) -> None:
 def test_files_that_are_no_array(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a.npy").write_bytes(data)
     assert "is no array of NumPy, or damaged" in refused(tmp_path / "a.npy")[1]
+
+
+def test_a_number_stands_in_one_name(tmp_path: Path) -> None:
+    """Two names would give two frames of one number and one time."""
+    levels = noise(3, 6, 10, 8)
+    folder = write_pictures(tmp_path / "a", levels, "img%d.png")
+    write_pictures(folder, levels[::-1], "img%02d.png")
+    for pattern, sent in (("img%d.png", levels), ("img%02d.png", levels[::-1])):
+        with open_film(folder / pattern, rate_hz=100) as film:
+            got = list(film)
+        assert [frame.index for frame in got] == [0, 1, 2]
+        assert same(got, sent)
+
+
+def test_suffixes_in_capitals_are_the_same_kind(tmp_path: Path) -> None:
+    folder = write_pictures(tmp_path / "a", noise(3, 6, 10, 8))
+    (folder / "img0002.png").rename(folder / "img0002.PNG")
+    with open_film(folder, rate_hz=100) as film:
+        assert same(list(film), noise(3, 6, 10, 8))
+
+
+def test_a_stack_in_a_folder_is_not_taken_for_its_first_page(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    write_tiff(tmp_path / "a" / "1.tif", noise(3, 6, 10, 8))
+    for path in (tmp_path / "a", tmp_path / "a" / "%d.tif"):
+        got, says = refused(path)
+        assert not got
+        assert "1.tif has several pages, not one picture: give a stack by its own name, not by its folder" in says
+
+
+def test_wrong_bytes_in_a_png_are_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    folder = write_pictures(tmp_path / "a", noise(3, 20, 30, 8))
+    second = folder / "img0002.png"
+    data = bytearray(second.read_bytes())
+    data[100] ^= 8
+    second.write_bytes(data)
+    got, says = refused(folder)
+    assert len(got) == 1
+    assert "img0002.png is damaged or no picture, after 1 frames" in says
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".tif"])
+def test_a_picture_that_claims_more_pixels_than_any_camera(tmp_path: Path, suffix: str) -> None:
+    folder = write_pictures(tmp_path / "a", noise(1, 16, 24, 8), f"%d{suffix}")
+    path = folder / f"1{suffix}"
+    data = path.read_bytes()
+    if suffix == ".jpg":
+        data = data.replace(struct.pack(">HH", 16, 24), struct.pack(">HH", 30000, 30000), 1)
+    else:
+        for tag, number in ((256, 24), (257, 16)):
+            wrong = struct.pack("<HHI", tag, 3, 1) + struct.pack("<I", 30000)
+            data = data.replace(struct.pack("<HHI", tag, 3, 1) + struct.pack("<I", number), wrong, 1)
+    path.write_bytes(data)
+    assert "has frames of 30000x30000 pixels" in refused(folder)[1]
+
+
+def test_an_array_of_negative_lengths(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", noise(3, 10, 10, 8))
+    data = (tmp_path / "a.npy").read_bytes()
+    (tmp_path / "a.npy").write_bytes(data.replace(b"(3, 10, 10), ", b"(3, -9, -9), "))
+    assert "a film is (frames, rows, columns)" in refused(tmp_path / "a.npy")[1]
+
+
+def test_no_more_frames_are_expected_than_a_file_has_room_for(tmp_path: Path) -> None:
+    """Of a cut recording the whole frames can be written where there is no room for those it claims."""
+    np.save(tmp_path / "a.npy", noise(9, 10, 10, 8))
+    os.truncate(tmp_path / "a.npy", 128 + 450)
+    with open_film(tmp_path / "a.npy", rate_hz=10) as film:
+        assert film.frame_count == 5

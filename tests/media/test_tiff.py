@@ -201,3 +201,14 @@ def test_bytes_changed_by_chance_give_frames_or_one_clear_line(
             except MediaError as error:
                 assert "\n" not in str(error)  # noqa: PT017 - mostly there is one
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_white_at_level_0(tmp_path: Path, bits: int) -> None:
+    levels = noise(1, 6, 10, bits)
+    data = write_tiff(tmp_path / "a.tif", levels).read_bytes()
+    (tmp_path / "a.tif").write_bytes(
+        data.replace(struct.pack("<HHII", 262, 3, 1, 1), struct.pack("<HHII", 262, 3, 1, 0))
+    )
+    with open_film(tmp_path / "a.tif", rate_hz=10) as film:
+        assert np.array_equal(next(iter(film)).pixels, ~levels[0])

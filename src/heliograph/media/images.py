@@ -1,12 +1,13 @@
 """Read films that are a picture for each frame: all pictures of a folder, or those of a pattern such as img%04d.png."""
 
 import re
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
-from heliograph.media import pictures, tiff
+from heliograph.media import pictures, tiff, whole
 from heliograph.media.numbered import NumberedReader, camera_rate
 from heliograph.media.reader import checked_size
 from heliograph.media.reading import Reading
@@ -20,8 +21,17 @@ _PATTERN = re.compile(r"(?P<before>[^%]*)%(?:0(?P<digits>\d+))?d(?P<after>[^%]*)
 _DIGITS = re.compile(r"(\d+)")
 """Numbers in a name."""
 
-_PNG, _PNG_SIZE = b"\x89PNG\r\n\x1a\n", slice(16, 24)
-"""First bytes of a PNG file, and where it has its columns and rows (PNG specification, 11.2.1)."""
+_PNG_SIZE = slice(16, 24)
+"""Where a PNG file has its columns and rows (PNG specification, 11.2.1)."""
+
+_JPEG = b"\xff\xd8"
+"""First bytes of a JPEG file (ITU-T T.81, B.1.1.3)."""
+
+_FRAMES_OF_JPEG = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+"""Kinds of the segment that has the rows and columns of a JPEG picture (ITU-T T.81, table B.1)."""
+
+_MOST_DIGITS = 255
+"""Most digits of a number in a pattern: a name has no more characters."""
 
 _MOST_BYTES = 1 << 31
 """Most bytes of a picture's file, which is read as a whole. Chosen: OpenCV takes no more."""
@@ -52,34 +62,37 @@ class ImagesReader(NumberedReader):
         self._folder, self._names = (path, _of_folder(path)) if path.is_dir() else (path.parent, _of_pattern(path))
         self._channel = reading.channel
         self.claimed_hz = camera_rate(path, reading.rate_hz)
-        first = self._picture(self._names[0][1], 0)
+        first, self.bits = self._picture(self._names[0][1], 0)
         self.height, self.width = first.shape
-        self.bits = 8 * first.itemsize
         self.frame_count = len(self._names)
         self.metadata = {}
 
     def _pictures(self) -> Iterator[tuple[int, Pixels]]:
         for count, (number, name) in enumerate(self._names):
-            pixels = self._picture(name, count)
-            if pixels.shape != (self.height, self.width) or 8 * pixels.itemsize != self.bits:
-                got = f"{pixels.shape[1]}x{pixels.shape[0]} pixels of {8 * pixels.itemsize} bits"
+            pixels, bits = self._picture(name, count)
+            if pixels.shape != (self.height, self.width) or bits != self.bits:
+                got = f"{pixels.shape[1]}x{pixels.shape[0]} pixels of {bits} bits"
                 raise MediaError(
                     f"{self._folder / name} has {got}, those before {self.width}x{self.height} of {self.bits}: give "
                     "each recording a folder of its own"
                 )
             yield number, pixels
 
-    def _picture(self, name: str, count: int) -> Pixels:
+    def _picture(self, name: str, count: int) -> tuple[Pixels, int]:
+        """Gray levels of a picture, and their bits."""
         path = self._folder / name
         try:
             data = path.read_bytes() if path.is_file() and path.stat().st_size < _MOST_BYTES else b""
         except OSError as error:
             raise MediaError(f"cannot read {path}, after {count} frames: {error.strerror}") from error
+        if data.startswith(tiff.SIGNATURES):
+            return tiff.single_picture(path, self._channel)
         check_claim(path, data)
-        picture = pictures.decode(data) if data else None
+        picture = pictures.decode(data) if data and whole.chunks_whole(data) else None
         if picture is None:
             raise MediaError(f"{path} is damaged or no picture, after {count} frames: copy it again, or take it away")
-        return pictures.to_gray(pictures.checked_form(path, picture), self._channel)
+        pixels = pictures.to_gray(pictures.checked_form(path, picture), self._channel)
+        return pixels, 8 * pixels.itemsize
 
 
 def is_pattern(path: Path) -> bool:
@@ -94,7 +107,7 @@ def is_pattern(path: Path) -> bool:
 
 
 def check_claim(path: Path, data: bytes) -> None:
-    """Check the size that a PNG picture claims, before memory is taken for it.
+    """Check the size that a PNG or JPEG picture claims, before memory is taken for it.
 
     Parameters
     ----------
@@ -108,9 +121,17 @@ def check_claim(path: Path, data: bytes) -> None:
     MediaError
         No camera has so many pixels, or there are none.
     """
-    if data.startswith(_PNG):
-        columns, rows = (int.from_bytes(data[_PNG_SIZE][k : k + 4], "big") for k in (0, 4))
+    if data.startswith(whole.PNG) and len(data) >= _PNG_SIZE.stop:
+        columns, rows = struct.unpack(">II", data[_PNG_SIZE])
         checked_size(path, columns, rows)
+    if data.startswith(_JPEG):
+        place = len(_JPEG)
+        while place + 9 <= len(data):
+            kind, length, rows, columns = struct.unpack_from(">xBHxHH", data, place)
+            if kind in _FRAMES_OF_JPEG:
+                checked_size(path, columns, rows)
+                return
+            place += 2 + length
 
 
 def _of_folder(folder: Path) -> Numbered:
@@ -121,7 +142,7 @@ def _of_folder(folder: Path) -> Numbered:
     if not names:
         kinds = ", ".join(PICTURE_SUFFIXES)
         raise MediaError(f"{folder} is a folder without pictures ({kinds}): give a film in it, or a folder of pictures")
-    kinds_held = sorted({Path(name).suffix for name in names})
+    kinds_held = sorted({Path(name).suffix.lower() for name in names})
     if len(kinds_held) > 1:
         raise MediaError(
             f"{folder} has pictures of several kinds ({', '.join(kinds_held)}): give those you mean as a pattern, such "
@@ -137,12 +158,12 @@ def _is_picture(entry: Path) -> bool:
 def _of_pattern(path: Path) -> Numbered:
     parts = _PATTERN.fullmatch(path.name)
     assert parts is not None
-    digits = int(parts["digits"] or 1)
-    name = re.compile(rf"{re.escape(parts['before'])}(\d{{{min(digits, 99)},}}){re.escape(parts['after'])}")
+    digits = min(int(parts["digits"] or 1), _MOST_DIGITS)
+    name = re.compile(rf"{re.escape(parts['before'])}(\d+){re.escape(parts['after'])}")
     try:
-        found = [
-            (int(match[1]), entry.name) for entry in path.parent.iterdir() if (match := name.fullmatch(entry.name))
-        ]
+        named = [(match[1], entry.name) for entry in path.parent.iterdir() if (match := name.fullmatch(entry.name))]
+        # img1 and img01 have the same number: one of them is what the pattern makes of it
+        found = [(int(number), held) for number, held in named if number == f"{int(number):0{digits}}"]
     except OSError as error:
         raise MediaError(f"cannot read the folder {path.parent}: {error.strerror}") from error
     if not found:

@@ -4,6 +4,7 @@ Pages of gray levels without compression are read from the file as they lie. All
 """
 
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from heliograph.media.numbered import NumberedReader, camera_rate
 from heliograph.media.packed import unpack
 from heliograph.media.reader import checked_size
 from heliograph.media.reading import Reading
-from heliograph.media.tiff_pages import Page, Stack, damaged, opened_stack
+from heliograph.media.tiff_pages import Page, Stack, opened_stack
 
 SUFFIXES = (".tif", ".tiff")
 """Suffixes of stacks."""
@@ -51,7 +52,7 @@ class TiffReader(NumberedReader):
             page = next(stack.pages(), None)
             if page is None:
                 raise MediaError(f"{path} holds no pages: save it again")
-            first, self.bits = self._page(stack, page, 0)
+            first, self.bits = _page(path, stack, page, 0, self._channel)
             self.frame_count = stack.count()
         self.height, self.width = first.shape
         self.metadata = {}
@@ -59,7 +60,7 @@ class TiffReader(NumberedReader):
     def _pictures(self) -> Iterator[tuple[int, Pixels]]:
         with opened_stack(self.path) as stack:
             for number, page in enumerate(stack.pages()):
-                pixels, bits = self._page(stack, page, number)
+                pixels, bits = _page(self.path, stack, page, number, self._channel)
                 if pixels.shape != (self.height, self.width) or bits != self.bits:
                     raise MediaError(
                         f"{self.path} has a page of {page.width}x{page.height} pixels of {bits} bits after {number} of "
@@ -67,20 +68,49 @@ class TiffReader(NumberedReader):
                     )
                 yield number, pixels
 
-    def _page(self, stack: Stack, page: Page, count: int) -> tuple[Pixels, int]:
-        """Gray levels of a page, and their bits."""
-        checked_size(self.path, page.width, page.height)
-        if page.strips is not None:
-            return _levels(stack, page, page.strips, count), page.bits
-        if stack.size > _MOST_DECODED:
-            picture = pictures.read_page(self.path, page.number)
-        else:
-            with stack.first(page) as held:
-                picture = pictures.decode(held)
-        if picture is None:
-            raise damaged(self.path, count)
-        pixels = pictures.to_gray(pictures.checked_form(self.path, picture), self._channel)
-        return pixels, 8 * pixels.itemsize
+
+def single_picture(path: Path, channel: str) -> tuple[Pixels, int]:
+    """Return the gray levels of a TIFF file that is one picture, and their bits.
+
+    Parameters
+    ----------
+    path
+        The TIFF file to read.
+    channel
+        "luma", "red", "green" or "blue": what is taken of a colour.
+
+    Raises
+    ------
+    MediaError
+        It has several pages, or none; or is no TIFF, is damaged, or of a kind that is not read.
+    """
+    with opened_stack(path) as stack:
+        pages = list(islice(stack.pages(), 2))
+        if len(pages) != 1:
+            held = "several pages" if pages else "no pages"
+            raise MediaError(f"{path} has {held}, not one picture: give a stack by its own name, not by its folder")
+        return _page(path, stack, pages[0], 0, channel)
+
+
+def _page(path: Path, stack: Stack, page: Page, count: int, channel: str) -> tuple[Pixels, int]:
+    """Gray levels of a page, and their bits."""
+    checked_size(path, page.width, page.height)
+    if page.strips is not None:
+        return _levels(stack, page, page.strips, count), page.bits
+    if stack.size > _MOST_DECODED:
+        picture = pictures.read_page(path, page.number)
+    else:
+        with stack.first(page) as held:
+            picture = pictures.decode(held)
+    if picture is None:
+        raise MediaError(
+            f"{path} has a page after {count} whole frames that is damaged, or of a kind that is not read: copy it "
+            "again, or save gray or RGB of 8 or 16 bits"
+        )
+    pixels = pictures.to_gray(pictures.checked_form(path, picture), channel)
+    if page.white_first and pixels.itemsize > 1:  # OpenCV turns levels of 8 bits itself
+        pixels = ~pixels
+    return pixels, 8 * pixels.itemsize
 
 
 def _levels(stack: Stack, page: Page, strips: tuple[tuple[int, int], ...], count: int) -> Pixels:

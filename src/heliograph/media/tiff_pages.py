@@ -63,6 +63,8 @@ class Page:
         Columns and rows in pixels.
     bits
         Bits of a sample.
+    white_first
+        Whether level 0 is white.
     strips
         Place and length of each piece of gray levels; None where they do not lie in the file as they are.
     """
@@ -72,6 +74,7 @@ class Page:
     width: int
     height: int
     bits: int
+    white_first: bool
     strips: tuple[tuple[int, int], ...] | None
 
     @property
@@ -236,7 +239,10 @@ class Stack:
         whole_bytes = bits in (8, 16) or (bits == 12 and width % 2 == 0)
         strips = tuple(zip(tags.get(_STRIPS, ()), tags.get(_LENGTHS, ()), strict=False))
         enough = sum(length for _, length in strips) >= width * height * bits // 8
-        return Page(number, place, width, height, bits, strips if plain and whole_bytes and enough else None)
+        white_first = tags.get(_MEANING) == (0,)
+        return Page(
+            number, place, width, height, bits, white_first, strips if plain and whole_bytes and enough else None
+        )
 
 
 def _behind(page: Page, pictures: int) -> Iterator[Page]:
