@@ -108,6 +108,7 @@ def test_a_crop_and_a_turn_are_read(shots: Path, tmp_path: Path, call: Call) -> 
     (("--crop", "a,b,c,d"), "--crop takes X,Y,WIDTH,HEIGHT in whole pixels, not 'a,b,c,d'"),
     (("--crop", "0,0,161,1"), "reaches beyond the frames"),
     (("--rotate", "1"), "0, 90, 180 or 270"),
+    (("--bin", "0"), "squares of 1 to 16 pixels a side"),
     (("--channel", "pink"), "choose one of luma, red, green, blue"),
 ])  # fmt: skip
 @pytest.mark.parametrize("command", ["receive", "convert"])
@@ -130,3 +131,9 @@ def test_of_a_cut_recording_the_whole_frames_are_kept(
         count = len(list(kept))
     assert 150 < count < 250
     assert f"ends in the middle, after {count} whole frames: copy it again" in said
+
+
+def test_the_folder_one_stands_in(shots: Path, tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(shots / "shots")
+    _, got = read(call, Path(), tmp_path / "got", "--fps", "1000")
+    assert got == {"array-0-high-0.bin": HIGH}

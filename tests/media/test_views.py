@@ -55,6 +55,9 @@ def test_a_turn_by_90_is_clockwise(tmp_path: Path) -> None:
     ({"crop": (0, 0, 5, 2.5)}, "a crop is x, y, width and height in whole pixels"),
     ({"crop": "abcd"}, "a crop is x, y, width and height in whole pixels"),
     ({"rotate": 45}, "turned by 0, 90, 180 or 270 degrees clockwise, not by 45"),
+    ({"binning": 0}, "squares of 1 to 16 pixels a side are averaged, not of 0: give 2 for a Bayer mosaic"),
+    ({"binning": 2.0}, "squares of 1 to 16 pixels a side are averaged"),
+    ({"binning": 7}, "is seen in 10x6 pixels, less than a square of 7: average fewer"),
     ({"channel": "alpha"}, "there is no channel 'alpha': choose one of luma, red, green, blue"),
 ])  # fmt: skip
 def test_views_that_are_none(tmp_path: Path, options: dict[str, Any], says: str) -> None:
@@ -211,3 +214,24 @@ def test_a_cut_y4m_gives_its_whole_frames_first(tmp_path: Path, form: str, lost:
     with open_film(path) as seen, pytest.raises(MediaError, match="ends in the middle, after 4 whole frames"):
         got.extend(seen)
     assert len(got) == 4
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("side", [2, 3])
+def test_squares_become_their_mean(tmp_path: Path, bits: int, side: int) -> None:
+    """After the crop, before the turn."""
+    with open_film(film(tmp_path / "a.h5", bits), crop=(1, 0, 9, 5), binning=side, rotate=90) as seen:
+        got = list(seen)
+        assert (seen.width, seen.height, seen.bits) == (5 // side, 9 // side, bits)
+    for frame, sent in zip(got, noise(3, 6, 10, bits), strict=True):
+        part = sent[: 5 // side * side, 1 : 1 + 9 // side * side]
+        squares = part.reshape(5 // side, side, 9 // side, side).swapaxes(1, 2).reshape(5 // side, 9 // side, -1)
+        means = np.floor(squares.mean(-1) + 0.5)
+        assert np.array_equal(frame.pixels, means[::-1].T)
+        assert frame.pixels.dtype == sent.dtype
+
+
+def test_full_scale_stays_full_scale_in_squares(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.full((2, 32, 32), 65535, np.uint16))
+    with open_film(tmp_path / "a.npy", rate_hz=10, binning=16) as seen:
+        assert np.unique(next(iter(seen)).pixels).tolist() == [65535]

@@ -57,6 +57,14 @@ Crop = Annotated[
         help="Part of the frames that is read, in pixels; x and y count from 0 at the upper left.",
     ),
 ]
+Bin = Annotated[
+    int,
+    typer.Option(
+        "--bin",
+        metavar="SIDE",
+        help="Take the mean of squares of so many pixels a side, 1 to 16; 2 for a Bayer mosaic.",
+    ),
+]
 Rotate = Annotated[
     int, typer.Option("--rotate", metavar="DEGREES", help="Turn the part clockwise: 0, 90, 180 or 270 degrees.")
 ]
@@ -135,6 +143,7 @@ def receive(
     ] = None,
     fps: Fps = None,
     crop: Crop = None,
+    binning: Bin = 1,
     rotate: Rotate = 0,
     channel: Channel = "luma",
     preset: options.Preset = "paper",
@@ -149,7 +158,7 @@ def receive(
     """
     from heliograph.cli.receive import run_receive
 
-    seen = options.FilmOptions(fps, crop, rotate, channel)
+    seen = options.FilmOptions(fps, crop, binning, rotate, channel)
     run_receive(film, seen, receiver, output, truth, preset, settings, assignments, as_json)
 
 
@@ -159,6 +168,7 @@ def convert(
     output: Annotated[Path, typer.Argument(help="Film to write: .mkv, .nut, .mp4, .avi or .h5.")],
     fps: Fps = None,
     crop: Crop = None,
+    binning: Bin = 1,
     rotate: Rotate = 0,
     channel: Channel = "luma",
     codec: Codec = None,
@@ -170,7 +180,7 @@ def convert(
     """Write a film as another kind, with its gray levels and times; .h5 is the fastest to read."""
     from heliograph.cli.convert import run_convert
 
-    run_convert(film, output, options.FilmOptions(fps, crop, rotate, channel), codec, crf)
+    run_convert(film, output, options.FilmOptions(fps, crop, binning, rotate, channel), codec, crf)
 
 
 @app.command()

@@ -95,6 +95,7 @@ class FilmOptions:
 
     fps: float | None
     crop: str | None
+    binning: int
     rotate: int
     channel: str
 
@@ -104,7 +105,9 @@ class FilmOptions:
             crop = tuple(map(int, self.crop.split(","))) if self.crop is not None else None
         except ValueError:
             raise MediaError(f"--crop takes X,Y,WIDTH,HEIGHT in whole pixels, not {shown(self.crop)}") from None
-        return {"rate_hz": self.fps, "crop": crop, "rotate": self.rotate, "channel": self.channel}
+        return {
+            "rate_hz": self.fps, "crop": crop, "binning": self.binning, "rotate": self.rotate, "channel": self.channel
+        }  # fmt: skip
 
 
 def message_option(layer: str) -> Any:

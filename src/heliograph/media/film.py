@@ -49,6 +49,7 @@ def open_film(
     expand_range: bool = False,
     rate_hz: float | None = None,
     crop: tuple[int, int, int, int] | None = None,
+    binning: int = 1,
     rotate: int = 0,
     channel: str = "luma",
 ) -> FilmReader:
@@ -83,6 +84,9 @@ def open_film(
     crop
         (x, y, width, height) in pixels of the upright frames, of the part that is kept; x and y count from 0 at the
         upper left. None keeps all.
+    binning
+        Pixels along a side of the squares of the part that are replaced by their mean, 1 to 16. With 2 the pixels of a
+        Bayer mosaic have all its filters.
     rotate
         0, 90, 180 or 270 degrees clockwise by which the part is then turned.
     channel
@@ -99,7 +103,7 @@ def open_film(
         An option is none of those, or a rate is needed; the file is missing, empty, no film, or damaged beyond reading;
         or a folder has no pictures. Damage further on is reported while iterating, after the whole frames.
     """
-    path, view = _checked_path(path), View(crop=crop, rotate=rotate)
+    path, view = _checked_path(path), View(crop=crop, binning=binning, rotate=rotate)
     film = _opened(path, Reading(rate_hz=rate_hz, expand_range=expand_range, channel=channel))
     return film if view.is_whole else ViewReader(film, view)
 
