@@ -137,3 +137,10 @@ def test_the_folder_one_stands_in(shots: Path, tmp_path: Path, call: Call, monke
     monkeypatch.chdir(shots / "shots")
     _, got = read(call, Path(), tmp_path / "got", "--fps", "1000")
     assert got == {"array-0-high-0.bin": HIGH}
+
+
+@pytest.mark.parametrize("option", [("--rotate", "180"), ("--crop", "0,0,64,64"), ("--bin", "2")])
+def test_errors_are_counted_of_whole_films_alone(shots: Path, call: Call, option: tuple[str, str]) -> None:
+    """A half turn keeps the size: all poses would have been wrong, without a word."""
+    text = failed(call("receive", shots / "a.h5", "--truth", shots / "a.h5.truth.npz", *option))
+    assert "leave out --crop, --bin and --rotate, or --truth" in text

@@ -366,3 +366,12 @@ def test_the_camera_s_own_rate_replaces_that_of_a_file_in_slow_motion(name: str,
 def test_a_rate_that_no_camera_has_is_refused(rate_hz: float, tmp_path: Path) -> None:
     with pytest.raises(MediaError, match="more than 0 frames/s"):
         open_film(tmp_path / "a.mkv", rate_hz=rate_hz)
+
+
+def test_a_folder_without_rights_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(path: Path) -> bool:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "exists", refused)
+    with pytest.raises(MediaError, match=r"cannot read .*shut/film\.mkv: Permission denied"):
+        open_film(tmp_path / "shut" / "film.mkv")

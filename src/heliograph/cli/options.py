@@ -99,6 +99,11 @@ class FilmOptions:
     rotate: int
     channel: str
 
+    @property
+    def partly(self) -> bool:
+        """Whether the frames are others than those of the film."""
+        return self.crop is not None or self.binning != 1 or self.rotate != 0
+
     def keywords(self) -> dict[str, Any]:
         """Return them as `open_film` takes them; a MediaError where the crop is no four whole numbers."""
         try:

@@ -50,6 +50,8 @@ def run_receive(
     changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
     settings = options.settings_from(preset, file, changes)
     base, signal_changes = options.settings_from(preset, None, None), options.signal_changes(file, changes)
+    if truth and seen.partly:
+        raise MediaError("the truth is that of the whole film: leave out --crop, --bin and --rotate, or --truth")
     known = open_truth(truth) if truth else None
     reception = Reception(known)
     # its images are small: a second thread would only wait, and take a core

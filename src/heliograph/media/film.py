@@ -109,13 +109,13 @@ def open_film(
 
 
 def _opened(path: Path, reading: Reading) -> FilmReader:
-    if path.is_dir() or images.is_pattern(path):
-        return images.ImagesReader(path, reading)
-    if not path.exists():
-        raise MediaError(f"there is no file {path}: check the name")
-    if not path.is_file():
-        raise MediaError(f"{path} is a pipe or a device: save the film to a file first")
     try:
+        if path.is_dir() or images.is_pattern(path):
+            return images.ImagesReader(path, reading)
+        if not path.exists():
+            raise MediaError(f"there is no file {path}: check the name")
+        if not path.is_file():
+            raise MediaError(f"{path} is a pipe or a device: save the film to a file first")
         with path.open("rb") as file:
             head = file.read(_HEAD)
     except OSError as error:
