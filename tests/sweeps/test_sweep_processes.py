@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_runs import called
+from cli_runs import called, heed_ctrl_c
 
 from heliograph.sweeps.store import NAME
 
@@ -32,8 +32,9 @@ def command(*more: str) -> list[str]:
 
 
 def start(*more: str) -> "subprocess.Popen[str]":
+    pipe = subprocess.PIPE
     return subprocess.Popen(
-        command(*more), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command(*more), stdout=pipe, stderr=pipe, text=True, start_new_session=True, preexec_fn=heed_ctrl_c
     )
 
 
