@@ -110,16 +110,18 @@ def open_film(
 
 def _opened(path: Path, reading: Reading) -> FilmReader:
     try:
-        if path.is_dir() or images.is_pattern(path):
-            return images.ImagesReader(path, reading)
-        if not path.exists():
-            raise MediaError(f"there is no file {path}: check the name")
-        if not path.is_file():
-            raise MediaError(f"{path} is a pipe or a device: save the film to a file first")
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
+        pictures, there, head = path.is_dir() or images.is_pattern(path), path.exists(), None
+        if path.is_file():
+            with path.open("rb") as file:
+                head = file.read(_HEAD)
     except OSError as error:
         raise MediaError(f"cannot read {path}: {error.strerror}") from error
+    if pictures:
+        return images.ImagesReader(path, reading)
+    if not there:
+        raise MediaError(f"there is no file {path}: check the name")
+    if head is None:
+        raise MediaError(f"{path} is a pipe or a device: save the film to a file first")
     if not head:
         raise MediaError(f"{path} is empty: copy or record it again")
     told = next((kind for kind in _KINDS if head.startswith(kind.signatures)), None)
