@@ -14,10 +14,11 @@ from heliograph.receive import Pose, receive_frames
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.image.fit import Fit
 from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.track.activity import contrast
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.sight import around_leds
 from heliograph.receive.track.track import Track, TrackedPair
-from heliograph.receive.track.tracker import Tracker, contrast
+from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.header import header_levels
 
 Floats = NDArray[np.float64]

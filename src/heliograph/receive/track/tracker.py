@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
-from math import erf, exp, pi, sqrt
+from math import sqrt
 
 import cv2
 import numpy as np
@@ -11,9 +11,9 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.image.fit import Fit, Prior, fit_array
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.robust import robust_std
 from heliograph.receive.image.window import cut_out, window_around
 from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
+from heliograph.receive.track.activity import contrast, is_active, noise_around
 from heliograph.receive.track.beside import clear_leds
 from heliograph.receive.track.kalman import (
     HEADER_OBSERVATION,
@@ -35,18 +35,6 @@ from heliograph.receive.track.track import Track, TrackedPair
 
 WINDOW_MARGIN_PITCHES, WINDOW_MARGIN_PX = 1.5, 1.5
 """Width of the surroundings that are fitted with the array: they hold its edge, the panel's and the background."""
-
-PIXEL_STD_PX = 12**-0.5
-"""Standard deviation in pixels of a pixel's own width."""
-
-NOISY = 1.5
-"""Factor on the noise variance that a change must exceed: the variance of some hundred pixels is known to a fifth."""
-
-ACTIVITY = 0.06
-"""Least rms change from pattern to inverse of an array in sight, as a fraction of its light and of `contrast`.
-
-Random data change the light by half of it; an eighth of that leaves room for dim LEDs and a gain that is too large.
-"""
 
 HEADER_SCORE = 0.6
 """Least correlation with which a header refines the pose: a header half hidden still has more."""
@@ -95,16 +83,6 @@ MOST_SUM_BLUR = 0.3
 
 In hard shake more and more of the panel's edge was taken for blur, until the array was lost.
 """
-
-INSIDE_EDGE_PX, BESIDE_EDGE_PX = 0.5, 1.0
-"""Pixels inside and beside an array's edge that are left out where its change is compared with that beside it.
-
-A pixel whose centre is 0.5 px inside is inside as a whole. A blur of 0.5 px leaves 2 % of the light 1 px beside an
-edge.
-"""
-
-LEAST_HALF_PX = 1.5
-"""Half the side in px, at least, of the square whose change counts: 3 px, however small an array seems."""
 
 FOUND_SPREAD = np.array([1.0, 1.0, 1e-3, 1e-4, 1e-2])
 """Variances added to a detection's pose vector for the motion since its middle: 1 px, and 3 % of the pitch.
@@ -159,7 +137,7 @@ class Tracker:
         pose = predicted.pose
         corner, up, down = self._cut(pair, pose)
         differs = up - down
-        noise = self._noise(differs, pose, corner)
+        noise = noise_around(differs, pose, corner, self._side)
         before, track = track, self._watch(track, differs, noise, pose, corner)
         total = up + down
         # an array just found may be covered in part: what is usual shows later
@@ -192,7 +170,7 @@ class Tracker:
         if self._unsure(predicted) and (hides or not _as_expected(track, pose, fit)):
             # a start of its own saves a step
             fit = sums_fit(PAIR_STEPS - 1, start=self._unresolved(total, corner, prior, track.shining, unhidden))
-        seen = _inside(fit, pair.pattern) and self._active(differs, noise, fit.pose, corner, track.gain)
+        seen = _inside(fit, pair.pattern) and is_active(differs, noise, fit.pose, corner, self._side, track.gain)
         if seen:
             shown = fit.vector[:POSE_SIZE].copy()
             shown[4] = np.clip(shown[4], predicted.mean[4] - MOST_SUM_BLUR, predicted.mean[4] + MOST_SUM_BLUR)
@@ -243,8 +221,8 @@ class Tracker:
             Fit whose pose says where the array should be.
         """
         corner, up, down = self._cut(pair, track.state.pose)
-        noise = self._noise(up - down, track.state.pose, corner)
-        return _inside(fit, pair.pattern) and self._active(up - down, noise, fit.pose, corner, track.gain)
+        noise = noise_around(up - down, track.state.pose, corner, self._side)
+        return _inside(fit, pair.pattern) and is_active(up - down, noise, fit.pose, corner, self._side, track.gain)
 
     def predict(self, track: Track, time_s: float) -> PoseState:
         """State at a time; before the track's own time the state is taken as it is.
@@ -335,38 +313,6 @@ class Tracker:
         """The array's surroundings in both frames, and their corner."""
         window = window_around(pose, self._side, WINDOW_MARGIN_PITCHES * pose.pitch + WINDOW_MARGIN_PX)
         return (window[0], window[1]), cut_out(pair.pattern, window), cut_out(pair.inverted, window)
-
-    def _active(self, change: Floats, noise: float, pose: Pose, corner: tuple[int, int], gain: float) -> bool:
-        """Whether pattern and inverse differ where the array should be: a hidden or dark array shows no change."""
-        away, half = _away(change, pose, corner), 0.5 * self._side * pose.pitch
-        inner = change[away <= max(half - INSIDE_EDGE_PX, LEAST_HALF_PX)]
-        least = ACTIVITY * contrast(pose) * gain
-        return bool(inner.size and inner @ inner >= inner.size * (least**2 + NOISY * noise**2))
-
-    def _noise(self, change: Floats, pose: Pose, corner: tuple[int, int]) -> float:
-        """Standard deviation of the difference around the array."""
-        around = change[_away(change, pose, corner) > 0.5 * self._side * pose.pitch + BESIDE_EDGE_PX]
-        return robust_std(around) if around.size else 0.0
-
-
-def _away(change: Floats, pose: Pose, corner: tuple[int, int]) -> Floats:
-    """Distance in px of each pixel from an array's centre, along a row or a column, whichever is larger."""
-    down = np.abs(np.arange(change.shape[0]) + (corner[1] - pose.y))
-    right = np.abs(np.arange(change.shape[1]) + (corner[0] - pose.x))
-    return np.maximum(down[:, None], right)
-
-
-def contrast(pose: Pose) -> float:
-    """Fraction of the contrast of squares of 2 x 2 LEDs that blur and pixels leave, 0 to 1.
-
-    Parameters
-    ----------
-    pose
-        Pose of the array, of which pitch and blur count.
-    """
-    # along x and y alike: int (box * Gaussian)^2 / w = erf u - (1 - exp(-u^2)) / (sqrt(pi) u), u = w / 2 s
-    u = pose.pitch / float(np.hypot(pose.blur, PIXEL_STD_PX))
-    return erf(u) - (1 - exp(-(u**2))) / (sqrt(pi) * u)
 
 
 def _as_expected(track: Track, predicted: Pose, fit: Fit) -> bool:

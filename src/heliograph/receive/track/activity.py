@@ -1,0 +1,93 @@
+"""Whether an array is in sight where it should be: pattern and inverse differ there; a hidden array stands still."""
+
+from math import erf, exp, pi, sqrt
+
+import numpy as np
+
+from heliograph.base.arrays import Floats
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.robust import robust_std
+
+PIXEL_STD_PX = 12**-0.5
+"""Standard deviation in pixels of a pixel's own width."""
+
+NOISY = 1.5
+"""Factor on the noise variance that a change must exceed: the variance of some hundred pixels is known to a fifth."""
+
+ACTIVITY = 0.06
+"""Least rms change from pattern to inverse of an array in sight, as a fraction of its light and of `contrast`.
+
+Random data change the light by half of it; an eighth of that leaves room for dim LEDs and a gain that is too large.
+"""
+
+INSIDE_EDGE_PX, BESIDE_EDGE_PX = 0.5, 1.0
+"""Pixels inside and beside an array's edge that are left out where its change is compared with that beside it.
+
+A pixel whose centre is 0.5 px inside is inside as a whole. A blur of 0.5 px leaves 2 % of the light 1 px beside an
+edge.
+"""
+
+LEAST_HALF_PX = 1.5
+"""Half the side in px, at least, of the square whose change counts: 3 px, however small an array seems."""
+
+
+def is_active(change: Floats, noise: float, pose: Pose, corner: tuple[int, int], side: int, gain: float) -> bool:
+    """Whether pattern and inverse differ where the array should be: a hidden or dark array shows no change.
+
+    Parameters
+    ----------
+    change
+        (rows, columns) pattern less inverse in gray levels.
+    noise
+        Standard deviation of its noise in gray levels.
+    pose
+        Where the array should be.
+    corner
+        (x, y) on the sensor of the first pixel.
+    side
+        LEDs in a row.
+    gain
+        Gray levels of a sum with all LEDs on.
+    """
+    away, half = _away(change, pose, corner), 0.5 * side * pose.pitch
+    inner = change[away <= max(half - INSIDE_EDGE_PX, LEAST_HALF_PX)]
+    least = ACTIVITY * contrast(pose) * gain
+    return bool(inner.size and inner @ inner >= inner.size * (least**2 + NOISY * noise**2))
+
+
+def noise_around(change: Floats, pose: Pose, corner: tuple[int, int], side: int) -> float:
+    """Standard deviation of a difference around the array, in gray levels; 0 where nothing is around it.
+
+    Parameters
+    ----------
+    change
+        (rows, columns) pattern less inverse in gray levels.
+    pose
+        Pose of the array.
+    corner
+        (x, y) on the sensor of the first pixel.
+    side
+        LEDs in a row.
+    """
+    around = change[_away(change, pose, corner) > 0.5 * side * pose.pitch + BESIDE_EDGE_PX]
+    return robust_std(around) if around.size else 0.0
+
+
+def contrast(pose: Pose) -> float:
+    """Fraction of the contrast of squares of 2 x 2 LEDs that blur and pixels leave, 0 to 1.
+
+    Parameters
+    ----------
+    pose
+        Pose of the array, of which pitch and blur count.
+    """
+    # along x and y alike: int (box * Gaussian)^2 / w = erf u - (1 - exp(-u^2)) / (sqrt(pi) u), u = w / 2 s
+    u = pose.pitch / float(np.hypot(pose.blur, PIXEL_STD_PX))
+    return erf(u) - (1 - exp(-(u**2))) / (sqrt(pi) * u)
+
+
+def _away(change: Floats, pose: Pose, corner: tuple[int, int]) -> Floats:
+    """Distance in px of each pixel from an array's centre, along a row or a column, whichever is larger."""
+    down = np.abs(np.arange(change.shape[0]) + (corner[1] - pose.y))
+    right = np.abs(np.arange(change.shape[1]) + (corner[0] - pose.x))
+    return np.maximum(down[:, None], right)
