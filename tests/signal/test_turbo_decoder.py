@@ -130,10 +130,15 @@ def test_few_blocks_are_decoded_as_many(algorithm: Algorithm, k: int, stop: Stop
 def test_sionna_decisions(data: Path, k: int) -> None:
     """Sionna's own decisions after ten iterations at Eb/N0 0 dB, rate 1/3: N0 = 3, LLR = 4 y / N0 (0 is sent as +1)."""
     bits, samples, theirs = (np.load(data / "turbo" / f"ref_k{k}_{name}.npy") for name in ("u", "y", "uhat"))
-    ours = TurboCode(k=k).decode(4 * samples / 3, algorithm="log-map", iterations=10, stop="none").bits
+    llr = 4.0 * samples / 3
+    options = DecoderOptions(algorithm="log-map", iterations=10, stop="none")
+    exact = reference.decode(llr, interleaver(k), options).llr < 0
+    assert np.array_equal(exact, theirs)
+    ours = TurboCode(k=k).decode(llr, algorithm="log-map", iterations=10, stop="none").bits
     right = (theirs == bits).all(axis=1)
     assert np.array_equal(ours[right], bits[right])
-    assert (ours == theirs).all(axis=1).sum() >= 5
+    # of words that neither reads, the kernel's shorter correction leaves single bits apart: 47 of 4320 at K = 432
+    assert (ours != theirs).mean() < 0.02
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
