@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -264,6 +264,7 @@ def with_inverses(patterns: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.stack([patterns, pwm.invert(patterns)], axis=1).reshape(-1, *patterns.shape[1:])
 
 
+@lru_cache(maxsize=64)  # each packet asks for its layers again, and their interleavers
 def _plan(name: str, count: int, quarter: int, pairs: int, rate: float, family: CodeFamily) -> LayerFormat:
     """Plan a layer of `count` quarters of the data matrix, each coded by itself."""
     bits = quarter * pairs

@@ -10,7 +10,7 @@ from heliograph.receive import Pose
 from heliograph.receive.image.footprint import Footprints, footprints
 from heliograph.receive.image.kernels import add_image
 from heliograph.receive.image.reference import blur_matrix
-from heliograph.receive.observe import kernels
+from heliograph.receive.observe import kernels, reference
 from heliograph.receive.observe.statistics import gram_of
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
@@ -96,3 +96,15 @@ def test_a_background_in_motion_is_taken_off_by_its_slopes() -> None:
     kernels.motion_compensated(change, total, lit, 3.0, 0.2, -0.4, got)
     down, right = np.gradient(0.5 * (total - 3.0 * lit))
     assert got == pytest.approx(change - 0.2 * right + 0.4 * down)
+
+
+@pytest.mark.parametrize("even", [False, True])
+def test_unevenness_of_a_sum(even: bool) -> None:
+    """Also where the light is even all over, as that of a near array: then it says what the plane says."""
+    rng = np.random.default_rng(11)
+    lit = np.ones(SHAPE) if even else symbol_matrix(POSES[0]).clip(0).sum(1).reshape(SHAPE)
+    total, inside = rng.normal(100, 2, SHAPE) + 30 * lit, rng.random(SHAPE) < 0.4
+    found = np.empty(SHAPE)
+    assert kernels.uneven(total, lit, inside, found) == inside.sum()
+    assert np.isnan(found[~inside]).all()
+    assert np.allclose(found[inside], reference.uneven(total, lit, inside), atol=1e-9)

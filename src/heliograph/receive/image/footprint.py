@@ -74,8 +74,20 @@ class Footprints(NamedTuple):
             Rows and columns of the window in px.
         """
         image = np.zeros(shape)
-        kernels.add_image(np.ones(len(self.across)), *self, image)
+        self.add_all_on(1.0, image)
         return image
+
+    def add_all_on(self, level: float, image: Floats) -> None:
+        """Add the image with all LEDs at one level to another.
+
+        Parameters
+        ----------
+        level
+            Luminance of the LEDs, 0 to 1.
+        image
+            (rows, columns), added to.
+        """
+        kernels.add_image(np.full(len(self.across), level), *self, image)
 
 
 def by_squares(grid: Floats) -> Floats:

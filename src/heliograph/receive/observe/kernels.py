@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from heliograph.base.arrays import RCOND
 from heliograph.base.compiled import compiled
 
 
@@ -257,6 +258,73 @@ def motion_compensated(difference, total, lit, gain, x, y, out):
             across = (total[i, right] - gain * lit[i, right]) - (total[i, left] - gain * lit[i, left])
             down = (total[low, j] - gain * lit[low, j]) - (total[up, j] - gain * lit[up, j])
             out[i, j] = difference[i, j] - 0.5 * (x * across / (right - left) + y * down / (low - up))
+
+
+@compiled()
+def uneven(total, lit, inside, out):
+    """Residual of a sum about the array's light and a plane, (a, 1, x, y), by least squares on the pixels inside.
+
+    Parameters
+    ----------
+    total
+        (rows, columns) sum of a pair in gray levels.
+    lit
+        (rows, columns) the array's light a with all LEDs on, 0 to 1.
+    inside
+        (rows, columns) whether a pixel lies inside the array.
+    out
+        (rows, columns) residual inside, overwritten; NaN elsewhere.
+
+    Returns
+    -------
+    Number of pixels inside.
+    """
+    rows, cols = total.shape
+    count = 0
+    for i in range(rows):
+        for j in range(cols):
+            count += inside[i, j]
+    columns, rest, n = np.empty((4, count)), np.empty(count), 0
+    for i in range(rows):
+        for j in range(cols):
+            out[i, j] = np.nan
+            if inside[i, j]:
+                columns[0, n], columns[1, n], columns[2, n], columns[3, n] = 1.0, i, j, lit[i, j]
+                rest[n] = total[i, j]
+                n += 1
+    # Gram-Schmidt: each column less its part along those before it, and of the sum what none of them shows
+    for k in range(4):
+        before = math.sqrt(_dot(columns[k], columns[k]))
+        for earlier in range(k):
+            _take_off(columns[earlier], columns[k])
+        length = math.sqrt(_dot(columns[k], columns[k]))
+        known = length > RCOND * before  # else it says what others said: light that is even all over
+        for n in range(count):
+            columns[k, n] = columns[k, n] / length if known else 0.0
+        _take_off(columns[k], rest)
+    n = 0
+    for i in range(rows):
+        for j in range(cols):
+            if inside[i, j]:
+                out[i, j] = rest[n]
+                n += 1
+    return count
+
+
+@compiled(inline="always")
+def _dot(a, b):
+    total = 0.0
+    for n in range(a.shape[0]):
+        total += a[n] * b[n]
+    return total
+
+
+@compiled(inline="always")
+def _take_off(unit, values):
+    """What lies along a vector of length 1, or 0, taken off."""
+    along = _dot(unit, values)
+    for n in range(values.shape[0]):
+        values[n] -= along * unit[n]
 
 
 @compiled()

@@ -6,10 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from heliograph.base.arrays import RCOND, Floats
+from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels
 from heliograph.receive.image.footprint import footprints, image_of
 from heliograph.receive.image.robust import robust_std
+from heliograph.receive.observe import kernels as observe_kernels
 from heliograph.receive.observe.cutout import Cutout
 
 INSIDE = 0.8
@@ -30,6 +31,9 @@ MOVED_ERROR = 0.2
 LEDs shine in a part of an exposure only, so motion moves each by its own part. Less noise than this fraction is not
 seen beside it, and the difference of pattern and inverse errs by as much.
 """
+
+_PARAMETERS = 4
+"""Degrees of freedom that a fit of the array's light and a plane takes."""
 
 ENOUGH_PIXELS = 4000
 """Pixels inside the array that give its noise to about 3 %, as many differences of sums have that spread."""
@@ -131,14 +135,12 @@ def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None
         whole = frames[0].scaled(cutout.in_sight).all_on(cutout.shape)
     if cutout.covered is not None:
         whole = whole * cutout.covered[0] * cutout.covered[1][:, None]
-    first, second = (frame.scaled(led_gains).all_on(cutout.shape) for frame in frames)
-    lit = 0.5 * (first + second)
-    inside = whole > INSIDE * whole.max()
-    y, x = np.nonzero(inside)
-    columns = np.stack([lit[inside], np.ones(len(x)), x - x.mean(), y - y.mean()], axis=1)
-    fitted = columns @ np.linalg.lstsq(columns, cutout.total[inside], rcond=RCOND)[0]
-    residual = np.full(cutout.total.shape, np.nan)
-    residual[inside] = (cutout.total[inside] - fitted) * np.sqrt(len(x) / max(len(x) - columns.shape[1], 1))
+    lit = np.zeros(cutout.shape)
+    for frame in frames:
+        frame.scaled(led_gains).add_all_on(0.5, lit)
+    residual = np.empty(cutout.shape)
+    count = observe_kernels.uneven(cutout.total, lit, whole > INSIDE * whole.max(), residual)
+    residual *= np.sqrt(count / max(count - _PARAMETERS, 1))
     # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
     moved = gain**2 / 16 * kernels.squared_difference(*frames[0], *frames[1]) / (side * cutout.middle.pitch) ** 2
     if cutout.combination is None:

@@ -4,8 +4,9 @@ Nothing runs on it but the tests that hold `kernels.py` and `statistics.py` to i
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import RCOND, Floats
 
 
 def transform(side: int) -> Floats:
@@ -72,3 +73,21 @@ def weights(a: Floats, pitch: float, lit: float, dark: float, ring: int, shape: 
         inside = (np.arange(count) >= ring) & (np.arange(count) < count - ring)
         parts.append(np.where(inside, part, 0.0))
     return np.outer(parts[0], parts[1]).ravel()
+
+
+def uneven(total: Floats, lit: Floats, inside: NDArray[np.bool_]) -> Floats:
+    """Residual of a sum about the array's light and a plane on the pixels inside, (pixels inside,).
+
+    Parameters
+    ----------
+    total
+        (rows, columns) sum of a pair in gray levels.
+    lit
+        (rows, columns) the array's light with all LEDs on, 0 to 1.
+    inside
+        (rows, columns) whether a pixel lies inside the array.
+    """
+    y, x = np.nonzero(inside)
+    columns = np.stack([lit[inside], np.ones(len(x)), x - x.mean(), y - y.mean()], axis=1)
+    fitted = columns @ np.linalg.lstsq(columns, total[inside], rcond=RCOND)[0]
+    return np.asarray(total[inside] - fitted)
