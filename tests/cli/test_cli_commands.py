@@ -1,9 +1,11 @@
 """Each command does what it says; the JSON keeps to its contract."""
 
+import base64
 import json
 import os
 import pty
 import re
+import socket
 import subprocess
 import sys
 import time
@@ -48,6 +50,39 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert succeeded(out) == "a.mkv: 400 frames; truth in a.mkv.truth.npz\n"
     assert names(folder) == ["a.mkv", "a.mkv.truth.npz", "high", "low", "middle"]
     return folder / "a.mkv"
+
+
+def test_a_reception_is_followed_by_lines_datagrams_and_words(film: Path, tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(5)
+        address = f"udp://127.0.0.1:{listener.getsockname()[1]}"
+        out = heliograph(
+            "receive", film, "--receiver", "plain", "--follow", "--verbose", "--send", address, cwd=tmp_path
+        )
+        rows = [json.loads(line) for line in out.stdout.splitlines()]
+        assert [json.loads(listener.recv(1 << 16)) for _ in rows] == rows
+    assert out.returncode == 0
+    assert [row["event"] for row in rows if row["event"] != "message"] == ["found", *4 * ["packet"], "end"]
+    (high,) = (row for row in rows if row["event"] == "message" and row["layer"] == "high")
+    assert base64.b64decode(high["data"]) == HIGH
+    assert rows[-1]["arrays"][0]["packets"] == 4
+    assert re.search(r"^0\.000 s: array 0 found (49|50)\.\d m away$", out.stderr, re.M)
+    assert "message 0 of the high layer is whole, 7 bytes" in out.stderr
+
+
+def test_a_text_or_standard_input_is_sent(tmp_path: Path) -> None:
+    """What looks like the name of a file is one, unless it is said to be a text."""
+    (tmp_path / "words").write_bytes(b"of a file")
+    said = [("red light", b"red light"), ("text:a.txt", b"a.txt"), ("words", b"of a file")]
+    for number, (given, _) in enumerate(said):
+        succeeded(heliograph("transmit", f"{number}.npy", "--high", given, "--packets", "1", cwd=tmp_path))
+    piped = subprocess.run(
+        [*COMMAND, "transmit", "3.npy", "--high", "-", "--packets", "1"], cwd=tmp_path, input=b"red light", check=False
+    )
+    assert piped.returncode == 0
+    for number, data in enumerate([*(data for _, data in said), b"red light"]):
+        assert np.array_equal(np.load(tmp_path / f"{number}.npy"), heliograph_package.encode({"high": data})[:100])
 
 
 def test_receive_writes_messages_packets_and_summary(film: Path, tmp_path: Path) -> None:

@@ -48,6 +48,12 @@ def complain(text: str) -> None:
     sys.stderr.write(f"heliograph: {line}\n")
 
 
+def note(text: str) -> None:
+    """A line of what happens, beside the results."""
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
+
+
 def say_json(value: Any) -> None:
     """One JSON value as the result."""
     say(json.dumps(value))

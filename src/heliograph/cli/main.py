@@ -28,9 +28,9 @@ TyperError: type[Exception] = getattr(typer, "TyperException", typer.BadParamete
 READ = "Video, .h5, .mraw, .cine, TIFF stack, .npy, folder of pictures, or their names such as img%04d.png."
 """Films that are read, for the help."""
 
-High = Annotated[Path | None, options.message_option("high")]
-Middle = Annotated[Path | None, options.message_option("middle")]
-Low = Annotated[Path | None, options.message_option("low")]
+High = Annotated[str | None, options.message_option("high")]
+Middle = Annotated[str | None, options.message_option("middle")]
+Low = Annotated[str | None, options.message_option("low")]
 Version = Annotated[
     bool,
     typer.Option("--version", help="Print the version and end.", is_eager=True, callback=options.say_version),
@@ -150,16 +150,33 @@ def receive(
     settings: options.SettingsFile = None,
     assignments: options.Assignments = None,
     as_json: Json = False,
+    follow: Annotated[
+        bool,
+        typer.Option("--follow", help="Print a JSON line for each array found or lost, each packet and message."),
+    ] = False,
+    send: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--send",
+            metavar="ADDRESS",
+            show_default=False,
+            help="Send these lines too: udp://HOST:PORT, or ws://127.0.0.1:PORT for clients of a WebSocket; may be "
+            "repeated.",
+        ),
+    ] = None,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say the same in words on standard error.")] = False,
 ) -> None:
     """Find arrays in a film and read what they send.
 
     Films of 'simulate' hold a note of their signal, which wins over the preset. --settings and --set win over the
     note; a line says where they differ from it.
     """
+    from heliograph.cli.news import Told
     from heliograph.cli.receive import run_receive
 
     seen = options.FilmOptions(fps, crop, binning, rotate, channel)
-    run_receive(film, seen, receiver, output, truth, preset, settings, assignments, as_json)
+    told = Told(follow, verbose, tuple(send or ()))
+    run_receive(film, seen, receiver, output, truth, preset, settings, assignments, as_json, told)
 
 
 @app.command()

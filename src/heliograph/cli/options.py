@@ -1,6 +1,7 @@
 """Options that several commands share, and how they become settings."""
 
 import contextlib
+import re
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -18,6 +19,9 @@ from heliograph.cli import console
 if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings
     from heliograph.link.simulate import Messages
+
+STDIN, TEXT = "-", "text:"
+"""What is given for standard input, and what comes before a text that looks like the name of a file."""
 
 MOST_SETTINGS = 1 << 20
 """Most bytes of a file of settings: all that there are, with their meanings, take 12 kB."""
@@ -116,8 +120,9 @@ class FilmOptions:
 
 
 def message_option(layer: str) -> Any:
-    """An option that names a file to send in a layer."""
-    return typer.Option(f"--{layer}", metavar="FILE", help=f"File to send with {layer} priority.", show_default=False)
+    """An option that says what a layer sends."""
+    what = f"What is sent with {layer} priority: a file, - for standard input, or a text."
+    return typer.Option(f"--{layer}", metavar="FILE|-|TEXT", help=what, show_default=False)
 
 
 def settings_from(preset: str, file: Path | None, assignments: list[str] | None) -> "LinkSettings":
@@ -133,30 +138,65 @@ def signal_changes(file: Path | None, assignments: list[str]) -> list[dict[str, 
     return [change["signal"] for change in changes if change.get("signal")]
 
 
-def read_messages(
-    settings: "LinkSettings", high: Path | None, middle: Path | None, low: Path | None
-) -> "list[Messages]":
-    """What each array sends: the files given, a text of our own where none is given at all."""
+def read_messages(settings: "LinkSettings", high: str | None, middle: str | None, low: str | None) -> "list[Messages]":
+    """What each array sends: what is given, a text of our own where nothing is given at all."""
     from heliograph.link.simulate import default_messages
 
-    files = {"high": high, "middle": middle, "low": low}
-    if not any(files.values()):
+    given = {layer: what for layer, what in (("high", high), ("middle", middle), ("low", low)) if what is not None}
+    if not given:
         return default_messages(settings)
-    content: Messages = {layer: [read_bytes(path)] for layer, path in files.items() if path}
+    if list(given.values()).count(STDIN) > 1:
+        raise MediaError("standard input can be sent in one layer only: give - once")
+    content: Messages = {layer: [message_of(layer, what)] for layer, what in given.items()}
     return [content for _ in settings.transmit.identities]
 
 
-def read_bytes(path: Path) -> bytes:
-    """A message's file; a MediaError where it cannot be read, is longer than any message or is empty."""
+def message_of(layer: str, given: str) -> bytes:
+    """The bytes to send by what was given: "-", "text:" and a text, the name of a file, or a text as it is.
+
+    Parameters
+    ----------
+    layer
+        The layer, for messages.
+    given
+        What was given; what looks like the name of a file is one.
+
+    Raises
+    ------
+    MediaError
+        It is a file that cannot be read, longer than any message, or empty.
+    """
     from heliograph.signal.block import MAX_MESSAGE
 
-    try:
-        data = read_bounded(path, MAX_MESSAGE, "send less, or cut it up")
-    except OSError as error:
-        raise MediaError(f"cannot read {path}: {error.strerror}") from None
+    path, source = Path(given), given
+    if given == STDIN:
+        data, source = sys.stdin.buffer.read(MAX_MESSAGE + 1), "standard input"
+        if len(data) > MAX_MESSAGE:
+            raise MediaError(f"standard input has more than {MAX_MESSAGE} bytes: send less, or cut it up")
+    elif not given or given.startswith(TEXT) or not (_names_a_file(given) or _is_there(path)):
+        data, source = given.removeprefix(TEXT).encode(), f"the text of --{layer}"
+        if len(data) > MAX_MESSAGE:
+            raise MediaError(f"{source} has more than {MAX_MESSAGE} bytes: send less, or cut it up")
+    else:
+        try:
+            data = read_bounded(path, MAX_MESSAGE, "send less, or cut it up")
+        except OSError as error:
+            hint = f"; to send these words write --{layer} {TEXT}..." if not _is_there(path) else ""
+            raise MediaError(f"cannot read {path}: {error.strerror}{hint}") from None
     if not data:
-        raise MediaError(f"{path} is empty: there is nothing to send")
+        raise MediaError(f"{source} is empty: there is nothing to send")
     return data
+
+
+def _names_a_file(given: str) -> bool:
+    """Whether something that is no file here looks like the name of one: a folder or a suffix, and no blank."""
+    return bool(re.fullmatch(r"\S*[/\\]\S*|\S+\.[A-Za-z][A-Za-z0-9]{0,4}", given))
+
+
+def _is_there(path: Path) -> bool:
+    with contextlib.suppress(OSError, ValueError):  # a text may be too long for a name, or hold a zero
+        return path.exists()
+    return False
 
 
 def read_toml(file: Path) -> dict[str, Any]:
@@ -179,7 +219,7 @@ def say_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def refuse_to_replace(output: Path, inputs: Iterable[Path | None]) -> None:
+def refuse_to_replace(output: Path, inputs: Iterable[Path | str | None]) -> None:
     """Check that a file to be written is none of those that are read.
 
     Raises
@@ -187,9 +227,9 @@ def refuse_to_replace(output: Path, inputs: Iterable[Path | None]) -> None:
     MediaError
         It is one of them: it would be lost.
     """
-    for path in filter(None, inputs):
+    for path in (one for one in inputs if one):
         same = False
-        with contextlib.suppress(OSError):  # one of them is not there
+        with contextlib.suppress(OSError, ValueError):  # one of them is not there, or is a text
             same = output.samefile(path)
         if same:
             raise MediaError(f"{output} is read and would be written: give the output another name")

@@ -11,6 +11,7 @@ from typing import IO, TYPE_CHECKING, Any
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.cli import console, options
+from heliograph.cli.news import News, Told
 
 LONG_READING_S = 2.0
 """Seconds of reading from which on a faster container is worth a word. Chosen."""
@@ -35,6 +36,7 @@ def run_receive(
     file: Path | None,
     assignments: list[str] | None,
     as_json: bool,
+    told: Told,
 ) -> None:
     """Read a film; whatever ends it, what was decoded before is kept and shown.
 
@@ -63,11 +65,14 @@ def run_receive(
             check_truth(source, known, signal)
         if departure:
             console.complain(departure)
-        with Folder(output) as folder:
-            ending = _read(source, signal, settings, reception, folder)
+        with Folder(output) as folder, News(told) as news:
+            ending = _read(source, signal, settings, reception, folder, news)
             report = {**reception.report(time.perf_counter() - began), "reading_seconds": source.read_s}
             ending = _finish(folder, report) or ending
-    if as_json:
+            news.tell({"event": "end", **report})
+    if told.follow:
+        pass  # its last line has the report
+    elif as_json:
         console.say_json(report)
     else:
         _show(report, reception, folder)
@@ -80,16 +85,24 @@ def run_receive(
 
 
 def _read(
-    source: "FilmReader", signal: "SignalSettings", settings: "LinkSettings", reception: "Reception", folder: "Folder"
+    source: "FilmReader",
+    signal: "SignalSettings",
+    settings: "LinkSettings",
+    reception: "Reception",
+    folder: "Folder",
+    news: News,
 ) -> BaseException | None:
     """Read the film to its end, or until something ends it: that is returned."""
     from heliograph.link.film import packet_row
+    from heliograph.measure.journal import Journal
     from heliograph.measure.reception import receive_film
 
+    journal = Journal(settings.receive.calibration, news.tell)
     try:
         with console.progress("receiving", source.frame_count) as advance:
-            for packet, messages in receive_film(source, signal, settings, reception, progress=advance):
+            for packet, messages in receive_film(source, signal, settings, reception, journal.observe, advance):
                 folder.log(packet_row(packet))
+                journal.read(packet, messages)
                 for message in messages:
                     folder.message(message)
     except (HeliographError, OSError, MemoryError, KeyboardInterrupt) as error:

@@ -20,7 +20,7 @@ def run_simulate(
     seed: int,
     background: Path | None,
     imu: Path | None,
-    files: tuple[Path | None, Path | None, Path | None],
+    sent: tuple[str | None, str | None, str | None],
     codec: dict[str, Any],
 ) -> None:
     """Simulate a drive into a film."""
@@ -28,9 +28,9 @@ def run_simulate(
     from heliograph.link.truth import truth_path
 
     for written_file in (film, truth_path(film)):
-        options.refuse_to_replace(written_file, (*files, background, imu, file))
+        options.refuse_to_replace(written_file, (*sent, background, imu, file))
     settings, recordings = scene_from(preset, file, assignments, background, imu)
-    messages = options.read_messages(settings, *files)
+    messages = options.read_messages(settings, *sent)
     written = 0
     try:
         with console.progress("simulating", frames_of(settings)) as advance:

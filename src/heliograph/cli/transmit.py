@@ -27,17 +27,17 @@ def run_transmit(
     preset: str,
     file: Path | None,
     assignments: list[str] | None,
-    files: tuple[Path | None, Path | None, Path | None],
+    sent: tuple[str | None, str | None, str | None],
 ) -> None:
     """Write the patterns of a transmission: levels, or on and off by slot."""
     from heliograph.link.simulate import transmitters
     from heliograph.signal import pwm
 
-    options.refuse_to_replace(output, (*files, file))
+    options.refuse_to_replace(output, (*sent, file))
     # one array speaks, however many the preset's scene has
     changes = [*(assignments or ()), "channel.arrays=[{}]", f"transmit.identities=[{identity}]"]
     settings = options.settings_from(preset, file, changes)
-    (sender,) = transmitters(settings, options.read_messages(settings, *files))
+    (sender,) = transmitters(settings, options.read_messages(settings, *sent))
     count = packets * settings.signal.packet_patterns
     patterns: Iterator[NDArray[np.uint8]] = islice(sender.levels(), count)
     period, brightest = settings.signal.pattern_period_s, pwm.SLOTS

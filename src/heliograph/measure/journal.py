@@ -1,0 +1,156 @@
+"""What happens in a reception as it happens, in rows of plain values: arrays found and lost, packets, messages."""
+
+from base64 import b64encode
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from heliograph.base.frames import Frame
+from heliograph.link.film import packet_row
+from heliograph.receive import Packet
+from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.events import DetectEvent, LostEvent
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.settings import CalibrationSettings
+from heliograph.signal.message import Message
+
+Row = Mapping[str, Any]
+"""What happened, as plain values; its `event` is "found", "packet", "message" or "lost"."""
+
+SPEED_PACKETS = 8
+"""Most packets over which a speed is averaged: 0.8 s of the reference link. Chosen."""
+
+FEWEST_PACKETS = 3
+"""Fewest packets that tell a speed. Chosen."""
+
+
+class Journal:
+    """Tells what happens in a reception, in the order in which it happens.
+
+    Parameters
+    ----------
+    calibration
+        Lens and array, by which a pitch is a distance.
+    tell
+        Called with each row as soon as it is known; what it raises ends the reception.
+    """
+
+    def __init__(self, calibration: CalibrationSettings, tell: Callable[[Row], None]):
+        self._calibration, self._tell = calibration, tell
+        self._ways: dict[int, deque[tuple[float, float]]] = {}
+
+    def observe(self, event: object) -> None:
+        """Take an event of the receiver; arrays found and lost are told.
+
+        Parameters
+        ----------
+        event
+            Any event of the receiver; those of its inner stages are passed over.
+        """
+        if isinstance(event, DetectEvent):
+            self._tell(self._found(event.detection, event.frames))
+        elif isinstance(event, LostEvent):
+            way = self._ways.pop(event.identity, None)
+            last = {"distance_m": round(way[-1][1], 3)} if way else {}
+            self._tell({"event": "lost", "id": event.identity, "time_s": round(event.time_s, 6), **last})
+
+    def read(self, packet: Packet, messages: Sequence[Message]) -> None:
+        """Tell a packet, and the messages that it completes.
+
+        Parameters
+        ----------
+        packet
+            A packet, all of it read or a part; packets of an array come in the order of time.
+        messages
+            The messages of which it brought the last segment, in any order; there may be none.
+        """
+        way = self._ways.setdefault(packet.identity, deque(maxlen=SPEED_PACKETS))
+        way.append((packet.start_time_s, packet.distance_m))
+        self._tell({"event": "packet", **packet_row(packet), "approach_m_s": approach(way)})
+        for message in messages:
+            self._tell(message_row(message))
+
+    def _found(self, detection: Detection, frames: Sequence[Frame]) -> Row:
+        return {
+            "event": "found",
+            "id": detection.identity,
+            "time_s": round(detection.start_time_s, 6),
+            "frame": frames[-1].index,
+            "x": round(detection.fit.pose.x, 3),
+            "y": round(detection.fit.pose.y, 3),
+            "distance_m": round(self._distance_m(detection.fit.pose), 3),
+            "orientation": str(detection.orientation),
+            "score": round(detection.score, 3),
+        }
+
+    def _distance_m(self, pose: Pose) -> float:
+        known = self._calibration
+        # pinhole: pitch_px = f p / (Z pixel)
+        return known.focal_m * known.pitch_m / (pose.frontal_pitch * known.pixel_m)
+
+
+def approach(way: Sequence[tuple[float, float]]) -> float | None:
+    """Speed at which an array comes nearer, in m/s; None of fewer than `FEWEST_PACKETS` places.
+
+    Parameters
+    ----------
+    way
+        Times in s and distances in m, in the order of time.
+    """
+    if len(way) < FEWEST_PACKETS:
+        return None
+    times_s, distances_m = np.array(way).T
+    times_s = times_s - times_s.mean()
+    power = float(times_s @ times_s)
+    return round(-float(times_s @ distances_m) / power, 2) if power else None
+
+
+def message_row(message: Message) -> Row:
+    """A message as plain values: its bytes in Base64, and as text where they are UTF-8.
+
+    Parameters
+    ----------
+    message
+        A whole message as it was put together from its segments.
+    """
+    row = {
+        "event": "message",
+        "id": message.identity,
+        "layer": message.layer,
+        "stream": message.stream,
+        "bytes": len(message.data),
+        "data": b64encode(message.data).decode("ascii"),
+    }
+    try:
+        return {**row, "text": message.data.decode("utf-8")}
+    except UnicodeDecodeError:
+        return row
+
+
+def sentence(row: Row) -> str:
+    """A row in words, for people.
+
+    Parameters
+    ----------
+    row
+        What happened, as a `Journal` tells it; the end of a film is no such row.
+    """
+    array = f"array {row['id']}"
+    if row["event"] == "found":
+        way = "" if row["orientation"] == "upright" else f", {row['orientation']}"
+        return f"{row['time_s']:.3f} s: {array} found {row['distance_m']:.1f} m away{way}"
+    if row["event"] == "lost":
+        last = f", last seen {row['distance_m']:.1f} m away" if "distance_m" in row else ", no packet of it was read"
+        return f"{row['time_s']:.3f} s: {array} lost{last}"
+    if row["event"] == "message":
+        return f"{array}: message {row['stream']} of the {row['layer']} layer is whole, {row['bytes']} bytes"
+    words = ", ".join(
+        f"{name} {sum(word['status'] == 'ok' for word in words)} of {len(words)}"
+        for name, words in row["layers"].items()
+    )
+    way = "" if row["orientation"] == "upright" else f", {row['orientation']}"
+    speed = row["approach_m_s"]
+    moves = "" if speed is None else f", {'nearing' if speed >= 0 else 'receding'} at {abs(speed) * 3.6:.0f} km/h"
+    return f"{row['time_s']:.3f} s: {array} read: {words}; {row['distance_m']:.1f} m away{moves}{way}"

@@ -1,0 +1,117 @@
+"""News by datagram and WebSocket, as clients get them."""
+
+import json
+import socket
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from heliograph.base.errors import HeliographError, MediaError, SettingsError
+from heliograph.link import outlets
+from heliograph.link.outlets import MOST_DATAGRAM, open_outlet
+
+pytest.importorskip("websockets")
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin
+
+ROW = {"event": "lost", "id": 3, "time_s": 1.5}
+
+
+@pytest.fixture
+def listener() -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
+        one.settimeout(5)
+        yield one
+
+
+def test_a_row_is_a_datagram(listener: socket.socket) -> None:
+    outlet = open_outlet(f"udp://127.0.0.1:{listener.getsockname()[1]}")
+    outlet.send(ROW)
+    assert json.loads(listener.recv(1 << 16)) == ROW
+    outlet.send({**ROW, "data": "A" * MOST_DATAGRAM})
+    assert json.loads(listener.recv(1 << 16)) == {**ROW, "too_long": True}
+    outlet.close()
+
+
+def test_nobody_need_listen() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
+        port = one.getsockname()[1]
+    outlet = open_outlet(f"udp://127.0.0.1:{port}")
+    for _ in range(3):
+        outlet.send(ROW)
+    outlet.close()
+
+
+def _attended(outlet: outlets.WebSocket, clients: int) -> None:
+    """Wait until the server knows its clients; they are connected a little earlier."""
+    end = time.monotonic() + 10
+    while len(outlet._waiting) < clients:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_all_clients_get_all_rows_and_the_last_ones() -> None:
+    outlet = open_outlet("ws://127.0.0.1:0")
+    assert isinstance(outlet, outlets.WebSocket)
+    outlet.send(ROW)  # nobody is there
+    with connect(outlet.address) as first, connect(outlet.address) as second:
+        _attended(outlet, 2)
+        for number in range(50):
+            outlet.send({**ROW, "id": number})
+        outlet.close()
+        for client in (first, second):
+            assert [json.loads(client.recv(5))["id"] for _ in range(50)] == list(range(50))
+            with pytest.raises(ConnectionClosed):
+                client.recv(5)
+    with pytest.raises(OSError, match="refused"):
+        connect(outlet.address)
+
+
+def test_a_slow_client_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outlets, "MOST_WAITING", 5)
+    outlet = open_outlet("ws://127.0.0.1:0")
+    assert isinstance(outlet, outlets.WebSocket)
+    with connect(outlet.address, max_queue=1):
+        _attended(outlet, 1)
+        began = time.monotonic()
+        for _ in range(200):  # 40 MB, which nobody takes
+            outlet.send({**ROW, "data": "A" * 200_000})
+        assert time.monotonic() - began < 10
+        assert not outlet._waiting
+    outlet.close()
+
+
+def test_pages_of_other_machines_do_not_listen() -> None:
+    outlet = open_outlet("ws://127.0.0.1:0")
+    with pytest.raises(InvalidStatus):
+        connect(outlet.address, origin=Origin("http://example.com"))
+    with connect(outlet.address, origin=Origin("http://localhost:8000")):
+        pass
+    outlet.close()
+
+
+@pytest.mark.parametrize(
+    ("address", "error", "words"),
+    [
+        ("tcp://127.0.0.1:5000", SettingsError, "udp://HOST:PORT or ws"),
+        ("udp://127.0.0.1", SettingsError, "udp://HOST:PORT or ws"),
+        ("udp://127.0.0.1:70000", SettingsError, "udp://HOST:PORT or ws"),
+        ("nonsense", SettingsError, "udp://HOST:PORT or ws"),
+        ("ws://0.0.0.0:5000", SettingsError, "this machine alone"),
+        ("udp://no.such.host.invalid:5000", MediaError, "cannot send to udp://no.such"),
+    ],
+)
+def test_wrong_addresses_are_told(address: str, error: type[HeliographError], words: str) -> None:
+    with pytest.raises(error, match=words):
+        open_outlet(address)
+
+
+def test_a_port_that_is_taken_is_told() -> None:
+    outlet = open_outlet("ws://127.0.0.1:0")
+    with pytest.raises(MediaError, match="cannot send to ws://127"):
+        open_outlet(outlet.address)
+    outlet.close()
