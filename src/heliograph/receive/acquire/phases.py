@@ -51,7 +51,7 @@ class PhasedSearch:
     @property
     def candidates_fitted(self) -> int:
         """Candidates fitted so far in all streams."""
-        return sum(stream.detector.candidates_fitted for stream in self._streams)
+        return sum(detector.candidates_fitted for stream in self._streams for detector in stream.detectors)
 
     def start(self, period_s: float) -> None:
         """Begin to search frames of a camera as fast as the light or faster; see `HeaderSearch`.
@@ -69,12 +69,12 @@ class PhasedSearch:
                 f"misstates it"
             )
         if period_s > light_s * (1 - STEP_TOLERANCE):
-            self._streams = [_EveryFrame(self._detector(), period_s)]
+            detectors: list[_FrameDetector] = [self._detector()]
             if self._signal.header_pairs > 1:
                 # of the finest level alone: larger arrays are not looked for half a pattern out of step
                 finest = level_parameters(self._parameters, self._signal.side)[0]
-                straddled = StraddledDetector(finest, self._signal)
-                self._streams.append(_EveryFrame(straddled, period_s))
+                detectors.append(StraddledDetector(finest, self._signal))
+            self._streams = [_EveryFrame(detectors, period_s)]
         else:
             phases = _phases(light_s / period_s)
             self._streams = [_Nearest(self._detector(), light_s, k / phases) for k in range(phases)]
@@ -84,7 +84,8 @@ class PhasedSearch:
     def settle(self, orientation: Orientation) -> None:
         """Look for one orientation alone from now on; see `HeaderSearch`."""
         for stream in self._streams:
-            stream.detector.settle(orientation)
+            for detector in stream.detectors:
+                detector.settle(orientation)
 
     def _detector(self) -> PyramidSearch:
         return PyramidSearch(self._parameters, self._signal)
@@ -102,9 +103,13 @@ class PhasedSearch:
         self._kept.append(frame)
         known, found = list(taken), list[Detection]()
         for stream in self._streams:
-            for detection in stream.push(frame, known):
-                known.append(detection.fit.pose)
-                found.append(detection)
+            shown = stream.push(frame)
+            if shown is None:
+                continue
+            for detector in stream.detectors:
+                there = detector.push(shown, known)
+                known += [one.fit.pose for one in there]
+                found += there
         return found
 
 
@@ -123,47 +128,47 @@ class _FrameDetector(Protocol):
 
 
 class _Stream(Protocol):
-    """Thins frames out for a detector."""
+    """Thins frames out for detectors."""
 
     @property
-    def detector(self) -> _FrameDetector:
-        """The detector."""
+    def detectors(self) -> Sequence[_FrameDetector]:
+        """The detectors, all of which get the same frames."""
 
-    def push(self, frame: Frame, taken: Sequence[Pose]) -> list[Detection]:
-        """Take a frame; return the arrays whose header lies in the last frames of the stream."""
+    def push(self, frame: Frame) -> Frame | None:
+        """Take a frame; return the one that a pattern is known to be seen in, with the pattern's number."""
 
 
 class _EveryFrame:
     """All frames of a camera of the light's rate."""
 
-    def __init__(self, detector: _FrameDetector, period_s: float):
-        self.detector, self._period_s = detector, period_s
+    def __init__(self, detectors: Sequence[_FrameDetector], period_s: float):
+        self.detectors, self._period_s = detectors, period_s
         self._number, self._time_s = 0, 0.0
 
-    def push(self, frame: Frame, taken: Sequence[Pose]) -> list[Detection]:
-        """Search with every frame; one that was dropped leaves a gap."""
+    def push(self, frame: Frame) -> Frame:
+        """Number the frame; one that was dropped leaves a gap."""
         self._number += max(1, round((frame.time_s - self._time_s) / self._period_s))
         self._time_s = frame.time_s
-        return self.detector.push(replace(frame, index=self._number), taken)
+        return replace(frame, index=self._number)
 
 
 class _Nearest:
     """One frame per pattern: those that begin nearest to even times."""
 
     def __init__(self, detector: _FrameDetector, step_s: float, phase: float):
-        self.detector, self._step_s, self._phase = detector, step_s, phase
+        self.detectors, self._step_s, self._phase = (detector,), step_s, phase
         self._best: Frame | None = None
         self._off = 0.0
 
-    def push(self, frame: Frame, taken: Sequence[Pose]) -> list[Detection]:
-        """Take a frame; search once it is known which one is nearest."""
+    def push(self, frame: Frame) -> Frame | None:
+        """Take a frame; return the last pattern's once it is known which one is nearest."""
         place = frame.time_s / self._step_s - self._phase
         number = round(place)
         off, kept = abs(place - number), self._best
         another = kept is None or kept.index != number
         if another or off < self._off:
             self._best, self._off = replace(frame, index=number), off
-        return self.detector.push(kept, taken) if another and kept is not None else []
+        return kept if another else None
 
 
 def _phases(rate: float) -> int:
