@@ -125,6 +125,17 @@ def _to_grid(start, step):
 
 
 @compiled()
+def _busy_ends(busy):
+    """Number of the block after the last busy one in each row of blocks, 0 where none is."""
+    ends = np.zeros(busy.shape[0], np.int64)
+    for i in range(busy.shape[0]):
+        for j in range(busy.shape[1]):
+            if busy[i, j]:
+                ends[i] = j + 1
+    return ends
+
+
+@compiled()
 def search(total, square, busy, block, cells, sides, contrast, threshold, ring_width, grid, apart, corner, best):
     """Correlate what alternates with all headers over scale and position.
 
@@ -162,6 +173,7 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, ring_w
     """
     rows, cols = total.shape[0] - 1, total.shape[1] - 1
     sums, above, below = np.empty(16), np.empty(5), np.empty(5)
+    ends = _busy_ends(busy)
     found = 0
     for k in range(sides.shape[0]):
         side = sides[k]
@@ -170,9 +182,13 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, ring_w
         cell = side / 4.0
         y = ring + _to_grid(corner[1], step)
         while y + side + ring < rows - 1:
+            down = int((y + 0.5 * side) / block)
             x = ring + _to_grid(corner[0], step)
             while x + side + ring < cols - 1:
-                if not busy[int((y + 0.5 * side) / block), int((x + 0.5 * side) / block)]:
+                across = int((x + 0.5 * side) / block)
+                if across >= ends[down]:
+                    break
+                if not busy[down, across]:
                     x += step
                     continue
                 energy = _box(square, y - ring, x - ring, side + 2 * ring, side + 2 * ring)
