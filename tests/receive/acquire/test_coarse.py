@@ -1,11 +1,13 @@
 """Blocks of a frame in which something alternates."""
 
 import numpy as np
+import pytest
 from scenes import SIDE
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.acquire.coarse import busy_blocks
+from heliograph.receive.acquire import reference
+from heliograph.receive.acquire.coarse import BUSY, PART_LIT, busy_blocks
 
 FRAME = Frame(0, 0.0, np.zeros((160, 320), np.uint8))
 BLOCKS = (20, 40)
@@ -35,3 +37,26 @@ def test_another_array_beside_a_large_one_is() -> None:
 
 def test_a_frame_full_of_followed_arrays_has_no_busy_blocks() -> None:
     assert not busy(np.full(BLOCKS, 60.0), [LARGE, Pose(260.0, 80.0, 12.0, 0.0, 0.6)]).any()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("taken", "followed"),
+    [
+        ([], []),
+        ([Pose(60.0, 60.0, 1.0)], [(slice(5, 10), slice(5, 10))]),
+        # two that overlap, one of them half beyond the frame
+        ([LARGE, Pose(4.0, 80.0, 3.0)], [(slice(0, 20), slice(0, 26)), (slice(5, 15), slice(0, 5))]),
+    ],
+)
+def test_busy_blocks_are_those_of_the_reference(
+    taken: list[Pose], followed: list[tuple[slice, slice]], seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    means = rng.gamma(4.0, 0.6, BLOCKS).astype(np.float32)
+    free = np.ones(BLOCKS, bool)
+    for blocks in followed:
+        free[blocks] = False
+    want = reference.busy(means.astype(float), free, PART_LIT * 0.03 * 255, BUSY)
+    assert want.any()
+    assert np.array_equal(busy(means, taken), want)

@@ -43,6 +43,9 @@ BUSY = 2.0
 Noise alone never reaches it: the mean of 64 magnitudes has a standard deviation of 9 % of itself.
 """
 
+BLANK = -1.0
+"""Stands for the mean alternation of blocks of arrays that are followed: less than any mean."""
+
 PART_LIT = 0.25
 """Least mean alternation of a busy block as a fraction of the least contrast: the array may fill a quarter of it."""
 
@@ -217,19 +220,22 @@ def busy_blocks(
     -------
     (blocks down, blocks across).
     """
-    free = np.ones(means.shape, bool)
+    left, least = means.copy(), PART_LIT * min_contrast * frame.full_scale
     for pose in taken:
-        _blank(free, pose, side, frame.origin)
-    least = PART_LIT * min_contrast * frame.full_scale
-    left = means[free] if taken else means.ravel()
+        _blank(left, pose, side, frame.origin)
     most = float(left.max(initial=0.0))
+    if most <= least:
+        return np.zeros(means.shape, bool)
+    # those blanked come first, and the median is that of the others
+    blanked = np.count_nonzero(left == BLANK) if taken else 0
+    middle = blanked + (left.size - blanked) // 2
     # mostly nothing is busy, and then no median is needed: half of the blocks have more than most / BUSY
-    if most <= least or np.count_nonzero(left < most / BUSY) <= left.size // 2:
+    if np.count_nonzero(left < most / BUSY) <= middle:
         return np.zeros(means.shape, bool)
     # a large array lights all of the frame through the windscreen: its own blocks say nothing of that
-    median = float(np.partition(left, left.size // 2)[left.size // 2])
-    busy = (means > max(least, BUSY * median)) & free
-    return np.asarray(cv2.dilate(busy.astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
+    median = float(np.partition(left, middle, axis=None)[middle])
+    busy = left > max(least, BUSY * median)
+    return np.asarray(cv2.dilate(busy.view(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
 
 
 def searched_part(
@@ -327,10 +333,10 @@ def _span(busy: NDArray[np.bool_], reach: int) -> tuple[int, int]:
     return max(int(places[0]) - reach, 0), min(int(places[-1]) + 1 + reach, busy.size)
 
 
-def _blank(free: NDArray[np.bool_], pose: Pose, side: int, origin: tuple[int, int]) -> None:
-    """Clear the blocks of an array that is followed, True elsewhere."""
+def _blank(left: NDArray[np.float32], pose: Pose, side: int, origin: tuple[int, int]) -> None:
+    """Set the means of an array that is followed to `BLANK`."""
     x0, y0, width, height = window_around(pose, side, BLOCK_PX)
-    top, left = y0 - origin[1], x0 - origin[0]
+    top, first = y0 - origin[1], x0 - origin[0]
     rows = slice(max(0, top // BLOCK_PX), max(0, (top + height) // BLOCK_PX + 1))
-    columns = slice(max(0, left // BLOCK_PX), max(0, (left + width) // BLOCK_PX + 1))
-    free[rows, columns] = False
+    columns = slice(max(0, first // BLOCK_PX), max(0, (first + width) // BLOCK_PX + 1))
+    left[rows, columns] = BLANK

@@ -1,6 +1,6 @@
-"""The detector's kernels written for reading: plain NumPy, no tricks.
+"""The detector's hot steps written for reading: plain NumPy, no tricks.
 
-Nothing runs on these but the tests that hold `kernels.py` to them.
+Nothing runs on these but the tests that hold `kernels.py` and `coarse.py` to them.
 """
 
 from collections.abc import Iterator
@@ -71,6 +71,29 @@ def block_means(image: Floats, size: int) -> Floats:
     """
     rows, cols = image.shape
     return np.asarray(np.abs(image).reshape(rows // size, size, cols // size, size).mean(axis=(1, 3)))
+
+
+def busy(means: Floats, free: NDArray[np.bool_], least: float, ratio: float) -> NDArray[np.bool_]:
+    """Blocks that alternate more than the others, and those around, (blocks down, blocks across).
+
+    Parameters
+    ----------
+    means
+        (blocks down, blocks across) gray levels of what alternates.
+    free
+        (blocks down, blocks across), where no array is followed.
+    least
+        Gray levels that a busy block has more than.
+    ratio
+        How many times the median free block's it has more than.
+    """
+    if not free.any():
+        return np.zeros(means.shape, bool)
+    # of an even number the upper one of the two in the middle
+    median = np.sort(means[free])[np.count_nonzero(free) // 2]
+    found = np.pad(free & (means > max(least, ratio * median)), 1)
+    rows, columns = means.shape
+    return np.any([found[i : i + rows, j : j + columns] for i in range(3) for j in range(3)], axis=0)
 
 
 def search(image: Floats, busy: NDArray[np.bool_], block: int, cells: Floats, grid: Grid) -> list[ScoredSquare]:
