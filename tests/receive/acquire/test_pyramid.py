@@ -10,11 +10,12 @@ from scenes import SIDE, draw, frame_of
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
+from heliograph.receive.acquire import pyramid
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.pyramid import PyramidSearch, level_parameters
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT
-from heliograph.receive.image.view import View
+from heliograph.receive.image.view import View, halved
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
 
@@ -70,7 +71,9 @@ def header_of(identity: int) -> NDArray[np.float64]:
     return header_levels(identity) / 4.0
 
 
-def frames_of(*arrays: tuple[Pose, int], motion: tuple[float, float] = (0.0, 0.0), count: int = 8) -> list[Frame]:
+def frames_of(
+    *arrays: tuple[Pose, int], motion: tuple[float, float] = (0.0, 0.0), count: int = 8, dimmed: float = 1.0
+) -> list[Frame]:
     """A film's header of two pairs, and dark frames after it; arrays move by px a frame."""
     rng, out = np.random.default_rng(0), []
     for k in range(count):
@@ -78,7 +81,9 @@ def frames_of(*arrays: tuple[Pose, int], motion: tuple[float, float] = (0.0, 0.0
         for pose, identity in arrays:
             lit = header_of(identity) if k % 2 == 0 else 1 - header_of(identity)
             if k < 4:
-                light += LIGHT * draw(pose.moved((k - 1.5) * motion[0], (k - 1.5) * motion[1]), lit, ORIGIN, SHAPE)
+                light += (
+                    dimmed * LIGHT * draw(pose.moved((k - 1.5) * motion[0], (k - 1.5) * motion[1]), lit, ORIGIN, SHAPE)
+                )
         out.append(frame_of(light, k, rng, ORIGIN))
     return out
 
@@ -133,6 +138,33 @@ def test_a_settled_search_finds_other_orientations_no_longer() -> None:
         search.settle(orientation)
         found, _ = search_of(frames, search=search)
         assert {one.identity for one in found.values() if one.orientation == UPRIGHT} == known
+
+
+@pytest.mark.parametrize(("side_px", "reduced"), [(3, False), (40, True)])
+def test_frames_are_reduced_where_something_large_alternates(
+    side_px: int, reduced: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = list[Frame]()
+
+    def noted(frame: Frame) -> Frame:
+        seen.append(frame)
+        return halved(frame)
+
+    monkeypatch.setattr(pyramid, "halved", noted)
+    frames = frames_of()
+    for frame in frames[::2]:
+        frame.pixels[70 : 70 + side_px, 90 : 90 + side_px] += 30
+    assert search_of(frames)[0] == {}
+    assert bool(seen) == reduced
+
+
+@pytest.mark.parametrize("dimmed", [0.08, 0.12, 0.16])
+def test_dim_arrays_are_found_as_if_all_frames_were_reduced(dimmed: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    films = [frames_of((replace(NEAR, x=NEAR.x + 0.7 * k), 11), dimmed=dimmed) for k in range(3)]
+    found = [search_of(one)[0].keys() for one in films]
+    monkeypatch.setattr(pyramid, "ROUNDED", 0.0)
+    assert found == [search_of(one)[0].keys() for one in films]
+    assert any(found) == (dimmed > 0.1)
 
 
 @pytest.mark.parametrize("pose", [NEAR, FAR])

@@ -146,8 +146,8 @@ class Detector:
             Next frame, one per pattern; a gap in their numbers is of frames that are missing.
         """
         lost = frame.index - self._next
-        recent = self.recent
-        if recent and not (alike(recent[-1], frame) and 0 <= lost <= self._window):
+        last = self._frames[-1] if self._frames else None
+        if last is not None and not (alike(last, frame) and 0 <= lost <= self._window):
             self._frames.clear()
         if not self._frames:
             lost = self._searches = 0
@@ -157,9 +157,11 @@ class Detector:
         for one in [*([None] * lost), frame]:
             self._frames.append(one)
             self._next = frame.index + 1 if one is frame else self._next + 1
+            if len(self._frames) < self._window:
+                continue
             # every second place is enough, but not where frames are missing
-            every = (self._next - 1) % self._every == 0 or None in self._frames
-            if len(self._frames) == self._window and every and self._header_of(self._frames) is not None:
+            every = (self._next - 1) % self._every == 0 or any(kept is None for kept in self._frames)
+            if every and self._header_of(self._frames) is not None:
                 self._searches += 1
                 out.append(Due(in_common(self._frames), self._searches % 2 == 1))
         return out
@@ -195,6 +197,26 @@ class Detector:
         """
         first = next(frame for frame in slots if frame is not None)
         return busy_blocks(change, first, taken, self._side, self._parameters.min_contrast)
+
+    def alternating(self, slots: Slots, busy: NDArray[np.bool_], around_px: float) -> NDArray[np.float32] | None:
+        """What alternates in frames that are due, where it does.
+
+        Parameters
+        ----------
+        slots
+            Frames that are due.
+        busy
+            (blocks down, blocks across), one of them True at least.
+        around_px
+            Pixels about the busy blocks that are given too.
+
+        Returns
+        -------
+        (rows, columns) gray levels of the smallest part of the frames that holds all of it; None where too many are
+        missing.
+        """
+        header = self._header_of(slots)
+        return None if header is None else alternation_of(searched_part(header, busy, around_px)[0])
 
     def search(self, slots: Slots, busy: NDArray[np.bool_], taken: Sequence[Pose], turned: bool) -> list[Detection]:
         """Look for headers in frames.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame, Pixels
-from heliograph.receive.acquire.coarse import BLOCK_PX, RING, SIDE_STEP, SearchParameters
+from heliograph.receive.acquire.coarse import BLOCK_PX, PART_LIT, RING, SIDE_STEP, SearchParameters
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.detector import Detector
 from heliograph.receive.acquire.slots import Due, Slots, in_common
@@ -35,6 +35,16 @@ Single LEDs at a pitch of 3.9 px left a header's cells a correlation of 0.50, wh
 2.0 px, on the next level, 0.72 (array of 499 px, `python -m benchmarks.near distances 1 0`).
 """
 
+ROUNDED = 0.9
+"""Part of the least alternation of a busy block that is asked for before frames are reduced.
+
+A reduced frame is rounded to whole gray levels, which adds 0.3 of them to what alternates; a busy block has 1.9 or more
+of the reference link.
+"""
+
+AROUND_PX = 32.0
+"""Pixels about what alternates that are reduced to see whether it does so on a level: as far as a pixel of it shows."""
+
 LEAST_ALTERNATING_PART = 0.25
 """Least part of a near array that alternates: half of its columns and half of its rows are in sight."""
 
@@ -52,9 +62,10 @@ class PyramidSearch:
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings):
         levels = level_parameters(parameters, signal.side)
+        self._least = ROUNDED * PART_LIT * parameters.min_contrast
         self._reduced: dict[tuple[int, float], list[Frame]] = {}
         self._levels = [(View(k), Detector(one, signal)) for k, one in enumerate(levels)]
-        self._smallest = [one.min_side_px for one in levels]
+        self._smallest_px = [2**k * one.min_side_px for k, one in enumerate(levels)][1:]
 
     def start(self, period_s: float) -> None:
         """Begin; the frames are taken to come one per pattern, whatever the period; see `HeaderSearch`."""
@@ -98,8 +109,9 @@ class PyramidSearch:
         if change is None or busy is None or not busy.any():
             return []
         known, found = list(taken), list[Detection]()
+        shown = self._shown(due.slots, busy)
         for k, (view, detector) in reversed(list(enumerate(self._levels))):
-            if k and not self._may_hold(busy, k):
+            if k > shown:
                 continue
             seen, poses = self._slots(due.slots, k), [view.pose_in(pose) for pose in known]
             there = detector.change(seen) if k else change
@@ -110,10 +122,23 @@ class PyramidSearch:
                 found.append(replace(one, fit=view.fit_out(one.fit), drift=view.motion_out(one.drift)))
         return found
 
-    def _may_hold(self, busy: NDArray[np.bool_], level: int) -> bool:
-        """Whether enough of the camera's frames alternates for an array of a level."""
-        smallest = self._smallest[level] * 2**level
-        return bool(np.count_nonzero(busy) * BLOCK_PX**2 >= LEAST_ALTERNATING_PART * smallest**2)
+    def _shown(self, slots: Slots, busy: NDArray[np.bool_]) -> int:
+        """Coarsest level on which something may alternate that is as large as an array there.
+
+        What alternates is reduced instead of the frames, and only where it is.
+        """
+        alternating = np.count_nonzero(busy) * BLOCK_PX**2
+        most = sum(alternating >= LEAST_ALTERNATING_PART * side**2 for side in self._smallest_px)
+        change = self._levels[0][1].alternating(slots, busy, AROUND_PX) if most else None
+        if change is None:
+            return 0
+        least = self._least * next(one.full_scale for one in slots if one is not None)
+        for level in range(most):
+            change = np.asarray(cv2.pyrDown(change), np.float32)
+            means = cv2.blur(np.abs(change), (BLOCK_PX, BLOCK_PX), borderType=cv2.BORDER_CONSTANT)
+            if means.max() <= least:
+                return level
+        return most
 
     def _slots(self, slots: Slots, level: int) -> Slots:
         """Frames that are due, as a level has them."""
