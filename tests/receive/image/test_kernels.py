@@ -9,6 +9,7 @@ from scipy.special import ndtr
 from heliograph.receive import Pose
 from heliograph.receive.image import kernels, reference
 from heliograph.receive.image.footprint import footprints
+from heliograph.receive.image.median import median
 from heliograph.receive.image.normal import normal
 
 Floats = NDArray[np.float64]
@@ -127,3 +128,18 @@ def test_squared_difference_of_two_blur_matrices(pose: Pose, motion: tuple[float
     parts = (footprints(p, (0, 0), SHAPE, SIDE) for p in (pose, moved))
     got = kernels.squared_difference(*(array for part in parts for array in part))
     assert got == pytest.approx(((a - b) ** 2).sum(), rel=0.01, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_median_is_numpy_s(seed: int) -> None:
+    """Bit by bit; of few numbers, of many alike, sorted ones, and infinite ones."""
+    rng = np.random.default_rng(seed)
+    for count in (1, 2, 3, 4, 5, 16, 99, 1000):
+        for values in (rng.normal(size=count), rng.integers(0, 3, count).astype(float), np.arange(count) * -1.0,
+                       np.where(rng.uniform(size=count) < 0.2, np.inf, rng.normal(size=count))):  # fmt: skip
+            assert median(values.copy()) == np.median(values)
+
+
+def test_the_median_ends_where_a_number_is_none() -> None:
+    median(np.array([np.nan, 1.0, np.nan, 0.0, 2.0]))
+    median(np.full(6, np.nan))

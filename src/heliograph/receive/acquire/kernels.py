@@ -174,7 +174,7 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, ring_w
     rows, cols = total.shape[0] - 1, total.shape[1] - 1
     sums, above, below = np.empty(16), np.empty(5), np.empty(5)
     ends = _busy_ends(busy)
-    found = 0
+    found = np.int64(0)  # of a plain 0 a second `_keep` would be compiled
     for k in range(sides.shape[0]):
         side = sides[k]
         step = max(1.0, grid * side)
@@ -233,7 +233,7 @@ def _keep(best, found, apart, score, x, y, side, identity):
             if abs(best[i, 0]) >= abs(score):
                 return found
             for m in range(i, found - 1):
-                best[m] = best[m + 1]
+                _copy_row(best, m + 1, m)
             found -= 1
         else:
             i += 1
@@ -244,6 +244,13 @@ def _keep(best, found, apart, score, x, y, side, identity):
         return found
     last = min(found, best.shape[0] - 1)
     for m in range(last, place, -1):
-        best[m] = best[m - 1]
+        _copy_row(best, m - 1, m)
     best[place, 0], best[place, 1], best[place, 2], best[place, 3], best[place, 4] = score, x, y, side, identity
     return min(found + 1, best.shape[0])
+
+
+@compiled(inline="always")
+def _copy_row(rows, source, target):
+    """Copy a row, number by number: to assign whole rows takes long to compile, for the words of its errors."""
+    for k in range(rows.shape[1]):
+        rows[target, k] = rows[source, k]

@@ -81,7 +81,8 @@ def mirror(upper, out):
     for i in range(out.shape[0]):
         for j in range(i):
             out[i, j] = upper[j, i]
-        out[i, i:] = upper[i, i : out.shape[0]]
+        for j in range(i, out.shape[0]):
+            out[i, j] = upper[i, j]
 
 
 @compiled()
@@ -134,7 +135,10 @@ def _heaviest(row, inverse, i, which):
                 most[place], which[place] = most[place - 1], which[place - 1]
                 place -= 1
             most[place], which[place] = weight, j
-    return np.count_nonzero(most)
+    count = 0
+    while count < most.shape[0] and most[count] > 0:
+        count += 1
+    return count
 
 
 @compiled()

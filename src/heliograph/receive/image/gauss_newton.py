@@ -8,7 +8,8 @@ import math
 import numpy as np
 
 from heliograph.base.compiled import compiled
-from heliograph.receive.image.kernels import render, render_box
+from heliograph.receive.image.kernels import draw_box, draw_leds
+from heliograph.receive.image.median import median
 
 BIWEIGHT = 4.685
 """Standard deviations from which on a residual has no weight: Tukey's biweight of 95 % efficiency."""
@@ -155,11 +156,11 @@ def _place(vector, open_pixels, corner, weights, margins, resolved, smear, shape
     """Work the images out at a pose."""
     half = 0.5 * weights.shape[0]
     if resolved:
-        render(vector, weights, corner[0], corner[1], shapes[0], smear[0], smear[1])
+        draw_leds(vector, weights, corner[0], corner[1], shapes[0], smear[0], smear[1])
     else:
-        render_box(vector, half, corner[0], corner[1], shapes[0], smear[0], smear[1])
+        draw_box(vector, half, corner[0], corner[1], shapes[0], smear[0], smear[1])
     for k in range(margins.shape[0]):
-        render_box(vector, half + margins[k], corner[0], corner[1], shapes[k + 1], smear[0], smear[1])
+        draw_box(vector, half + margins[k], corner[0], corner[1], shapes[k + 1], smear[0], smear[1])
     if open_pixels.size == 0:
         return
     for k in range(shapes.shape[0]):
@@ -241,10 +242,13 @@ def normal_equations(image, shapes, plane, linear, rough, matrix, vector):
             for n in range(1, m):
                 for j in range(cols):
                     slopes[k, j] += linear[n] * shapes[n, k + 1, i, j]
+        # number by number: to assign whole rows takes long to compile, for the words of its errors
         for n in range(m):
-            slopes[p + n] = shapes[n, 0, i]
+            for j in range(cols):
+                slopes[p + n, j] = shapes[n, 0, i, j]
         for n in range(3):
-            slopes[p + m + n] = plane[n, i]
+            for j in range(cols):
+                slopes[p + m + n, j] = plane[n, i, j]
         for k in range(size):
             for j in range(cols):
                 weighed[k, j] = w[j] * slopes[k, j]
@@ -304,7 +308,7 @@ def _noise_of(residual, open_pixels):
                 sizes[count] = abs(residual[i, j])
                 count += 1
     # median |x| / Phi^-1(3/4)
-    return max(1.4826 * np.median(sizes[:count]), LEAST_RESIDUAL) if count else LEAST_RESIDUAL
+    return max(1.4826 * median(sizes[:count]), LEAST_RESIDUAL) if count else LEAST_RESIDUAL
 
 
 @compiled()

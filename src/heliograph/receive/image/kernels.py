@@ -41,7 +41,6 @@ def _tilt(pose):
     return 0.0, 0.0
 
 
-@compiled()
 def render(pose, weights, x0, y0, out, smear_x=0.0, smear_y=0.0):
     """Image of LEDs and its derivatives by the pose; an unresolved array of weights 1 has the image 1.
 
@@ -59,6 +58,12 @@ def render(pose, weights, x0, y0, out, smear_x=0.0, smear_y=0.0):
     smear_x, smear_y
         Standard deviations in px of a motion while the light shone, added to the blur's.
     """
+    draw_leds(pose, weights, x0, y0, out, smear_x, smear_y)
+
+
+@compiled()
+def draw_leds(pose, weights, x0, y0, out, smear_x, smear_y):
+    """`render` of all its arguments: with defaults left out it would be compiled a second time."""
     side = weights.shape[0]
     rows, cols = out.shape[1], out.shape[2]
     out[:] = 0.0
@@ -126,7 +131,6 @@ def _edge(t, sigma):
     return cdf, pdf / sigma
 
 
-@compiled()
 def render_box(pose, half_leds, x0, y0, out, smear_x=0.0, smear_y=0.0):
     """Image of a blurred square of brightness 1 about the array's centre, and its derivatives by the pose.
 
@@ -146,6 +150,12 @@ def render_box(pose, half_leds, x0, y0, out, smear_x=0.0, smear_y=0.0):
     smear_x, smear_y
         Motion in px, as in `render`.
     """
+    draw_box(pose, half_leds, x0, y0, out, smear_x, smear_y)
+
+
+@compiled()
+def draw_box(pose, half_leds, x0, y0, out, smear_x, smear_y):
+    """`render_box` of all its arguments."""
     rows, cols = out.shape[1], out.shape[2]
     half = half_leds * math.exp(pose[2])
     narrow = math.exp(2.0 * pose[4]) + 1.0 / 12.0

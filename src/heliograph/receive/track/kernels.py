@@ -58,7 +58,7 @@ def uncover(image, middle, axes, away, least, in_sight, usual, clear):
         hidden[axis, 0], hidden[axis, side + 1] = hidden[axis, 1], hidden[axis, side]
     # columns first: posts are upright. Rows are looked at where no column is covered
     for axis in range(2):
-        count = 0
+        count = np.int64(0)  # of a plain 0 a second `_medians` would be compiled
         for k in range(side):
             if not (hidden[1 - axis, k + 1] or covered[1 - axis, k + 1]):
                 across[count] = k - 0.5 * (side - 1)

@@ -7,7 +7,6 @@ changes: their power, over many pairs of random data, is that of the array with 
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import fftconvolve
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.footprint import image_of
@@ -55,6 +54,8 @@ def _match(cutout: Cutout, led_gains: Floats) -> Floats:
     """Match of the difference's power and the array's, moved by (row, column) from -`MOST_PX` to `MOST_PX` px."""
     profile = image_of(cutout.shining(led_gains), cutout.middle, cutout.corner, cutout.shape) ** 2
     power = cutout.difference**2
+    from scipy.signal import fftconvolve  # only now: it takes half a second to import, for statistics that nobody asks
+
     whole = fftconvolve(power, profile[::-1, ::-1])
     i, j = (n - 1 for n in cutout.shape)
     return np.asarray(whole[i - MOST_PX : i + MOST_PX + 1, j - MOST_PX : j + MOST_PX + 1])

@@ -18,13 +18,17 @@ from heliograph.signal.turbo import steps
 from heliograph.signal.turbo.steps import FAST_MATH, IMPOSSIBLE, NORMALISE_EVERY
 from heliograph.signal.turbo.trellis import STATES, TAIL, TAIL_BITS
 
-_ALPHA, _BETA = 0, STATES
-"""First of eight rows with the forward metrics before, with the backward metrics after each step."""
+_ALPHA, _BETA = np.int64(0), np.int64(STATES)
+"""First of eight rows with the forward metrics before, with the backward metrics after each step. Of plain numbers
+Numba would compile a function for each: of these, and of the codes below."""
 
 _INFO, _PARITY, _EXTRINSIC = 2 * STATES, 2 * STATES + 1, 2 * STATES + 2
 """Rows of L_u, L_z and the extrinsic LLR of each step, in the order of the trellis."""
 
 _ROWS = 2 * STATES + 3
+
+_FIRST, _SECOND = np.int64(0), np.int64(1)
+"""Constituent codes."""
 
 _PADDING = 16
 """Values between two rows: a cache line, so that rows of K = 1024 do not share the same places of the cache."""
@@ -180,8 +184,8 @@ def iterate(
         llr, extrinsic = mother[b].reshape(mother.shape[1]), passed[b].reshape(size)
         first, second = app_1[b].reshape(size), app_2[b].reshape(size)
         for _ in range(iterations):
-            _siso(llr, extrinsic, work, first, straight, 0, scale, exact)
-            _siso(llr, extrinsic, work, second, order, 1, scale, exact)
+            _siso(llr, extrinsic, work, first, straight, _FIRST, scale, exact)
+            _siso(llr, extrinsic, work, second, order, _SECOND, scale, exact)
 
 
 @_compile

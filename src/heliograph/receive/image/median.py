@@ -1,0 +1,39 @@
+"""The median, for hot loops."""
+
+from heliograph.base.compiled import compiled
+
+
+@compiled()
+def median(values):
+    """Median of numbers, by Wirth's selection; `numpy.median` finds the same, but takes ten times as long to compile.
+
+    Parameters
+    ----------
+    values
+        (n,) float64, one at least; their order is changed.
+    """
+    middle = values.shape[0] // 2
+    low, high = 0, values.shape[0] - 1
+    while low < high:
+        pivot = values[middle]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if j < middle:
+            low = i
+        if middle < i:
+            high = j
+    if values.shape[0] % 2:
+        return values[middle]
+    # none before the middle is larger
+    below = values[0]
+    for k in range(1, middle):
+        below = max(below, values[k])
+    return 0.5 * (below + values[middle])
