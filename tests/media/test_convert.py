@@ -1,9 +1,11 @@
 """A film of one kind becomes one of another, with its levels, times and notes."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from made_recordings import Levels, noise, write_cine, write_mraw, write_pictures, write_tiff
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
@@ -46,6 +48,65 @@ def test_levels_times_and_notes_stay(tmp_path: Path, source: str, target: str, b
     for one, sent in zip(got, frames(bits, 1000.0), strict=True):
         assert np.array_equal(one.pixels, sent.pixels)
         assert one.time_s == pytest.approx(sent.time_s, abs=1e-9)
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+@pytest.mark.parametrize("target", [".h5", ".mkv", ".nut"])
+@pytest.mark.parametrize("source", [".h5", ".mkv", ".nut"])
+def test_more_bits_and_any_times(tmp_path: Path, source: str, target: str, bits: int) -> None:
+    """Times that lie on no grid, to what the coarser of the two kinds keeps."""
+    late = [Frame(0, 0.1 + k / 100 + 1e-4 * (k % 3), one.pixels, bits) for k, one in enumerate(frames(bits, 100.0))]
+    with create_film(tmp_path / f"a{source}", width=48, height=32, rate_hz=100.0, bits=bits) as written:
+        for frame in late:
+            written.write(frame)
+    converted(tmp_path / f"a{source}", tmp_path / f"b{target}")
+    with open_film(tmp_path / f"b{target}") as read:
+        got = list(read)
+        assert read.bits == bits
+    coarsest_s = 1.001e-3 if ".mkv" in (source, target) else 2e-6 if ".nut" in (source, target) else 1e-12
+    for one, sent in zip(got, late, strict=True):
+        assert np.array_equal(one.pixels, sent.pixels)
+        assert one.time_s == pytest.approx(sent.time_s, abs=coarsest_s)
+
+
+CAMERAS = ("folder", "pattern", "tiff", "npy", "mraw", "cine")
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+@pytest.mark.parametrize("target", KINDS)
+@pytest.mark.parametrize("source", CAMERAS)
+def test_what_cameras_and_programs_write(tmp_path: Path, source: str, target: str, bits: int) -> None:
+    """Kinds whose words have 16 bits hold 12 of them as 16."""
+    levels = noise(5, 32, 48, bits)
+    times_s = np.arange(5) / 500
+    word = 8 if bits == 8 else 16
+    kinds: dict[str, Callable[[], Path]] = {
+        "folder": lambda: write_pictures(tmp_path / "p", levels),
+        "pattern": lambda: write_pictures(tmp_path / "p", levels) / "img%04d.png",
+        "tiff": lambda: write_tiff(tmp_path / "a.tif", levels),
+        "npy": lambda: saved(tmp_path / "a.npy", levels),
+        "mraw": lambda: write_mraw(tmp_path / "a.mraw", levels, word, bits, rate=500.0),
+        "cine": lambda: write_cine(tmp_path / "a.cine", list(levels), word, bits, list(times_s), 500),
+    }
+    path, goal = kinds[source](), tmp_path / f"b{target}"
+    held = bits if source in ("mraw", "cine") else word
+    rate_hz = None if source in ("mraw", "cine") else 500.0
+    if target == ".mp4" and held > 10:
+        with pytest.raises(MediaError, match="holds at most 10 bits"):
+            converted(path, goal, rate_hz)
+        return
+    converted(path, goal, rate_hz)
+    with open_film(goal) as read:
+        got = list(read)
+        assert (read.bits, read.rate_hz) == (held, 500.0)
+    for one, sent, time_s in zip(got, levels, times_s, strict=True):
+        assert np.array_equal(one.pixels, sent)
+        assert one.time_s == pytest.approx(time_s, abs=2e-9)
+
+
+def saved(path: Path, levels: Levels) -> Path:
+    np.save(path, levels)
+    return path
 
 
 def test_the_camera_s_own_rate_is_written(tmp_path: Path) -> None:

@@ -152,6 +152,19 @@ def test_names_with_colons_and_capitals(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["12:30 a%d.MKV"]
 
 
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (9, 1), (2, 5), (3, 1), (3, 2)])
+@pytest.mark.parametrize("suffix", [".mkv", ".nut", ".h5"])
+def test_tiny_films(tmp_path: Path, suffix: str, size: tuple[int, int]) -> None:
+    """Fewer pixels than an FFV1 picture has slices: what a crop may leave."""
+    rng = np.random.default_rng(0)
+    pictures = [rng.integers(0, 256, size, dtype=np.uint8) for _ in range(3)]
+    with create_film(tmp_path / f"a{suffix}", width=size[1], height=size[0], rate_hz=1000.0) as film:
+        for index, pixels in enumerate(pictures):
+            film.write(Frame(index, index / 1000, pixels))
+    with open_film(tmp_path / f"a{suffix}") as read:
+        assert all(np.array_equal(one.pixels, sent) for one, sent in zip(read, pictures, strict=True))
+
+
 def test_no_thread_stays(tmp_path: Path) -> None:
     write(tmp_path / "a.mkv", noise(2), [0.0, 0.001])
     assert not [t for t in threading.enumerate() if t.name == "film-encoder"]

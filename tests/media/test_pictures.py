@@ -262,3 +262,53 @@ def test_no_more_frames_are_expected_than_a_file_has_room_for(tmp_path: Path) ->
     os.truncate(tmp_path / "a.npy", 128 + 450)
     with open_film(tmp_path / "a.npy", rate_hz=10) as film:
         assert film.frame_count == 5
+
+
+def jpeg(rng: np.random.Generator, rows: int = 64, columns: int = 96) -> Levels:
+    return cv2.GaussianBlur(rng.integers(0, 256, (rows, columns)).astype(np.uint8), (0, 0), 2)
+
+
+def test_a_jpeg_that_lacks_blocks_is_damaged(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """OpenCV makes gray blocks of those that are not there."""
+    pictures = [jpeg(np.random.default_rng(seed)) for seed in range(3)]
+    folder = write_pictures(tmp_path / "a", np.stack(pictures), "%d.jpg")
+    second = folder / "2.jpg"
+    data = second.read_bytes()
+    half = len(data) * 2 // 3
+    for damaged in (data[:half] + b"\xff\xd9", data[:half], data[:half] + bytes(len(data) - half)):
+        second.write_bytes(damaged)
+        got, says = refused(folder)
+        assert len(got) == 1
+        assert says == f"{second} is damaged or no picture, after 1 frames: copy it again, or take it away"
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("options", [
+    [], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 2], [cv2.IMWRITE_JPEG_OPTIMIZE, 1],
+])  # fmt: skip
+@pytest.mark.parametrize("colours", [1, 3])
+def test_whole_jpegs_of_all_forms_are_read(tmp_path: Path, options: list[int], colours: int) -> None:
+    """With notes that FFmpeg does not know, and bytes behind the end."""
+    gray = jpeg(np.random.default_rng(1), 41, 61)
+    picture = gray if colours == 1 else np.stack([gray, gray // 2, 255 - gray], axis=-1)
+    data = cv2.imencode(".jpg", picture, options)[1].tobytes()
+    notes = b"".join(bytes([0xFF, kind, 0, 9]) + b"AVI1\xff\xd8\x00" for kind in (0xE0, 0xE1, 0xED, 0xFE))
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "1.jpg").write_bytes(data[:2] + notes + data[2:] + bytes(100))
+    with open_film(tmp_path / "a", rate_hz=10, channel="green") as film:
+        (frame,) = film
+    want = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(frame.pixels, want if want.ndim == 2 else want[..., 1])
+
+
+@pytest.mark.parametrize("name", ["one.png", "one.jpg", "lit%03d.png", "PNG"])
+def test_a_single_picture_is_one_frame(tmp_path: Path, name: str) -> None:
+    """Also one whose name looks like a pattern: FFmpeg would look for others."""
+    picture = jpeg(np.random.default_rng(2))
+    data = cv2.imencode(".jpg" if name.endswith("jpg") else ".png", picture)[1].tobytes()
+    (tmp_path / name).write_bytes(data)
+    with open_film(tmp_path / name, rate_hz=100) as film:
+        (frame,) = film
+        assert (film.width, film.height, film.frame_count) == (96, 64, 1)
+    assert np.array_equal(frame.pixels, cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))
+    assert "has no clock" in refused(tmp_path / name, None)[1]

@@ -39,6 +39,13 @@ def say_prose(text: str) -> None:
     say(text)
 
 
+def note(text: str) -> None:
+    """A line of advice beside the result, for who looks on: nothing is said where errors do not go to a terminal."""
+    if sys.stderr.isatty():
+        sys.stderr.write(text + "\n")
+        sys.stderr.flush()
+
+
 def complain(text: str) -> None:
     """A line about what went wrong; one line, and no longer than can be read, whatever the text quotes."""
     line = " ".join(text.splitlines())

@@ -192,12 +192,14 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
 
 
 def _show_reading(source: "FilmReader", report: dict[str, Any]) -> None:
-    """Say so where the container is what takes the time."""
+    """Say so once where the container is what takes the time."""
     reading_s = report["reading_seconds"]
     slow = reading_s > max(LONG_READING_S, report["frames"] / source.rate_hz)
-    if slow and reading_s > 0.5 * report["seconds"] and source.path.suffix != ".h5":
-        console.say(
-            f"reading the film took {reading_s:.1f} s of these: HDF5 and lossless H.264 are read faster, see "
+    if slow and reading_s > 0.5 * report["seconds"] and source.faster:
+        is_are = "is" if len(source.faster) == 1 else "are"
+        console.note(
+            f"{reading_s:.1f} s of these were spent waiting for the film: {' and '.join(source.faster)} {is_are} read "
+            f"faster, see "
             f"'heliograph convert {source.path} {source.path.parent / (source.path.stem or 'film')}.h5'"
         )
 

@@ -63,6 +63,7 @@ def open_film(
     Phantom                                  .cine                        the camera's rate and stamps
     TIFF, a page for each frame              .tif, .tiff                  ``rate_hz``
     PNG, TIFF or JPEG for each frame         folder, or ``img%04d.png``   ``rate_hz``
+    one PNG or JPEG                          .png, .jpg, .jpeg            ``rate_hz``
     NumPy's array (frames, rows, columns)    .npy                         ``rate_hz``
     any video that FFmpeg reads              .mp4, .mov, .avi, .y4m ...   the file's
     ======================================== ============================ =================================
@@ -124,6 +125,8 @@ def _opened(path: Path, reading: Reading) -> FilmReader:
         raise MediaError(f"{path} is a pipe or a device: save the film to a file first")
     if not head:
         raise MediaError(f"{path} is empty: copy or record it again")
+    if images.is_picture(path, head):
+        return images.ImagesReader(path, reading)
     told = next((kind for kind in _KINDS if head.startswith(kind.signatures)), None)
     named = next((kind for kind in _KINDS if path.suffix.lower() in kind.suffixes), None)
     # raw frames may begin with any bytes

@@ -30,6 +30,12 @@ _JPEG = b"\xff\xd8"
 _FRAMES_OF_JPEG = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Kinds of the segment that has the rows and columns of a JPEG picture (ITU-T T.81, table B.1)."""
 
+_JPEG_SCAN = 0xDA
+"""Kind of the segment before the blocks of a JPEG picture (ITU-T T.81, table B.1)."""
+
+_JPEG_NOTES = (frozenset(range(0xE0, 0xF0)) - {0xEE}) | {0xFE}
+"""Kinds of the segments that applications write, and of comments (the same); APP14 says how colours are meant."""
+
 _MOST_DIGITS = 255
 """Most digits of a number in a pattern: a name has no more characters."""
 
@@ -46,8 +52,8 @@ class ImagesReader(NumberedReader):
     Parameters
     ----------
     path
-        A folder, whose pictures are taken in the order of their names, numbers in them as numbers; or a pattern, by
-        which a missing number is a lost frame.
+        A folder, whose pictures are taken in the order of their names, numbers in them as numbers; a pattern, by which
+        a missing number is a lost frame; or a single picture.
     reading
         How the film is to be read.
 
@@ -57,9 +63,12 @@ class ImagesReader(NumberedReader):
         There is no picture, the folder has several kinds, no rate was given, or the first picture cannot be read.
     """
 
+    _decodes = True
+    faster = ("HDF5",)
+
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading.rate_hz)
-        self._folder, self._names = (path, _of_folder(path)) if path.is_dir() else (path.parent, _of_pattern(path))
+        self._folder, self._names = _named(path)
         self._channel = reading.channel
         self.claimed_hz = camera_rate(path, reading.rate_hz)
         first, self.bits = self._picture(self._names[0][1], 0)
@@ -88,11 +97,24 @@ class ImagesReader(NumberedReader):
         if data.startswith(tiff.SIGNATURES):
             return tiff.single_picture(path, self._channel)
         check_claim(path, data)
-        picture = pictures.decode(data) if data and whole.chunks_whole(data) else None
+        picture = pictures.decode(data) if data and whole.chunks_whole(data) and _scans_whole(data) else None
         if picture is None:
             raise MediaError(f"{path} is damaged or no picture, after {count} frames: copy it again, or take it away")
         pixels = pictures.to_gray(pictures.checked_form(path, picture), self._channel)
         return pixels, 8 * pixels.itemsize
+
+
+def is_picture(path: Path, head: bytes) -> bool:
+    """Return whether a file is a single PNG or JPEG picture, which FFmpeg would take for a pattern or a stream.
+
+    Parameters
+    ----------
+    path
+        The file.
+    head
+        Its first bytes.
+    """
+    return head.startswith(whole.PNG) or (head.startswith(_JPEG) and path.suffix.lower() in PICTURE_SUFFIXES)
 
 
 def is_pattern(path: Path) -> bool:
@@ -132,6 +154,46 @@ def check_claim(path: Path, data: bytes) -> None:
                 checked_size(path, columns, rows)
                 return
             place += 2 + length
+
+
+def _scans_whole(data: bytes) -> bool:
+    """Whether a JPEG picture has all its blocks; of those that it lacks OpenCV makes gray ones. Others are whole.
+
+    What a camera notes in the file is not looked at. Of forms that FFmpeg does not know this is not found out.
+    """
+    if not data.startswith(_JPEG):
+        return True
+    import av
+
+    decoder = av.CodecContext.create("mjpeg", "r")
+    decoder.options, decoder.thread_count = {"err_detect": "explode"}, 1
+    try:
+        decoder.decode(av.Packet(_without_notes(data)))
+    except av.error.InvalidDataError:
+        return False
+    except av.error.FFmpegError:
+        return True
+    return True
+
+
+def _without_notes(data: bytes) -> bytes:
+    """A JPEG file without its segments APPn, but for the colours' APP14, and without comments."""
+    kept, place = [_JPEG], len(_JPEG)
+    while place + 4 <= len(data):
+        kind, length = struct.unpack_from(">xBH", data, place)
+        if kind == _JPEG_SCAN:
+            break
+        if kind not in _JPEG_NOTES:
+            kept.append(data[place : place + 2 + length])
+        place += 2 + length
+    return b"".join([*kept, data[place:]])
+
+
+def _named(path: Path) -> tuple[Path, Numbered]:
+    """The folder of a film's pictures, and their names."""
+    if path.is_dir():
+        return path, _of_folder(path)
+    return path.parent, [(0, path.name)] if path.exists() else _of_pattern(path)
 
 
 def _of_folder(folder: Path) -> Numbered:

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import ClassVar, Self
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import LATEST_S, Frame
+from heliograph.media.ahead import read_ahead
 
 MOST_PIXELS = 1 << 27
 """Most pixels of a frame: twice those of the largest camera of the settings. A damaged film may claim more."""
@@ -88,9 +89,14 @@ class FilmReader(ABC):
         duration times the rate, which counts dropped frames too; None where unknown.
     metadata
         Text kept with the film by its writer; of films from elsewhere the container's own tags.
+    faster
+        Kinds of films that are read faster, the fastest first; none where the kind is among these itself.
     read_s
-        Seconds that reading its frames took so far, decoding included.
+        Seconds that its frames were waited for so far; what was decoded ahead of its use does not count.
     """
+
+    _decodes: ClassVar[bool] = False
+    """Whether its frames are decoded, which takes longer than to hand them from thread to thread."""
 
     path: Path
     width: int
@@ -99,6 +105,7 @@ class FilmReader(ABC):
     claimed_hz: float
     frame_count: int | None
     metadata: dict[str, str]
+    faster: tuple[str, ...] = ()
 
     def __init__(self, path: Path, rate_hz: float | None = None) -> None:
         self.path, self._true_hz = path, rate_hz
@@ -129,7 +136,7 @@ class FilmReader(ABC):
         if self._closed:
             raise MediaError(f"{self.path} is closed: iterate it inside its 'with' block")
         frames = self._frames() if self._true_hz is None else self._retimed(self.claimed_hz / self._true_hz)
-        self._running = self._clocked(frames)
+        self._running = self._clocked(read_ahead(frames) if self._decodes else frames)
         return self._running
 
     def _clocked(self, frames: Iterator[Frame]) -> Iterator[Frame]:

@@ -44,6 +44,9 @@ class TiffReader(NumberedReader):
         The file is no TIFF, its first page cannot be read, or no rate was given.
     """
 
+    _decodes = True
+    faster = ("HDF5",)
+
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading.rate_hz)
         self._channel = reading.channel

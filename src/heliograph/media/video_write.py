@@ -42,6 +42,10 @@ ENCODER_THREADS = 2
 """Threads of an encoder: the cores of the machine that films were measured on. Chosen: with 1 and with 4 FFV1 and H.264
 are written at the same speed within the noise of that shared machine, 30 %."""
 
+_SLICES, _SLICES_ACROSS = 6, 3
+"""Slices of an FFV1 picture, which are coded side by side, and how many of them lie beside one another: a picture
+needs a pixel for each."""
+
 _COARSE_HZ = 1000
 """Largest frame rate of Matroska, which counts milliseconds, and of AVI, whose reader rejects more frames a second."""
 
@@ -272,7 +276,8 @@ def _coding(codec: VideoCodec, spec: FilmSpec) -> tuple[str, dict[str, str]]:
     if codec.name == "ffv1":
         # Golomb-Rice codes 8 bits at nearly twice the speed of the range coder; more bits need the latter
         coder = "0" if spec.bits == 8 else "1"
-        options = {"level": "3", "coder": coder, "context": "0", "slices": "6", "slicecrc": "1"}
+        slices = _SLICES if spec.width >= _SLICES_ACROSS and spec.height >= _SLICES // _SLICES_ACROSS else 1
+        options = {"level": "3", "coder": coder, "context": "0", "slices": str(slices), "slicecrc": "1"}
         return planes.gray_format(spec.bits), options
     if codec.name == "mjpeg":
         return "yuv420p", {"qmin": "2", "qmax": "2"}

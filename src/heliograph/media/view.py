@@ -101,7 +101,7 @@ class ViewReader(FilmReader):
         self._part = (slice(y, y + height * view.binning), slice(x, x + width * view.binning))
         self.width, self.height = (height, width) if self._quarters % 2 else (width, height)
         self.bits, self.claimed_hz = film.bits, film.rate_hz
-        self.frame_count, self.metadata = film.frame_count, film.metadata
+        self.frame_count, self.metadata, self.faster = film.frame_count, film.metadata, film.faster
 
     def _frames(self) -> Iterator[Frame]:
         for frame in self._film:

@@ -1,0 +1,125 @@
+"""Frames read ahead of their use: in order, bounded, and ended cleanly."""
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
+from heliograph.media import create_film, open_film
+from heliograph.media.ahead import FRAMES_AHEAD, read_ahead
+from heliograph.media.reader import FilmReader
+
+
+class Source:
+    """Frames that note how many of them were made, and whether they were closed."""
+
+    def __init__(self, count: int, error: Exception | None = None) -> None:
+        self.made, self.closed, self._count, self._error = 0, False, count, error
+
+    def frames(self) -> Iterator[Frame]:
+        try:
+            for number in range(self._count):
+                self.made += 1
+                yield Frame(number, number / 1000, np.zeros((2, 2), np.uint8))
+            if self._error is not None:
+                raise self._error
+        finally:
+            self.closed = True
+
+
+def readers() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name == "film-reader"]
+
+
+def test_frames_keep_their_order() -> None:
+    source = Source(100)
+    assert [frame.index for frame in read_ahead(source.frames())] == list(range(100))
+    assert source.closed
+    assert not readers()
+
+
+def test_few_frames_wait() -> None:
+    source = Source(100)
+    frames = read_ahead(source.frames())
+    assert next(frames).index == 0
+    until = time.monotonic() + 5
+    while source.made < FRAMES_AHEAD + 2 and time.monotonic() < until:
+        time.sleep(0.01)
+    time.sleep(0.05)
+    assert source.made == FRAMES_AHEAD + 2  # those that wait, the one in use, and one that waits for room
+    frames.close()  # type: ignore[attr-defined]  # a generator
+    assert source.closed
+    assert source.made < 100
+    assert not readers()
+
+
+def test_an_error_comes_after_the_frames_before_it() -> None:
+    source, got = Source(20, MediaError("torn")), list[Frame]()
+    with pytest.raises(MediaError, match="torn"):
+        got.extend(read_ahead(source.frames()))
+    assert len(got) == 20
+    assert source.closed
+    assert not readers()
+
+
+def test_ctrl_c_ends_the_thread() -> None:
+    source = Source(10_000)
+
+    def use() -> None:
+        for frame in read_ahead(source.frames()):
+            if frame.index == 5:
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        use()
+    assert source.closed
+    assert source.made < 10_000
+    assert not readers()
+
+
+def test_nothing_is_read_before_a_frame_is_asked_for() -> None:
+    source = Source(5)
+    read_ahead(source.frames())
+    assert source.made == 0
+    assert not readers()
+
+
+def film(path: Path, count: int = 60) -> Path:
+    with create_film(path, width=48, height=32, rate_hz=1000.0) as written:
+        for number in range(count):
+            written.write(Frame(number, number / 1000, np.full((32, 48), number, np.uint8)))
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".h5"])
+def test_a_film_left_early_is_closed(tmp_path: Path, suffix: str) -> None:
+    with open_film(film(tmp_path / f"a{suffix}")) as read:
+        for frame in read:
+            if frame.index == 3:
+                break
+        assert [frame.index for frame in read] == list(range(60))
+        first: FilmReader = read
+        next(iter(first))
+    assert not readers()
+
+
+@pytest.mark.parametrize("options", [{}, {"chunks": (7, 32, 48)}, {"chunks": (1, 16, 48)}, {"compression": "gzip"}])
+@pytest.mark.parametrize("dtype", ["u1", "<u2"])
+def test_hdf5_of_any_layout(tmp_path: Path, options: dict[str, object], dtype: str) -> None:
+    """Films of other programs; frames 4 to 9 were never written."""
+    levels = np.random.default_rng(0).integers(0, 256, (20, 32, 48)).astype(dtype)
+    levels[4:10] = 3
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        frames = file.create_dataset("frames", levels.shape, dtype, fillvalue=3, **{"chunks": (1, 32, 48), **options})
+        frames[:4], frames[10:] = levels[:4], levels[10:]
+        file["times_s"] = np.arange(20) / 1000
+    with open_film(tmp_path / "a.h5") as read:
+        got = list(read)
+    assert all(np.array_equal(one.pixels, sent) for one, sent in zip(got, levels, strict=True))
+    assert all(one.pixels.flags.writeable for one in got)
