@@ -91,8 +91,8 @@ def check_levels(path: Path, pixels: Pixels, bits: int, count: int) -> None:
         )
 
 
-def blocks(path: Path, places: Iterable[int], size: int) -> Iterator[bytes]:
-    """Yield a file's blocks of bytes, one for each frame.
+def blocks(path: Path, places: Iterable[int], size: int) -> Iterator[bytearray]:
+    """Yield a file's blocks of bytes, one for each frame; loops are not compiled again for frames that are read-only.
 
     Parameters
     ----------
@@ -115,7 +115,10 @@ def blocks(path: Path, places: Iterable[int], size: int) -> Iterator[bytes]:
                 if place + size > length:  # before memory is taken for it
                     raise MediaError(f"{path} ends in the middle, after {count} whole frames: copy it again")
                 file.seek(place)
-                yield file.read(size)
+                block = bytearray(size)
+                if file.readinto(block) < size:
+                    raise MediaError(f"{path} became shorter, after {count} whole frames: copy it again")
+                yield block
     except MediaError:
         raise
     except OSError as error:

@@ -7,7 +7,7 @@ _GROUPS = {10: (4, 5), 12: (2, 3)}
 """Levels of a group and its bytes, by the bits of a level: groups begin and end with a byte."""
 
 
-def unpack(data: bytes, bits: int) -> NDArray[np.uint16]:
+def unpack(data: bytes | bytearray, bits: int) -> NDArray[np.uint16]:
     """Return gray levels as numbers of their own.
 
     Parameters

@@ -269,7 +269,7 @@ def _bits(path: Path, word: int, levels: int) -> int:
     raise MediaError(f"{path} has pixels of {word} bits, not of 8, 10, 12 or 16: save the recording as raw or as TIFF")
 
 
-def _levels(data: bytes, head: CineHeader, channel: str) -> Pixels:
+def _levels(data: bytearray, head: CineHeader, channel: str) -> Pixels:
     shape, pixels = (head.height, head.width), head.width * head.height
     if head.word in (10, 12):
         levels = unpack(data, head.word)[:pixels].reshape(shape)

@@ -187,7 +187,7 @@ def _checked(path: Path, texts: Mapping[str, str]) -> PhotronHeader:
     )
 
 
-def _levels(data: bytes, head: PhotronHeader) -> Pixels:
+def _levels(data: bytearray, head: PhotronHeader) -> Pixels:
     shape, pixels = (head.height, head.width), head.width * head.height
     if head.word == 8:
         return np.frombuffer(data, np.uint8).reshape(shape)
