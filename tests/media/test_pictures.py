@@ -297,7 +297,7 @@ def test_whole_jpegs_of_all_forms_are_read(tmp_path: Path, options: list[int], c
     (tmp_path / "a" / "1.jpg").write_bytes(data[:2] + notes + data[2:] + bytes(100))
     with open_film(tmp_path / "a", rate_hz=10, channel="green") as film:
         (frame,) = film
-    want = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    want: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     assert np.array_equal(frame.pixels, want if want.ndim == 2 else want[..., 1])
 
 
@@ -310,5 +310,6 @@ def test_a_single_picture_is_one_frame(tmp_path: Path, name: str) -> None:
     with open_film(tmp_path / name, rate_hz=100) as film:
         (frame,) = film
         assert (film.width, film.height, film.frame_count) == (96, 64, 1)
-    assert np.array_equal(frame.pixels, cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))
+    want: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(frame.pixels, want)
     assert "has no clock" in refused(tmp_path / name, None)[1]

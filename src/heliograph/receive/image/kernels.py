@@ -6,9 +6,12 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.compiled import compiled
 from heliograph.receive.image.normal import normal
+
+Floats = NDArray[np.float64]
 
 RENDER_REACH = 4.0
 """Standard deviations beyond which `render` leaves an LED's light out: 6e-5 of it lies there."""
@@ -41,7 +44,9 @@ def _tilt(pose):
     return 0.0, 0.0
 
 
-def render(pose, weights, x0, y0, out, smear_x=0.0, smear_y=0.0):
+def render(
+    pose: Floats, weights: Floats, x0: float, y0: float, out: Floats, smear_x: float = 0.0, smear_y: float = 0.0
+) -> None:
     """Image of LEDs and its derivatives by the pose; an unresolved array of weights 1 has the image 1.
 
     Parameters
@@ -131,7 +136,9 @@ def _edge(t, sigma):
     return cdf, pdf / sigma
 
 
-def render_box(pose, half_leds, x0, y0, out, smear_x=0.0, smear_y=0.0):
+def render_box(
+    pose: Floats, half_leds: float, x0: float, y0: float, out: Floats, smear_x: float = 0.0, smear_y: float = 0.0
+) -> None:
     """Image of a blurred square of brightness 1 about the array's centre, and its derivatives by the pose.
 
     A pixel's box counts as its variance, 1/12; the derivatives by blur and tilt are 0. Where the smear along x and y
