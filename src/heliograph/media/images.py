@@ -110,9 +110,9 @@ def is_picture(path: Path, head: bytes) -> bool:
     Parameters
     ----------
     path
-        The file.
+        An existing file, whose suffix tells pictures from streams of JPEG.
     head
-        Its first bytes.
+        The first bytes of the file, 8 or more where it has them.
     """
     return head.startswith(whole.PNG) or (head.startswith(_JPEG) and path.suffix.lower() in PICTURE_SUFFIXES)
 

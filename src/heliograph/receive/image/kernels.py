@@ -68,7 +68,13 @@ def render(
 
 @compiled()
 def draw_leds(pose, weights, x0, y0, out, smear_x, smear_y):
-    """`render` of all its arguments: with defaults left out it would be compiled a second time."""
+    """Do the work of `render`: with arguments left out it would be compiled a second time.
+
+    Parameters
+    ----------
+    pose, weights, x0, y0, out, smear_x, smear_y
+        As in `render`.
+    """
     side = weights.shape[0]
     rows, cols = out.shape[1], out.shape[2]
     out[:] = 0.0
@@ -162,7 +168,13 @@ def render_box(
 
 @compiled()
 def draw_box(pose, half_leds, x0, y0, out, smear_x, smear_y):
-    """`render_box` of all its arguments."""
+    """Do the work of `render_box`, as `draw_leds` does that of `render`.
+
+    Parameters
+    ----------
+    pose, half_leds, x0, y0, out, smear_x, smear_y
+        As in `render_box`.
+    """
     rows, cols = out.shape[1], out.shape[2]
     half = half_leds * math.exp(pose[2])
     narrow = math.exp(2.0 * pose[4]) + 1.0 / 12.0
