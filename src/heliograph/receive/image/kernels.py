@@ -73,7 +73,7 @@ def draw_leds(pose, weights, x0, y0, out, smear_x, smear_y):
     Parameters
     ----------
     pose, weights, x0, y0, out, smear_x, smear_y
-        As in `render`.
+        Pose, luminances, corner, image and smear with the shapes and units of `render`.
     """
     side = weights.shape[0]
     rows, cols = out.shape[1], out.shape[2]
@@ -173,7 +173,7 @@ def draw_box(pose, half_leds, x0, y0, out, smear_x, smear_y):
     Parameters
     ----------
     pose, half_leds, x0, y0, out, smear_x, smear_y
-        As in `render_box`.
+        Pose, half width, corner, image and smear with the shapes and units of `render_box`.
     """
     rows, cols = out.shape[1], out.shape[2]
     half = half_leds * math.exp(pose[2])
