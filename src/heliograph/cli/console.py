@@ -55,8 +55,8 @@ def complain(text: str) -> None:
     sys.stderr.write(f"heliograph: {line}\n")
 
 
-def note(text: str) -> None:
-    """A line of what happens, beside the results."""
+def tell(text: str) -> None:
+    """A line of what happens while it happens, as it was asked for."""
     sys.stderr.write(text + "\n")
     sys.stderr.flush()
 

@@ -62,7 +62,7 @@ class News:
         if self._told.verbose and row["event"] != "end":
             from heliograph.measure.journal import sentence
 
-            console.note(sentence(row))
+            console.tell(sentence(row))
         for outlet in list(self._outlets):
             try:
                 outlet.send(row)
