@@ -75,7 +75,7 @@ def test_a_slow_client_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outlets, "MOST_WAITING", 5)
     outlet = open_outlet("ws://127.0.0.1:0")
     assert isinstance(outlet, outlets.WebSocket)
-    with connect(outlet.address, max_queue=1):
+    with connect(outlet.address, max_queue=1, close_timeout=0.1):
         _attended(outlet, 1)
         began = time.monotonic()
         for _ in range(200):  # 40 MB, which nobody takes
