@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from heliograph.base.errors import HeliographError
+from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.registry import load_parts
 from heliograph.cli import console, measure, options
 
@@ -69,6 +69,12 @@ Rotate = Annotated[
     int, typer.Option("--rotate", metavar="DEGREES", help="Turn the part clockwise: 0, 90, 180 or 270 degrees.")
 ]
 Channel = Annotated[str, typer.Option("--channel", help="Gray level of a colour: luma, red, green or blue.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS", help="Dask scheduler whose workers compute, in place of --workers.", show_default=False
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
@@ -124,7 +130,7 @@ def transmit(
 
 @app.command()
 def receive(
-    film: Annotated[Path, typer.Argument(help=READ)],
+    films: Annotated[list[Path], typer.Argument(metavar="FILM...", help=READ)],
     receiver: Annotated[
         str | None,
         typer.Option(
@@ -165,18 +171,28 @@ def receive(
         ),
     ] = None,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say the same in words on standard error.")] = False,
+    workers: options.WorkersOption = None,
+    scheduler: Scheduler = None,
 ) -> None:
-    """Find arrays in a film and read what they send.
+    """Find arrays in films and read what they send.
 
     Films of 'simulate' hold a note of their signal, which wins over the preset. --settings and --set win over the
-    note; a line says where they differ from it.
+    note; a line says where they differ from it. Of several films, or a folder of films, a line of JSON is printed for
+    each; --output has a folder for each, and what is there already is not read again.
     """
     from heliograph.cli.news import Told
     from heliograph.cli.receive import run_receive
+    from heliograph.cli.receive_many import is_many, run_many
 
     seen = options.FilmOptions(fps, crop, binning, rotate, channel)
+    changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
+    if is_many(films) or workers is not None or scheduler is not None:
+        if truth or follow or send or verbose:
+            raise MediaError("--truth, --follow, --send and --verbose take one film: receive the films one by one")
+        run_many(films, seen, preset, settings, changes, output, (workers, scheduler))
+        return
     told = Told(follow, verbose, tuple(send or ()))
-    run_receive(film, seen, receiver, output, truth, preset, settings, assignments, as_json, told)
+    run_receive(films[0], seen, output, truth, preset, settings, changes, as_json, told)
 
 
 @app.command()
@@ -251,12 +267,7 @@ def sweep(
         typer.Option(help="Most computing time of a point in s, summed over the workers.", show_default=False),
     ] = None,
     workers: options.WorkersOption = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS", help="Dask scheduler whose workers compute, in place of --workers.", show_default=False
-        ),
-    ] = None,
+    scheduler: Scheduler = None,
     background: options.BackgroundOption = None,
     imu: options.Imu = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON list and nothing else.")] = False,

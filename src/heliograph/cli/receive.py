@@ -17,6 +17,7 @@ LONG_READING_S = 2.0
 """Seconds of reading from which on a faster container is worth a word. Chosen."""
 
 if TYPE_CHECKING:
+    from heliograph.link.film import FrameProgress
     from heliograph.link.settings import LinkSettings
     from heliograph.measure.counts import LayerCounts
     from heliograph.measure.errors import ErrorCounter
@@ -29,12 +30,11 @@ if TYPE_CHECKING:
 def run_receive(
     film: Path,
     seen: options.FilmOptions,
-    receiver: str | None,
     output: Path | None,
     truth: Path | None,
     preset: str,
     file: Path | None,
-    assignments: list[str] | None,
+    changes: list[str],
     as_json: bool,
     told: Told,
 ) -> None:
@@ -49,7 +49,6 @@ def run_receive(
     from heliograph.measure.reception import Reception
     from heliograph.media import open_film
 
-    changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
     settings = options.settings_from(preset, file, changes)
     base, signal_changes = options.settings_from(preset, None, None), options.signal_changes(file, changes)
     if truth and seen.partly:
@@ -66,9 +65,10 @@ def run_receive(
         if departure:
             console.complain(departure)
         with Folder(output) as folder, News(told) as news:
-            ending = _read(source, signal, settings, reception, folder, news)
+            with console.progress("receiving", source.frame_count) as advance:
+                ending = read_film(source, signal, settings, reception, (folder, news), advance)
             report = {**reception.report(time.perf_counter() - began), "reading_seconds": source.read_s}
-            ending = _finish(folder, report) or ending
+            ending = finish_folder(folder, report) or ending
             news.tell({"event": "end", **report})
     if told.follow:
         pass  # its last line has the report
@@ -84,33 +84,33 @@ def run_receive(
         raise ending
 
 
-def _read(
+def read_film(
     source: "FilmReader",
     signal: "SignalSettings",
     settings: "LinkSettings",
     reception: "Reception",
-    folder: "Folder",
-    news: News,
+    told: tuple["Folder", News],
+    advance: "FrameProgress | None" = None,
 ) -> BaseException | None:
     """Read the film to its end, or until something ends it: that is returned."""
-    from heliograph.link.film import packet_row
+    from heliograph.link.film import packet_row, silent
     from heliograph.measure.journal import Journal
     from heliograph.measure.reception import receive_film
 
+    folder, news = told
     journal = Journal(settings.receive.calibration, news.tell)
     try:
-        with console.progress("receiving", source.frame_count) as advance:
-            for packet, messages in receive_film(source, signal, settings, reception, journal.observe, advance):
-                folder.log(packet_row(packet))
-                journal.read(packet, messages)
-                for message in messages:
-                    folder.message(message)
+        for packet, messages in receive_film(source, signal, settings, reception, journal.observe, advance or silent):
+            folder.log(packet_row(packet))
+            journal.read(packet, messages)
+            for message in messages:
+                folder.message(message)
     except (HeliographError, OSError, MemoryError, KeyboardInterrupt) as error:
         return error
     return None
 
 
-def _finish(folder: "Folder", report: dict[str, Any]) -> MediaError | None:
+def finish_folder(folder: "Folder", report: dict[str, Any]) -> MediaError | None:
     """Finish the folder's files; a failure is returned, for the results are still to be shown."""
     try:
         folder.finish(report)

@@ -1,0 +1,223 @@
+"""heliograph receive, of many films: a worker for each, a line of JSON for each, and what is done is not done again."""
+
+import contextlib
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from heliograph import __version__
+from heliograph.base.errors import HeliographError, MediaError
+from heliograph.cli import console, options
+
+FILMS = (".mkv", ".nut", ".mp4", ".mov", ".avi", ".y4m", ".h264", ".h5", ".hdf5", ".mraw", ".cine", ".npy")
+"""Suffixes of files that are taken for films in a folder; pictures in it are the frames of one film."""
+
+SUMMARY = "summary.json"
+
+
+@dataclass(frozen=True, slots=True)
+class FilmWork:
+    """A film to be received: the options of the command, as they were given; it can be pickled."""
+
+    film: str
+    seen: options.FilmOptions
+    preset: str
+    file: Path | None
+    assignments: tuple[str, ...]
+    output: Path | None
+
+    @property
+    def folder(self) -> Path | None:
+        """Where its results go."""
+        return None if self.output is None else self.output / Path(self.film).name
+
+    def made_of(self) -> dict[str, Any]:
+        """What its results follow from, as plain values: they hold as long as it stays the same."""
+        with contextlib.suppress(OSError):
+            found = Path(self.film).stat()
+            settings = "" if self.file is None else self.file.read_text(encoding="utf-8", errors="replace")
+            return {
+                "film": {"bytes": found.st_size, "modified_ns": found.st_mtime_ns},
+                "options": [asdict(self.seen), self.preset, settings, list(self.assignments)],
+                "version": __version__,
+            }
+        return {}
+
+
+def films_of(given: Sequence[Path]) -> list[Path]:
+    """The films named: files as they are, of a folder of films its films in the order of their names.
+
+    Parameters
+    ----------
+    given
+        Files, folders of pictures, patterns of pictures, and folders of films.
+    """
+    return [film for path in given for film in (_films_in(path) or [path])]
+
+
+def is_many(given: Sequence[Path]) -> bool:
+    """Whether what is named is more than one film, or a folder of films."""
+    return len(given) > 1 or any(_films_in(path) for path in given)
+
+
+def run_many(
+    given: Sequence[Path],
+    seen: options.FilmOptions,
+    preset: str,
+    file: Path | None,
+    assignments: Sequence[str],
+    output: Path | None,
+    crew_of: tuple[int | None, str | None],
+) -> None:
+    """Receive films, several at a time; a film that cannot be read stops no other.
+
+    Workers are given by their number, None for one a core, or by the address of a Dask scheduler.
+    """
+    from heliograph.sweeps.executors import fewer_workers, open_workers
+
+    options.settings_from(preset, file, list(assignments))  # what is wrong with them is said once
+    works = [FilmWork(str(film), seen, preset, file, tuple(assignments), output) for film in films_of(given)]
+    _check_names(works)
+    workers, scheduler = crew_of
+    if fewer := fewer_workers(workers):
+        console.complain(fewer)
+    rows = {work.film: kept for work in works if (kept := _kept(work)) is not None}
+    for row in rows.values():
+        console.say_json(row)
+    left = [work for work in works if work.film not in rows]
+    with contextlib.closing(open_workers(workers, scheduler)) as crew, console.progress("films", len(works)) as advance:
+        advance(len(rows))
+        try:
+            for row in _received(left, crew):
+                rows[row["film"]] = row
+                console.say_json(row)
+                advance(len(rows))
+        except KeyboardInterrupt:
+            again = "the same command goes on" if works[0].output else "with --output the same command would go on"
+            console.complain(f"interrupted after {len(rows)} of {len(works)} films; {again}")
+            sys.exit(console.INTERRUPTED)
+    broken = sum("error" in row for row in rows.values())
+    if broken:
+        raise MediaError(f"{broken} of {len(works)} films could not be read to the end; their lines say why")
+
+
+def receive_one(work: FilmWork) -> dict[str, Any]:
+    """Receive a film; what goes wrong with it is part of the result.
+
+    Parameters
+    ----------
+    work
+        The film and its options.
+
+    Returns
+    -------
+    Its report as plain values, with `film`, and with `error` where it was not read to its end.
+    """
+    import cv2
+
+    from heliograph.cli.news import News, Told
+    from heliograph.cli.receive import Folder, finish_folder, read_film
+    from heliograph.link.notes import signal_of
+    from heliograph.measure.reception import Reception
+    from heliograph.media import open_film
+
+    cv2.setNumThreads(1)
+    try:
+        settings = options.settings_from(work.preset, work.file, list(work.assignments))
+        base = options.settings_from(work.preset, None, None)
+        changes = options.signal_changes(work.file, list(work.assignments))
+        reception, began, made_of = Reception(), time.perf_counter(), work.made_of()
+        with open_film(work.film, **work.seen.keywords()) as source:
+            signal, _ = signal_of(source, base.signal, changes)
+            with Folder(work.folder) as folder, News(Told()) as news:
+                ending = read_film(source, signal, settings, reception, (folder, news))
+                report = {"film": work.film, **reception.report(time.perf_counter() - began)}
+                report["messages"] = folder.messages
+                if ending is not None:
+                    report["error"] = _line(ending)
+                ending = finish_folder(folder, {**report, "made_of": made_of}) or ending
+        if isinstance(ending, KeyboardInterrupt):
+            raise ending
+    except (HeliographError, OSError, MemoryError) as error:
+        return {"film": work.film, "error": _line(error)}
+    else:
+        return report
+
+
+def _films_in(path: Path) -> list[Path]:
+    """Films of a folder; none of a folder of pictures, which is a film itself."""
+    if not path.is_dir():
+        return []
+    try:
+        return sorted(one for one in path.iterdir() if one.suffix.lower() in FILMS and not one.name.startswith("."))
+    except OSError as error:
+        raise MediaError(f"cannot read {path}: {error.strerror}") from None
+
+
+def _check_names(works: Iterable[FilmWork]) -> None:
+    names = Counter(work.folder for work in works if work.folder is not None)
+    twice = [folder.name for folder, count in names.items() if count > 1]
+    if twice:
+        raise MediaError(
+            f"several films have the name {twice[0]}, and one folder for their results: receive them apart"
+        )
+
+
+def _kept(work: FilmWork) -> dict[str, Any] | None:
+    """The result of an earlier run of the same film and options; None if there is none."""
+    if work.folder is None:
+        return None
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        row = json.loads((work.folder / SUMMARY).read_bytes())
+        if row.pop("made_of") == work.made_of() != {} and "error" not in row:
+            return {**row, "film": work.film, "kept": True}
+    return None
+
+
+def _received(works: Sequence[FilmWork], crew: Any) -> Iterator[dict[str, Any]]:
+    """Results in the order in which they come; a worker that is lost with its film, with memory say, is replaced."""
+    waiting, flying = list(works), dict[Future[dict[str, Any]], FilmWork]()
+    while waiting or flying:
+        while waiting and len(flying) < crew.slots:
+            work = waiting.pop(0)
+            flying[crew.submit(receive_one, work)] = work
+        ended, _ = wait(flying, return_when=FIRST_COMPLETED)
+        if any(isinstance(future.exception(), BrokenExecutor) for future in ended):
+            # which of them broke it is not known: each is given a pool of its own
+            lost = list(flying.values())
+            flying.clear()
+            crew.restart()
+            yield from (_alone(work, crew) for work in lost)
+            continue
+        for future in ended:
+            yield _result(future, flying.pop(future))
+
+
+def _alone(work: FilmWork, crew: Any) -> dict[str, Any]:
+    future = crew.submit(receive_one, work)
+    row = _result(future, work)
+    if isinstance(future.exception(), BrokenExecutor):
+        crew.restart()
+    return row
+
+
+def _result(future: "Future[dict[str, Any]]", work: FilmWork) -> dict[str, Any]:
+    try:
+        return future.result()
+    except BrokenExecutor:
+        return {"film": work.film, "error": "its worker process ended; there may be too little memory"}
+    except CancelledError:
+        raise HeliographError("the connection to the Dask scheduler was lost; the results so far are kept") from None
+    except Exception as error:  # of a worker anywhere: no heliograph, another version
+        return {"film": work.film, "error": f"its worker failed with {type(error).__name__}: {_line(error)}"}
+
+
+def _line(error: BaseException) -> str:
+    """The words of an error on one line."""
+    return " ".join(str(error).split()) or type(error).__name__

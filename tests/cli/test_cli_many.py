@@ -1,0 +1,87 @@
+"""Many films at once: a line for each, a broken one stops no other, and what is done is not done again."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from cli_runs import Run, called, failed, heliograph, lasting, names, succeeded
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("film")
+    succeeded(heliograph("simulate", "a.h5", *lasting(0.21), "--high", "red light", cwd=folder))
+    return folder / "a.h5"
+
+
+def rows(run: Run) -> dict[str, dict[str, object]]:
+    read = [json.loads(line) for line in run.stdout.splitlines()]
+    return {row["film"]: row for row in read}
+
+
+def test_a_folder_of_films_is_received_and_resumed(
+    film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("in").mkdir()
+    for name in ("in/a.h5", "in/b.h5"):
+        shutil.copy(film, name)
+    Path("in/c.mkv").write_bytes(b"no film")
+    Path("in/notes.txt").write_text("not looked at")
+    line = ["receive", "in", "--output", "out", "--workers", "1", "--set", "receive.receiver=plain"]
+    first = called(*line, capfd=capfd, monkeypatch=monkeypatch)
+    assert "1 of 3 films could not be read to the end" in failed(first)
+    found = rows(first)
+    assert list(found) == ["in/a.h5", "in/b.h5", "in/c.mkv"]
+    assert [found[name]["arrays"][0]["packets"] for name in ("in/a.h5", "in/b.h5")] == [2, 2]  # type: ignore[index]
+    assert "not a video" in str(found["in/c.mkv"]["error"])
+    assert names(tmp_path / "out") == [f"{name}/{file}" for name in ("a.h5", "b.h5") for file in RESULTS]
+
+    # a film that has changed, and what was broken, are read again; with other options all are
+    os.utime("in/b.h5", (1, 1))
+    again = rows(called(*line, capfd=capfd, monkeypatch=monkeypatch))
+    assert {name: row.get("kept") for name, row in again.items()} == {
+        "in/a.h5": True,
+        "in/b.h5": None,
+        "in/c.mkv": None,
+    }
+    other = rows(called(*line, "--set", "receive.turbo.iterations=3", capfd=capfd, monkeypatch=monkeypatch))
+    assert not any(row.get("kept") for row in other.values())
+
+
+RESULTS = ["array-0-high-0.bin", "packets.jsonl", "summary.json"]
+
+
+def test_workers_read_films_side_by_side(film: Path, tmp_path: Path) -> None:
+    shutil.copy(film, tmp_path / "b.h5")
+    run = heliograph("receive", film, "b.h5", "--workers", "2", "--receiver", "plain", cwd=tmp_path)
+    assert len(rows(run)) == 2
+    assert {len(row["arrays"]) for row in rows(run).values()} == {1}  # type: ignore[arg-type]
+    assert succeeded(run).count("\n") == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("a.h5", "b.h5", "--follow"), "take one film"),
+        (("a.h5", "b/a.h5", "--output", "out"), "several films have the name a.h5"),
+        (("a.h5", "b.h5", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"), "not both"),
+        (("a.h5", "b.h5", "--set", "receive.receiver=nobody"), "nobody"),
+    ],
+)
+def test_what_cannot_be_is_said_once(
+    arguments: tuple[str, ...],
+    words: str,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = called("receive", *arguments, capfd=capfd, monkeypatch=monkeypatch)
+    assert words in failed(run, run.returncode)
+    assert run.returncode in (1, 2)
+    assert not names(tmp_path)
