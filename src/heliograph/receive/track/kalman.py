@@ -5,13 +5,14 @@ from pattern to pattern as the light slows down.
 """
 
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
-from math import exp, inf
+from functools import cached_property, lru_cache, partial
+from math import exp, hypot, inf
 
 import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
+from heliograph.receive.track import kalman_kernels
 
 POSE_SIZE, RATE_STATES, STATE_SIZE = 5, slice(5, 8), 10
 """Parts of the state: the pose vector (x, y, ln pitch, roll, ln blur); the rates per second of its first three; and the
@@ -99,8 +100,13 @@ class MotionModel:
         dt
             Time that goes by, in seconds, at least 0.
         """
-        linear, quadratic, cubic = _noise_by_powers(self)
+        linear, quadratic, cubic = self.noise_by_powers
         return np.asarray(dt * linear + dt**2 * quadratic + dt**3 * cubic)
+
+    @property
+    def noise_by_powers(self) -> tuple[Floats, Floats, Floats]:
+        """What Q has in proportion to dt, dt^2 and dt^3, (10, 10) each."""
+        return _noise_by_powers(self)
 
     def walked(self, dt: float) -> float:
         """A time in units of `WALK_PATTERNS`.
@@ -146,6 +152,10 @@ class Observation:
     matrix: Floats
     variances: Floats
 
+    def __post_init__(self) -> None:
+        # all alike: kernels are compiled anew for arrays that may be written to
+        self.matrix.setflags(write=False)
+
 
 @lru_cache(maxsize=8)  # in step all sums have one lateness
 def sum_observation(late_s: float) -> Observation:
@@ -159,7 +169,6 @@ def sum_observation(late_s: float) -> Observation:
     matrix = np.eye(POSE_SIZE, STATE_SIZE)
     matrix[:3, RATE_STATES] = late_s * np.eye(3)
     matrix[2, 8] = matrix[4, 9] = 1.0
-    matrix.setflags(write=False)
     return Observation(matrix, SUM_SPREAD**2)
 
 
@@ -171,6 +180,9 @@ HEADER_OBSERVATION = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.array([0.5, 0
 
 POSE = Observation(np.eye(POSE_SIZE, STATE_SIZE), np.zeros(POSE_SIZE))
 """The pose itself."""
+
+
+_EYE = np.eye(2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,12 +213,12 @@ class Tilt:
             How the array may move.
         """
         # a turn that goes on for a time tau adds its square, tau^2, as a walk of the variance tau dt
-        turn = TURN * float(np.hypot(*rates)) / model.focal_px
+        turn = TURN * hypot(*rates.tolist()) / model.focal_px
         variance = TILT_WALK**2 * model.walked(dt) + turn**2 * TURNING_PATTERNS * model.period_s * dt
-        return Tilt(self.mean, self.covariance + variance * np.eye(2))
+        return Tilt(self.mean, self.covariance + variance * _EYE)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, which leave no room for what is cached
 class PoseState:
     """State of the filter.
 
@@ -269,10 +281,8 @@ class PoseState:
             How the array may move.
         """
         dt = time_s - self.time_s
-        f = np.eye(STATE_SIZE)
-        f[:3, RATE_STATES] = dt * np.eye(3)
-        covariance = f @ self.covariance @ f.T + model.process_noise(dt)
-        return PoseState(time_s, f @ self.mean, covariance, self.tilt.later(dt, self.mean[RATE_STATES][:2], model))
+        mean, covariance = kalman_kernels.predict(*self._state, dt, *model.noise_by_powers)
+        return PoseState(time_s, mean, covariance, self.tilt.later(dt, self.mean[RATE_STATES][:2], model))
 
     def expected(self, observation: Observation) -> tuple[Floats, Floats]:
         """Mean (5,) and covariance (5, 5) of what a fit will show: H x, H P H^T + R.
@@ -282,8 +292,8 @@ class PoseState:
         observation
             Which part of the state the fit observes, and its errors.
         """
-        h = observation.matrix
-        return h @ self.mean, h @ self.covariance @ h.T + np.diag(observation.variances)
+        mean, covariance, _ = kalman_kernels.expected(*self._state, observation.matrix, observation.variances)
+        return mean, covariance
 
     def condition(self, vector: Floats, covariance: Floats, observation: Observation) -> "PoseState":
         """State given the result of a fit.
@@ -300,13 +310,16 @@ class PoseState:
         observation
             Which part of the state the fit observed.
         """
-        # S = H P H^T + R, K = P H^T S^-1; x += K (z - H x); P += K (C - S) K^T
-        mean, shown = self.expected(observation)
-        kalman_gain = np.linalg.solve(shown, observation.matrix @ self.covariance).T
-        full = self.covariance + kalman_gain @ (covariance - shown) @ kalman_gain.T
-        return replace(self, mean=self.mean + kalman_gain @ (vector - mean), covariance=0.5 * (full + full.T))
+        shown = observation.matrix, observation.variances, _for_kernels(vector), _for_kernels(covariance)
+        mean, full = kalman_kernels.condition(*self._state, *shown)
+        return replace(self, mean=mean, covariance=full)
 
     @property
+    def _state(self) -> tuple[Floats, Floats]:
+        """Mean and covariance, as kernels take them."""
+        return _for_kernels(self.mean), _for_kernels(self.covariance)
+
+    @cached_property
     def pose(self) -> Pose:
         """The pose alone."""
         return self.pose_at(self.time_s)
@@ -324,3 +337,8 @@ class PoseState:
         # number by number: arrays of five cost more than their sums
         place = x + dt * rates[0], y + dt * rates[1], exp(log_pitch + dt * rates[2])
         return Pose(*place, roll, exp(log_blur), *self.tilt.mean.tolist())
+
+
+def _for_kernels(values: Floats) -> Floats:
+    """Values in the order that kernels are compiled for."""
+    return np.ascontiguousarray(values, np.float64)
