@@ -7,7 +7,6 @@ import numpy as np
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.image import gauss_newton, kernels
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.robust import correlation
 from heliograph.receive.image.window import PlacedPixels, cut_out, plane, window_around
 
 PANEL_MARGINS = (0.75, 2.0)
@@ -116,13 +115,13 @@ def fit_array(
     if not np.isfinite(image).all():
         raise np.linalg.LinAlgError("the fit of an array's pose has no solution: pixels are not finite")
     free, margins = len(prior.covariance), PANEL_MARGINS if panel else ()
-    background, counting = plane(*image.shape), image
+    background = plane(*image.shape)
     if open_pixels is not None:
         # a pixel that is 0 in all images says nothing
-        image, background, counting = image * open_pixels, background * open_pixels, image[open_pixels > 0]
+        image, background = image * open_pixels, background * open_pixels
     shapes = np.empty((1 + len(margins), 1 + free, *image.shape))
     vector = (prior.vector if start is None else start).copy()
-    matrix, linear = gauss_newton.fit(
+    covariance, linear, score = gauss_newton.fit(
         _kernels_kind(image),
         background,
         np.empty((0, 0)) if open_pixels is None else _kernels_kind(open_pixels),
@@ -132,7 +131,7 @@ def fit_array(
         resolved,
         np.array(smear, np.float64),
         _kernels_kind(prior.vector),
-        np.linalg.inv(prior.covariance),
+        _kernels_kind(prior.covariance),
         float(prior.gain),
         iterations,
         vector,
@@ -140,11 +139,7 @@ def fit_array(
     )
     if not np.isfinite(linear).all():
         raise np.linalg.LinAlgError("the fit of an array's pose has no solution")
-    residual = np.empty(image.shape)
-    gauss_newton.residuals(image, shapes, background, linear, residual)
-    rest = residual if open_pixels is None else residual[open_pixels > 0]
-    covariance = np.asarray(np.linalg.inv(matrix)[:free, :free], np.float64)
-    return Fit(vector, covariance, float(linear[0]), correlation(counting, counting - rest))
+    return Fit(vector, covariance, float(linear[0]), float(score))
 
 
 def _kernels_kind(values: Floats) -> Floats:

@@ -7,7 +7,9 @@ import math
 
 import numpy as np
 
+from heliograph.base.arrays import TINY
 from heliograph.base.compiled import compiled
+from heliograph.receive.image.cholesky import invert, mirror, solve
 from heliograph.receive.image.kernels import draw_box, draw_leds
 from heliograph.receive.image.median import median
 
@@ -67,7 +69,7 @@ def fit(
     resolved,
     smear,
     prior,
-    precision,
+    covariance,
     gain,
     steps,
     vector,
@@ -93,8 +95,8 @@ def fit(
         Whether LEDs may show singly; if not the array is an even square.
     smear
         (2,) standard deviations in px along x and y of a motion.
-    prior, precision
-        (5,) or (7,) pose vector expected, and the (p, p) inverse of its covariance: with p below 7 the tilt is held.
+    prior, covariance
+        (5,) or (7,) pose vector expected, and its (p, p) covariance: with p below 7 the tilt is held.
     gain
         Expected gain in gray levels, or 0 where it is unknown.
     steps
@@ -106,10 +108,12 @@ def fit(
 
     Returns
     -------
-    Normal matrix of the last step, and coefficients of the images and of the plane; not finite where a step has no
-    solution.
+    Covariance (p, p) of the pose by the normal matrix of the last step; coefficients of the images and of the plane,
+    not finite where a step has no solution; correlation of the pixels that count with the image of the last pose.
     """
-    free = precision.shape[0]
+    free = covariance.shape[0]
+    precision = np.empty((free, free))
+    invert(covariance, precision)
     size = free + shapes.shape[0] + 3
     matrix, rhs = np.empty((size, size)), np.empty(size)
     residual = np.empty(image.shape)
@@ -136,7 +140,7 @@ def fit(
             rhs[free] += weight * (gain - linear[0])
         _load(matrix, FIT_LOADING)
         step = rhs.copy()
-        _solve(matrix, step)
+        solve(matrix, step)
         for k in range(linear.shape[0]):
             linear[k] += step[free + k]
         pitch = math.exp(vector[2])
@@ -148,7 +152,10 @@ def fit(
         if len(margins) and near and abs(step[free]) < CLOSE_GAIN * abs(linear[0]):
             break
         _place(vector, open_pixels, corner, weights, margins, resolved, smear, shapes)
-    return matrix, linear
+    residuals(image, shapes, plane, linear, residual)
+    found = np.empty((free, free))
+    invert(matrix, found)
+    return found, linear, _correlation(image, residual, open_pixels)
 
 
 @compiled()
@@ -170,27 +177,33 @@ def _place(vector, open_pixels, corner, weights, margins, resolved, smear, shape
                     shapes[k, n, i, j] *= open_pixels[i, j]
 
 
-@compiled()
+@compiled(fastmath={"reassoc", "contract"})
 def _coefficients(image, shapes, plane, gain):
     """Least squares coefficients of the images, near an expected gain if there is one."""
-    m = shapes.shape[0]
-    matrix, rhs, row = np.zeros((m + 3, m + 3)), np.zeros(m + 3), np.empty(m + 3)
+    m, cols = shapes.shape[0], image.shape[1]
+    matrix, rhs, values = np.zeros((m + 3, m + 3)), np.zeros(m + 3), np.empty((m + 3, cols))
     for i in range(image.shape[0]):
-        for j in range(image.shape[1]):
-            for n in range(m):
-                row[n] = shapes[n, 0, i, j]
-            for n in range(3):
-                row[m + n] = plane[n, i, j]
-            for k in range(m + 3):
-                rhs[k] += row[k] * image[i, j]
-                for n in range(m + 3):
-                    matrix[k, n] += row[k] * row[n]
+        for n in range(m):
+            values[n] = shapes[n, 0, i]
+        for n in range(3):
+            values[m + n] = plane[n, i]
+        for k in range(m + 3):
+            total = 0.0
+            for j in range(cols):
+                total += values[k, j] * image[i, j]
+            rhs[k] += total
+            for n in range(k + 1):
+                total = 0.0
+                for j in range(cols):
+                    total += values[k, j] * values[n, j]
+                matrix[k, n] += total
+    mirror(matrix)
     if gain != 0.0:
         weight = HELD_GAIN * matrix[0, 0]
         matrix[0, 0] += weight
         rhs[0] += weight * gain
     _load(matrix, FIRST_LOADING)
-    _solve(matrix, rhs)
+    solve(matrix, rhs)
     return rhs
 
 
@@ -261,9 +274,7 @@ def normal_equations(image, shapes, plane, linear, rough, matrix, vector):
                 for j in range(cols):
                     total += weighed[k, j] * slopes[n, j]
                 matrix[k, n] += total
-    for k in range(size):
-        for n in range(k):
-            matrix[n, k] = matrix[k, n]
+    mirror(matrix)
     return mass, loss
 
 
@@ -329,28 +340,27 @@ def _load(matrix, loading):
 
 
 @compiled()
-def _solve(matrix, rhs):
-    """Solve M x = b in place of b for a positive definite M, by Cholesky; not finite where M is none.
-
-    It is compiled in a tenth of a second; SciPy's, called from here, in three.
-    """
-    size = matrix.shape[0]
-    lower = np.empty((size, size))
-    for k in range(size):
-        for n in range(k + 1):
-            total = matrix[k, n]
-            for i in range(n):
-                total -= lower[k, i] * lower[n, i]
-            lower[k, n] = math.sqrt(total) if k == n and total > 0.0 else np.nan if k == n else total / lower[n, n]
-    # L y = b, then L^T x = y
-    for k in range(size):
-        for i in range(k):
-            rhs[k] -= lower[k, i] * rhs[i]
-        rhs[k] /= lower[k, k]
-    for k in range(size - 1, -1, -1):
-        for i in range(k + 1, size):
-            rhs[k] -= lower[i, k] * rhs[i]
-        rhs[k] /= lower[k, k]
+def _correlation(image, residual, open_pixels):
+    """Correlation of an image and what a fit makes of it, over the pixels that count; see `robust.correlation`."""
+    rows, cols = image.shape
+    mean, rest, count = 0.0, 0.0, 0.0
+    for i in range(rows):
+        for j in range(cols):
+            if open_pixels.size == 0 or open_pixels[i, j] > 0.0:
+                mean += image[i, j]
+                rest += residual[i, j]
+                count += 1.0
+    mean, rest = mean / max(count, 1.0), rest / max(count, 1.0)
+    both, one, other = 0.0, 0.0, 0.0
+    for i in range(rows):
+        for j in range(cols):
+            if open_pixels.size == 0 or open_pixels[i, j] > 0.0:
+                x = image[i, j] - mean
+                y = x - residual[i, j] + rest
+                both += x * y
+                one += x * x
+                other += y * y
+    return both / math.sqrt(max(one * other, TINY))
 
 
 @compiled()
