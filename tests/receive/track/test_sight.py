@@ -8,6 +8,7 @@ from scenes import SIDE, draw, frame_of, pitch_at
 from heliograph.receive import Pose
 from heliograph.receive.image.fit import Prior, fit_array
 from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.track import kernels, reference
 from heliograph.receive.track.sight import LEAST_CHANGE_IN_SIGHT, open_pixels, recent_change
 
 Floats = NDArray[np.float64]
@@ -78,3 +79,21 @@ def test_pixels_that_something_hides_do_not_move_a_fit() -> None:
     pulled = fit_array(total, (0, 0), prior, np.ones((SIDE, SIDE)), 6, panel=True)
     assert abs(found.pose.x - pose.x) < 0.1
     assert abs(found.pose.x - pose.x) < 0.2 * abs(pulled.pose.x - pose.x)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_kernels_do_what_the_reference_does(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    change, pose = rng.normal(0, 20, (31, 33)), Pose(16.3, 14.8, 1.2 + 0.4 * seed, 0.05, 0.5, 0.02, -0.01)
+    place = pose.x, pose.y
+    for distance in (3.0, 11.5, 90.0):
+        got = kernels.noise_beside(change, *place, distance)
+        assert got == pytest.approx(reference.noise_beside(change, *place, distance), rel=1e-12)
+        assert kernels.power_within(change, *place, distance) == pytest.approx(
+            reference.power_within(change, *place, distance), rel=1e-12
+        )
+    for width in (5, 9, 15):
+        around = np.empty((SIDE, SIDE))
+        kernels.power_around(change, 5.0, *place, pose.axes, width, around)
+        want = reference.power_around(change, 5.0, *place, pose.axes, width, SIDE)
+        assert around == pytest.approx(want, rel=1e-4)

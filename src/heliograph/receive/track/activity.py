@@ -1,12 +1,10 @@
 """Whether an array is in sight where it should be: pattern and inverse differ there; a hidden array stands still."""
 
-from math import erf, exp, pi, sqrt
-
-import numpy as np
+from math import erf, exp, hypot, pi, sqrt
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.robust import robust_std
+from heliograph.receive.track import kernels
 
 PIXEL_STD_PX = 12**-0.5
 """Standard deviation in pixels of a pixel's own width."""
@@ -49,10 +47,10 @@ def is_active(change: Floats, noise: float, pose: Pose, corner: tuple[int, int],
     gain
         Gray levels of a sum with all LEDs on.
     """
-    away, half = _away(change, pose, corner), 0.5 * side * pose.pitch
-    inner = change[away <= max(half - INSIDE_EDGE_PX, LEAST_HALF_PX)]
+    half = max(0.5 * side * pose.pitch - INSIDE_EDGE_PX, LEAST_HALF_PX)
+    power, count = kernels.power_within(change, pose.x - corner[0], pose.y - corner[1], half)
     least = ACTIVITY * contrast(pose) * gain
-    return bool(inner.size and inner @ inner >= inner.size * (least**2 + NOISY * noise**2))
+    return bool(count and power >= count * (least**2 + NOISY * noise**2))
 
 
 def noise_around(change: Floats, pose: Pose, corner: tuple[int, int], side: int) -> float:
@@ -69,8 +67,8 @@ def noise_around(change: Floats, pose: Pose, corner: tuple[int, int], side: int)
     side
         LEDs in a row.
     """
-    around = change[_away(change, pose, corner) > 0.5 * side * pose.pitch + BESIDE_EDGE_PX]
-    return robust_std(around) if around.size else 0.0
+    half = 0.5 * side * pose.pitch + BESIDE_EDGE_PX
+    return float(kernels.noise_beside(change, pose.x - corner[0], pose.y - corner[1], half))
 
 
 def contrast(pose: Pose) -> float:
@@ -82,12 +80,5 @@ def contrast(pose: Pose) -> float:
         Pose of the array, of which pitch and blur count.
     """
     # along x and y alike: int (box * Gaussian)^2 / w = erf u - (1 - exp(-u^2)) / (sqrt(pi) u), u = w / 2 s
-    u = pose.pitch / float(np.hypot(pose.blur, PIXEL_STD_PX))
+    u = pose.pitch / hypot(pose.blur, PIXEL_STD_PX)
     return erf(u) - (1 - exp(-(u**2))) / (sqrt(pi) * u)
-
-
-def _away(change: Floats, pose: Pose, corner: tuple[int, int]) -> Floats:
-    """Distance in px of each pixel from an array's centre, along a row or a column, whichever is larger."""
-    down = np.abs(np.arange(change.shape[0]) + (corner[1] - pose.y))
-    right = np.abs(np.arange(change.shape[1]) + (corner[0] - pose.x))
-    return np.maximum(down[:, None], right)

@@ -9,6 +9,7 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
+from heliograph.receive.track import kernels
 
 BESIDE_PITCHES, BESIDE_PX = 1.5, 2.0
 """Distance of a line beside the array from its edge, in pitches, and at least in px.
@@ -48,8 +49,6 @@ def clear_leds(
     (n, n) 1 or 0: the outermost LEDs are covered where the line beside them is. And (2, n + 2) gray levels that
     columns, from left to right, and rows, from top to bottom, usually show; NaN where nothing was seen yet.
     """
-    from heliograph.receive.track import kernels  # Numba is slow to import
-
     side = len(in_sight)
     lines = np.full((2, side + 2), np.nan) if usual is None else usual.copy()
     away = 0.5 * side + max(BESIDE_PITCHES, BESIDE_PX / pose.pitch)

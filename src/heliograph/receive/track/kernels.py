@@ -1,4 +1,8 @@
-"""Lines of LEDs in a sum, as machine code: there are too many small steps each pair to take them in Python."""
+"""Lines of LEDs in a sum, and changes from pattern to inverse, as machine code.
+
+There are too many small steps each pair to take them in Python. Of the changes `reference.py` holds the same in plain
+NumPy; a test holds the two together.
+"""
 
 import math
 
@@ -122,3 +126,97 @@ def _cover(levels, usual, least, hidden, covered, axis):
         # nothing would hold the array's place
         for k in range(last + 1):
             covered[axis, k] = False
+
+
+@compiled()
+def noise_beside(change, x, y, least):
+    """Standard deviation about 0 of the pixels beside a square, by their median magnitude; 0 where there are none.
+
+    Parameters
+    ----------
+    change
+        (rows, columns) float64 gray levels.
+    x, y
+        Column and row of the square's centre in px.
+    least
+        Distance of a pixel from it, along a row or a column, above which it is beside.
+    """
+    sizes, count = np.empty(change.size), 0
+    for i in range(change.shape[0]):
+        for j in range(change.shape[1]):
+            if max(abs(i - y), abs(j - x)) > least:
+                sizes[count] = abs(change[i, j])
+                count += 1
+    # median |x| / Phi^-1(3/4), as `image.robust` has it
+    return 1.4826 * np.median(sizes[:count]) if count else 0.0
+
+
+@compiled()
+def power_within(change, x, y, most):
+    """Sum of the squares of the pixels in a square, and their number.
+
+    Parameters
+    ----------
+    change
+        (rows, columns) float64 gray levels.
+    x, y
+        Column and row of the square's centre in px.
+    most
+        Distance of a pixel from it, along a row or a column, up to which it is in it.
+    """
+    power, count = 0.0, 0
+    for i in range(change.shape[0]):
+        for j in range(change.shape[1]):
+            if max(abs(i - y), abs(j - x)) <= most:
+                power += change[i, j] ** 2
+                count += 1
+    return power, count
+
+
+@compiled()
+def power_around(change, noise, x, y, axes, width, around):
+    """Mean power of a change over the squares about LEDs, less that of its noise.
+
+    Parameters
+    ----------
+    change
+        (rows, columns) float64 pattern less inverse in gray levels; beyond it its border is repeated.
+    noise
+        Standard deviation of its noise in gray levels.
+    x, y
+        Column and row of the array's centre in px.
+    axes
+        (2, 2) steps from one LED to the next along a row and along a column, in px, one per column.
+    width
+        LEDs in a row of a square, odd; beyond the array it is mirrored.
+    around
+        (n, n), overwritten.
+    """
+    side, reach = around.shape[0], width // 2
+    bottom, right = change.shape[0] - 1, change.shape[1] - 1
+    power, rows = np.empty((side, side)), np.empty((side, side))
+    for u in range(side):
+        for v in range(side):
+            along, down = v - 0.5 * (side - 1), u - 0.5 * (side - 1)
+            px = min(max(x + along * axes[0, 0] + down * axes[0, 1], 0.0), right - 1e-6)
+            py = min(max(y + along * axes[1, 0] + down * axes[1, 1], 0.0), bottom - 1e-6)
+            i, j = int(py), int(px)
+            total = 0.0
+            for a in range(2):
+                for b in range(2):
+                    part = (py - i if a else 1.0 - py + i) * (px - j if b else 1.0 - px + j)
+                    total += part * max(change[i + a, j + b] ** 2 - noise**2, 0.0)
+            power[u, v] = total
+    # a mean over rows, then over columns
+    for u in range(side):
+        for v in range(side):
+            total = 0.0
+            for k in range(v - reach, v + reach + 1):
+                total += power[u, -1 - k if k < 0 else 2 * side - 1 - k if k >= side else k]
+            rows[u, v] = total
+    for u in range(side):
+        for v in range(side):
+            total = 0.0
+            for k in range(u - reach, u + reach + 1):
+                total += rows[-1 - k if k < 0 else 2 * side - 1 - k if k >= side else k, v]
+            around[u, v] = total / (width * width)

@@ -4,12 +4,15 @@ Data are random, so over a few pairs every LED in sight changes from pattern to 
 still from one frame to the next, whatever its gray.
 """
 
+from math import ceil
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
+from heliograph.receive.track import kernels
 
 SQUARE_LEDS, SQUARE_PX = 5, 4.0
 """Side of the square about an LED whose change counts, in LEDs, and at least in px.
@@ -87,19 +90,9 @@ def recent_change(
     -------
     (n, n), 0 to `MOST_CHANGE`.
     """
-    side = len(before)
-    middle, axes = 0.5 * (side - 1), pose.axes
-    first = np.array([pose.x - corner[0], pose.y - corner[1]]) - axes @ np.array([middle, middle])
-    # LED (column, row) lies at first + axes (column, row)
-    power = np.maximum(change**2 - noise**2, 0.0).astype(np.float32)
-    sampled = cv2.warpAffine(
-        power,
-        np.column_stack([axes, first]),
-        (side, side),
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    around = around_leds(np.asarray(sampled, np.float64), pose)
+    around = np.empty(before.shape)
+    place = pose.x - corner[0], pose.y - corner[1]
+    kernels.power_around(change, noise, *place, pose.axes, _square(pose, len(before)), around)
     bright = int(BRIGHT_QUANTILE * (around.size - 1))
     others = max(float(np.partition(around, bright, axis=None)[bright]), least**2)
     return before + RECENT_PAIR_WEIGHT * (np.minimum(around / others, MOST_CHANGE) - before)
@@ -115,8 +108,13 @@ def around_leds(values: Floats, pose: Pose) -> Floats:
     pose
         Pose of the array, whose pitch says how many LEDs a square holds.
     """
-    width = min(max(SQUARE_LEDS, int(np.ceil(SQUARE_PX / pose.pitch)) | 1), len(values) - 1 | 1)
+    width = _square(pose, len(values))
     return np.asarray(cv2.blur(values, (width, width), borderType=cv2.BORDER_REFLECT), np.float64)
+
+
+def _square(pose: Pose, side: int) -> int:
+    """LEDs in a row of the square about one."""
+    return min(max(SQUARE_LEDS, ceil(SQUARE_PX / pose.pitch) | 1), side - 1 | 1)
 
 
 def dark_zone(dark: NDArray[np.bool_], pose: Pose) -> NDArray[np.bool_]:
