@@ -8,6 +8,7 @@ from scenes import ALL_ON, SIDE, draw, frame_of
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
+from heliograph.receive.timing import kernels, reference
 from heliograph.receive.timing.slips import SlipWatch
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
@@ -82,3 +83,14 @@ def test_a_header_that_comes_late_undoes_a_slip_that_was_none() -> None:
     found = numbers(before_a_sky(120, 2), watch, 0.0)
     assert watch.lost == 0
     assert found[-40:] == list(range(80, 120))
+
+
+@pytest.mark.parametrize("width", [1, 3, 5])
+def test_the_kernel_does_what_the_reference_does(width: int) -> None:
+    rng = np.random.default_rng(width)
+    # parts of the array lie beyond the image
+    image, pose = rng.uniform(0, 255, (25, 24)), Pose(11.3, 12.9, 1.7, 0.06, 0.5, 0.03, -0.02)
+    for rim in (0, 2):
+        where = pose.x, pose.y, pose.axes, width, rim, SIDE
+        got = kernels.means_at_leds(image, *where)
+        assert got == pytest.approx(reference.means_at_leds(image, *where), rel=1e-9)

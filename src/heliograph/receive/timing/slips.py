@@ -13,14 +13,13 @@ sums even. The next header shows the loss, as it comes two patterns early.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-
-import cv2
-import numpy as np
+from math import hypot
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import RIM_PX, cut_out, window_around
+from heliograph.receive.timing import kernels
 from heliograph.receive.timing.frame_pair import PoseAt, is_data
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
@@ -139,8 +138,9 @@ class SlipWatch:
         self.lost = 0
         self._signal = signal
         # without its rim, where a bright background shines in
-        self._inner = slice(signal.side // RIM_DIVISOR, signal.side - signal.side // RIM_DIVISOR)
-        self._signs = (header_levels(identity, signal.side) / 2.0 - 1.0)[self._inner, self._inner].ravel()
+        self._rim = signal.side // RIM_DIVISOR
+        inner = slice(self._rim, signal.side - self._rim)
+        self._signs = (header_levels(identity, signal.side) / 2.0 - 1.0)[inner, inner].ravel()
         self._held: list[_Held] = []
         self._mean: Floats | None = None
         self._headers: dict[int, float] = {}
@@ -190,22 +190,16 @@ class SlipWatch:
 
     def _corrected(self, held: _Held, pose: Pose) -> _Held:
         """A frame in hand, viewed again where the array is now known to have been elsewhere."""
-        off_px = float(np.hypot(pose.x - held.pose.x, pose.y - held.pose.y))
+        off_px = hypot(pose.x - held.pose.x, pose.y - held.pose.y)
         return held if off_px < CORRECTED_PITCHES * pose.pitch else self._viewed(held.frame, held.number, pose)
 
     def _viewed(self, frame: Frame, number: int, pose: Pose) -> _Held:
         """What a frame shows of an array at a pose."""
-        side = self._signal.side
-        middle, window = 0.5 * (side - 1), window_around(pose, side, RIM_PX)
-        (a, b), (c, d) = pose.axes.tolist()
-        # LED (column, row) lies at centre + axes ((column, row) - (side - 1) / 2)
-        first = pose.x - window[0] - (a + b) * middle, pose.y - window[1] - (c + d) * middle
-        grid = np.array([[a, b, first[0]], [c, d, first[1]]])
+        side, window = self._signal.side, window_around(pose, self._signal.side, RIM_PX)
+        place = pose.x - window[0], pose.y - window[1]
         # over all of an LED's square: motion shifts the light of each by its own part of a pattern
         width = 2 * int((pose.pitch + WIDER_PX) / 2) + 1
-        cut = cv2.blur(cut_out(frame, window), (width, width), borderType=cv2.BORDER_REPLICATE)
-        sampled = cv2.warpAffine(cut, grid, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-        shown = np.asarray(sampled[self._inner, self._inner], np.float64).ravel()
+        shown = kernels.means_at_leds(cut_out(frame, window), *place, pose.axes, width, self._rim, side)
         if self._mean is None:
             return _Held(frame, number, pose, shown, None, 0.0, False)
         about = shown - self._mean

@@ -1,0 +1,49 @@
+"""Hot loop of pairing; `reference.py` holds the same in plain NumPy, and a test holds the two together."""
+
+import numpy as np
+
+from heliograph.base.compiled import compiled
+
+
+@compiled()
+def means_at_leds(image, x, y, axes, width, rim, side):
+    """Means of an image over squares about LEDs, between pixels by their distance.
+
+    Parameters
+    ----------
+    image
+        (rows, columns) float64 gray levels; beyond it its border is repeated.
+    x, y
+        Column and row of the array's centre in px.
+    axes
+        (2, 2) steps from one LED to the next along a row and along a column, in px, one per column.
+    width
+        Pixels in a row of a square, odd.
+    rim
+        LEDs on either side of the array that are left out.
+    side
+        LEDs in a row.
+
+    Returns
+    -------
+    ((side - 2 rim)^2,) gray levels, row by row.
+    """
+    inner, reach = side - 2 * rim, (width - 1) // 2
+    bottom, right = image.shape[0] - 1, image.shape[1] - 1
+    out = np.empty(inner * inner)
+    for led in range(inner * inner):
+        down, along = led // inner + rim - 0.5 * (side - 1), led % inner + rim - 0.5 * (side - 1)
+        px = x + along * axes[0, 0] + down * axes[0, 1]
+        py = y + along * axes[1, 0] + down * axes[1, 1]
+        # the mean over a square about a place between pixels: its first row and column count by what they lie within
+        top, left = int(np.floor(py)) - reach, int(np.floor(px)) - reach
+        below, over = py - np.floor(py), px - np.floor(px)
+        total = 0.0
+        for a in range(width + 1):
+            i, line = min(max(top + a, 0), bottom), 0.0
+            for b in range(width + 1):
+                part = 1.0 - over if b == 0 else over if b == width else 1.0
+                line += part * image[i, min(max(left + b, 0), right)]
+            total += (1.0 - below if a == 0 else below if a == width else 1.0) * line
+        out[led] = total / (width * width)
+    return out

@@ -1,0 +1,46 @@
+"""The hot loop of pairing written for reading.
+
+Nothing runs on it but the test that holds `kernels.py` to it.
+"""
+
+import numpy as np
+
+from heliograph.base.arrays import Floats
+
+
+def means_at_leds(image: Floats, x: float, y: float, axes: Floats, width: int, rim: int, side: int) -> Floats:
+    """Means of an image over squares about LEDs, between pixels by their distance.
+
+    Parameters
+    ----------
+    image
+        (rows, columns) gray levels; beyond it its border is repeated.
+    x, y
+        Column and row of the array's centre in px.
+    axes
+        (2, 2) steps from one LED to the next along a row and along a column, in px, one per column.
+    width
+        Pixels in a row of a square, odd.
+    rim
+        LEDs on either side of the array that are left out.
+    side
+        LEDs in a row.
+
+    Returns
+    -------
+    ((side - 2 rim)^2,) gray levels, row by row.
+    """
+    pad, reach = len(image), width // 2
+    wide, out = np.pad(image, pad, "edge"), []
+    for row in range(rim, side - rim):
+        for column in range(rim, side - rim):
+            px, py = np.array([x, y]) + axes @ (column - (side - 1) / 2, row - (side - 1) / 2) + pad
+            i, j = int(py), int(px)
+            # means over squares about the four pixels around the place
+            means = [[_mean(wide, i + a, j + b, reach) for b in (0, 1)] for a in (0, 1)]
+            out.append([1 - py + i, py - i] @ np.array(means) @ [1 - px + j, px - j])
+    return np.array(out)
+
+
+def _mean(image: Floats, i: int, j: int, reach: int) -> float:
+    return float(image[i - reach : i + reach + 1, j - reach : j + reach + 1].mean())
