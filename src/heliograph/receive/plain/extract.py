@@ -97,7 +97,6 @@ def at_leds(pixels: NDArray[np.float64], corner: tuple[int, int], pose: Pose, si
     """
     from heliograph.receive.plain import kernels  # Numba is slow to import
 
-    points = pose.leds(side).reshape(-1, 2) - corner
-    out = np.empty(len(points))
-    kernels.sample_cubic(pixels, points, out)
-    return out.reshape(side, side)
+    out = np.empty((side, side))
+    kernels.cubic_at_leds(pixels, pose.x - corner[0], pose.y - corner[1], pose.axes, out)
+    return out

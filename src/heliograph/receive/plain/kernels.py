@@ -1,4 +1,4 @@
-"""Hot loop of the plain receiver; `reference.py` holds the same in plain NumPy, and a test holds the two together."""
+"""Hot loops of the plain receiver; `reference.py` holds the same in plain NumPy, and a test holds the two together."""
 
 import math
 
@@ -20,20 +20,50 @@ def sample_cubic(image, points, out):
     out
         (n,) gray levels at the points, overwritten.
     """
-    rows, cols = image.shape
     wx, wy = np.empty(4), np.empty(4)
     for p in range(points.shape[0]):
-        x, y = points[p, 0], points[p, 1]
-        j, i = math.floor(x), math.floor(y)
-        for axis in range(2):
-            t, w = (x - j, wx) if axis == 0 else (y - i, wy)
-            w[0] = ((-0.5 * t + 1.0) * t - 0.5) * t
-            w[1] = (1.5 * t - 2.5) * t * t + 1.0
-            w[2] = ((-1.5 * t + 2.0) * t + 0.5) * t
-            w[3] = (0.5 * t - 0.5) * t * t
-        value = 0.0
-        for a in range(4):
-            r = min(max(i + a - 1, 0), rows - 1)
-            for b in range(4):
-                value += wy[a] * wx[b] * image[r, min(max(j + b - 1, 0), cols - 1)]
-        out[p] = value
+        out[p] = _cubic(image, points[p, 0], points[p, 1], wx, wy)
+
+
+@compiled()
+def cubic_at_leds(image, x, y, axes, out):
+    """An image at LEDs' places, as `sample_cubic` has it.
+
+    Parameters
+    ----------
+    image
+        (rows, columns) float64 gray levels.
+    x, y
+        Column and row of the array's centre in px.
+    axes
+        (2, 2) steps from one LED to the next along a row and along a column, in px, one per column.
+    out
+        (n, n) gray levels at the LEDs, overwritten.
+    """
+    side = out.shape[0]
+    wx, wy = np.empty(4), np.empty(4)
+    for u in range(side):
+        for v in range(side):
+            along, down = v - 0.5 * (side - 1), u - 0.5 * (side - 1)
+            px = along * axes[0, 0] + down * axes[0, 1] + x
+            py = along * axes[1, 0] + down * axes[1, 1] + y
+            out[u, v] = _cubic(image, px, py, wx, wy)
+
+
+@compiled()
+def _cubic(image, x, y, wx, wy):
+    """Image at a point, with scratch for the weights along x and y."""
+    rows, cols = image.shape
+    j, i = math.floor(x), math.floor(y)
+    for axis in range(2):
+        t, w = (x - j, wx) if axis == 0 else (y - i, wy)
+        w[0] = ((-0.5 * t + 1.0) * t - 0.5) * t
+        w[1] = (1.5 * t - 2.5) * t * t + 1.0
+        w[2] = ((-1.5 * t + 2.0) * t + 0.5) * t
+        w[3] = (0.5 * t - 0.5) * t * t
+    value = 0.0
+    for a in range(4):
+        r = min(max(i + a - 1, 0), rows - 1)
+        for b in range(4):
+            value += wy[a] * wx[b] * image[r, min(max(j + b - 1, 0), cols - 1)]
+    return value
