@@ -177,7 +177,7 @@ class ArrayReceiver:
             The frame, with the time that the clock gives it.
         """
         paired = self._reader.format.mode != "single"
-        seen = self._view.frame(frame, self.pose, self._signal.side)
+        seen = frame if self._view == CAMERA else self._view.frame(frame, self.pose, self._signal.side)
         for one in self._slips.push(seen, self._pairing.origin_s, self._pose_at, paired):
             yield from self._take_all(self._pairing.push(one))
 

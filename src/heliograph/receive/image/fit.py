@@ -1,6 +1,7 @@
 """Fit of the array's image to pixels: position, pitch, rotation and blur to a hundredth of a pixel."""
 
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from heliograph.receive.image.window import PlacedPixels, cut_out, plane, window
 
 PANEL_MARGINS = (0.75, 2.0)
 """Rims in pitches of two squares around the LEDs; their combination stands for a panel of unknown width and gray."""
+
+_PANEL, _NO_PANEL, _ALL_COUNT = np.array(PANEL_MARGINS), np.empty(0), np.empty((0, 0))
 
 AMPLITUDE_MARGIN_PX = 1.0
 """Pixels beyond the array in which a header's amplitude is measured.
@@ -112,9 +115,10 @@ def fit_array(
     numpy.linalg.LinAlgError
         The pixels give no pose, as numbers that are not finite do.
     """
-    if not np.isfinite(image).all():
+    # a sum is finite where all of it is
+    if not isfinite(image.sum()):
         raise np.linalg.LinAlgError("the fit of an array's pose has no solution: pixels are not finite")
-    free, margins = len(prior.covariance), PANEL_MARGINS if panel else ()
+    free, margins = len(prior.covariance), _PANEL if panel else _NO_PANEL
     background = plane(*image.shape)
     if open_pixels is not None:
         # a pixel that is 0 in all images says nothing
@@ -124,10 +128,10 @@ def fit_array(
     covariance, linear, score = gauss_newton.fit(
         _kernels_kind(image),
         background,
-        np.empty((0, 0)) if open_pixels is None else _kernels_kind(open_pixels),
+        _ALL_COUNT if open_pixels is None else _kernels_kind(open_pixels),
         np.array(corner, np.float64),
         _kernels_kind(weights),
-        np.array(margins, np.float64),
+        margins,
         resolved,
         np.array(smear, np.float64),
         _kernels_kind(prior.vector),
@@ -137,7 +141,7 @@ def fit_array(
         vector,
         shapes,
     )
-    if not np.isfinite(linear).all():
+    if not isfinite(linear.sum()):
         raise np.linalg.LinAlgError("the fit of an array's pose has no solution")
     return Fit(vector, covariance, float(linear[0]), float(score))
 

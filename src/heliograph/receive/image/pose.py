@@ -86,10 +86,15 @@ class Pose:
     @property
     def axes(self) -> NDArray[np.float64]:
         """Steps from one LED to the next along a row and along a column, (2, 2) px, one per column."""
+        return np.array(self.steps)
+
+    @property
+    def steps(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The same number by number: x of both, then y of both."""
         # p R(roll) ((1 + stretch, shear), (shear, 1 - stretch)), written out for speed
         c, s = self.pitch * math.cos(self.roll), self.pitch * math.sin(self.roll)
         wide, high, shear = 1 + self.stretch, 1 - self.stretch, self.shear
-        return np.array([[c * wide - s * shear, c * shear - s * high], [s * wide + c * shear, s * shear + c * high]])
+        return (c * wide - s * shear, c * shear - s * high), (s * wide + c * shear, s * shear + c * high)
 
     @property
     def frontal_pitch(self) -> float:

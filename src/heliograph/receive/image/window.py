@@ -51,7 +51,8 @@ def window_around(pose: Pose, side: int, margin: float) -> Window:
     -------
     Corner (x, y), columns and rows.
     """
-    across, down = (0.5 * side * (abs(along) + abs(below)) + margin for along, below in pose.axes.tolist())
+    (a, b), (c, d) = pose.steps
+    across, down = 0.5 * side * (abs(a) + abs(b)) + margin, 0.5 * side * (abs(c) + abs(d)) + margin
     x0, y0 = floor(pose.x - across), floor(pose.y - down)
     return x0, y0, ceil(pose.x + across) - x0 + 1, ceil(pose.y + down) - y0 + 1
 

@@ -98,6 +98,17 @@ def recent_change(
     return before + RECENT_PAIR_WEIGHT * (np.minimum(around / others, MOST_CHANGE) - before)
 
 
+def in_sight(change: Floats) -> Floats:
+    """1 for LEDs in sight, 0 for those that something hides, (n, n).
+
+    Parameters
+    ----------
+    change
+        (n, n) of `recent_change`.
+    """
+    return (change >= LEAST_CHANGE_IN_SIGHT).astype(np.float64)
+
+
 def around_leds(values: Floats, pose: Pose) -> Floats:
     """Mean of values of LEDs over the squares about them.
 

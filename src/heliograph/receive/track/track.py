@@ -1,17 +1,16 @@
 """What is known of an array that is followed, and of a pair in which it was."""
 
 from dataclasses import dataclass
-
-import numpy as np
+from functools import cached_property
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.fit import Fit
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.track.kalman import PoseState
-from heliograph.receive.track.sight import LEAST_CHANGE_IN_SIGHT
+from heliograph.receive.track.sight import in_sight
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, which leave no room for what is cached
 class Track:
     """What is known of an array that is followed.
 
@@ -51,17 +50,17 @@ class Track:
     lines: Floats | None = None
     clear: Floats | None = None
 
-    @property
+    @cached_property
     def in_sight(self) -> Floats:
         """1 for LEDs in sight, 0 for those that something hides, (n, n)."""
-        return (self.change >= LEAST_CHANGE_IN_SIGHT).astype(np.float64)
+        return in_sight(self.change)
 
-    @property
+    @cached_property
     def unhidden(self) -> Floats:
         """1 for LEDs in sight that nothing covers, as far as is known, (n, n)."""
         return self.in_sight if self.clear is None else self.in_sight * self.clear
 
-    @property
+    @cached_property
     def shining(self) -> Floats:
         """Gains of the LEDs, 0 where something hides them, (n, n)."""
         return self.led_gains * self.in_sight

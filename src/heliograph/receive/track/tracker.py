@@ -28,6 +28,7 @@ from heliograph.receive.track.sight import (
     LEAST_DATA_POWER,
     around_leds,
     dark_zone,
+    in_sight,
     open_pixels,
     recent_change,
 )
@@ -138,21 +139,22 @@ class Tracker:
         corner, up, down = self._cut(pair, pose)
         differs = up - down
         noise = noise_around(differs, pose, corner, self._side)
-        before, track = track, self._watch(track, differs, noise, pose, corner)
-        total = up + down
+        before, total = track, up + down
+        change = self._changed(track, differs, noise, pose, corner)
         # an array just found may be covered in part: what is usual shows later
         light = max(track.gain, track.data_gain) if track.pairs >= USUAL_PAIRS else np.inf
-        clear, lines = clear_leds(total, pose, corner, track.lines, light, track.in_sight)
-        track = replace(track, pairs=track.pairs + 1, lines=lines, clear=None if clear.all() else clear)
+        clear, lines = clear_leds(total, pose, corner, track.lines, light, in_sight(change))
+        clear = None if clear.all() else clear
+        track = replace(track, pairs=track.pairs + 1, change=change, lines=lines, clear=clear)
         open_leds = track.unhidden
         hides = not open_leds.all()
         unhidden = self._unhidden(track, open_leds, pose, corner, up.shape)
-        if open_leds.mean() < LEAST_IN_SIGHT or (unhidden is not None and not unhidden.any()):
+        if (hides and open_leds.mean() < LEAST_IN_SIGHT) or (unhidden is not None and not unhidden.any()):
             return _coasted(before, replace(track, state=predicted))
         # (pattern) + (inverse) = every LED on, Fig. 9
         observation = sum_observation(pair.late_s)
         mean, covariance = predicted.expected(observation)
-        prior = Prior(np.append(mean, predicted.tilt.mean), covariance, track.gain)
+        prior = Prior(np.concatenate([mean, predicted.tilt.mean]), covariance, track.gain)
         if header is not None and pair.combination is None:
             left = self._left_by_motion(predicted, pair, corner, total.shape, header * track.shining)
             total = total - track.data_gain * left
@@ -173,7 +175,8 @@ class Tracker:
         seen = _inside(fit, pair.pattern) and is_active(differs, noise, fit.pose, corner, self._side, track.gain)
         if seen:
             shown = fit.vector[:POSE_SIZE].copy()
-            shown[4] = np.clip(shown[4], predicted.mean[4] - MOST_SUM_BLUR, predicted.mean[4] + MOST_SUM_BLUR)
+            blur = float(predicted.mean[4])
+            shown[4] = min(max(shown[4], blur - MOST_SUM_BLUR), blur + MOST_SUM_BLUR)
             state = predicted.condition(shown, fit.covariance, observation)
             # what hides a part of the array has light of its own
             gain = track.gain if hides else self._gain(track, fit)
@@ -259,12 +262,12 @@ class Tracker:
     def _smear(self, state: PoseState) -> tuple[float, float]:
         """Standard deviations in px of the array's motion while a pair's light shone: evenly over two patterns."""
         # (2 v T_b)^2 / 12, v by the filter
-        x, y = (2 * self._model.period_s / sqrt(12) * np.abs(state.mean[RATE_STATES][:2])).tolist()
+        x, y = (2 * self._model.period_s / sqrt(12) * abs(rate) for rate in state.mean[RATE_STATES][:2].tolist())
         return min(x, MOST_SMEAR_PX), min(y, MOST_SMEAR_PX)
 
     def _unsure(self, predicted: PoseState) -> bool:
         """Whether the prediction may be a pitch off, so that resolved LEDs would be taken for their neighbours."""
-        spread = float(np.sqrt(predicted.covariance[:2, :2].diagonal().max()))
+        spread = sqrt(max(predicted.covariance[0, 0], predicted.covariance[1, 1]))
         pitch = predicted.pose.pitch
         return pitch > RESOLVED_PX and spread > UNSURE_PITCHES * pitch
 
@@ -290,24 +293,25 @@ class Tracker:
     def _gain(self, track: Track, fit: Fit) -> float:
         """The sums' gain after one more, within what a panel may add to the headers' or take from it."""
         gain = track.gain + GAIN_RATE * (fit.gain - track.gain)
-        return float(np.clip(gain, track.data_gain / GAIN_RATIO, track.data_gain * GAIN_RATIO))
+        return min(max(gain, track.data_gain / GAIN_RATIO), track.data_gain * GAIN_RATIO)
 
     def _unhidden(
         self, track: Track, open_leds: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]
     ) -> Floats | None:
         """Pixels (rows, columns) that count in a sum, 1 or 0; None where all do."""
         # what a header found hidden may be in sight by now, what it found dead is not: that is no zone of its own
-        zone = dark_zone(track.led_gains == 0, pose)
+        dark = track.led_gains == 0
+        zone = dark_zone(dark, pose) if dark.any() else dark
         sure = np.where(zone, 0.0, open_leds) if zone.any() else open_leds
         if sure.mean() < LEAST_IN_SIGHT:
             sure = open_leds
         return None if sure.all() else open_pixels(sure, pose, corner, shape)
 
-    def _watch(self, track: Track, change: Floats, noise: float, pose: Pose, corner: tuple[int, int]) -> Track:
-        """The track with the recent change of its LEDs."""
+    def _changed(self, track: Track, change: Floats, noise: float, pose: Pose, corner: tuple[int, int]) -> Floats:
+        """The recent change of the track's LEDs, with that of one more pair."""
         # random data change the light by half of it
         least = LEAST_DATA_POWER**0.5 * 0.5 * contrast(pose) * track.data_gain
-        return replace(track, change=recent_change(track.change, change, noise, pose, corner, least))
+        return recent_change(track.change, change, noise, pose, corner, least)
 
     def _cut(self, pair: FramePair, pose: Pose) -> tuple[tuple[int, int], Floats, Floats]:
         """The array's surroundings in both frames, and their corner."""
