@@ -144,8 +144,8 @@ class Tracker:
         # an array just found may be covered in part: what is usual shows later
         light = max(track.gain, track.data_gain) if track.pairs >= USUAL_PAIRS else np.inf
         clear, lines = clear_leds(total, pose, corner, track.lines, light, in_sight(change))
-        clear = None if clear.all() else clear
-        track = replace(track, pairs=track.pairs + 1, change=change, lines=lines, clear=clear)
+        covered = None if clear.all() else clear
+        track = replace(track, pairs=track.pairs + 1, change=change, lines=lines, clear=covered)
         open_leds = track.unhidden
         hides = not open_leds.all()
         unhidden = self._unhidden(track, open_leds, pose, corner, up.shape)
