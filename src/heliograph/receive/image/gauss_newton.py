@@ -122,7 +122,7 @@ def fit(
     for _ in range(steps):
         residuals(image, shapes, plane, linear, residual)
         rough = BIWEIGHT * _noise_of(residual, open_pixels)
-        mass, loss = normal_equations(image, shapes, plane, linear, rough, matrix, rhs)
+        mass, loss = normal_equations(residual, shapes, plane, linear, rough, matrix, rhs)
         mass -= _hidden(open_pixels)
         noise = max(loss / max(mass - size, 1.0), LEAST_VARIANCE)
         for k in range(size):
@@ -208,13 +208,13 @@ def _coefficients(image, shapes, plane, gain):
 
 
 @compiled(fastmath={"reassoc", "contract"})
-def normal_equations(image, shapes, plane, linear, rough, matrix, vector):
+def normal_equations(residual, shapes, plane, linear, rough, matrix, vector):
     """Gauss-Newton normal equations of image = linear . (shapes(pose), plane), weighted by Tukey's biweight.
 
     Parameters
     ----------
-    image
-        (rows, columns) float64 gray levels.
+    residual
+        (rows, columns) float64 residuals of the image in gray levels, as by `residuals`.
     shapes
         (m, 1 + p, rows, columns): m images, each with its derivatives by p parameters of the pose.
     plane
@@ -232,7 +232,7 @@ def normal_equations(image, shapes, plane, linear, rough, matrix, vector):
     -------
     Sum of the weights w, and of w r^2.
     """
-    rows, cols = image.shape
+    rows, cols = residual.shape
     m = shapes.shape[0]
     p = shapes.shape[1] - 1
     size = p + m + 3
@@ -244,7 +244,7 @@ def normal_equations(image, shapes, plane, linear, rough, matrix, vector):
     mass, loss = 0.0, 0.0
     for i in range(rows):
         for j in range(cols):
-            r[j] = _residual(image, shapes, plane, linear, i, j)
+            r[j] = residual[i, j]
             q = r[j] / rough
             w[j] = 0.0 if abs(q) >= 1.0 else (1.0 - q * q) ** 2
             mass += w[j]
@@ -293,20 +293,17 @@ def residuals(image, shapes, plane, linear, out):
     out
         (rows, columns) float64 residuals in gray levels, overwritten.
     """
+    m = shapes.shape[0]
+    # image by image: a row of one is fast
     for i in range(image.shape[0]):
         for j in range(image.shape[1]):
-            out[i, j] = _residual(image, shapes, plane, linear, i, j)
-
-
-@compiled(inline="always")
-def _residual(image, shapes, plane, linear, i, j):
-    m = shapes.shape[0]
-    r = image[i, j]
-    for n in range(m):
-        r -= linear[n] * shapes[n, 0, i, j]
-    for n in range(3):
-        r -= linear[m + n] * plane[n, i, j]
-    return r
+            out[i, j] = image[i, j]
+        for n in range(m):
+            for j in range(image.shape[1]):
+                out[i, j] -= linear[n] * shapes[n, 0, i, j]
+        for n in range(3):
+            for j in range(image.shape[1]):
+                out[i, j] -= linear[m + n] * plane[n, i, j]
 
 
 @compiled()
