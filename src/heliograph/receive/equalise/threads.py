@@ -92,13 +92,16 @@ def in_one_thread(items: Iterator[Item]) -> Iterator[Item]:
         Ctrl-C came, wherever that was.
     """
     while True:
-        with one_thread():
-            try:
-                item = next(items, _END)
-            except SystemError as error:
-                if interrupt := _interrupt_of(error):
-                    raise interrupt from None
-                raise
+        # not by the context manager: it would cost each frame a generator of its own
+        _holders.enter()
+        try:
+            item = next(items, _END)
+        except SystemError as error:
+            if interrupt := _interrupt_of(error):
+                raise interrupt from None
+            raise
+        finally:
+            _holders.leave()
         if isinstance(item, _End):
             return
         yield item
