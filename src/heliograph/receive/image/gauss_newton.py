@@ -183,10 +183,11 @@ def _coefficients(image, shapes, plane, gain):
     m, cols = shapes.shape[0], image.shape[1]
     matrix, rhs, values = np.zeros((m + 3, m + 3)), np.zeros(m + 3), np.empty((m + 3, cols))
     for i in range(image.shape[0]):
-        for n in range(m):
-            values[n] = shapes[n, 0, i]
-        for n in range(3):
-            values[m + n] = plane[n, i]
+        for j in range(cols):
+            for n in range(m):
+                values[n, j] = shapes[n, 0, i, j]
+            for n in range(3):
+                values[m + n, j] = plane[n, i, j]
         for k in range(m + 3):
             total = 0.0
             for j in range(cols):
