@@ -190,7 +190,7 @@ def power_around(change, noise, x, y, axes, width, around):
     width
         LEDs in a row of a square, odd; beyond the array it is mirrored.
     around
-        (n, n), overwritten.
+        (n, n) mean power of each LED in squared gray levels, overwritten; 0 where noise explains it all.
     """
     side, reach = around.shape[0], width // 2
     bottom, right = change.shape[0] - 1, change.shape[1] - 1
