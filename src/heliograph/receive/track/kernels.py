@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from heliograph.base.compiled import compiled
+from heliograph.receive.image.median import median
 
 USUAL_RATE, COVERED_RATE = 0.1, 0.02
 """Weights of a pair in what a line usually shows: of lines as usual, and of covered ones.
@@ -148,7 +149,7 @@ def noise_beside(change, x, y, least):
                 sizes[count] = abs(change[i, j])
                 count += 1
     # median |x| / Phi^-1(3/4), as `image.robust` has it
-    return 1.4826 * np.median(sizes[:count]) if count else 0.0
+    return 1.4826 * median(sizes[:count]) if count else 0.0
 
 
 @compiled()
