@@ -146,6 +146,22 @@ class ArrayReceiver:
         out_of_sight = self._pairing.now_s - self._track.last_seen_s > self._coast_s
         return self._failed or self._outgrown or self._pairing.lost or out_of_sight
 
+    def leaves(self, time_s: float) -> bool:
+        """Whether the array has another size than its view is for, and its packet is over: its next header is awaited.
+
+        Its last pair may still be waited for, while the search finds that header.
+
+        Parameters
+        ----------
+        time_s
+            Time in seconds, of this packet or later.
+        """
+        if self._view.suits(self._track.state.pose):
+            return False
+        period_s = self._signal.pattern_period_s
+        end_s = self._pairing.origin_s + (self._number // self._pairs + 1) * self._signal.packet_s
+        return time_s + self._slips.lost * period_s > end_s - period_s / 2
+
     def yields(self, detection: Detection) -> bool:
         """Whether a header that was found where this array is followed is a better start than its own.
 
@@ -160,7 +176,9 @@ class ArrayReceiver:
         due = detection.identity == self.identity and off_s < DUE_PATTERNS * self._signal.pattern_period_s
         # its first header was weighed already; a later one in clear sight may show that the track went astray
         later = due and round(packets) > 0
-        return self._astray(detection) if later else not due and detection.score > self.found.score
+        if later:
+            return self.leaves(detection.time_s) or self._astray(detection)
+        return not due and detection.score > self.found.score
 
     def _astray(self, detection: Detection) -> bool:
         """Whether a header that is whole and leaves no doubt shows the array elsewhere than it is followed."""

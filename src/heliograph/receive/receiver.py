@@ -103,7 +103,8 @@ class StreamReceiver:
         for array in [a for a in self._arrays if a.done]:
             yield from array.flush()
             self._forget(array)
-        for detection in self._parts.search.push(frame, [array.leading.pose for array in self._arrays if array.sure]):
+        kept = [one for one in self._arrays if one.sure and not one.leading.leaves(frame.time_s)]
+        for detection in self._parts.search.push(frame, [array.leading.pose for array in kept]):
             yield from self._weigh(detection)
 
     def _weigh(self, detection: Detection) -> Iterator[Packet]:
@@ -112,6 +113,8 @@ class StreamReceiver:
         if any(self._stands(rival, detection) for rival in rivals):
             return
         for rival in rivals:
+            if rival.leading.leaves(detection.time_s):
+                yield from rival.flush()
             self._forget(rival)
         yield from self._take_up(detection)
 
