@@ -35,6 +35,7 @@ from heliograph.link.settings import load_settings
 from heliograph.link.truth import open_truth
 from heliograph.media import create_film, open_film
 from heliograph.media.record import FilmRecord
+from heliograph.media.slots import SUFFIXES, SlotForm, open_slots, write_slots
 from heliograph.signal.block import Block, pack, payload_bytes, unpack
 from heliograph.signal.message import Reassembler
 from heliograph.sweeps.vary import grid, parse_vary
@@ -101,6 +102,15 @@ def read_film(data: bytes, folder: Path, suffix: str) -> object:
 
 def film_parser(suffix: str) -> Parser:
     return lambda data, folder: read_film(data, folder, suffix)
+
+
+def slots_parser(suffix: str) -> Parser:
+    def read(data: bytes, folder: Path) -> object:
+        path = folder / f"a{suffix}"
+        path.write_bytes(data)
+        return list(open_slots(path))
+
+    return read
 
 
 def read_truth(data: bytes, folder: Path) -> object:
@@ -175,6 +185,9 @@ def seeds(folder: Path) -> dict[str, tuple[Parser, list[bytes]]]:
             for k, pixels in enumerate(noise):
                 film.write(Frame(k, k / 1000, pixels))
         found[f"film{suffix}"] = (film_parser(suffix), [path.read_bytes()])
+    for suffix in SUFFIXES:
+        write_slots(folder / f"c{suffix}", noise[:, :8, :8] & 1, SlotForm(8, 4, 250_000, len(noise)))
+        found[f"slots{suffix}"] = (slots_parser(suffix), [(folder / f"c{suffix}").read_bytes()])
     trees = [to_toml(to_mapping(load_settings(name))).encode() for name in ("paper", "two-arrays")]
     keys = [b"channel.distance_m=60", b"channel.arrays.0.x_m=1.5", b"signal.rate.high=1/2",
             b"receive.receiver='soft'",

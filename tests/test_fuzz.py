@@ -18,11 +18,13 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.toml_text import parse_assignment, parse_toml
 from heliograph.link.settings import load_settings
 from heliograph.media.record import FilmRecord
+from heliograph.media.slots import SUFFIXES
 from heliograph.signal.block import unpack
 from heliograph.signal.message import Reassembler
 
 FILMS = ["film.h5", "film.mkv", "film.nut", "film.mp4", "film.avi"]
-NAMES = [*FILMS, "truth", "trace", "settings", "set", "record", "note", "block", "vary"]
+SLOTS = [f"slots{suffix}" for suffix in SUFFIXES]
+NAMES = [*FILMS, *SLOTS, "truth", "trace", "settings", "set", "record", "note", "block", "vary"]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from heliograph.link.codec import decode, encode
     from heliograph.link.settings import LinkSettings, load_settings
     from heliograph.link.simulate import simulate
-    from heliograph.media import convert_film, create_film, open_film
+    from heliograph.media import convert_film, create_film, open_film, open_slots
     from heliograph.receive import (
         Packet,
         Receiver,
@@ -51,6 +51,7 @@ _HOMES = {
     "load_settings": "link.settings",
     "make_receiver": "receive",
     "open_film": "media",
+    "open_slots": "media",
     "own_settings": "receive",
     "plot_rates": "sweeps.plot",
     "receive_frames": "receive",
@@ -82,6 +83,7 @@ __all__ = [
     "load_settings",
     "make_receiver",
     "open_film",
+    "open_slots",
     "own_settings",
     "plot_rates",
     "receive_frames",

@@ -56,6 +56,7 @@ DOORS: dict[str, tuple[Callable[[Path], object], str]] = {
     "a quality of text": (lambda path: created(path, codec="h264", crf="x"), "0 (best) and 51 (smallest), got 'x'"),
     "create nothing": (lambda _: Anything.create_film(None, width=8, height=8, rate_hz=1), "text or a pathlib.Path"),
     "open nothing": (lambda _: Anything.open_film(None), "text or a pathlib.Path, not NoneType"),
+    "open no slots": (lambda _: Anything.open_slots(3), "the path of slots is text or a pathlib.Path, not 3"),
     "open at a word": (lambda path: opened(path, "x"), "more than 0 frames/s, not 'x'"),
     "vary text": (lambda _: Anything.sweep("channel.distance_m=3"), "such as {"),
     "vary numbers": (lambda _: Anything.sweep({1: [2]}), "a key is text, such as 'channel.distance_m', not 1"),

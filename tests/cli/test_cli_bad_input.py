@@ -93,6 +93,10 @@ BAD = {
     "transmit a.npy --packets 1000000000": "are free; write less",
     "transmit a.csv --packets 1000000000": "are free; write less",
     "transmit a.mkv --packets 100000000000": "are free; write less",
+    "transmit a.bits --packets 1000000000": "are free; write less",
+    "transmit a.h --packets 1000000000": "are free; write less",
+    "transmit a.hub75 --packets 1000000000": "are free; write less",
+    "transmit a.shift --set signal.pattern_period_s=1.001e-6": "no whole number of ns",
     f"simulate a.mkv {S} --high {{}}/pipe": "a pipe that nobody writes to",
     f"simulate a.mkv {S} --high /dev/zero": "send less",
     f"simulate a.mkv {S} --imu {{}}/pipe": "a pipe that nobody writes to",
@@ -124,6 +128,7 @@ BAD = {
     "transmit a.xyz": "must end in one of .npy, .csv",
     "transmit none/a.npy": "cannot write none/a.npy",
     "transmit {}/file/a.csv": "cannot write",
+    "transmit none/a.shift": "cannot write none/a.shift",
     "transmit a.mkv --slots": "use .nut",
     # recordings
     f"simulate a.mkv {S} --background {{}}/text.mkv": "not a video",

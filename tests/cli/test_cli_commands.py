@@ -204,6 +204,18 @@ def test_transmit_writes_patterns_as_numbers(tmp_path: Path, call: Call) -> None
     assert names(tmp_path) == ["a.csv", "a.npy"]
 
 
+@pytest.mark.parametrize("kind", ["bits", "h", "hub75", "shift"])
+def test_transmit_writes_what_drivers_take(kind: str, tmp_path: Path, call: Call) -> None:
+    name, order = f"a.{kind}", ("--set", "signal.slot_order=[0, 2, 1, 3]")
+    succeeded(call("transmit", "a.npy", "--packets", "1", "--slots", *order))
+    out = succeeded(call("transmit", name, "--packets", "1", *order))
+    assert out == f"{name}: 400 slots of 0.25 ms, 0.1 s\n"
+    slots = heliograph_package.open_slots(tmp_path / name)
+    assert np.array_equal(list(slots), np.load(tmp_path / "a.npy"))
+    assert (slots.form.side, slots.form.slots_per_pattern, slots.form.slot_ns) == (16, 4, 250_000)
+    assert names(tmp_path) == sorted([name, "a.npy"])
+
+
 def test_transmit_writes_a_film_for_a_screen(tmp_path: Path, call: Call) -> None:
     succeeded(call("transmit", "a.mkv", "--packets", "1", "--preset", "two-arrays"))
     with open_film(tmp_path / "a.mkv") as film:

@@ -111,7 +111,13 @@ def simulate(
 
 @app.command()
 def transmit(
-    output: Annotated[Path, typer.Argument(help="Patterns to write: .npy, .csv, or a film (.mkv, .mp4, ...).")],
+    output: Annotated[
+        Path,
+        typer.Argument(
+            help="Patterns to write: .npy, .csv, a film (.mkv, .mp4, ...); for drivers, by slot: .bits (bit planes), "
+            ".h (C header), .hub75 (row scan), .shift (shift registers)."
+        ),
+    ],
     packets: Annotated[int, typer.Option(min=1, help="Packets to write.")] = 10,
     identity: Annotated[int, typer.Option(min=0, max=29, help="Identity of the array.")] = 0,
     slots: Annotated[bool, typer.Option("--slots", help="Write on and off by PWM slot instead of levels.")] = False,

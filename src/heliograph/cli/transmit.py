@@ -29,8 +29,9 @@ def run_transmit(
     assignments: list[str] | None,
     sent: tuple[str | None, str | None, str | None],
 ) -> None:
-    """Write the patterns of a transmission: levels, or on and off by slot."""
+    """Write the patterns of a transmission: levels, or on and off by slot, as drivers take them."""
     from heliograph.link.simulate import transmitters
+    from heliograph.media.slots import SUFFIXES, SlotForm, file_size, write_slots
     from heliograph.signal import pwm
 
     options.refuse_to_replace(output, (*sent, file))
@@ -41,13 +42,18 @@ def run_transmit(
     count = packets * settings.signal.packet_patterns
     patterns: Iterator[NDArray[np.uint8]] = islice(sender.levels(), count)
     period, brightest = settings.signal.pattern_period_s, pwm.SLOTS
-    if slots:
+    driver = output.suffix.lower() in SUFFIXES
+    if slots or driver:
         patterns = (slot for p in patterns for slot in pwm.lit_slots(p, settings.signal.slot_order).astype(np.uint8))
         count, period, brightest = count * pwm.SLOTS, period / pwm.SLOTS, 1
-    room_for(output, _least_bytes(output, count, settings.signal.side))
+    form = SlotForm.of(settings.signal.side, pwm.SLOTS, period, count) if driver else None
+    room_for(output, file_size(output, form) if form else _least_bytes(output, count, settings.signal.side))
     with console.progress("transmitting", count) as advance:
-        _write(output, _counted(patterns, advance), (count, settings.signal.side), period, brightest)
-    console.say(f"{output}: {count} patterns of {period * 1e3:g} ms, {count * period:g} s")
+        if form:
+            write_slots(output, _counted(patterns, advance), form)
+        else:
+            _write(output, _counted(patterns, advance), (count, settings.signal.side), period, brightest)
+    console.say(f"{output}: {count} {'slots' if driver else 'patterns'} of {period * 1e3:g} ms, {count * period:g} s")
 
 
 def _least_bytes(output: Path, count: int, side: int) -> int:
@@ -58,6 +64,7 @@ def _least_bytes(output: Path, count: int, side: int) -> int:
 
 def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], period: float, top: int) -> None:
     from heliograph.media.film import FILM_SUFFIXES
+    from heliograph.media.slots import SUFFIXES
 
     kind = output.suffix.lower()
     if kind == ".npy":
@@ -69,7 +76,7 @@ def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int,
     elif kind in FILM_SUFFIXES:
         _write_film(output, patterns, size[1], period, top)
     else:
-        known = ", ".join((".npy", ".csv", *FILM_SUFFIXES))
+        known = ", ".join((".npy", ".csv", *SUFFIXES, *FILM_SUFFIXES))
         raise MediaError(f"unknown kind of file {output.name!r}: the name must end in one of {known}")
 
 

@@ -1,0 +1,279 @@
+"""LED patterns on or off by slot, in the files that LED drivers take: .bits, .hub75, .shift and C headers.
+
+A binary file begins with 32 bytes, little-endian: signature (8 bytes), LEDs of a side (2), slots of a pattern (2),
+period of a slot in ns (4), number of slots (8), bytes of a slot (4), four zeros. The slots follow without gaps.
+"""
+
+import os
+import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.errors import MediaError, shown
+from heliograph.base.files import whole_file
+from heliograph.media import c_header
+from heliograph.media.slot_layouts import LAYOUTS, Layout, Slot
+
+C_HEADER = ".h"
+SUFFIXES = (*LAYOUTS, C_HEADER)
+"""Suffixes of the files that drivers take."""
+
+HEAD = struct.Struct("<8sHHIQII")
+"""Start of a binary file."""
+
+SIDES = range(4, 65, 4)
+"""LEDs of a side, those of ``signal.side``."""
+
+ROUNDING = 1e-4
+"""Largest share of a slot's period by which whole ns may change it: that of a bad crystal, 100 ppm."""
+
+BLOCK = 1 << 16
+"""Bytes read at a time, or one slot where it is longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class SlotForm:
+    """What a file says of its slots.
+
+    Attributes
+    ----------
+    side
+        LEDs in a row and in a column, 4 to 64 in steps of 4.
+    slots_per_pattern
+        Slots of a pattern, 1 or more.
+    slot_ns
+        Period of a slot in ns, 1 to 2^32 - 1.
+    count
+        Slots of the file, 0 or more.
+    """
+
+    side: int
+    slots_per_pattern: int
+    slot_ns: int
+    count: int
+
+    @classmethod
+    def of(cls, side: int, slots_per_pattern: int, slot_s: float, count: int) -> "SlotForm":
+        """Return the form of slots of a period in s.
+
+        Parameters
+        ----------
+        side
+            LEDs in a row and in a column.
+        slots_per_pattern
+            Slots of a pattern, 1 or more.
+        slot_s
+            Period of a slot in s, above 0.
+        count
+            Number of slots, 0 or more.
+
+        Raises
+        ------
+        MediaError
+            The period is too far from a whole number of ns.
+        """
+        slot_ns = round(slot_s * 1e9)
+        if abs(slot_ns - slot_s * 1e9) > ROUNDING * slot_s * 1e9:
+            raise MediaError(
+                f"a slot of {slot_s * 1e9:.7g} ns is no whole number of ns, in which drivers are told of it: change "
+                f"signal.pattern_period_s, {slots_per_pattern} slots"
+            )
+        return cls(side, slots_per_pattern, slot_ns, count)
+
+
+def file_size(path: Path, form: SlotForm) -> int:
+    """Return the length of a file of slots in bytes.
+
+    Parameters
+    ----------
+    path
+        Its name, whose suffix tells its kind.
+    form
+        What it holds: size, timing and number of its slots.
+    """
+    kind = path.suffix.lower()
+    size = _layout(kind).size(form.side)
+    if kind == C_HEADER:
+        return len(c_header.head(_values(form, size))) + form.count * c_header.row_size(size) + len(c_header.END)
+    return HEAD.size + form.count * size
+
+
+def write_slots(path: Path, slots: Iterable[NDArray[np.uint8]], form: SlotForm) -> None:
+    """Write a file of slots, whole or not at all.
+
+    Parameters
+    ----------
+    path
+        Target; its suffix, one of `SUFFIXES`, chooses the kind.
+    slots
+        (n, n) uint8 LEDs of each slot, 1 on and 0 off, in the order of time.
+    form
+        What is written: size, timing and number of the slots.
+
+    Raises
+    ------
+    MediaError
+        The file cannot be written, or there are other slots than `form` says.
+    """
+    kind = path.suffix.lower()
+    layout = _layout(kind)
+    size, written = layout.size(form.side), 0
+    with whole_file(path) as partial, partial.open("wb") as file:
+        text = kind == C_HEADER
+        file.write(c_header.head(_values(form, size)).encode() if text else _head(layout, form))
+        for slot in slots:
+            if slot.shape != (form.side, form.side):
+                raise MediaError(f"{path} takes slots of shape ({form.side}, {form.side}), not {slot.shape}")
+            data = layout.pack(slot)
+            file.write(c_header.row(data).encode() if text else data)
+            written += 1
+        if written != form.count:
+            raise MediaError(f"{path} takes {form.count} slots, not {written}")
+        if text:
+            file.write(c_header.END.encode())
+
+
+class SlotFile:
+    """LED patterns in a file that a driver takes; made by `open_slots`.
+
+    Iterating gives each slot as (n, n) uint8, 1 for an LED that is on, as often as it is done.
+
+    Parameters
+    ----------
+    path
+        The file, whose suffix tells its kind.
+    form
+        What it says of its slots.
+
+    Attributes
+    ----------
+    path
+        The file that is read.
+    form
+        LEDs of a side, slots of a pattern, period of a slot in ns, number of slots.
+    """
+
+    def __init__(self, path: Path, form: SlotForm) -> None:
+        self.path = path
+        self.form = form
+
+    def __iter__(self) -> Iterator[Slot]:
+        """Yield the slots in the order of time; a MediaError where the file is cut or damaged, after the whole ones."""
+        layout, count, number = _layout(self.path.suffix.lower()), self.form.count, 0
+        try:
+            for data in self._slots(layout):
+                if number == count:
+                    raise _longer(self.path, count)
+                yield layout.unpack(data, self.form.side)
+                number += 1
+            size = self.path.stat().st_size
+        except OSError as error:
+            raise error if isinstance(error, MediaError) else _unreadable(self.path, error) from None
+        except ValueError as error:  # MediaError is none
+            raise MediaError(f"slot {number} of {self.path} is damaged: {error}; {_AGAIN}") from None
+        if number < count:
+            raise MediaError(f"{self.path} ends after {number} of its {count} slots; {_AGAIN}")
+        if size > file_size(self.path, self.form):
+            raise _longer(self.path, count)
+
+    def levels(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield the patterns: (n, n) uint8, the slots of each in which an LED is on."""
+        total, held = np.zeros((self.form.side, self.form.side), np.uint8), 0
+        for slot in self:
+            total, held = total + slot, held + 1
+            if held == self.form.slots_per_pattern:
+                yield total
+                total, held = np.zeros_like(total), 0
+
+    def _slots(self, layout: Layout) -> Iterator[bytes]:
+        size = layout.size(self.form.side)
+        if self.path.suffix.lower() == C_HEADER:
+            yield from c_header.rows(self.path, size)
+            return
+        with self.path.open("rb") as file:
+            file.seek(HEAD.size)
+            while block := file.read(max(1, BLOCK // size) * size):
+                # the last slot of a file that is cut is left out
+                yield from (block[start : start + size] for start in range(0, len(block) // size * size, size))
+
+
+def open_slots(path: str | os.PathLike[str]) -> SlotFile:
+    """Open LED patterns that `heliograph transmit` wrote for a driver: .bits, .hub75, .shift or a C header.
+
+    Parameters
+    ----------
+    path
+        The file; its suffix tells its kind.
+
+    Raises
+    ------
+    MediaError
+        There is no such file, it is of another kind or damaged. A file that is cut is told of while iterating, after
+        the slots that are whole.
+    """
+    if not isinstance(path, (str, os.PathLike)):
+        raise MediaError(f"the path of slots is text or a pathlib.Path, not {shown(path)}")
+    file = Path(path)
+    layout = _layout(file.suffix.lower())
+    try:
+        if not file.is_file():
+            raise MediaError(f"there is no file {file}: check the name")
+        form, size = _read_c(file) if file.suffix.lower() == C_HEADER else _read_head(file, layout)
+    except OSError as error:
+        raise error if isinstance(error, MediaError) else _unreadable(file, error) from None
+    if form.side not in SIDES or min(form.slots_per_pattern, form.slot_ns) < 1 or size != layout.size(form.side):
+        raise MediaError(f"{file} is damaged: no slots are {form.side} LEDs a side in {size} bytes; {_AGAIN}")
+    return SlotFile(file, form)
+
+
+_AGAIN = "write it again by 'heliograph transmit'"
+
+
+def _layout(suffix: str) -> Layout:
+    """The layout of a kind of files; a C header has that of ".bits"."""
+    if suffix not in SUFFIXES:
+        raise MediaError(f"slots are in files that end in one of {', '.join(SUFFIXES)}, not {shown(suffix)}")
+    return LAYOUTS[".bits" if suffix == C_HEADER else suffix]
+
+
+def _values(form: SlotForm, size: int) -> tuple[int, ...]:
+    return form.side, form.slots_per_pattern, form.slot_ns, form.count, size
+
+
+def _head(layout: Layout, form: SlotForm) -> bytes:
+    return HEAD.pack(layout.signature, *_values(form, layout.size(form.side)), 0)
+
+
+def _read_head(path: Path, layout: Layout) -> tuple[SlotForm, int]:
+    with path.open("rb") as file:
+        data = file.read(HEAD.size)
+    if not data.startswith(layout.signature):
+        raise _foreign(path)
+    if len(data) < HEAD.size:
+        raise MediaError(f"{path} ends within its first {HEAD.size} bytes; {_AGAIN}")
+    _, side, per_pattern, slot_ns, count, size, _ = HEAD.unpack(data)
+    return SlotForm(side, per_pattern, slot_ns, count), size
+
+
+def _read_c(path: Path) -> tuple[SlotForm, int]:
+    try:
+        *values, size = c_header.read_head(path)
+    except (ValueError, KeyError):
+        raise _foreign(path) from None
+    return SlotForm(*values), size
+
+
+def _longer(path: Path, count: int) -> MediaError:
+    return MediaError(f"{path} has more than its {count} slots; {_AGAIN}")
+
+
+def _foreign(path: Path) -> MediaError:
+    return MediaError(f"{path} is no {path.suffix} file of LED patterns; 'heliograph transmit' writes those")
+
+
+def _unreadable(path: Path, error: OSError) -> MediaError:
+    return MediaError(f"cannot read {path}: {error.strerror or error}")

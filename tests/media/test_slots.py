@@ -1,0 +1,205 @@
+"""What is written for LED drivers is what their registers show; files that are cut or foreign are told in one line."""
+
+import tracemalloc
+from itertools import islice, repeat
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from properties import examples
+
+from heliograph.base.errors import MediaError
+from heliograph.media import open_slots
+from heliograph.media.slots import HEAD, SUFFIXES, SlotForm, file_size, write_slots
+from heliograph.signal import pwm
+
+Slots = NDArray[np.uint8]
+KINDS = pytest.mark.parametrize("kind", SUFFIXES)
+
+
+def drawn(side: int, count: int, seed: int = 0) -> Slots:
+    return np.random.default_rng(seed).integers(0, 2, (count, side, side), np.uint8)
+
+
+def wrote(path: Path, slots: Slots, slot_ns: int = 250_000) -> SlotForm:
+    form = SlotForm(slots.shape[1], 4, slot_ns, len(slots))
+    write_slots(path, slots, form)
+    return form
+
+
+@KINDS
+@given(
+    side=st.integers(1, 16).map(lambda n: 4 * n),
+    count=st.integers(0, 9),
+    slot_ns=st.integers(1, 2**32 - 1),
+    seed=st.integers(0, 99),
+)
+@examples(30)
+def test_what_is_written_is_read(
+    kind: str, side: int, count: int, slot_ns: int, seed: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path, slots = tmp_path_factory.mktemp("slots") / f"a{kind}", drawn(side, count, seed)
+    form = wrote(path, slots, slot_ns)
+    read = open_slots(str(path))
+    assert read.form == form
+    for _ in range(2):
+        assert np.array_equal(np.array(list(read)).reshape(slots.shape), slots)
+    assert path.stat().st_size == file_size(path, form)
+
+
+@KINDS
+def test_levels_come_back(kind: str, tmp_path: Path) -> None:
+    levels = np.random.default_rng(3).integers(0, 5, (6, 8, 8))
+    slots = pwm.lit_slots(levels, (2, 0, 3, 1)).reshape(-1, 8, 8).astype(np.uint8)
+    wrote(tmp_path / f"a{kind}", slots)
+    assert np.array_equal(list(open_slots(tmp_path / f"a{kind}").levels()), levels)
+
+
+def body(path: Path) -> bytes:
+    return path.read_bytes()[HEAD.size :]
+
+
+def bits(data: bytes) -> list[int]:
+    return [byte >> place & 1 for byte in data for place in range(7, -1, -1)]
+
+
+def test_a_chain_of_registers_shows_the_slots(tmp_path: Path) -> None:
+    """Bit by bit through registers that hand on what they held, latched after each slot."""
+    slots, path = drawn(12, 5), tmp_path / "a.shift"
+    form = wrote(path, slots)
+    size = HEAD.unpack(path.read_bytes()[: HEAD.size])[5]
+    shown, chain = [], [0] * 144
+    for start in range(0, form.count * size, size):
+        for bit in bits(body(path)[start : start + size]):
+            chain = [bit, *chain[:-1]]  # the first output of the first register takes the bit
+        shown.append(list(chain))
+    assert np.array_equal(np.reshape(shown, slots.shape), slots)
+
+
+def test_a_row_scan_shows_the_slots(tmp_path: Path) -> None:
+    """A column a byte, the leftmost first; each address latches two rows, half a panel apart."""
+    slots, path = drawn(16, 5), tmp_path / "a.hub75"
+    wrote(path, slots)
+    data = iter(body(path))
+    for slot in slots:
+        panel = np.zeros((3, 16, 16), np.uint8)
+        for row in range(8):
+            assert next(data) == row
+            for column, byte in enumerate(islice(data, 16)):
+                for colour in range(3):
+                    panel[colour, row, column] = byte >> colour & 1
+                    panel[colour, row + 8, column] = byte >> 3 + colour & 1
+                assert byte >> 6 == 0
+        assert (panel == slot).all()
+    assert not list(data)
+
+
+def test_bit_planes_are_rows_from_the_upper_left(tmp_path: Path) -> None:
+    slots, path = drawn(8, 3), tmp_path / "a.bits"
+    wrote(path, slots)
+    assert bits(body(path)) == slots.ravel().tolist()
+    head = (b"HGBITS1\n", 8, 4, 250_000, 3, 8, 0)
+    assert HEAD.unpack(path.read_bytes()[: HEAD.size]) == head
+
+
+def test_a_c_header_has_the_bytes_of_the_bit_planes(tmp_path: Path) -> None:
+    slots = drawn(16, 3)
+    for name in ("a.bits", "a.h"):
+        wrote(tmp_path / name, slots)
+    text = (tmp_path / "a.h").read_text()
+    assert "#define HELIOGRAPH_SLOT_NS 250000u\n" in text
+    numbers = text.partition("{")[2].partition("}")[0].replace(",", " ").split()
+    assert bytes(int(one, 16) for one in numbers) == body(tmp_path / "a.bits")
+
+
+@KINDS
+@given(where=st.floats(0, 1, exclude_max=True))
+@examples(60)
+def test_a_file_that_is_cut_gives_its_whole_slots_and_one_line(
+    kind: str, where: float, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path, slots = tmp_path_factory.mktemp("cut") / f"a{kind}", drawn(8, 6)
+    wrote(path, slots)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(where * len(whole))])
+    read: list[Slots] = []
+    with pytest.raises(MediaError) as caught:
+        read.extend(open_slots(path))
+    said = str(caught.value)
+    assert "\n" not in said
+    assert "heliograph transmit" in said
+    assert np.array_equal(np.array(read).reshape(-1, 8, 8), slots[: len(read)])
+
+
+@KINDS
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n" + bytes(99), b"#include <math.h>\n" * 99, b"\xff" * 99])
+def test_a_foreign_file_is_one_line(kind: str, content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / f"a{kind}"
+    path.write_bytes(content)
+    with pytest.raises(MediaError, match=rf"a{kind} is no {kind} file of LED patterns"):
+        open_slots(path)
+
+
+@KINDS
+def test_a_file_with_more_than_its_slots_is_told(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a{kind}"
+    wrote(path, drawn(8, 6))
+    whole = path.read_bytes()
+    fewer = [whole.replace(b"SLOTS 6u", b"SLOTS 5u")] if kind == ".h" else [whole * 2]
+    for longer in [*fewer, whole + b"\n"]:
+        path.write_bytes(longer)
+        with pytest.raises(MediaError, match=r"more than its|damaged"):
+            list(open_slots(path))
+
+
+def test_rows_of_another_order_are_damage(tmp_path: Path) -> None:
+    path = tmp_path / "a.hub75"
+    wrote(path, drawn(8, 3))
+    path.write_bytes(path.read_bytes()[:-9] + bytes([7]) + path.read_bytes()[-8:])
+    with pytest.raises(MediaError, match=r"slot 2 of .* is damaged: its rows do not come in the order"):
+        list(open_slots(path))
+
+
+@pytest.mark.parametrize(
+    ("what", "says"),
+    [
+        (None, "text or a pathlib.Path, not NoneType"),
+        ("a.mkv", "end in one of .bits, .hub75, .shift, .h, not '.mkv'"),
+        ("none.bits", "there is no file"),
+        (".", "end in one of"),
+    ],
+)
+def test_what_is_no_file_of_slots_is_one_line(what: str, says: str) -> None:
+    with pytest.raises(MediaError, match=says):
+        open_slots(what)
+
+
+@KINDS
+@pytest.mark.parametrize("count", [2, 4])
+def test_another_number_of_slots_leaves_nothing(kind: str, count: int, tmp_path: Path) -> None:
+    with pytest.raises(MediaError, match=f"takes 3 slots, not {count}"):
+        write_slots(tmp_path / f"a{kind}", drawn(8, count), SlotForm(8, 4, 250_000, 3))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_period_is_rounded_to_ns_and_no_further() -> None:
+    assert SlotForm.of(16, 4, 1 / 12_000, 9).slot_ns == 83_333
+    with pytest.raises(MediaError, match=r"250.25 ns is no whole number of ns"):
+        SlotForm.of(16, 4, 250.25e-9, 9)
+
+
+@KINDS
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_length(kind: str, tmp_path: Path) -> None:
+    slot, path = drawn(8, 1)[0], tmp_path / f"a{kind}"
+    peaks = []
+    for count in (200, 4_000):
+        tracemalloc.start()
+        write_slots(path, repeat(slot, count), SlotForm(8, 4, 250_000, count))
+        assert sum(1 for _ in open_slots(path)) == count
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + 100_000
