@@ -29,7 +29,7 @@ SIDES = range(4, 65, 4)
 """LEDs of a side, those of ``signal.side``."""
 
 ROUNDING = 1e-4
-"""Largest share of a slot's period by which whole ns may change it: that of a bad crystal, 100 ppm."""
+"""Largest share of a slot's period by which whole ns may change it: the tolerance of section 3 of the air interface."""
 
 BLOCK = 1 << 16
 """Bytes read at a time, or one slot where it is longer."""

@@ -1,0 +1,210 @@
+"""Prove the timing of slots.pio: run it cycle by cycle, and look at what a chain of shift registers would show.
+
+    heliograph transmit patterns.h --packets 10
+    python simulate.py patterns.h
+
+The state machine is that of the RP2040 datasheet, chapter 3, with the instructions that slots.pio uses. An instruction
+takes a cycle and then its delay; side-set pins change with its first cycle, also where it stalls. The output register
+is refilled by itself as section 3.5.4.2 says.
+"""
+
+import re
+import sys
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+import heliograph
+
+HERE = Path(__file__).parent
+SYSTEM_HZ = 125e6
+"""System clock that main.c sets."""
+
+FIFO = 8
+"""Entries of a transmit FIFO that has the receive FIFO's place too."""
+
+PULL_AFTER = 8
+"""Bits after which the output register is refilled: DMA writes bytes."""
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """A line of a program: `set`, `out`, `jmp` or `nop`, its operands, side-set pins and delay in cycles."""
+
+    name: str
+    operands: tuple[str, ...]
+    side: int
+    delay: int
+
+
+@dataclass
+class Program:
+    """A PIO program: instructions, places of its labels, wrap, side-set pins, and values it defines for C."""
+
+    instructions: list[Instruction] = field(default_factory=list)
+    labels: dict[str, int] = field(default_factory=dict)
+    values: dict[str, int] = field(default_factory=dict)
+    wrap_target: int = 0
+    wrap: int = -1
+    side_pins: int = 0
+
+
+def assemble(text: str) -> Program:
+    """Read a program, and check that its numbers fit into the instructions' fields."""
+    program = Program()
+    for line in (line.partition(";")[0].strip() for line in text.splitlines()):
+        words = line.split()
+        if not words or words[0] == ".program":
+            continue
+        if words[0] == ".side_set":
+            program.side_pins = int(words[1])
+        elif words[:2] == [".define", "public"]:
+            program.values[words[2]] = int(words[3])
+        elif words[0] == ".wrap_target":
+            program.wrap_target = len(program.instructions)
+        elif words[0] == ".wrap":
+            program.wrap = len(program.instructions) - 1
+        elif line.endswith(":"):
+            program.labels[line[:-1]] = len(program.instructions)
+        else:
+            program.instructions.append(_instruction(line, program.side_pins))
+    if len(program.instructions) > 32:
+        raise ValueError("a PIO holds 32 instructions")
+    return program
+
+
+def _instruction(line: str, side_pins: int) -> Instruction:
+    match = re.fullmatch(
+        r"(set (?=[xy],)|out (?=pins, 1 )|jmp (?=[xy]-- )|nop)\s*(.*?)\s+side\s+(\w+)(?:\s+\[(\d+)\])?", line
+    )
+    if not match:
+        raise ValueError(f"not understood: {line}")
+    side, delay = int(match[3], 0), int(match[4] or 0)
+    # 5 bits hold side-set pins and delay
+    if side >= 1 << side_pins or delay >= 1 << 5 - side_pins:
+        raise ValueError(f"side-set or delay too large: {line}")
+    operands = tuple(match[2].replace(",", " ").split())
+    name = match[1].strip()
+    if name == "set" and not 0 <= int(operands[1]) < 32:
+        raise ValueError(f"set takes 0 to 31: {line}")
+    return Instruction(name, operands, side, delay)
+
+
+@dataclass
+class Pins:
+    """Levels of the pins in a cycle, and whether the machine waited for data in it."""
+
+    cycle: int
+    data: int
+    clock: int
+    latch: int
+    stalled: bool
+
+
+def run(program: Program, data: Iterable[int], dma_cycles: int = 1) -> Iterator[Pins]:
+    """Yield the pins in each PIO cycle, until a bit is missing for a slot's time.
+
+    DMA needs `dma_cycles` PIO cycles for a byte, and begins with a full FIFO, as main.c does.
+    """
+    waiting = iter(data)
+    fifo = deque(islice(waiting, FIFO))
+    register, shifted = 0, 32  # the output register is empty at first
+    scratch = {"x": 0, "y": 0}
+    place, out, left, stalls, cycle = 0, 0, 0, 0, 0
+    while stalls < program.values["CYCLES"]:
+        if len(fifo) < FIFO and cycle % dma_cycles == 0 and (byte := next(waiting, None)) is not None:
+            fifo.append(byte)
+        instruction = program.instructions[place]
+        executes, stalled = left == 0, False
+        if executes and instruction.name == "out":
+            if shifted >= PULL_AFTER:
+                stalled = True
+            else:
+                out, register, shifted = register >> 31, register << 1 & 0xFFFFFFFF, shifted + 1
+        if shifted >= PULL_AFTER and fifo:
+            # a byte is written to all four bytes of the word
+            register, shifted = fifo.popleft() * 0x01010101, 0
+        stalls = stalls + 1 if stalled else 0
+        yield Pins(cycle, out, instruction.side & 1, instruction.side >> 1, stalled)
+        cycle += 1
+        if stalled:
+            continue
+        if executes:
+            left = instruction.delay + 1
+            following = program.wrap_target if place == program.wrap else place + 1
+            if instruction.name == "set":
+                scratch[instruction.operands[0]] = int(instruction.operands[1])
+            elif instruction.name == "jmp":
+                counter = instruction.operands[0].removesuffix("--")
+                if scratch[counter]:
+                    following = program.labels[instruction.operands[1]]
+                scratch[counter] = scratch[counter] - 1 & 0xFFFFFFFF
+        left -= 1
+        if left == 0:
+            place = following
+
+
+@dataclass
+class Shown:
+    """What a chain of registers showed: slots, cycles at which each began, and cycles in which data were waited for."""
+
+    slots: list[np.ndarray]
+    began: list[int]
+    stalls: int
+    steady: tuple[int, int]
+    """Fewest cycles for which data were steady before and after the shift clock rose."""
+
+
+def shown_by(pins: Iterable[Pins], leds: int = 256) -> Shown:
+    """Shift bits in at the rising shift clock, show them at the rising storage clock, as 74HC595 do."""
+    chain = deque([0] * leds, maxlen=leds)
+    slots, began, stalls, changed, rose, steady = [], [], 0, -1, -1, [1 << 30, 1 << 30]
+    before = Pins(-1, 0, 0, 0, False)
+    for now in pins:
+        if now.data != before.data:
+            changed = now.cycle
+            steady[1] = min(steady[1], changed - rose) if rose >= 0 else steady[1]
+        if now.clock and not before.clock:
+            chain.appendleft(now.data)  # the first output of the first register takes the bit
+            rose = now.cycle
+            steady[0] = min(steady[0], rose - changed)
+        if now.latch and not before.latch:
+            slots.append(np.array(chain, np.uint8))
+            began.append(now.cycle)
+        stalls += now.stalled
+        before = now
+    return Shown(slots, began, stalls, (steady[0], steady[1]))
+
+
+def main() -> None:
+    """Simulate the first slots of a C header, and say whether they come in time and order."""
+    try:
+        light = heliograph.open_slots(sys.argv[1] if len(sys.argv) > 1 else "patterns.h")
+        slots = list(islice(light, 400))
+    except heliograph.HeliographError as error:
+        sys.exit(str(error))
+    if len(slots) < 3 or light.form.side != 16:
+        sys.exit("slots.pio takes slots of 16 x 16 LEDs, and their time is seen from three on: write a packet")
+    program = assemble((HERE / "slots.pio").read_text())
+    shown = shown_by(run(program, [byte for slot in slots for byte in np.packbits(slot).tobytes()]))
+    # the chain begins at the lower right LED
+    right = all(np.array_equal(led[::-1], slot.ravel()) for led, slot in zip(shown.slots, slots, strict=True))
+    wanted_us = light.form.slot_ns / 1000
+    divider = max(1, round(SYSTEM_HZ * wanted_us / 1e6 / program.values["CYCLES"]))
+    cycle_us = divider / SYSTEM_HZ * 1e6
+    shortest, longest = min(np.diff(shown.began)) * cycle_us, max(np.diff(shown.began)) * cycle_us
+    setup, hold = (cycles * cycle_us for cycles in shown.steady)
+    print(f"{len(slots)} slots of {wanted_us:g} us: bits {'in order' if right else 'WRONG'}")
+    print(f"slot period {shortest:g} us, off by {shortest - wanted_us:+g} us, in cycles of {cycle_us:g} us")
+    print(f"jitter {longest - shortest:g} us")
+    print(f"data steady {setup:g} us before the shift clock rises and {hold:g} us after")
+    if not right or shortest != longest or abs(shortest - wanted_us) >= cycle_us:
+        sys.exit("the timing is wrong")
+
+
+if __name__ == "__main__":
+    main()
