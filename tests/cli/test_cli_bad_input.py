@@ -163,7 +163,7 @@ def test_bad_input_is_one_clear_line(line: str, stock: Path, tmp_path: Path, cal
         ("receive a.mkv --outptu x", "No such option"),
         ("receive a.mkv --load x.py", "--load FILE stands before the command"),
         ("receive a.mkv --output", "requires an argument"),
-        ("receive a.mkv b.mkv", "unexpected extra argument"),
+        ("convert a.mkv b.mkv c.mkv", "unexpected extra argument"),
         ("simulate a.mkv --seed -1", "--seed"),
         ("simulate a.mkv --seed x", "--seed"),
         ("transmit a.npy --identity 30", "--identity"),
