@@ -8,9 +8,8 @@ import re
 import socket
 import subprocess
 import sys
-import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,11 +19,9 @@ import pytest
 from cli_runs import COMMAND, Run, called, failed, heliograph, lasting, names, succeeded
 
 import heliograph as heliograph_package
-from heliograph.base.frames import Frame
 from heliograph.cli import console
 from heliograph.link.settings import PRESETS
 from heliograph.media import create_film, open_film
-from heliograph.media.video_read import VideoReader
 
 pytestmark = pytest.mark.slow
 
@@ -142,23 +139,6 @@ def test_error_rates_come_with_their_counts(film: Path, tmp_path: Path, call: Ca
         "<", "7.3e-04", "of", "4096", "0/4",
     ]  # fmt: skip
     assert "packets that were not sent: 0\ncodewords taken for right that were not sent: 0" in out
-
-
-def test_a_slow_container_is_told(tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    small = ("--set", "channel.camera.width=96", "--set", "channel.camera.height=64")
-    succeeded(call("simulate", "a.nut", *lasting(0.1), *small))
-    assert "read faster" not in succeeded(call("receive", "a.nut"))
-    monkeypatch.setattr("heliograph.cli.receive.LONG_READING_S", 0.0)
-    frames = VideoReader._frames
-
-    def slowly(reader: VideoReader) -> Iterator[Frame]:
-        for frame in frames(reader):
-            time.sleep(0.02)
-            yield frame
-
-    monkeypatch.setattr(VideoReader, "_frames", slowly)
-    out = succeeded(call("receive", "a.nut"))
-    assert "HDF5 and lossless H.264 are read faster, see 'heliograph convert a.nut a.h5'" in out
 
 
 @pytest.mark.parametrize("suffix", [".h5", ".mp4"])
