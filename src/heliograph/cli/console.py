@@ -108,6 +108,8 @@ def progress(title: str, total: int | None) -> Iterator[Callable[[float], None]]
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, get_time=clock) as bar:
+    # results that are said meanwhile stay on standard output, where that leads elsewhere
+    aside = sys.stdout.isatty()
+    with Progress(*columns, console=Console(stderr=True), transient=True, get_time=clock, redirect_stdout=aside) as bar:
         task = bar.add_task(title, total=total)
         yield lambda done: bar.update(task, completed=done, total=total if total and done <= total else None)

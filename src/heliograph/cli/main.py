@@ -75,6 +75,16 @@ Scheduler = Annotated[
         metavar="ADDRESS", help="Dask scheduler whose workers compute, in place of --workers.", show_default=False
     ),
 ]
+CameraOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--camera",
+        metavar="KEY=VALUE",
+        show_default=False,
+        help="Set a live camera: exposure_us, gain, rate_hz, region=X,Y,WIDTH,HEIGHT, pixel_format, trigger, producer, "
+        "queue_s, reconnect, or a feature by the camera's own name, such as BlackLevel; may be repeated.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
@@ -136,7 +146,7 @@ def transmit(
 
 @app.command()
 def receive(
-    films: Annotated[list[Path], typer.Argument(metavar="FILM...", help=READ)],
+    films: Annotated[list[Path], typer.Argument(metavar="FILM...", help=f"{READ} Or a live camera, camera:KIND:ADDRESS.")],
     receiver: Annotated[
         str | None,
         typer.Option(
@@ -161,6 +171,22 @@ def receive(
     preset: options.Preset = "paper",
     settings: options.SettingsFile = None,
     assignments: options.Assignments = None,
+    camera: CameraOption = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Seconds after which a live camera is left.", show_default=False),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="HDF5 film of the last seconds of a live camera in which an array was lost or a packet not read.",
+            show_default=False,
+        ),
+    ] = None,
+    record_s: Annotated[
+        float, typer.Option("--record-s", metavar="S", min=0.1, max=3600, help="Seconds that --record keeps.")
+    ] = 10.0,
     as_json: Json = False,
     follow: Annotated[
         bool,
@@ -180,12 +206,16 @@ def receive(
     workers: options.WorkersOption = None,
     scheduler: Scheduler = None,
 ) -> None:
-    """Find arrays in films and read what they send.
+    """Find arrays in films, or before a live camera, and read what they send.
+
+    A live camera is camera:KIND or camera:KIND:ADDRESS; 'heliograph cameras' lists what is there. It is received until
+    Ctrl-C, for --duration S, or to the camera's end.
 
     Films of 'simulate' hold a note of their signal, which wins over the preset. --settings and --set win over the
     note; a line says where they differ from it. Of several films, or a folder of films, a line of JSON is printed for
     each; --output has a folder for each, and what is there already is not read again.
     """
+    from heliograph.cli.live import LiveOptions
     from heliograph.cli.news import Told
     from heliograph.cli.receive import run_receive
     from heliograph.cli.receive_many import is_many, run_many
@@ -193,12 +223,23 @@ def receive(
     seen = options.FilmOptions(fps, crop, binning, rotate, channel)
     changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
     if is_many(films) or workers is not None or scheduler is not None:
-        if truth or follow or send or verbose:
-            raise MediaError("--truth, --follow, --send and --verbose take one film: receive the films one by one")
+        if truth or follow or send or verbose or camera or record or duration is not None:
+            raise MediaError(
+                "--truth, --follow, --send, --verbose and options of cameras take one film: receive the films one by one"
+            )
         run_many(films, seen, preset, settings, changes, output, (workers, scheduler))
         return
+    live = LiveOptions(camera, duration, record, record_s)
     told = Told(follow, verbose, tuple(send or ()))
-    run_receive(films[0], seen, output, truth, preset, settings, changes, as_json, told)
+    run_receive(films[0], seen, output, truth, preset, settings, changes, as_json, told, live)
+
+
+@app.command()
+def cameras(camera: CameraOption = None, as_json: Json = False) -> None:
+    """List the live cameras that are there, by the names that 'receive' takes, and what is missing to see others."""
+    from heliograph.cli.cameras import run_cameras
+
+    run_cameras(camera, as_json)
 
 
 @app.command()

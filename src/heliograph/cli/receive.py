@@ -11,6 +11,7 @@ from typing import IO, TYPE_CHECKING, Any
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.cli import console, options
+from heliograph.cli.live import LiveOptions, Watch, watched
 from heliograph.cli.news import News, Told
 
 LONG_READING_S = 2.0
@@ -37,6 +38,7 @@ def run_receive(
     changes: list[str],
     as_json: bool,
     told: Told,
+    live: LiveOptions,
 ) -> None:
     """Read a film; whatever ends it, what was decoded before is kept and shown.
 
@@ -48,9 +50,12 @@ def run_receive(
     from heliograph.link.truth import open_truth
     from heliograph.measure.reception import Reception
     from heliograph.media import open_film
+    from heliograph.media.live.reader import is_camera
 
     settings = options.settings_from(preset, file, changes)
     base, signal_changes = options.settings_from(preset, None, None), options.signal_changes(file, changes)
+    if truth and is_camera(film):
+        raise MediaError("a live camera has no truth: leave out --truth")
     if truth and seen.partly:
         raise MediaError("the truth is that of the whole film: leave out --crop, --bin and --rotate, or --truth")
     known = open_truth(truth) if truth else None
@@ -58,17 +63,22 @@ def run_receive(
     # its images are small: a second thread would only wait, and take a core
     cv2.setNumThreads(1)
     began = time.perf_counter()
-    with open_film(film, **seen.keywords()) as source:
+    with open_film(film, **seen.keywords(), **live.keywords(film)) as source:
         signal, departure = signal_of(source, base.signal, signal_changes)
         if known is not None:
             check_truth(source, known, signal)
         if departure:
             console.complain(departure)
-        with Folder(output) as folder, News(told) as news:
-            with console.progress("receiving", source.frame_count) as advance:
-                ending = read_film(source, signal, settings, reception, (folder, news), advance)
+        aloud = not as_json and not told.follow
+        with (
+            Folder(output) as folder,
+            News(told) as news,
+            watched(source, live, signal, settings.receive, aloud) as watch,
+        ):
+            with console.progress("receiving", watch.frame_count) as advance:
+                ending = read_film(watch, signal, settings, reception, (folder, news), advance)
             report = {**reception.report(time.perf_counter() - began), "reading_seconds": source.read_s}
-            ending = finish_folder(folder, report) or ending
+            ending = finish_folder(folder, report, watch) or ending
             news.tell({"event": "end", **report})
     if told.follow:
         pass  # its last line has the report
@@ -76,7 +86,9 @@ def run_receive(
         console.say_json(report)
     else:
         _show(report, reception, folder)
-        _show_reading(source, report)
+        watch.show()
+        if not watch.is_live:
+            _show_reading(source, report)
     if isinstance(ending, KeyboardInterrupt):
         console.complain(f"interrupted after {reception.frames} frames; the results so far are above")
         sys.exit(console.INTERRUPTED)
@@ -85,7 +97,7 @@ def run_receive(
 
 
 def read_film(
-    source: "FilmReader",
+    watch: Watch,
     signal: "SignalSettings",
     settings: "LinkSettings",
     reception: "Reception",
@@ -99,20 +111,28 @@ def read_film(
 
     folder, news = told
     journal = Journal(settings.receive.calibration, news.tell)
+
+    def observe(event: Any) -> None:
+        journal.observe(event)
+        watch.observe(event)
+
     try:
-        for packet, messages in receive_film(source, signal, settings, reception, journal.observe, advance or silent):
+        for packet, messages in receive_film(watch, signal, settings, reception, observe, advance or silent):
             folder.log(packet_row(packet))
             journal.read(packet, messages)
+            watch.packet(packet)
             for message in messages:
                 folder.message(message)
+                watch.message(message)
     except (HeliographError, OSError, MemoryError, KeyboardInterrupt) as error:
         return error
     return None
 
 
-def finish_folder(folder: "Folder", report: dict[str, Any]) -> MediaError | None:
-    """Finish the folder's files; a failure is returned, for the results are still to be shown."""
+def finish_folder(folder: "Folder", report: dict[str, Any], watch: Watch) -> MediaError | None:
+    """Finish all files; a failure is returned, for the results are still to be shown."""
     try:
+        report |= watch.finish()
         folder.finish(report)
     except MediaError as error:
         return error

@@ -121,6 +121,7 @@ def receive_one(work: FilmWork) -> dict[str, Any]:
     """
     import cv2
 
+    from heliograph.cli.live import Watch
     from heliograph.cli.news import News, Told
     from heliograph.cli.receive import Folder, finish_folder, read_film
     from heliograph.link.notes import signal_of
@@ -136,12 +137,13 @@ def receive_one(work: FilmWork) -> dict[str, Any]:
         with open_film(work.film, **work.seen.keywords()) as source:
             signal, _ = signal_of(source, base.signal, changes)
             with Folder(work.folder) as folder, News(Told()) as news:
-                ending = read_film(source, signal, settings, reception, (folder, news))
+                watch = Watch(source, None, None, aloud=False)
+                ending = read_film(watch, signal, settings, reception, (folder, news))
                 report = {"film": work.film, **reception.report(time.perf_counter() - began)}
                 report["messages"] = folder.messages
                 if ending is not None:
                     report["error"] = _line(ending)
-                ending = finish_folder(folder, {**report, "made_of": made_of}) or ending
+                ending = finish_folder(folder, {**report, "made_of": made_of}, watch) or ending
         if isinstance(ending, KeyboardInterrupt):
             raise ending
     except (HeliographError, OSError, MemoryError) as error:

@@ -1,18 +1,16 @@
 """Films of simulated drives, and packets of films: the link with files at its ends."""
 
 import contextlib
-import json
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from heliograph.base.config import to_mapping
 from heliograph.base.errors import MediaError
 from heliograph.base.files import room_for
 from heliograph.base.frames import Frame
 from heliograph.channel import frame_count
-from heliograph.link.notes import SIGNAL_TAG, TRUTH_TAG
+from heliograph.link.notes import TRUTH_TAG, signal_note
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, Recordings, simulate
 from heliograph.link.truth import TruthWriter, truth_path
@@ -86,7 +84,7 @@ def write_film(
         height=camera.height,
         rate_hz=camera.fps,
         bits=settings.channel.sensor.bits,
-        metadata={SIGNAL_TAG: json.dumps(to_mapping(settings.signal)), TRUTH_TAG: film_id},
+        metadata={**signal_note(settings.signal), TRUTH_TAG: film_id},
         **codec,
     )
     interrupted: KeyboardInterrupt | None = None

@@ -20,6 +20,17 @@ RATE_TOLERANCE = 1e-3
 """Relative departure of a film's rate from its truth's that a container's rounding explains."""
 
 
+def signal_note(signal: SignalSettings) -> dict[str, str]:
+    """Return what a film notes of its signal, as metadata.
+
+    Parameters
+    ----------
+    signal
+        Signal of the arrays in the film.
+    """
+    return {SIGNAL_TAG: json.dumps(to_mapping(signal))}
+
+
 def noted_signal(film: FilmReader) -> dict[str, Any]:
     """Signal settings that a film notes, as nested mappings; empty where it notes none.
 

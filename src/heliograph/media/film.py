@@ -1,13 +1,16 @@
 """Open and create films. The suffix chooses the kind of a new file; the content tells the kind of an existing one."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.media import arrays, hdf5, images, phantom, photron, tiff, video_read, video_write
 from heliograph.media.arrays import ArrayReader
+from heliograph.media.live.reader import LiveReader, is_camera
+from heliograph.media.live.settings import CameraSettings, camera_settings
 from heliograph.media.phantom import PhantomReader
 from heliograph.media.photron import PhotronReader
 from heliograph.media.reader import FilmReader
@@ -52,8 +55,9 @@ def open_film(
     binning: int = 1,
     rotate: int = 0,
     channel: str = "luma",
+    camera: Mapping[str, Any] | Iterable[str] = (),
 ) -> FilmReader:
-    """Open a recording as gray frames: a film of `create_film`, a video, a camera's own file, or pictures.
+    """Open a recording as gray frames: a film of `create_film`, a video, a camera's own file, or pictures; or a camera.
 
     ======================================== ============================ =================================
     recording                                what is named                rate and times
@@ -66,6 +70,7 @@ def open_film(
     one PNG or JPEG                          .png, .jpg, .jpeg            ``rate_hz``
     NumPy's array (frames, rows, columns)    .npy                         ``rate_hz``
     any video that FFmpeg reads              .mp4, .mov, .avi, .y4m ...   the file's
+    a live camera                            ``camera:KIND:ADDRESS``      the camera's rate and clock
     ======================================== ============================ =================================
 
     Gray levels are those in the file: luma of YUV video is not rescaled, RGB is weighted to luma by Rec. ITU-R BT.601.
@@ -92,6 +97,10 @@ def open_film(
         0, 90, 180 or 270 degrees clockwise by which the part is then turned.
     channel
         "luma", "red", "green" or "blue": what is taken of a colour for a gray level.
+    camera
+        Settings of a live camera by name, as of `heliograph.media.live.settings.CameraSettings`, or texts such as
+        "exposure_us=500". Recordings take none. A camera's film lasts until it is stopped; ``rate_hz`` then only
+        says what a camera does not know, and leaves its times as they are.
 
     Returns
     -------
@@ -103,9 +112,18 @@ def open_film(
     MediaError
         An option is none of those, or a rate is needed; the file is missing, empty, no film, or damaged beyond reading;
         or a folder has no pictures. Damage further on is reported while iterating, after the whole frames.
+    SettingsError
+        A camera's setting is unknown or out of range, or it does not take it.
     """
     path, view = _checked_path(path), View(crop=crop, binning=binning, rotate=rotate)
-    film = _opened(path, Reading(rate_hz=rate_hz, expand_range=expand_range, channel=channel))
+    reading = Reading(rate_hz=rate_hz, expand_range=expand_range, channel=channel)
+    asked = camera_settings(camera)
+    if is_camera(path):
+        film: FilmReader = LiveReader(str(path), reading, asked)
+    elif asked != CameraSettings():
+        raise MediaError(f"{path} is a recording: only a live camera, such as camera:aravis, takes settings")
+    else:
+        film = _opened(path, reading)
     return film if view.is_whole else ViewReader(film, view)
 
 

@@ -1,4 +1,4 @@
-"""Gray levels of 10 and 12 bits that are packed without gaps, the upper bits first."""
+"""Gray levels of 10 and 12 bits that are packed: without gaps, or as cameras send them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,3 +42,48 @@ def packed_size(levels: int, bits: int) -> int:
     """
     held, size = _GROUPS[bits]
     return -(-levels // held) * size
+
+
+def unpack_low_first(data: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
+    """Return gray levels packed without gaps, the lower bits first, as cameras' formats that end in "p" have them.
+
+    Parameters
+    ----------
+    data
+        (bytes,) whole groups: 5 bytes hold four levels of 10 bits, 3 bytes two of 12 (PFNC 2.4, section 6.2).
+    bits
+        Bits of a gray level, 10 or 12.
+
+    Returns
+    -------
+    (levels,) gray levels in their order.
+    """
+    held, size = _GROUPS[bits]
+    groups = data[: len(data) // size * size].reshape(-1, size).astype(np.uint16)
+    levels = np.empty((len(groups), held), np.uint16)
+    for place in range(held):
+        first, shift = divmod(place * bits, 8)
+        levels[:, place] = (groups[:, first] >> shift | groups[:, first + 1] << (8 - shift)) & ((1 << bits) - 1)
+    return levels.ravel()
+
+
+def unpack_pairs(data: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
+    """Return gray levels of GigE Vision 1's packing: two upper bytes about one that holds the lower bits of both.
+
+    Parameters
+    ----------
+    data
+        (bytes,) groups of 3 bytes, two levels each (GigE Vision 1.2, section 26, "Mono10Packed" and "Mono12Packed").
+    bits
+        Bits of a gray level, 10 or 12.
+
+    Returns
+    -------
+    (levels,) gray levels in their order.
+    """
+    groups = data[: len(data) // 3 * 3].reshape(-1, 3).astype(np.uint16)
+    lower = bits - 8
+    levels = np.empty((len(groups), 2), np.uint16)
+    levels[:, 0] = groups[:, 0] << lower | groups[:, 1] & ((1 << lower) - 1)
+    levels[:, 1] = groups[:, 2] << lower | groups[:, 1] >> 4 & ((1 << lower) - 1)
+    return levels.ravel()

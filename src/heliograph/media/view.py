@@ -76,6 +76,11 @@ class ViewReader(FilmReader):
     view
         Part of its frames, their squares, and their turn.
 
+    Attributes
+    ----------
+    film
+        The film itself, with all of its frames.
+
     Raises
     ------
     MediaError
@@ -96,7 +101,7 @@ class ViewReader(FilmReader):
             raise MediaError(
                 f"{film.path} is seen in {width}x{height} pixels, less than a square of {view.binning}: average fewer"
             )
-        self._film, self._binning, self._quarters = film, view.binning, view.rotate // 90
+        self.film, self._binning, self._quarters = film, view.binning, view.rotate // 90
         width, height = width // view.binning, height // view.binning
         self._part = (slice(y, y + height * view.binning), slice(x, x + width * view.binning))
         self.width, self.height = (height, width) if self._quarters % 2 else (width, height)
@@ -104,7 +109,7 @@ class ViewReader(FilmReader):
         self.frame_count, self.metadata, self.faster = film.frame_count, film.metadata, film.faster
 
     def _frames(self) -> Iterator[Frame]:
-        for frame in self._film:
+        for frame in self.film:
             pixels: Any = _binned(frame.pixels[self._part], self._binning)
             # NumPy turns against the clock
             yield replace(frame, pixels=np.ascontiguousarray(np.rot90(pixels, -self._quarters)))
@@ -112,7 +117,7 @@ class ViewReader(FilmReader):
     def close(self) -> None:
         """Close the film; may be called twice."""
         super().close()
-        self._film.close()
+        self.film.close()
 
 
 def _binned(pixels: Any, side: int) -> Pixels:

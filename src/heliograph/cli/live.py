@@ -1,0 +1,207 @@
+"""Reception from a live camera: messages as they come, an end by Ctrl-C, and a film of what failed."""
+
+import contextlib
+import signal
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+from heliograph.base.errors import MediaError
+from heliograph.cli import console
+
+if TYPE_CHECKING:
+    from heliograph.base.frames import Frame
+    from heliograph.media import FilmReader
+    from heliograph.media.live.grabber import CameraCounts
+    from heliograph.media.live.reader import LiveReader
+    from heliograph.media.live.recorder import Recorder
+    from heliograph.receive import Packet, ReceiveSettings
+    from heliograph.signal.message import Message
+    from heliograph.signal.settings import SignalSettings
+
+SHOWN = 60
+"""Most characters of a message's text that are shown as it comes. Chosen."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """Options for live cameras, as they were given."""
+
+    camera: list[str] | None
+    duration: float | None
+    record: Path | None
+    record_s: float
+
+    def keywords(self, film: Path) -> dict[str, Any]:
+        """Return them as `open_film` takes them; a MediaError where they are given with a recording."""
+        from heliograph.media.live.reader import is_camera
+
+        given = [*(self.camera or ()), *([f"duration_s={self.duration}"] if self.duration is not None else ())]
+        if (given or self.record is not None) and not is_camera(film):
+            raise MediaError(
+                f"--camera, --duration and --record are for a live camera, such as camera:aravis, not {film}"
+            )
+        return {"camera": given}
+
+
+class Watch:
+    """A film that is being received: passes a recording on as it is, and looks after a live camera.
+
+    Parameters
+    ----------
+    source
+        The film.
+    live
+        The camera behind it; None of a recording.
+    recorder
+        Keeps the last seconds where something fails; None where nobody asked for that.
+    aloud
+        Whether messages are shown as they come.
+    """
+
+    def __init__(self, source: "FilmReader", live: "LiveReader | None", recorder: "Recorder | None", aloud: bool):
+        self.path, self.frame_count = source.path, source.frame_count
+        self._source, self._live, self._recorder, self._aloud = source, live, recorder, aloud
+        self._read = self._found = False
+
+    @property
+    def is_live(self) -> bool:
+        """Whether it is a live camera."""
+        return self._live is not None
+
+    def __iter__(self) -> "Iterator[Frame]":
+        if self._live is None:
+            yield from self._source
+            return
+        for frame in self._source:
+            if self._recorder is not None:
+                self._recorder.saw(frame)
+            yield frame
+        counts = self._live.counts
+        if counts is not None and not counts.frames:
+            raise MediaError(f"{self.path} gave no frame: see that its trigger is off or has pulses, and its exposure")
+
+    def observe(self, event: Any) -> None:
+        """Take note of arrays that are found or lost."""
+        from heliograph.receive.events import DetectEvent, LostEvent
+
+        self._found |= isinstance(event, DetectEvent)
+        if isinstance(event, LostEvent):
+            self._failed()
+
+    def packet(self, packet: "Packet") -> None:
+        """Take note of a packet."""
+        self._read = True
+        if packet.status != "ok":
+            self._failed()
+
+    def message(self, message: "Message") -> None:
+        """Show a message of a live camera."""
+        if self._live is not None and self._aloud:
+            console.say(
+                f"array {message.identity}, {message.layer}, message {message.stream}: {len(message.data)} bytes, "
+                f"{_shown(message.data)}"
+            )
+
+    def finish(self) -> dict[str, Any]:
+        """Write what is to be recorded; return what became of a camera's frames, empty of a recording."""
+        if self._live is None:
+            return {}
+        if self._found and not self._read:
+            self._failed()
+        if self._recorder is not None:
+            self._recorder.close()
+        counts = self._live.counts
+        form = self._live.form
+        report = {"name": str(self.path), "model": form.model, "settings": dict(form.settings)}
+        return {"camera": report | (asdict(counts) if counts is not None else {})}
+
+    def show(self) -> None:
+        """Say what became of a camera's frames."""
+        counts = self._live.counts if self._live is not None else None
+        if counts is not None:
+            console.say(_counted(counts))
+        if self._recorder is not None and self._recorder.written:
+            console.say(f"what failed is in the last {self._recorder.written} frames of {self._recorder.path}")
+
+    def _failed(self) -> None:
+        if self._recorder is not None:
+            self._recorder.failed()
+
+
+@contextlib.contextmanager
+def watched(
+    source: "FilmReader", options: LiveOptions, light: "SignalSettings", receiver: "ReceiveSettings", aloud: bool
+) -> Iterator[Watch]:
+    """Look after a film that is received: Ctrl-C ends a live camera's as if that were its end; a second one breaks off."""
+    from heliograph.link.notes import signal_note
+    from heliograph.link.warm_up import warm_up
+    from heliograph.media.live.reader import live_of
+    from heliograph.media.live.recorder import Recorder
+
+    live = live_of(source)
+    if live is None:
+        yield Watch(source, None, None, aloud)
+        return
+    for text in live.form.departures:
+        console.complain(f"{source.path}: {text}")
+    live.say = console.complain
+    recorder = None
+    if options.record is not None:
+        recorder = Recorder(options.record, options.record_s, source, signal_note(light))
+        if recorder.seconds < options.record_s:
+            console.complain(f"{options.record} keeps {recorder.seconds:.1f} s: more would not find room in memory")
+    warm_up(light, receiver, source.bits)
+    with _ended_by_ctrl_c(live):
+        yield Watch(source, live, recorder, aloud)
+
+
+@contextlib.contextmanager
+def _ended_by_ctrl_c(live: "LiveReader") -> Iterator[None]:
+    """Let the first Ctrl-C end the film, and the second one break off."""
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = {kind: signal.getsignal(kind) for kind in kinds}
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        live.stop()
+        for kind in kinds:
+            signal.signal(kind, signal.default_int_handler)
+
+    for kind in kinds:
+        signal.signal(kind, end)
+    try:
+        yield
+    finally:
+        for kind in kinds:
+            signal.signal(kind, before[kind])
+
+
+def _counted(counts: "CameraCounts") -> str:
+    """Counts of a camera as a line."""
+    clock = "the host's clock, as the camera has no stamps" if counts.host_clock else "the camera's clock"
+    parts = [f"camera: {counts.frames} frames, {counts.rate_hz:.1f} a second by {clock}"]
+    for number, text in (
+        (counts.lost, "lost on the way"),
+        (counts.incomplete, "incomplete and left out"),
+        (counts.skipped, "not taken, by gaps in its stamps"),
+        (counts.dropped, "dropped before the receiver, which was busy"),
+        (counts.jumps, "jumps of its clock"),
+        (counts.reconnections, "times lost and found again"),
+    ):
+        if number:
+            parts.append(f"{number} {text}")
+    return "; ".join(parts)
+
+
+def _shown(data: bytes) -> str:
+    """A message's beginning: its text, or its bytes in hexadecimal where it is none."""
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        text = ""
+    if not text or not all(character.isprintable() or character.isspace() for character in text):
+        return data[: SHOWN // 2].hex() + ("..." if len(data) > SHOWN // 2 else "")
+    line = " ".join(text.split())
+    return f"'{line}'" if len(line) <= SHOWN else f"'{line[: SHOWN - 3]}...'"

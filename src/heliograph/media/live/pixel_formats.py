@@ -1,0 +1,140 @@
+"""Pixels as cameras send them, by the names of the pixel format naming convention (PFNC), as gray levels."""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.errors import MediaError, shown
+from heliograph.base.frames import Pixels
+from heliograph.media.packed import unpack_low_first, unpack_pairs
+from heliograph.media.pictures import to_gray
+
+READ = (
+    "Mono8, Mono10, Mono12, Mono14, Mono16, the same as Bayer mosaics, with p or Packed at the end for 10 and 12 bits; "
+    "RGB8, BGR8, RGBa8, BGRa8, YUV422_8, YUV422_8_UYVY, YCbCr422_8"
+)
+"""Formats that are read, for messages."""
+
+_GRAY = re.compile(r"(?:Mono|Bayer(?:RG|GR|GB|BG))(8|10|12|14|16)(p|Packed)?")
+_COLOUR = re.compile(r"(RGB|BGR|RGBa|BGRa)8(?:Packed)?")
+_LUMA = {"YUV422_8": 0, "YCbCr422_8": 0, "YUV422_8_UYVY": 1, "YUV422Packed": 1}
+"""Formats of a luma and a chroma byte a pixel, and which of the two is the luma."""
+
+
+@dataclass(frozen=True, slots=True)
+class PixelFormat:
+    """How a camera sends a pixel.
+
+    Attributes
+    ----------
+    name
+        Name by the convention, such as "Mono12p".
+    bits
+        Bits of a gray level, 8 to 16.
+    stored
+        Bits of a pixel as it is sent.
+    packing
+        "p" or "Packed" of levels that share bytes; empty of others.
+    colours
+        Order of the colours, such as "RGBa", or "Y" where they stand beside a luma; empty of gray levels and mosaics.
+    """
+
+    name: str
+    bits: int
+    stored: int
+    packing: str = ""
+    colours: str = ""
+
+    def size(self, width: int, height: int, padding: int) -> int:
+        """Return the bytes of a picture.
+
+        Parameters
+        ----------
+        width, height
+            Columns and rows in pixels.
+        padding
+            Bytes after each row that are no pixels, at least 0. Without any, packed levels go on in the next row where
+            one ends within a byte.
+        """
+        bits = width * self.stored
+        return (-(-bits // 8) + padding) * height - padding if padding else -(-bits * height // 8)
+
+    def pixels(self, data: NDArray[np.uint8], width: int, height: int, padding: int, channel: str) -> Pixels:
+        """Return a picture's gray levels.
+
+        Parameters
+        ----------
+        data
+            (bytes,) as the camera sent them; they may be shared with what is returned.
+        width, height
+            Columns and rows in pixels.
+        padding
+            Bytes after each row that are no pixels, at least 0.
+        channel
+            What is taken of a colour: "luma", "red", "green" or "blue".
+
+        Raises
+        ------
+        MediaError
+            There are fewer bytes than pixels need, or the format has no such colour.
+        """
+        needed = self.size(width, height, padding)
+        if len(data) < needed:
+            raise MediaError(f"a picture of {width}x{height} pixels in {self.name} has {len(data)} bytes, not {needed}")
+        if not padding:
+            return self._levels(data[:needed], width * height, channel).reshape(height, width)
+        row = -(-width * self.stored // 8)
+        rows = np.ndarray((height, row), np.uint8, data, 0, (row + padding, 1))
+        levels: Any = np.stack([self._levels(np.ascontiguousarray(one), width, channel) for one in rows])
+        return levels
+
+    def _levels(self, data: NDArray[np.uint8], count: int, channel: str) -> Pixels:
+        """Gray levels of so many pixels that follow each other."""
+        if self.colours == "Y":
+            if channel != "luma":
+                raise MediaError(f"of {self.name} the luma is read: leave out --channel, or set pixel_format to RGB8")
+            return np.ascontiguousarray(data[_LUMA[self.name] :: 2][:count])
+        if self.colours:
+            picture = data.reshape(1, count, len(self.colours))[..., :3]
+            return to_gray(picture[..., ::-1] if self.colours.startswith("R") else picture, channel)[0]
+        if not self.packing:
+            return data if self.stored == 8 else data.view("<u2")
+        lacking = -len(data) % _GROUP_BYTES[self.packing, self.bits]
+        whole = np.append(data, np.zeros(lacking, np.uint8)) if lacking else data
+        return _UNPACK[self.packing](whole, self.bits)[:count]
+
+
+_GROUP_BYTES = {("p", 10): 5, ("p", 12): 3, ("Packed", 10): 3, ("Packed", 12): 3}
+"""Bytes of a group of levels, by packing and bits."""
+
+_UNPACK = {"p": unpack_low_first, "Packed": unpack_pairs}
+"""What turns bytes into levels, by packing."""
+
+
+def pixel_format(name: str) -> PixelFormat:
+    """Return the pixel format of a name.
+
+    Parameters
+    ----------
+    name
+        Name as the camera says it, such as "Mono8" or "BayerRG12p".
+
+    Raises
+    ------
+    MediaError
+        It is none that is read.
+    """
+    if gray := _GRAY.fullmatch(name):
+        bits, packing = int(gray[1]), gray[2] or ""
+        if not packing:
+            return PixelFormat(name, bits, 8 if bits == 8 else 16)
+        if (packing, bits) in _GROUP_BYTES:
+            return PixelFormat(name, bits, bits if packing == "p" else 12, packing)
+    if colour := _COLOUR.fullmatch(name):
+        return PixelFormat(name, 8, 8 * len(colour[1]), colours=colour[1])
+    if name in _LUMA:
+        return PixelFormat(name, 8, 16, colours="Y")
+    raise MediaError(f"pixels in {shown(name)} are not read; set pixel_format to one of {READ}")

@@ -1,0 +1,174 @@
+"""`heliograph receive camera:NAME` and `heliograph cameras`, with a camera of one's own that plays a film."""
+
+import json
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runs import Run, called, failed, grown, heliograph, interrupted, lasting, names, succeeded
+
+from heliograph.media import create_film, open_film
+
+pytestmark = pytest.mark.slow
+
+PLAYED = Path(__file__).parents[1] / "helpers" / "played_camera.py"
+Call = Callable[..., Run]
+HIGH = b"brake: red for 12 s"
+
+
+@pytest.fixture
+def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: called("--load", PLAYED, *arguments, capfd=capfd, monkeypatch=monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three packets of a small camera, and a bit."""
+    folder = tmp_path_factory.mktemp("film")
+    (folder / "high").write_bytes(HIGH)
+    succeeded(heliograph("simulate", "a.h5", *lasting(0.32), "--seed", "4", "--high", "high", cwd=folder))
+    heliograph("receive", "a.h5", cwd=folder)  # where its loops are compiled it tells how long it takes
+    return folder / "a.h5"
+
+
+@pytest.fixture(scope="module")
+def vanishing(film: Path) -> Path:
+    """The same, but within the second packet the array is switched off."""
+    path = film.parent / "vanishing.h5"
+    with open_film(film) as source:
+        frames = list(source)
+        with create_film(path, width=source.width, height=source.height, rate_hz=source.rate_hz) as made:
+            random = np.random.default_rng(0)
+            for frame in frames:
+                dark = random.integers(20, 26, frame.pixels.shape).astype(np.uint8)
+                made.write(replace(frame, pixels=dark) if frame.index >= 120 else frame)
+    return path
+
+
+def received(call: Call, film: Path, *options: str | Path) -> Run:
+    return call("receive", f"camera:played:{film}", "--preset", "static", *options)
+
+
+def test_what_a_camera_sees_is_received_as_from_its_film(call: Call, film: Path, tmp_path: Path) -> None:
+    run = received(call, film, "--output", "out")
+    says = succeeded(run)
+    assert says.startswith(f"array 0, high, message 0: {len(HIGH)} bytes, '{HIGH.decode()}'\n")
+    assert "array 0: 3 packets" in says
+    assert "camera: 320 frames, 1000.0 a second by the camera's clock\n" in says
+    assert (tmp_path / "out" / "array-0-high-0.bin").read_bytes() == HIGH
+    succeeded(call("receive", film, "--preset", "static", "--output", "film"))
+    assert (tmp_path / "out" / "packets.jsonl").read_text() == (tmp_path / "film" / "packets.jsonl").read_text()
+
+
+def test_json_has_the_cameras_counts_and_nothing_else_is_said(call: Call, film: Path) -> None:
+    report = json.loads(succeeded(received(call, film, "--json", "--camera", "Lost=40", "--camera", "Broken=150")))
+    camera = report["camera"]
+    assert (camera["frames"], camera["lost"], camera["incomplete"], camera["dropped"]) == (318, 1, 1, 0)
+    assert camera["settings"] == {"gain": "1"}
+    assert report["arrays"][0]["packets"] == 3
+    assert report["frames"] == 318
+
+
+def test_it_goes_on_after_the_cable(call: Call, film: Path) -> None:
+    run = received(call, film, "--camera", "Unplugged=110")
+    assert run.returncode == 0
+    assert "array 0: 4 packets" in run.stdout
+    assert "; 1 times lost and found again" in run.stdout
+    lines = run.stderr.splitlines()
+    assert "is lost after 110 frames (the cable was pulled); try 1 of 6 in 1 s" in lines[0]
+    assert "is back after" in lines[1]
+    assert len(lines) == 2
+
+
+def test_what_was_read_before_the_camera_was_lost_for_good_is_kept(call: Call, film: Path, tmp_path: Path) -> None:
+    asked = ("--camera", "Unplugged=110", "--camera", "reconnect=0")
+    run = received(call, film, *asked, "--output", "out")
+    assert "is lost after 110 frames (the cable was pulled): check cable and power" in failed(run)
+    assert "array 0: 1 packets" in run.stdout
+    assert names(tmp_path / "out") == ["array-0-high-0.bin", "packets.jsonl", "summary.json"]
+
+
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_is_an_end_like_any_other(film: Path, tmp_path: Path, by: signal.Signals) -> None:
+    command = ("--load", PLAYED, "receive", f"camera:played:{film}", "--preset", "static", "--camera", "Times=0",
+               "--camera", "Speed=300", "--output", "out", "--json")  # fmt: skip
+    first = grown(tmp_path, "out/array-0-high-0.bin")
+    run = interrupted(*command, cwd=tmp_path, when=first, by=by)
+    assert run.returncode == 0, run.stderr
+    assert run.stderr == ""
+    report = json.loads(run.stdout)
+    assert report["arrays"][0]["packets"] >= 1
+    assert report["camera"]["frames"] >= report["frames"] >= 100
+    assert names(tmp_path / "out") == ["array-0-high-0.bin", "packets.jsonl", "summary.json"]
+
+
+def test_it_ends_after_its_duration(call: Call, film: Path) -> None:
+    began = time.monotonic()
+    run = received(call, film, "--camera", "Times=0", "--camera", "Speed=200", "--duration", "1", "--json")
+    assert time.monotonic() - began < 30
+    report = json.loads(succeeded(run))
+    assert 1 <= report["frames"] <= 210
+
+
+def test_nothing_is_recorded_where_all_was_read(call: Call, film: Path, tmp_path: Path) -> None:
+    says = succeeded(received(call, film, "--record", "kept.h5", "--record-s", "0.1"))
+    assert "what failed" not in says
+    assert names(tmp_path) == []
+
+
+def test_what_failed_is_recorded_and_can_be_received(call: Call, vanishing: Path, tmp_path: Path) -> None:
+    says = succeeded(received(call, vanishing, "--record", "kept.h5", "--record-s", "0.25"))
+    assert says.splitlines()[-1].endswith("frames of kept.h5")
+    assert names(tmp_path) == ["kept.h5"]
+    with open_film(vanishing) as seen, open_film("kept.h5") as kept:
+        held = list(kept)
+        assert kept.rate_hz == seen.rate_hz
+        assert kept.metadata["camera"] == "Played"
+        assert 130 <= len(held) <= 252
+        levels = {frame.index: frame.pixels for frame in seen}
+        assert all(np.array_equal(frame.pixels, levels[frame.index]) for frame in held)
+        assert held[0].index < 120 < held[-1].index
+    # it notes its signal: the same packet is found in it without any setting
+    assert "array 0: " in call("receive", "kept.h5").stdout
+
+
+@pytest.mark.parametrize(("options", "says"), [
+    (("--record", "kept.mkv"), "is recorded as HDF5, so its name ends in one of"),
+    (("--record", "nowhere/kept.h5"), "name a file in a folder that exists"),
+    (("--camera", "exposure=3"), "unknown setting 'exposure'; did you mean 'exposure_us'"),
+    (("--duration", "0"), "setting 'duration_s': input should be greater than 0"),
+    (("--truth", "a.npz"), "a live camera has no truth"),
+    (("--crop", "0,0,4000,10"), "reaches beyond the frames of camera:played"),
+])  # fmt: skip
+def test_wrong_options(call: Call, film: Path, tmp_path: Path, options: tuple[str, str], says: str) -> None:
+    assert says in failed(received(call, film, *options, "--output", "out"))
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("option", [("--camera", "gain=3"), ("--duration", "3"), ("--record", "kept.h5")])
+def test_options_of_cameras_are_not_for_recordings(call: Call, film: Path, option: tuple[str, str]) -> None:
+    assert "are for a live camera, such as camera:aravis" in failed(call("receive", film, *option))
+
+
+def test_a_cameras_film_can_be_converted(call: Call, film: Path, tmp_path: Path) -> None:
+    succeeded(call("convert", f"camera:played:{film}", "taken.h5", "--crop", "0,0,80,60"))
+    with open_film(tmp_path / "taken.h5") as taken:
+        assert len(list(taken)) == 320
+        assert (taken.width, taken.height) == (80, 60)
+
+
+def test_cameras_are_listed_and_what_is_missing_is_said(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GENICAM_GENTL64_PATH", raising=False)
+    found = json.loads(succeeded(call("cameras", "--json")))
+    assert {"name": "camera:played:FILM", "text": "plays a film"} in found["cameras"]
+    says = succeeded(call("cameras"))
+    assert "camera:played:FILM" in says
+    for kind, why in found["lacking"].items():
+        assert f"camera:{kind}: {why}" in says
+        assert any(cure in why for cure in ("install", "plug one in", "no camera answers")), why
+    assert "genicam" in found["lacking"]

@@ -1,0 +1,94 @@
+"""A camera of one's own: it plays a film as if it were taken now, with faults as they are asked for.
+
+``camera:played:FILM`` takes features that real cameras lack: `Speed` in frames a second (0 for as fast as they are
+taken), `Times` it is played (0 without end), `Lost`, `Lost2` and `Broken` as numbers of frames, `Unplugged` as the number
+before which its cable is pulled, `Back` as tries after which it answers again, `Stamps` and `Numbers` of 0 to have none.
+"""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from heliograph.base.frames import Frame
+from heliograph.media import open_film
+from heliograph.media.live.camera import CameraForm, CameraLostError, Found, Picture, register_camera
+from heliograph.media.live.settings import CameraSettings
+
+STEP_NS = 10_000_000
+"""Time from frame to frame by the camera's clock where the film does not say."""
+
+
+class PlayedCamera:
+    """Plays a film; see `heliograph.media.live.camera.Camera`."""
+
+    opened = 0
+    """Times that any of them was opened."""
+    unplugged = 0
+    """Tries to open it that fail until it answers again."""
+    pulled: int | None = None
+    """Number before which the cable was pulled last."""
+
+    def __init__(self, address: str):
+        self._path = address
+        self._frames: list[Frame] = []
+        self._next = 0
+        self._began_s: float | None = None
+        self.closed = 0
+
+    def open(self, settings: CameraSettings) -> CameraForm:
+        cls = type(self)
+        if cls.unplugged:
+            cls.unplugged -= 1
+            raise CameraLostError("it does not answer")
+        cls.opened += 1
+        with open_film(Path(self._path)) as film:
+            self._frames = list(film)
+            form = CameraForm(film.width, film.height, film.bits, film.rate_hz, "Played", {"gain": "1"}, ())
+        self._asked = {name: float(text) for name, text in settings.features.items()}
+        self._period_ns = round(1e9 / form.rate_hz) if form.rate_hz else STEP_NS
+        return form
+
+    def frames(self, wait_s: float) -> Sequence[Picture] | None:
+        if self._began_s is None:
+            self._began_s = time.monotonic()
+        speed, times = self._asked.get("Speed", 0.0), self._asked.get("Times", 1.0)
+        last = len(self._frames) * int(times) if times else 1 << 60
+        if self._next >= last:
+            return None
+        due = self._next + 8 if not speed else int((time.monotonic() - self._began_s) * speed)
+        if due <= self._next:
+            time.sleep(min(wait_s, 1 / speed))
+            return []
+        pictures: list[Picture] = []
+        for number in range(self._next, min(due, last)):
+            if number == self._asked.get("Unplugged") and type(self).pulled != number:
+                if not pictures:
+                    self._pull(number)
+                return pictures
+            self._next = number + 1
+            if number in (self._asked.get("Lost"), self._asked.get("Lost2")):
+                continue
+            pictures.append(self._picture(number))
+        return pictures
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def _pull(self, number: int) -> None:
+        cls = type(self)
+        cls.pulled, cls.unplugged = number, int(self._asked.get("Back", 0))
+        raise CameraLostError("the cable was pulled")
+
+    def _picture(self, number: int) -> Picture:
+        if number == self._asked.get("Broken"):
+            return Picture(None)
+        stamp = 5_000_000_000 + number * self._period_ns if self._asked.get("Stamps", 1) else None
+        frame = self._frames[number % len(self._frames)]
+        return Picture(frame.pixels, number + 1 if self._asked.get("Numbers", 1) else None, stamp)
+
+
+def find(_settings: CameraSettings) -> list[Found]:
+    return [Found("FILM", "plays a film")]
+
+
+register_camera("played", PlayedCamera, find)

@@ -1,0 +1,304 @@
+"""A live camera as a film: loss, reconnection, bounded waits, its end."""
+
+import itertools
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import played_camera
+import pytest
+from played_camera import PlayedCamera
+
+from heliograph.base.errors import HeliographError, MediaError, SettingsError
+from heliograph.base.frames import Frame
+from heliograph.media import create_film, open_film
+from heliograph.media.live import grabber
+from heliograph.media.live.camera import CameraForm, CameraKind, Picture, register_camera
+from heliograph.media.live.reader import LiveReader, live_of
+from heliograph.media.live.settings import CameraSettings, camera_settings
+
+FRAMES = 60
+
+
+@pytest.fixture(autouse=True)
+def plugged_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(PlayedCamera, "opened", 0)
+    monkeypatch.setattr(PlayedCamera, "unplugged", 0)
+    monkeypatch.setattr(PlayedCamera, "pulled", None)
+    monkeypatch.setattr(grabber, "WAITS_S", (0.02, 0.03))
+    yield
+    assert not [thread for thread in threading.enumerate() if thread.name == "camera"]
+
+
+@pytest.fixture
+def film(tmp_path: Path) -> Path:
+    """A film of which each frame is told by its levels."""
+    path = tmp_path / "a.h5"
+    with create_film(path, width=12, height=8, rate_hz=100) as made:
+        for number in range(FRAMES):
+            made.write(Frame(number, number / 100, np.full((8, 12), number, np.uint8)))
+    return path
+
+
+def live(film: Path, **asked: Any) -> LiveReader:
+    reader = open_film(f"camera:played:{film}", camera=asked)
+    assert isinstance(reader, LiveReader)
+    return reader
+
+
+def told(film: Path, **asked: Any) -> tuple[list[Frame], list[str], LiveReader]:
+    """Frames of the camera, what it said meanwhile, and the reader."""
+    said: list[str] = []
+    with live(film, **asked) as reader:
+        reader.say = said.append
+        return list(reader), said, reader
+
+
+def test_all_frames_come_with_numbers_times_and_form(film: Path) -> None:
+    frames, said, reader = told(film)
+    assert (reader.width, reader.height, reader.bits, reader.rate_hz, reader.frame_count) == (12, 8, 8, 100, None)
+    assert [frame.index for frame in frames] == list(range(FRAMES))
+    assert [frame.time_s for frame in frames] == pytest.approx([k / 100 for k in range(FRAMES)])
+    assert all(np.array_equal(frame.pixels, np.full((8, 12), frame.index)) for frame in frames)
+    assert reader.metadata["camera"] == "Played"
+    assert reader.metadata["camera_gain"] == "1"
+    assert said == []
+    counts = reader.counts
+    assert counts is not None
+    assert (counts.frames, counts.lost, counts.dropped) == (FRAMES, 0, 0)
+    assert counts.rate_hz == pytest.approx(100)
+
+
+def test_lost_and_incomplete_frames_leave_gaps_and_are_counted(film: Path) -> None:
+    frames, _, reader = told(film, Lost=10, Lost2=11, Broken=30)
+    assert [frame.index for frame in frames] == [k for k in range(FRAMES) if k not in (10, 11, 30)]
+    assert all(frame.pixels[0, 0] == frame.index for frame in frames)
+    counts = reader.counts
+    assert counts is not None
+    assert (counts.lost, counts.incomplete, counts.skipped) == (2, 1, 0)
+
+
+def test_without_numbers_the_stamps_tell(film: Path) -> None:
+    frames, _, reader = told(film, Lost=40, Numbers=0)
+    assert [frame.index for frame in frames] == [k for k in range(FRAMES) if k != 40]
+    counts = reader.counts
+    assert counts is not None
+    assert (counts.lost, counts.skipped, counts.host_clock) == (0, 1, False)
+
+
+def test_without_stamps_times_are_the_hosts_and_it_says_so(film: Path) -> None:
+    frames, _, reader = told(film, Stamps=0, Speed=400)
+    assert [frame.index for frame in frames] == list(range(FRAMES))
+    counts = reader.counts
+    assert counts is not None
+    assert counts.host_clock
+
+
+@pytest.mark.parametrize("back", [0, 1])
+def test_a_camera_comes_back_after_its_cable_was_pulled(film: Path, back: int) -> None:
+    frames, said, reader = told(film, Unplugged=25, Back=back)
+    # it begins anew: the film is played from its start
+    assert [int(frame.pixels[0, 0]) for frame in frames] == [*range(25), *range(FRAMES)]
+    pairs = list(itertools.pairwise(frames))
+    assert all(one.index < other.index and one.time_s < other.time_s for one, other in pairs)
+    assert len(said) == 2 + back
+    assert "is lost after 25 frames (the cable was pulled); try 1 of 6 in 0.02 s" in said[0]
+    assert "is back after" in said[-1]
+    counts = reader.counts
+    assert counts is not None
+    assert (counts.reconnections, counts.frames) == (1, 25 + FRAMES)
+
+
+def test_a_camera_that_stays_away_ends_the_film_after_its_frames(film: Path) -> None:
+    said: list[str] = []
+    got: list[Frame] = []
+    with live(film, Unplugged=25, Back=9, reconnect=3) as reader:
+        reader.say = said.append
+        with pytest.raises(MediaError, match=r"is lost after 25 frames \(it does not answer\): check cable and power"):
+            got.extend(reader)
+    assert [frame.index for frame in got] == list(range(25))
+    tries = [line.partition("; ")[2] for line in said]
+    assert tries == ["try 1 of 3 in 0.02 s", "try 2 of 3 in 0.03 s", "try 3 of 3 in 0.03 s"]
+
+
+def test_a_slow_receiver_loses_runs_of_frames_and_is_told(film: Path) -> None:
+    got = []
+    with live(film, Speed=400, Times=4, queue_s=0.2) as reader:
+        for frame in reader:
+            got.append(frame.index)
+            time.sleep(0.01)
+    counts = reader.counts
+    assert counts is not None
+    assert counts.dropped > 0
+    assert len(got) + counts.dropped == counts.frames == 4 * FRAMES
+    assert counts.lost == 0
+
+
+def test_it_ends_after_its_duration(film: Path) -> None:
+    began = time.monotonic()
+    frames, _, _ = told(film, Speed=100, Times=0, duration_s=0.4)
+    assert 0.3 < time.monotonic() - began < 10
+    assert 1 <= len(frames) <= 45
+
+
+def test_it_ends_when_it_is_stopped(film: Path) -> None:
+    with live(film, Speed=100, Times=0) as reader:
+        threading.Timer(0.3, reader.stop).start()
+        began = time.monotonic()
+        assert list(reader)
+        assert time.monotonic() - began < 10
+
+
+def test_it_can_be_left_at_any_frame_and_taken_again(film: Path) -> None:
+    with live(film, Speed=100, Times=0) as reader:
+        for _ in range(2):
+            first = next(iter(reader))
+            assert (first.index, first.time_s) == (0, 0)
+    assert PlayedCamera.opened == 2
+    with pytest.raises(MediaError, match="is closed"):
+        iter(reader)
+
+
+def test_it_is_cropped_and_turned_like_a_film(film: Path) -> None:
+    with open_film(f"camera:played:{film}", crop=(2, 1, 8, 4), rotate=90) as seen:
+        first = next(iter(seen))
+        behind = live_of(seen)
+    assert first.pixels.shape == (8, 4)
+    assert behind is not None
+    assert behind.counts is not None
+
+
+class Odd:
+    """A camera that does what it is told at one point."""
+
+    def __init__(self, address: str):
+        self.closed = 0
+        self._address = address
+
+    def open(self, _settings: CameraSettings) -> CameraForm:
+        if self._address == "unopened":
+            raise RuntimeError("no such\nluck")
+        sizes = {"large": (1 << 15, 1 << 15)}
+        width, height = sizes.get(self._address, (4, 4))
+        return CameraForm(width, height, 8, None if self._address == "rateless" else 50.0)
+
+    def frames(self, wait_s: float) -> list[Picture] | None:
+        if self._address == "broken":
+            raise RuntimeError("a fault\nof its own")
+        if self._address == "empty":
+            return None
+        time.sleep(wait_s)
+        return []
+
+    def close(self) -> None:
+        self.closed += 1
+        if self._address == "clinging":
+            raise RuntimeError("no")
+
+
+register_camera("odd", Odd)
+
+
+@pytest.mark.parametrize(("address", "says"), [
+    ("unopened", "camera:odd:unopened cannot be opened: RuntimeError: no such luck"),
+    ("rateless", "camera:odd:rateless: it does not say its rate; give it by --fps"),
+    ("large", "has frames of 32768x32768 pixels"),
+])  # fmt: skip
+def test_a_camera_that_cannot_be_used(address: str, says: str) -> None:
+    with pytest.raises(MediaError, match=says):
+        open_film(f"camera:odd:{address}")
+
+
+def test_the_rate_may_be_said() -> None:
+    with open_film("camera:odd:rateless", rate_hz=200) as reader:
+        assert reader.rate_hz == 200
+
+
+def test_a_fault_of_the_camera_is_told_in_one_line() -> None:
+    with open_film("camera:odd:broken") as reader, pytest.raises(MediaError) as caught:
+        list(reader)
+    assert str(caught.value) == "camera:odd:broken ended by RuntimeError: a fault of its own"
+
+
+def test_a_camera_that_cannot_be_closed_is_told() -> None:
+    said: list[str] = []
+    with open_film("camera:odd:clinging", camera={"duration_s": 0.1}) as reader:
+        assert isinstance(reader, LiveReader)
+        reader.say = said.append
+        assert list(reader) == []
+    assert said == ["camera:odd:clinging could not be closed: RuntimeError: no"]
+
+
+def test_silence_of_a_camera_that_runs_freely_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grabber, "SILENT_S", 0.2)
+    with open_film("camera:odd:silent") as reader, pytest.raises(MediaError, match="is set, but sends no frames: see"):
+        list(reader)
+
+
+def test_silence_of_a_trigger_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grabber, "SILENT_S", 0.2)
+    said: list[str] = []
+    asked = {"trigger": "Line1", "duration_s": 0.8}
+    with open_film("camera:odd:silent", rate_hz=50, camera=asked) as reader:
+        assert isinstance(reader, LiveReader)
+        reader.say = said.append
+        assert list(reader) == []
+    assert said == ["camera:odd:silent: no pulse of Line1 for 0.2 s; still waiting"]
+
+
+def test_the_rate_of_a_trigger_must_be_said() -> None:
+    with pytest.raises(MediaError, match="its trigger sets its rate; give it by --fps"):
+        open_film("camera:odd:silent", camera={"trigger": "Line1"})
+
+
+@pytest.mark.parametrize(("asked", "says"), [
+    (["exposure=3"], "unknown setting 'exposure'; did you mean 'exposure_us'"),
+    (["exposure_us=-3"], "setting 'exposure_us': input should be greater than 0"),
+    (["exposure_us=soon"], "setting 'exposure_us': input should be a valid number"),
+    (["region=0,0,8"], "setting 'region"),
+    (["region=0,0,8,0"], "region 0,0,8,0 has no pixels"),
+    (["trigger=Software"], "trigger is a line whose pulses start exposures"),
+    (["exposure_us"], "is not an assignment; write key=value"),
+    (["Gain.x=3"], "a camera has no setting 'Gain.x'; its names have no dots"),
+    (["reconnect=-1"], "setting 'reconnect'"),
+    (["queue_s=0"], "setting 'queue_s'"),
+    ("exposure_us=3", "settings of a camera are by name"),
+    ({3: 4}, "a camera's setting is named by text"),
+])  # fmt: skip
+def test_wrong_settings(asked: Any, says: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        camera_settings(asked)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_settings_from_text_and_by_name_are_the_same() -> None:
+    texts = ["exposure_us=500", "region=0,4,128,64", "pixel_format=Mono12p", "trigger=Line1", "BlackLevel=1e1",
+             "Lit=true"]  # fmt: skip
+    by_name = {"exposure_us": 500, "region": (0, 4, 128, 64), "pixel_format": "Mono12p", "trigger": "Line1",
+               "BlackLevel": "1e1", "Lit": True, "gain": None}  # fmt: skip
+    settings = camera_settings(texts)
+    assert settings == camera_settings(by_name)
+    assert settings.region == (0, 4, 128, 64)
+    assert settings.features == {"BlackLevel": "1e1", "Lit": "true"}
+    assert settings.triggered
+    assert not camera_settings(["trigger=off"]).triggered
+
+
+def test_names_of_cameras(film: Path) -> None:
+    for name, says in (
+        ("camera:", "a camera is camera:KIND or camera:KIND:ADDRESS"),
+        ("camera:playd:x", "unknown camera 'playd'; did you mean 'played'?"),
+    ):
+        with pytest.raises(HeliographError) as caught:
+            open_film(name)
+        assert says in str(caught.value)
+    with pytest.raises(MediaError, match="is a recording: only a live camera"):
+        open_film(film, camera={"gain": 3})
+    with pytest.raises(SettingsError, match="is one of the package"):
+        register_camera("aravis", Odd)
+    assert isinstance(played_camera.find(CameraSettings()), list)
+    assert CameraKind(Odd).find is None

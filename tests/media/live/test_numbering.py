@@ -1,0 +1,152 @@
+"""Numbers and times of a live camera's frames: what was lost, by its numbers and by its stamps."""
+
+import itertools
+
+import pytest
+
+from heliograph.media.live.numbering import LARGEST_SHORT, Numbering, Place
+
+MS = 1_000_000
+"""Nanoseconds of a millisecond."""
+
+
+def placed(numbering: Numbering, *frames: tuple[int | None, int | None, int]) -> list[tuple[int, float] | None]:
+    """Places of frames given as their number, and their stamp and arrival in ms."""
+    found: list[Place | None] = [
+        numbering.place(number, None if stamp is None else stamp * MS, host * MS) for number, stamp, host in frames
+    ]
+    return [None if place is None else (place.index, round(place.time_s, 6)) for place in found]
+
+
+def test_numbers_and_stamps_run_on() -> None:
+    numbering = Numbering(100, even=True)
+    frames = [(7 + k, 5000 + 10 * k, 10 * k + k % 3) for k in range(50)]
+    assert placed(numbering, *frames) == [(k, round(0.01 * k, 6)) for k in range(50)]
+    assert (numbering.lost, numbering.skipped, numbering.incomplete, numbering.jumps) == (0, 0, 0, 0)
+    assert numbering.period_s == pytest.approx(0.01)
+    assert not numbering.host_clock
+
+
+def test_frames_lost_on_the_way_leave_gaps() -> None:
+    numbering = Numbering(100, even=True)
+    assert placed(numbering, (1, 0, 0), (2, 10, 10), (5, 40, 40), (6, 50, 50)) == [
+        (0, 0), (1, 0.01), (4, 0.04), (5, 0.05)
+    ]  # fmt: skip
+    assert (numbering.lost, numbering.skipped) == (2, 0)
+
+
+def test_an_incomplete_frame_is_not_lost_besides() -> None:
+    numbering = Numbering(100, even=True)
+    placed(numbering, (1, 0, 0))
+    numbering.broke()
+    assert placed(numbering, (4, 30, 30)) == [(3, 0.03)]
+    assert (numbering.lost, numbering.incomplete, numbering.skipped) == (1, 1, 0)
+
+
+def test_frames_that_were_not_taken_show_in_stamps_alone() -> None:
+    numbering = Numbering(100, even=True)
+    before = [(k + 1, 10 * k, 10 * k) for k in range(20)]
+    assert placed(numbering, *before, (21, 220, 220), (22, 230, 230))[-2:] == [(22, 0.22), (23, 0.23)]
+    assert (numbering.lost, numbering.skipped) == (0, 2)
+
+
+def test_a_late_stamp_is_not_a_lost_frame() -> None:
+    numbering = Numbering(100, even=True)
+    places = placed(numbering, (1, 0, 0), (2, 10, 10), (3, 27, 27), (4, 30, 30))
+    assert [place and place[0] for place in places] == [0, 1, 2, 3]
+    assert numbering.skipped == 0
+
+
+def test_pulses_of_a_trigger_come_when_they_come() -> None:
+    numbering = Numbering(100, even=False)
+    assert placed(numbering, (1, 0, 0), (2, 500, 500), (3, 510, 510)) == [(0, 0), (1, 0.5), (2, 0.51)]
+    assert numbering.skipped == 0
+
+
+def test_numbers_of_16_bits_begin_again_at_1() -> None:
+    numbering = Numbering(100, even=True)
+    frames = [(LARGEST_SHORT - 1, 0, 0), (LARGEST_SHORT, 10, 10), (1, 20, 20), (3, 40, 40)]
+    assert [place and place[0] for place in placed(numbering, *frames)] == [0, 1, 2, 4]
+    assert numbering.lost == 1
+
+
+def test_a_frame_that_comes_twice_is_left_out() -> None:
+    numbering = Numbering(100, even=True)
+    assert placed(numbering, (1, 0, 0), (2, 10, 10), (2, 10, 11), (1, 0, 12), (3, 20, 20)) == [
+        (0, 0), (1, 0.01), None, None, (2, 0.02)
+    ]  # fmt: skip
+
+
+def test_frames_without_numbers_are_numbered_by_their_stamps() -> None:
+    numbering = Numbering(100, even=True)
+    assert placed(numbering, (None, 0, 0), (None, 10, 10), (None, 40, 40)) == [(0, 0), (1, 0.01), (4, 0.04)]
+    assert (numbering.lost, numbering.skipped) == (0, 2)
+
+
+def test_frames_without_stamps_have_the_hosts_time() -> None:
+    numbering = Numbering(100, even=True)
+    assert placed(numbering, (1, None, 0), (2, None, 13), (4, None, 30)) == [(0, 0), (1, 0.013), (3, 0.03)]
+    assert numbering.host_clock
+    assert (numbering.lost, numbering.skipped) == (1, 0)
+
+
+def test_the_frame_period_is_that_of_the_stamps_not_of_the_cameras_word() -> None:
+    numbering = Numbering(1000, even=True)
+    # asked for 1000 frames/s, it takes 487: no frame is missing
+    places = [numbering.place(k, 2_053_000 * k, 2_053_000 * k) for k in range(60)]
+    assert [place and place.index for place in places] == list(range(60))
+    assert numbering.period_s == pytest.approx(0.002053)
+    assert numbering.skipped == 0
+
+
+@pytest.mark.parametrize("to", [0, 3_600_000])
+def test_a_clock_that_is_set_is_followed_by_the_hosts(to: int) -> None:
+    numbering = Numbering(100, even=True)
+    before = [(k + 1, 100_000 + 10 * k, 10 * k) for k in range(20)]
+    after = [(k + 21, to + 10 * k, 200 + 10 * k) for k in range(20)]
+    places = placed(numbering, *before, *after)
+    assert [place and place[0] for place in places] == list(range(40))
+    assert [place and place[1] for place in places] == pytest.approx([0.01 * k for k in range(40)])
+    assert (numbering.jumps, numbering.lost, numbering.skipped) == (1, 0, 0)
+
+
+def test_a_busy_host_is_no_jump_of_the_cameras_clock() -> None:
+    numbering = Numbering(100, even=True)
+    # the frames of three seconds come at once
+    frames = [(k + 1, 10 * k, 10 * k if k < 20 or k > 320 else 3200) for k in range(400)]
+    places = placed(numbering, *frames)
+    assert [place and place[1] for place in places] == pytest.approx([0.01 * k for k in range(400)])
+    assert (numbering.jumps, numbering.skipped) == (0, 0)
+
+
+@pytest.mark.parametrize("ppm", [-200, 200])
+def test_clocks_that_drift_do_not_jump(ppm: int) -> None:
+    numbering = Numbering(1, even=True)
+    for k in range(20_000):
+        numbering.place(k, round(k * 1e9 * (1 + ppm * 1e-6)), k * 10**9)
+    assert (numbering.jumps, numbering.skipped) == (0, 0)
+
+
+def test_a_camera_that_comes_back_goes_on_in_the_hosts_time() -> None:
+    numbering = Numbering(100, even=True)
+    placed(numbering, *[(k + 1, 7000 + 10 * k, 10 * k) for k in range(20)])
+    numbering.restart()
+    places = placed(numbering, *[(k + 1, 50 + 10 * k, 2190 + 10 * k) for k in range(5)])
+    assert [place and place[0] for place in places] == [219, 220, 221, 222, 223]
+    assert [place and place[1] for place in places] == pytest.approx([2.19, 2.2, 2.21, 2.22, 2.23])
+    assert (numbering.lost, numbering.skipped, numbering.jumps) == (0, 0, 0)
+
+
+def test_a_camera_that_counts_anew_is_numbered_by_its_stamps() -> None:
+    numbering = Numbering(100, even=True)
+    frames = [(500 + k, 10 * k, 10 * k) for k in range(5)] + [(k, 50 + 10 * k, 50 + 10 * k) for k in range(5)]
+    indices = [place and place[0] for place in placed(numbering, *frames)]
+    assert indices == list(range(10))
+
+
+def test_times_always_rise() -> None:
+    numbering = Numbering(100, even=True)
+    stamps = [0, 10, 5, 5, 20, 0, 0, 1]
+    places = placed(numbering, *[(k, stamp, k // 3) for k, stamp in enumerate(stamps)])
+    times = [place[1] for place in places if place]
+    assert all(one < other for one, other in itertools.pairwise(times))

@@ -1,0 +1,98 @@
+"""The last seconds of a camera, kept where something failed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
+from heliograph.media import FilmReader, create_film, open_film
+from heliograph.media.live import recorder as room
+from heliograph.media.live.recorder import Recorder
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> FilmReader:
+    """What is recorded: its form counts."""
+    with create_film(tmp_path / "source.h5", width=8, height=4, rate_hz=100, bits=12) as film:
+        film.write(frame(0))
+    return open_film(tmp_path / "source.h5")
+
+
+def frame(number: int) -> Frame:
+    return Frame(number, number / 100, np.full((4, 8), number, np.uint16), 12)
+
+
+def kept(path: Path) -> list[int]:
+    with open_film(path) as film:
+        assert (film.rate_hz, film.bits, film.metadata) == (100, 12, {"note": "x"})
+        got = list(film)
+    assert all(one.pixels[0, 0] == one.index for one in got)
+    return [one.index for one in got]
+
+
+def test_nothing_is_written_where_nothing_failed(tmp_path: Path, source: FilmReader) -> None:
+    recorder = Recorder(tmp_path / "kept.h5", 0.2, source, {"note": "x"})
+    for number in range(100):
+        recorder.saw(frame(number))
+    recorder.close()
+    assert recorder.written == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["source.h5"]
+
+
+@pytest.mark.parametrize("at", [50, 99])
+def test_the_last_seconds_before_a_failure_are_kept(tmp_path: Path, source: FilmReader, at: int) -> None:
+    recorder = Recorder(tmp_path / "kept.h5", 0.2, source, {"note": "x"})
+    for number in range(100):
+        recorder.saw(frame(number))
+        if number == at:
+            recorder.failed()
+    recorder.close()
+    # a frame may pass before the film is begun
+    assert kept(tmp_path / "kept.h5") == list(range(min(at + 1, 99) - 20, min(at + 1, 99) + 1))
+    assert recorder.written == 21
+
+
+def test_failures_soon_after_another_are_in_the_next_film(tmp_path: Path, source: FilmReader) -> None:
+    recorder = Recorder(tmp_path / "kept.h5", 0.2, source, {"note": "x"})
+    for number in range(100):
+        recorder.saw(frame(number))
+        if number in (50, 53, 60):
+            recorder.failed()
+    recorder.close()
+    # the first film ends with frame 51; the next one begins after it
+    assert kept(tmp_path / "kept.h5") == list(range(51, 72))
+
+
+def test_memory_is_bounded(tmp_path: Path, source: FilmReader, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(room, "MOST_KEPT", 30 * 64)
+    recorder = Recorder(tmp_path / "kept.h5", 10, source, {"note": "x"})
+    assert recorder.seconds == pytest.approx(0.3)
+    for number in range(200):
+        recorder.saw(frame(number))
+    recorder.failed()
+    recorder.close()
+    assert len(kept(tmp_path / "kept.h5")) == 30
+
+
+@pytest.mark.parametrize(("name", "says"), [
+    ("kept.mkv", "is recorded as HDF5, so its name ends in one of .h5, .hdf5"),
+    ("nowhere/kept.h5", "name a file in a folder that exists"),
+])  # fmt: skip
+def test_where_it_cannot_be_written(tmp_path: Path, source: FilmReader, name: str, says: str) -> None:
+    with pytest.raises(MediaError, match=says):
+        Recorder(tmp_path / name, 1, source, {})
+
+
+def test_a_film_that_cannot_be_written_is_told_and_leaves_nothing(tmp_path: Path, source: FilmReader) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    recorder = Recorder(folder / "kept.h5", 1, source, {})
+    for number in range(10):
+        recorder.saw(frame(number))
+    recorder.failed()
+    folder.rmdir()
+    with pytest.raises(MediaError, match="does not exist"):
+        recorder.close()
+    assert recorder.written == 0
