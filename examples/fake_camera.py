@@ -6,11 +6,12 @@ Run it in one shell, and receive it in another:
     heliograph receive camera:aravis --receiver soft --set signal.pattern_period_s=0.01 --duration 10
 
 What it serves are frames of `heliograph.simulate`, by the protocol of real cameras: discovery, control, packets by UDP,
-stamps and frame numbers. Its exposures begin at whole multiples of its frame period, as a real camera's clock has it, and
-the light runs on while no frame is taken. It needs libaravis-0.8 (Debian: apt-get install libaravis-0.8-0).
+stamps and frame numbers. Its exposures begin at whole multiples of its frame period, as a real camera's clock has it,
+and the light runs on while no frame is taken. It needs libaravis-0.8 (Debian: apt-get install libaravis-0.8-0).
 """
 
 import argparse
+import contextlib
 import ctypes
 import time
 from typing import Any
@@ -19,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import heliograph
-from heliograph.link.simulate import default_messages
 
 PHASES = 8
 """Times of a pattern at which it is filmed: a frame shows the light as it was within a sixteenth of a pattern."""
@@ -52,7 +52,7 @@ def filmed(period_s: float, packets: int, arguments: argparse.Namespace) -> NDAr
     films = []
     for phase in range(PHASES):
         settings = link(period_s, phase, packets, arguments)
-        frames = heliograph.simulate(settings, default_messages(settings), seed=phase)
+        frames = heliograph.simulate(settings, [{"high": [arguments.text.encode()]}], seed=phase)
         films.append(np.array([frame.pixels for frame, _ in frames]))
     patterns = packets * settings.signal.packet_patterns
     return np.stack([film[:patterns] for film in films], axis=1).reshape(-1, arguments.side, arguments.side)
@@ -96,7 +96,7 @@ def serve(film: NDArray[np.uint8], period_s: float, arguments: argparse.Namespac
         step_ns = 1000 * frame_us.value
         # the library wakes up some ms too late, or too early for a period to be over
         exposed_ns = last_ns = max(time.time_ns() // step_ns * step_ns, last_ns // step_ns * step_ns + step_ns)
-        picture = film[round(exposed_ns * 1e-9 / period_s * PHASES) % len(film)]
+        picture = film[round((exposed_ns * 1e-9 / period_s + arguments.phase) * PHASES) % len(film)]
         room = library.arv_fake_camera_get_payload(inside)
         into = library.arv_buffer_get_data(buffer, None)
         ctypes.memmove(into, picture.ctypes.data, min(room, picture.nbytes))
@@ -107,34 +107,32 @@ def serve(film: NDArray[np.uint8], period_s: float, arguments: argparse.Namespac
     if not camera or not library.arv_gv_fake_camera_is_running(camera):
         raise SystemExit(f"no camera can be served on {arguments.interface}: is another one running there?")
     inside = library.arv_gv_fake_camera_get_fake_camera(camera)
-    for register in (WIDTH, HEIGHT):
-        library.arv_fake_camera_write_register(inside, register, arguments.side)
+    for register, value in ((WIDTH, arguments.side), (HEIGHT, arguments.side), (FRAME_PERIOD, round(1e6 * period_s))):
+        library.arv_fake_camera_write_register(inside, register, value)
     library.g_object_set(camera, b"gvsp-lost-ratio", arguments.lost / 1000, None)
     library.arv_fake_camera_set_fill_pattern(inside, fill, None)
     print(f"serving camera:aravis:Aravis-Fake-{arguments.serial}", flush=True)
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         time.sleep(arguments.seconds)
-    except KeyboardInterrupt:
-        pass
     library.g_object_unref(camera)
     return served
 
 
 def main() -> None:
+    """Simulate the light, then serve it."""
     parser = argparse.ArgumentParser(description="Serve a simulated light by Aravis' fake GigE Vision camera.")
     parser.add_argument("--rate", type=float, default=100.0, help="patterns a second that the light shows")
     parser.add_argument("--distance", type=float, default=20.0, help="distance of the array in m")
     parser.add_argument("--side", type=int, default=128, help="pixels along a side of the frames")
     parser.add_argument("--data-pairs", type=int, default=48, help="pairs of data in a packet")
+    parser.add_argument("--text", default="Red for 12 s.", help="message of the high layer")
     parser.add_argument("--packets", type=int, default=4, help="packets that are filmed, and then shown again")
     parser.add_argument("--interface", default="127.0.0.1", help="address at which the camera listens")
     parser.add_argument("--serial", default="GV01", help="serial number of the camera")
     parser.add_argument("--lost", type=int, default=0, help="packets of UDP that are lost, of a thousand")
     parser.add_argument("--seconds", type=float, default=3600.0, help="how long it serves")
-    parser.add_argument("--few", action="store_true", help="one packet, served for a second")
+    parser.add_argument("--phase", type=float, default=0.0, help="patterns by which the camera is out of step")
     arguments = parser.parse_args()
-    if arguments.few:
-        arguments.packets, arguments.seconds = 1, 1.0
     period_s = 1 / arguments.rate
     film = filmed(period_s, arguments.packets, arguments)
     print(f"{len(film)} frames of {arguments.side}x{arguments.side} pixels simulated", flush=True)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings, load_settings
     from heliograph.link.simulate import simulate
     from heliograph.media import convert_film, create_film, open_film, open_slots
+    from heliograph.media.live.camera import register_camera
     from heliograph.receive import (
         Packet,
         Receiver,
@@ -56,6 +57,7 @@ _HOMES = {
     "plot_rates": "sweeps.plot",
     "receive_frames": "receive",
     "register_background": "channel.parts",
+    "register_camera": "media.live.camera",
     "register_code": "signal.code",
     "register_motion": "channel.parts",
     "register_point_spread": "channel.parts",
@@ -88,6 +90,7 @@ __all__ = [
     "plot_rates",
     "receive_frames",
     "register_background",
+    "register_camera",
     "register_code",
     "register_motion",
     "register_point_spread",

@@ -78,7 +78,7 @@ def test_it_goes_on_after_the_cable(call: Call, film: Path) -> None:
     run = received(call, film, "--camera", "Unplugged=110")
     assert run.returncode == 0
     assert "array 0: 4 packets" in run.stdout
-    assert "; 1 times lost and found again" in run.stdout
+    assert "; reconnected: 1\n" in run.stdout
     lines = run.stderr.splitlines()
     assert "is lost after 110 frames (the cable was pulled); try 1 of 6 in 1 s" in lines[0]
     assert "is back after" in lines[1]

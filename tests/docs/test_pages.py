@@ -1,10 +1,13 @@
 import re
 import runpy
+from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 from benchmarks.constants import constants, page
+
+from heliograph.media.live.settings import CameraSettings
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -18,6 +21,12 @@ TERMS = [row for row in ROW.findall((DOCS / "glossary.md").read_text()) if row[0
 def test_settings_page_is_what_the_code_says() -> None:
     made = runpy.run_path(str(ROOT / "scripts" / "make_settings.py"))["page"]()
     assert (DOCS / "settings.md").read_text() == made, "run make settings"
+
+
+def test_the_page_on_cameras_has_each_setting() -> None:
+    named = set(re.findall(r"^\| `(\w+)` \|", (DOCS / "cameras.md").read_text(), re.MULTILINE))
+    # those have options of their own, or names of the camera's
+    assert named == {field.name for field in fields(CameraSettings)} - {"duration_s", "channel", "features"}
 
 
 def test_glossary_has_its_terms() -> None:

@@ -1,8 +1,9 @@
 """A camera of one's own: it plays a film as if it were taken now, with faults as they are asked for.
 
 ``camera:played:FILM`` takes features that real cameras lack: `Speed` in frames a second (0 for as fast as they are
-taken), `Times` it is played (0 without end), `Lost`, `Lost2` and `Broken` as numbers of frames, `Unplugged` as the number
-before which its cable is pulled, `Back` as tries after which it answers again, `Stamps` and `Numbers` of 0 to have none.
+taken), `Times` it is played (0 without end), `Lost`, `Lost2` and `Broken` as numbers of frames, `Unplugged` as the
+number before which its cable is pulled, `Back` as tries after which it answers again, `Stamps` and `Numbers` of 0 to
+have none.
 """
 
 import time

@@ -135,7 +135,7 @@ class Watch:
 def watched(
     source: "FilmReader", options: LiveOptions, light: "SignalSettings", receiver: "ReceiveSettings", aloud: bool
 ) -> Iterator[Watch]:
-    """Look after a film that is received: Ctrl-C ends a live camera's as if that were its end; a second one breaks off."""
+    """Look after a film that is received: Ctrl-C ends a live camera's like its end; a second one breaks off."""
     from heliograph.link.notes import signal_note
     from heliograph.link.warm_up import warm_up
     from heliograph.media.live.reader import live_of
@@ -183,15 +183,16 @@ def _counted(counts: "CameraCounts") -> str:
     clock = "the host's clock, as the camera has no stamps" if counts.host_clock else "the camera's clock"
     parts = [f"camera: {counts.frames} frames, {counts.rate_hz:.1f} a second by {clock}"]
     for number, text in (
-        (counts.lost, "lost on the way"),
-        (counts.incomplete, "incomplete and left out"),
-        (counts.skipped, "not taken, by gaps in its stamps"),
-        (counts.dropped, "dropped before the receiver, which was busy"),
-        (counts.jumps, "jumps of its clock"),
-        (counts.reconnections, "times lost and found again"),
+        (counts.lost, "{} lost on the way"),
+        (counts.incomplete, "{} incomplete and left out"),
+        (counts.skipped, "{} not taken, by gaps in its stamps"),
+        (counts.dropped, "{} dropped before the receiver, which was busy"),
+        (counts.waiting, "{} still waiting for it at the end"),
+        (counts.jumps, "its clock jumped: {}"),
+        (counts.reconnections, "reconnected: {}"),
     ):
         if number:
-            parts.append(f"{number} {text}")
+            parts.append(text.format(number))
     return "; ".join(parts)
 
 

@@ -146,7 +146,9 @@ def transmit(
 
 @app.command()
 def receive(
-    films: Annotated[list[Path], typer.Argument(metavar="FILM...", help=f"{READ} Or a live camera, camera:KIND:ADDRESS.")],
+    films: Annotated[
+        list[Path], typer.Argument(metavar="FILM...", help=f"{READ} Or a live camera, camera:KIND:ADDRESS.")
+    ],
     receiver: Annotated[
         str | None,
         typer.Option(

@@ -62,7 +62,6 @@ def run_receive(
     reception = Reception(known)
     # its images are small: a second thread would only wait, and take a core
     cv2.setNumThreads(1)
-    began = time.perf_counter()
     with open_film(film, **seen.keywords(), **live.keywords(film)) as source:
         signal, departure = signal_of(source, base.signal, signal_changes)
         if known is not None:
@@ -75,6 +74,7 @@ def run_receive(
             News(told) as news,
             watched(source, live, signal, settings.receive, aloud) as watch,
         ):
+            began = time.perf_counter()
             with console.progress("receiving", watch.frame_count) as advance:
                 ending = read_film(watch, signal, settings, reception, (folder, news), advance)
             report = {**reception.report(time.perf_counter() - began), "reading_seconds": source.read_s}

@@ -1,5 +1,6 @@
 """GigE Vision and USB3 Vision cameras through Aravis."""
 
+import contextlib
 import ctypes
 from collections.abc import Sequence
 from ctypes import byref, c_int, c_size_t
@@ -7,7 +8,15 @@ from ctypes import byref, c_int, c_size_t
 import numpy as np
 
 from heliograph.base.errors import MediaError
-from heliograph.media.live.aravis_calls import ABORTED, AUTO_OFF, CHECKED, COMPLETE, AravisCalls, aravis
+from heliograph.media.live.aravis_calls import (
+    ABORTED,
+    AUTO_OFF,
+    CHECKED,
+    COMPLETE,
+    CONTINUOUS,
+    AravisCalls,
+    aravis,
+)
 from heliograph.media.live.asked import Asked
 from heliograph.media.live.camera import CameraForm, CameraKind, CameraLostError, Found, Picture
 from heliograph.media.live.pixel_formats import PixelFormat, pixel_format
@@ -31,7 +40,7 @@ LOOPBACK = "127."
 
 
 class AravisCamera:
-    """A camera of GigE Vision or USB3 Vision; see `camera.Camera`.
+    """A camera of GigE Vision or USB3 Vision; see `Camera`.
 
     Parameters
     ----------
@@ -49,50 +58,30 @@ class AravisCamera:
         self._channel = "luma"
 
     def open(self, settings: CameraSettings) -> CameraForm:
-        """Connect and set the camera; see `camera.Camera`."""
+        """Connect and set the camera; see `Camera`.
+
+        Raises
+        ------
+        MediaError
+            The library is not installed, finds no such camera, or its pixels are not read.
+        """
         calls = self._calls = aravis()
         try:
             self._camera = calls.camera_new(self._reached(calls).encode() or None)
         except MediaError as error:
-            who = f"'{self._address}'" if self._address else "at all"
+            who = f"camera '{self._address}'" if self._address else "camera"
             raise MediaError(
-                f"no camera {who} is found by Aravis ({error}); 'heliograph cameras' lists what is there"
+                f"no {who} is found by Aravis ({error}); 'heliograph cameras' lists what is there"
             ) from None
         calls.camera_set_range_check_policy(self._camera, CHECKED)
+        if calls.camera_is_feature_available(self._camera, b"AcquisitionMode"):
+            calls.camera_set_acquisition_mode(self._camera, CONTINUOUS)
         asked = Asked()
         self._set(settings, asked)
-        x, y, self._width, self._height = self._region()
-        name = self._text("camera_get_pixel_format_as_string")
-        self._format, self._channel = self._read_format(name), settings.channel
-        asked.got("pixel_format", settings.pixel_format, name)
-        asked.got("region", settings.region, (x, y, self._width, self._height))
-        rate_hz = None
-        if calls.camera_is_frame_rate_available(self._camera):
-            rate_hz = calls.camera_get_frame_rate(self._camera)
-            asked.got("rate_hz", settings.rate_hz, rate_hz)
-        if calls.camera_is_exposure_time_available(self._camera):
-            asked.got("exposure_us", settings.exposure_us, calls.camera_get_exposure_time(self._camera))
-        if calls.camera_is_gain_available(self._camera):
-            asked.got("gain", settings.gain, calls.camera_get_gain(self._camera))
-        self._read_trigger(settings, asked)
-        for key, value in settings.features.items():
-            asked.got(key, value, self._feature(key))
-        frame = max(1, calls.camera_get_payload(self._camera))
-        most = max(FEWEST_BUFFERS, min(MOST_BUFFERS, HELD_BYTES // frame))
-        self._buffers = min(most, max(FEWEST_BUFFERS, round(HELD_S * (rate_hz or MOST_BUFFERS))))
-        model = f"{self._text('camera_get_vendor_name')} {self._text('camera_get_model_name')}"
-        return CameraForm(
-            self._width,
-            self._height,
-            self._format.bits,
-            rate_hz or None,
-            model,
-            asked.settings,
-            tuple(asked.departures),
-        )
+        return self._form(settings, asked)
 
     def frames(self, wait_s: float) -> Sequence[Picture]:
-        """Return the pictures that came; see `camera.Camera`."""
+        """Return the pictures that came; see `Camera`."""
         calls = self._opened
         if self._stream is None:
             self._start()
@@ -111,15 +100,13 @@ class AravisCamera:
         return pictures
 
     def close(self) -> None:
-        """Stop the camera and let go of it; see `camera.Camera`."""
+        """Stop the camera and let go of it; see `Camera`."""
         calls = self._calls
         if calls is None:
             return
         if self._stream is not None:
-            try:
+            with contextlib.suppress(MediaError):  # it may not answer any more
                 calls.camera_stop_acquisition(self._camera)
-            except MediaError:
-                pass  # it does not answer any more
             calls.g_object_unref(self._stream)
         if self._camera is not None:
             calls.g_object_unref(self._camera)
@@ -179,6 +166,39 @@ class AravisCamera:
         for key, value in settings.features.items():
             with asked.setting(key, value):
                 calls.device_set_features_from_string(calls.camera_get_device(camera), f"{key}={value}".encode())
+
+    def _form(self, settings: CameraSettings, asked: Asked) -> CameraForm:
+        """Read back what the camera made of it."""
+        calls = self._opened
+        x, y, self._width, self._height = self._region()
+        name = self._text("camera_get_pixel_format_as_string")
+        self._format, self._channel = self._read_format(name), settings.channel
+        asked.got("pixel_format", settings.pixel_format, name)
+        asked.got("region", settings.region, (x, y, self._width, self._height))
+        rate_hz = 0.0
+        if calls.camera_is_frame_rate_available(self._camera):
+            rate_hz = calls.camera_get_frame_rate(self._camera)
+            asked.got("rate_hz", settings.rate_hz, rate_hz)
+        if calls.camera_is_exposure_time_available(self._camera):
+            asked.got("exposure_us", settings.exposure_us, calls.camera_get_exposure_time(self._camera))
+        if calls.camera_is_gain_available(self._camera):
+            asked.got("gain", settings.gain, calls.camera_get_gain(self._camera))
+        self._read_trigger(settings, asked)
+        for key, value in settings.features.items():
+            asked.got(key, value, self._feature(key))
+        frame = max(1, calls.camera_get_payload(self._camera))
+        most = max(FEWEST_BUFFERS, min(MOST_BUFFERS, HELD_BYTES // frame))
+        self._buffers = min(most, max(FEWEST_BUFFERS, round(HELD_S * (rate_hz or MOST_BUFFERS))))
+        model = f"{self._text('camera_get_vendor_name')} {self._text('camera_get_model_name')}"
+        return CameraForm(
+            self._width,
+            self._height,
+            self._format.bits,
+            rate_hz or None,
+            model,
+            asked.settings,
+            tuple(asked.departures),
+        )
 
     def _region(self) -> tuple[int, int, int, int]:
         places = [c_int() for _ in range(4)]
@@ -258,6 +278,11 @@ class AravisCamera:
 
 def find(_settings: CameraSettings) -> list[Found]:
     """List the cameras that Aravis finds.
+
+    Parameters
+    ----------
+    _settings
+        Settings of a camera; they are not looked at.
 
     Raises
     ------

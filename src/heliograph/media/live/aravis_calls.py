@@ -20,6 +20,9 @@ ABORTED = 7
 CHECKED = 1
 """Policy by which values beyond a feature's bounds are an error (ARV_RANGE_CHECK_POLICY_ENABLE)."""
 
+CONTINUOUS = 0
+"""The camera goes on until it is stopped (ARV_ACQUISITION_MODE_CONTINUOUS)."""
+
 AUTO_OFF = 0
 """A feature is not set by the camera itself (ARV_AUTO_OFF)."""
 
@@ -63,6 +66,7 @@ _FAILING: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_camera_is_gain_available": (c_int, (c_void_p,)),
     "arv_camera_is_gain_auto_available": (c_int, (c_void_p,)),
     "arv_camera_is_frame_rate_available": (c_int, (c_void_p,)),
+    "arv_camera_set_acquisition_mode": (None, (c_void_p, c_int)),
     "arv_camera_set_pixel_format_from_string": (None, (c_void_p, c_char_p)),
     "arv_camera_get_pixel_format_as_string": (c_char_p, (c_void_p,)),
     "arv_camera_dup_available_pixel_formats_as_strings": (c_void_p, (c_void_p, POINTER(c_uint))),

@@ -181,10 +181,12 @@ def camera_kind(name: str) -> tuple[CameraKind, str]:
     Parameters
     ----------
     name
-        ``camera:KIND`` or ``camera:KIND:ADDRESS``.
+        The camera's name, ``camera:KIND`` or ``camera:KIND:ADDRESS``.
 
     Raises
     ------
+    MediaError
+        It names no kind.
     SettingsError
         There is no kind of that name.
     """

@@ -35,7 +35,7 @@ AUTOMATIC = {"exposure_us": "ExposureAuto", "gain": "GainAuto"}
 
 
 class GenicamCamera:
-    """A camera behind a GenICam producer; see `camera.Camera`.
+    """A camera behind a GenICam producer; see `Camera`.
 
     Parameters
     ----------
@@ -53,7 +53,13 @@ class GenicamCamera:
         self._ticks_hz: float | None = None
 
     def open(self, settings: CameraSettings) -> CameraForm:
-        """Connect and set the camera; see `camera.Camera`."""
+        """Connect and set the camera; see `Camera`.
+
+        Raises
+        ------
+        MediaError
+            The package harvesters or a producer is missing, or no producer has such a camera.
+        """
         self._harvester = _harvester(settings)
         found = self._harvester.device_info_list
         info = next((one for one in found if self._address in ("", one.id_, _said(one, "serial_number"))), None)
@@ -72,7 +78,7 @@ class GenicamCamera:
         return self._form(settings, asked, f"{_said(info, 'vendor')} {_said(info, 'model')}")
 
     def frames(self, wait_s: float) -> Sequence[Picture]:
-        """Return the pictures that came; see `camera.Camera`."""
+        """Return the pictures that came; see `Camera`."""
         try:
             if not self._acquirer.is_acquiring():
                 self._acquirer.start()
@@ -89,7 +95,7 @@ class GenicamCamera:
         return pictures
 
     def close(self) -> None:
-        """Stop the camera and let go of it; see `camera.Camera`."""
+        """Stop the camera and let go of it; see `Camera`."""
         acquirer, harvester, self._acquirer, self._harvester = self._acquirer, self._harvester, None, None
         for end in (acquirer and acquirer.stop, acquirer and acquirer.destroy, harvester and harvester.reset):
             try:
@@ -103,6 +109,8 @@ class GenicamCamera:
         self._broken += 1
 
     def _set(self, settings: CameraSettings, asked: Asked) -> None:
+        if self._node("AcquisitionMode") is not None and self._read("AcquisitionMode") != "Continuous":
+            self._write("AcquisitionMode", "Continuous")
         if settings.pixel_format is not None:
             with asked.setting("pixel_format", settings.pixel_format, self._formats):
                 self._write("PixelFormat", settings.pixel_format)
@@ -239,7 +247,7 @@ def _counter(camera: GenicamCamera) -> Any:
     from harvesters.core import Callback
 
     class Broke(Callback):  # type: ignore[misc]  # harvesters has no types
-        def emit(self, context: object = None) -> None:
+        def emit(self, context: object = None) -> None:  # noqa: ARG002 - harvesters names it
             camera.broke()
 
     return Broke()

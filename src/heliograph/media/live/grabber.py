@@ -44,6 +44,8 @@ class CameraCounts:
         Frame periods for which the camera has no frame, by its stamps.
     dropped
         Frames that came whole and found no place before the receiver.
+    waiting
+        Frames that came whole and still wait for the receiver; they are left out where it is stopped.
     jumps
         Times the camera's clock was set or began anew.
     reconnections
@@ -59,6 +61,7 @@ class CameraCounts:
     incomplete: int
     skipped: int
     dropped: int
+    waiting: int
     jumps: int
     reconnections: int
     host_clock: bool
@@ -132,9 +135,17 @@ class Grabber:
         """What became of the frames so far."""
         kept = self._numbering
         return CameraCounts(
-            self._frames, kept.lost, kept.incomplete, kept.skipped, self._queue.dropped, kept.jumps,
-            self._reconnections, kept.host_clock, 1 / kept.period_s,
-        )  # fmt: skip
+            frames=self._frames,
+            lost=kept.lost,
+            incomplete=kept.incomplete,
+            skipped=kept.skipped,
+            dropped=self._queue.dropped,
+            waiting=len(self._queue),
+            jumps=kept.jumps,
+            reconnections=self._reconnections,
+            host_clock=kept.host_clock,
+            rate_hz=1 / kept.period_s,
+        )
 
     def _work(self) -> None:
         try:

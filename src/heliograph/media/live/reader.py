@@ -31,7 +31,7 @@ class LiveReader(FilmReader):
     Parameters
     ----------
     name
-        ``camera:KIND`` or ``camera:KIND:ADDRESS``.
+        The camera's name, ``camera:KIND`` or ``camera:KIND:ADDRESS``.
     reading
         Its rate is that of the camera's exposures where the camera does not know it; times are not changed by it.
     settings

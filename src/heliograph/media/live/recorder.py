@@ -26,7 +26,7 @@ class Recorder:
     Parameters
     ----------
     path
-        HDF5 film to write.
+        Name of the HDF5 film to write.
     seconds
         Time that is kept, above 0.
     source
@@ -37,7 +37,7 @@ class Recorder:
     Attributes
     ----------
     path
-        The film's name.
+        Name of that film.
     seconds
         Time that is kept: less than was asked for where the frames would take more than `MOST_KEPT` bytes.
     written

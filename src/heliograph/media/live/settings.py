@@ -53,7 +53,8 @@ class CameraSettings:
     duration_s
         Time in s after which the film ends, above 0; left out, it ends when it is stopped.
     queue_s
-        Time in s for which frames wait for the receiver at most, 0.01 to 60. Frames that find no place are dropped.
+        Time in s for which frames wait for the receiver at most, 0.01 to 60, within half a GB. Frames that find no
+        place are dropped. Until an array is found a frame takes several times as long as later.
     reconnect
         Tries to reach a camera that was lost, 0 to 100.
     channel
@@ -70,7 +71,7 @@ class CameraSettings:
     trigger: Text | None = None
     producer: Text | None = None
     duration_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
-    queue_s: Annotated[float, Field(ge=0.01, le=60)] = 2.0
+    queue_s: Annotated[float, Field(ge=0.01, le=60)] = 5.0
     reconnect: Annotated[int, Field(ge=0, le=100)] = 6
     channel: Literal["luma", "red", "green", "blue"] = "luma"
     features: Mapping[str, str] = Field(default_factory=dict)

@@ -39,7 +39,7 @@ CONTROLS = {"exposure_us": "auto_exposure=1,exposure_time_absolute", "gain": "ga
 
 
 class Webcam:
-    """A webcam; see `camera.Camera`. It stamps its pictures by the system's clock, and does not number them.
+    """A webcam; see `Camera`. It stamps its pictures by the system's clock, and does not number them.
 
     Parameters
     ----------
@@ -59,7 +59,13 @@ class Webcam:
         self._thread: threading.Thread | None = None
 
     def open(self, settings: CameraSettings) -> CameraForm:
-        """Connect and set the camera; see `camera.Camera`."""
+        """Connect and set the camera; see `Camera`.
+
+        Raises
+        ------
+        MediaError
+            There is no such device, or it may not be read.
+        """
         import av
 
         self._channel = settings.channel
@@ -88,7 +94,7 @@ class Webcam:
         )  # fmt: skip
 
     def frames(self, wait_s: float) -> Sequence[Picture] | None:
-        """Return the pictures that came; see `camera.Camera`."""
+        """Return the pictures that came; see `Camera`."""
         if self._thread is None:
             self._thread = threading.Thread(target=self._read, name="webcam", daemon=True)
             self._thread.start()
@@ -108,7 +114,7 @@ class Webcam:
         return None
 
     def close(self) -> None:
-        """Stop the camera and let go of it; see `camera.Camera`."""
+        """Stop the camera and let go of it; see `Camera`."""
         self._closing.set()
         if self._thread is not None:
             with contextlib.suppress(queue.Empty):
@@ -178,6 +184,11 @@ class Webcam:
 
 def find(_settings: CameraSettings) -> list[Found]:
     """List the video devices of Linux.
+
+    Parameters
+    ----------
+    _settings
+        Settings of a camera; they are not looked at.
 
     Raises
     ------

@@ -1,0 +1,99 @@
+"""Sustained live reception: `python -m benchmarks.live [RATE ...] [--receiver soft] [--seconds 20] [--queue-s 5]`.
+
+For each rate a process of its own films a simulated light of so many patterns a second, and serves its frames by
+Aravis' fake GigE Vision camera on loopback (`examples/fake_camera.py`); this process receives them live. A line tells
+how many frames a second the camera gave, how many were lost on the way, left out by the camera or dropped before the
+receiver, and how many packets that were seen whole were read. Processor time is that of this process: the library's
+thread, that of the camera, and the receiver. Beside it stands the time for the same frames without a camera, from
+memory. It needs libaravis-0.8.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
+from heliograph.link.warm_up import warm_up
+from heliograph.media import open_film
+from heliograph.media.live.aravis_calls import aravis
+from heliograph.media.live.reader import LiveReader
+from heliograph.receive import Packet, ReceiveSettings, make_receiver
+from heliograph.signal.settings import SignalSettings
+
+SERVER = Path(__file__).parents[1] / "examples" / "fake_camera.py"
+SIDE = 128
+HEAD = (
+    f"{'asked':>6} {'served':>7} {'frames':>7} {'lost':>5} {'skipped':>8} {'dropped':>8} {'whole packets read':>19} "
+    f"{'ms a frame':>11} {'from memory':>12}"
+)
+
+
+def received(frames: Iterable[Frame], signal: SignalSettings, settings: ReceiveSettings) -> list[Packet]:
+    receiver = make_receiver(signal, settings)
+    packets = [packet for frame in frames for packet in receiver.push(frame)]
+    return [*packets, *receiver.finish()]
+
+
+def measured(rate: float, seconds: float, queue_s: float, settings: ReceiveSettings) -> str:
+    signal = SignalSettings(pattern_period_s=1 / rate)
+    warm_up(signal, settings, 8)
+    asked = {"rate_hz": rate, "region": f"0,0,{SIDE},{SIDE}", "duration_s": seconds, "queue_s": queue_s}
+    kept: list[Frame] = []
+    with open_film("camera:aravis:127.0.0.1", camera=asked) as film:
+        assert isinstance(film, LiveReader)
+        begun = time.process_time()
+        packets = received(_kept(film, kept), signal, settings)
+        live_s = time.process_time() - begun
+        counts = film.counts
+    assert counts is not None
+    begun = time.process_time()
+    received(kept, signal, settings)
+    memory_s = time.process_time() - begun
+    whole = [packet for packet in packets if packet.pairs_seen == 1]
+    read = sum(packet.status == "ok" for packet in whole)
+    return (
+        f"{rate:6g} {counts.frames / seconds:7.1f} {len(kept):7d} {counts.lost + counts.incomplete:5d} "
+        f"{counts.skipped:8d} {counts.dropped:8d} {f'{read}/{len(whole)}':>19} {1e3 * live_s / len(kept):11.2f} "
+        f"{1e3 * memory_s / len(kept):12.2f}"
+    )
+
+
+def _kept(film: Iterable[Frame], kept: list[Frame]) -> Iterable[Frame]:
+    for frame in film:
+        kept.append(frame)
+        yield frame
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Live reception from a fake GigE Vision camera.")
+    parser.add_argument("rates", nargs="*", type=float, default=[50.0, 100.0, 200.0, 300.0])
+    parser.add_argument("--receiver", default="soft")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--queue-s", type=float, default=5.0, help="seconds of frames that may wait")
+    parser.add_argument("--lost", type=int, default=0, help="packets of UDP that are lost, of a thousand")
+    arguments = parser.parse_args()
+    try:
+        aravis()
+    except MediaError as error:
+        print(f"not run: {error}")
+        return
+    print(f"load of the last minute {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    print(HEAD)
+    for rate in arguments.rates:
+        command = [sys.executable, str(SERVER), "--rate", str(rate), "--side", str(SIDE), "--lost", str(arguments.lost)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+            assert server.stdout is not None
+            while "serving" not in (line := server.stdout.readline()):
+                assert line, "the camera could not be served"
+            settings = ReceiveSettings(receiver=arguments.receiver)
+            print(measured(rate, arguments.seconds, arguments.queue_s, settings), flush=True)
+            server.kill()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,205 @@
+"""A simulated light, served by Aravis' fake GigE Vision camera, received live: a real protocol from end to end."""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runs import Run, failed, heliograph, succeeded
+
+from heliograph.base.errors import HeliographError, MediaError
+from heliograph.media import open_film
+from heliograph.media.live import grabber
+from heliograph.media.live.aravis_calls import aravis
+from heliograph.media.live.reader import LiveReader
+
+pytestmark = pytest.mark.slow
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "fake_camera.py"
+NAME = "camera:aravis:Aravis-Fake-GV01"
+RATE, PAIRS, SIDE = 50, 12, 128
+"""Frames and patterns a second, pairs of data in a packet, pixels a side: 28 patterns a packet."""
+PACKET_S = 2 * (2 + PAIRS) / RATE
+TEXT = "Red for 12 s."
+SIGNAL = ("--receiver", "soft", "--set", f"signal.pattern_period_s={1 / RATE}", "--set", f"signal.data_pairs={PAIRS}")
+CAMERA: dict[str, object] = {"rate_hz": RATE, "region": f"0,0,{SIDE},{SIDE}", "exposure_us": 20000, "queue_s": 60}
+
+
+Served = subprocess.Popen[str]
+
+
+@contextmanager
+def served(*options: str) -> Iterator[Served]:
+    """The camera in a process of its own, once it answers."""
+    try:
+        aravis()
+    except MediaError as error:
+        pytest.skip(str(error))
+    command = [sys.executable, str(EXAMPLE), "--rate", str(RATE), "--data-pairs", str(PAIRS), "--side", str(SIDE),
+               "--packets", "2", "--text", TEXT, *options]  # fmt: skip
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        try:
+            assert process.stdout is not None
+            said = ""
+            while "serving" not in said:
+                line = process.stdout.readline()
+                assert line, f"the camera could not be served: {said}"
+                said += line
+            yield process
+        finally:
+            process.send_signal(signal.SIGCONT)
+            process.kill()
+
+
+@pytest.fixture(scope="class")
+def camera(request: pytest.FixtureRequest) -> Iterator[Served]:
+    """The camera of a class of tests, which says how it is served: one at a time can listen there."""
+    with served(*getattr(request.cls, "served", ())) as process:
+        yield process
+
+
+def received(folder: Path, seconds: float, *options: str) -> Run:
+    asked = [word for key, value in CAMERA.items() for word in ("--camera", f"{key}={value}")]
+    return heliograph("receive", NAME, *SIGNAL, *asked, "--duration", str(seconds), *options, cwd=folder)
+
+
+def opened(**asked: object) -> LiveReader:
+    film = open_film(NAME, camera=CAMERA | asked)
+    assert isinstance(film, LiveReader)
+    return film
+
+
+@pytest.mark.usefixtures("camera")
+class TestLive:
+    def test_it_is_listed_by_the_name_it_is_received_by(self, tmp_path: Path) -> None:
+        found = json.loads(succeeded(heliograph("cameras", "--json", cwd=tmp_path)))
+        assert {"name": NAME, "text": "Aravis Fake, GigEVision, 127.0.0.1"} in found["cameras"]
+
+    def test_the_light_is_tracked_and_decoded(self, tmp_path: Path) -> None:
+        seconds = 6
+        says = succeeded(received(tmp_path, seconds, "--output", "out"))
+        assert f"array 0, high, message 0: {len(TEXT)} bytes, '{TEXT}'\n" in says
+        assert (tmp_path / "out" / "array-0-high-0.bin").read_bytes() == TEXT.encode()
+        packets = [json.loads(line) for line in (tmp_path / "out" / "packets.jsonl").read_text().splitlines()]
+        report = json.loads((tmp_path / "out" / "summary.json").read_text())
+        counts = report["camera"]
+        assert (counts["model"], counts["host_clock"], counts["dropped"]) == ("Aravis Fake", False, 0)
+        # the camera misses frames of its own where this machine is busy
+        assert report["frames"] == counts["frames"] > 0.5 * seconds * RATE
+        whole = [packet for packet in packets if packet["pairs_seen"] == 1]
+        missed = counts["skipped"] + counts["lost"] + counts["incomplete"]
+        assert len(whole) >= max(1, counts["frames"] / RATE / PACKET_S - 3 - missed)
+        for packet in whole:
+            assert packet["id"] == 0
+            assert packet["distance_m"] == pytest.approx(20, rel=0.02)
+            assert {word["status"] for words in packet["layers"].values() for word in words} == {"ok"}
+
+    def test_frames_have_the_cameras_clock_and_numbers(self) -> None:
+        with opened(duration_s=2) as film:
+            frames, counts = list(film), film.counts
+        assert counts is not None
+        assert (counts.host_clock, counts.jumps) == (False, 0)
+        assert all(frame.pixels.shape == (SIDE, SIDE) and frame.pixels.dtype == np.uint8 for frame in frames)
+        # its exposures begin at whole multiples of its period
+        for one, other in pairwise(frames):
+            assert other.time_s - one.time_s == pytest.approx((other.index - one.index) / RATE, abs=1e-6)
+        assert frames[-1].index + 1 == counts.frames + counts.skipped + counts.lost + counts.incomplete
+
+    def test_a_wait_is_bounded_and_the_camera_is_let_go(self) -> None:
+        for _ in range(2):
+            with opened(rate_hz=1) as film:
+                began = time.monotonic()
+                threading.Timer(0.3, film.stop).start()
+                assert len(list(film)) <= 2
+                assert time.monotonic() - began < 5
+
+    def test_what_the_camera_made_of_it_is_said(self, tmp_path: Path) -> None:
+        with opened(exposure_us=100.7, gain=3, GainAuto="Off") as film:
+            assert film.form.departures == ("exposure_us is 100, asked for 100.7",)
+            expected = {"exposure_us": "100", "gain": "3", "rate_hz": "50", "pixel_format": "Mono8",
+                        "region": f"0,0,{SIDE},{SIDE}", "trigger": "off", "GainAuto": "Off"}  # fmt: skip
+            assert film.form.settings == expected
+        run = received(
+            tmp_path,
+            0.2,
+            "--receiver",
+            "plain",
+            "--camera",
+            "exposure_us=100.7",
+            "--camera",
+            "trigger=Line0",
+            "--fps",
+            "50",
+        )
+        assert run.stderr.splitlines()[0] == f"heliograph: {NAME}: exposure_us is 100, asked for 100.7"
+        assert "gave no frame: see that its trigger is off or has pulses" in run.stderr.splitlines()[1]
+
+    @pytest.mark.parametrize(("name", "bits"), [("Mono16", 16), ("BayerRG8", 8), ("RGB8", 8)])
+    def test_other_pixels(self, name: str, bits: int) -> None:
+        with opened(pixel_format=name, region="0,0,64,48") as film:
+            first = next(iter(film))
+            assert (film.width, film.height, film.bits) == (64, 48, bits)
+        assert first.pixels.shape == (48, 64)
+        assert first.bits == bits
+
+    @pytest.mark.parametrize(("asked", "says"), [
+        ({"pixel_format": "Mono12p"}, "it knows BayerBG8, BayerGB8"),
+        ({"region": "0,0,100000,10"}, "setting 'region"),
+        ({"region": "0,0,60000,10"}, "the camera does not take region=0,0,60000,10: "),
+        ({"exposure_us": 1e9}, "the camera does not take exposure_us=1e+09: "),
+        ({"trigger": "Line7"}, "the camera does not take trigger=Line7: "),
+        ({"Nonsense": 3}, "the camera does not take Nonsense=3: "),
+    ])  # fmt: skip
+    def test_what_it_does_not_take(self, asked: dict[str, object], says: str) -> None:
+        with pytest.raises(HeliographError) as caught:
+            opened(**asked)
+        assert says in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    def test_a_camera_that_is_not_there(self, tmp_path: Path) -> None:
+        says = failed(heliograph("receive", "camera:aravis:nobody", cwd=tmp_path))
+        assert "no camera 'nobody' is found by Aravis" in says
+
+    def test_it_comes_back_after_it_was_away(self, camera: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(grabber, "SILENT_S", 1.0)
+        said: list[str] = []
+        with opened(duration_s=40) as film:
+            film.say = said.append
+            indices: list[int] = []
+            times: list[float] = []
+            for frame in film:
+                indices.append(frame.index)
+                times.append(frame.time_s)
+                if len(indices) == 20:  # as if its cable were pulled
+                    camera.send_signal(signal.SIGSTOP)
+                    threading.Timer(4, camera.send_signal, (signal.SIGCONT,)).start()
+                if said and "is back" in said[-1] and frame.time_s > times[20] + 5:
+                    break
+            counts = film.counts
+        assert counts is not None
+        assert counts.reconnections >= 1
+        assert "is lost after" in said[0]
+        assert indices == sorted(set(indices))
+        assert times == sorted(set(times))
+
+
+@pytest.mark.usefixtures("camera")
+class TestLossy:
+    served = ("--lost", "4", "--phase", "0.375")
+
+    def test_lost_packets_of_udp_are_counted_and_messages_read(self, tmp_path: Path) -> None:
+        report = json.loads(succeeded(received(tmp_path, 6, "--json", "--output", "out")))
+        counts = report["camera"]
+        # 15 packets of UDP a frame: every seventeenth frame lacks one
+        assert counts["incomplete"] + counts["lost"] >= 3
+        assert report["frames"] == counts["frames"]
+        assert (tmp_path / "out" / "array-0-high-0.bin").read_bytes() == TEXT.encode()
+        assert report["arrays"][0]["layers"]["high"]["ok"] >= 1
