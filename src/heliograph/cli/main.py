@@ -227,7 +227,7 @@ def receive(
     if is_many(films) or workers is not None or scheduler is not None:
         if truth or follow or send or verbose or camera or record or duration is not None:
             raise MediaError(
-                "--truth, --follow, --send, --verbose and options of cameras take one film: receive the films one by one"
+                "--truth, --follow, --send, --verbose and cameras' options take one film: receive the films one by one"
             )
         run_many(films, seen, preset, settings, changes, output, (workers, scheduler))
         return
