@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.frames import Frame
 from heliograph.link.warm_up import warm_up
 from heliograph.media import open_film
@@ -33,15 +33,20 @@ HEAD = (
 )
 
 
-def received(frames: Iterable[Frame], signal: SignalSettings, settings: ReceiveSettings) -> list[Packet]:
+def received(frames: Iterable[Frame], signal: SignalSettings, settings: ReceiveSettings | None) -> list[Packet]:
+    if settings is None:
+        for _ in frames:
+            pass
+        return []
     receiver = make_receiver(signal, settings)
     packets = [packet for frame in frames for packet in receiver.push(frame)]
     return [*packets, *receiver.finish()]
 
 
-def measured(rate: float, seconds: float, queue_s: float, settings: ReceiveSettings) -> str:
+def measured(rate: float, seconds: float, queue_s: float, settings: ReceiveSettings | None) -> str:
     signal = SignalSettings(pattern_period_s=1 / rate)
-    warm_up(signal, settings, 8)
+    if settings is not None:
+        warm_up(signal, settings, 8)
     asked = {"rate_hz": rate, "region": f"0,0,{SIDE},{SIDE}", "duration_s": seconds, "queue_s": queue_s}
     kept: list[Frame] = []
     with open_film("camera:aravis:127.0.0.1", camera=asked) as film:
@@ -72,7 +77,7 @@ def _kept(film: Iterable[Frame], kept: list[Frame]) -> Iterable[Frame]:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Live reception from a fake GigE Vision camera.")
     parser.add_argument("rates", nargs="*", type=float, default=[50.0, 100.0, 200.0, 300.0])
-    parser.add_argument("--receiver", default="soft")
+    parser.add_argument("--receiver", default="soft", help="plain, soft, or none to take frames alone")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--queue-s", type=float, default=5.0, help="seconds of frames that may wait")
     parser.add_argument("--lost", type=int, default=0, help="packets of UDP that are lost, of a thousand")
@@ -87,12 +92,16 @@ def main() -> None:
     for rate in arguments.rates:
         command = [sys.executable, str(SERVER), "--rate", str(rate), "--side", str(SIDE), "--lost", str(arguments.lost)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-            assert server.stdout is not None
-            while "serving" not in (line := server.stdout.readline()):
-                assert line, "the camera could not be served"
-            settings = ReceiveSettings(receiver=arguments.receiver)
-            print(measured(rate, arguments.seconds, arguments.queue_s, settings), flush=True)
-            server.kill()
+            try:
+                assert server.stdout is not None
+                while "serving" not in (line := server.stdout.readline()):
+                    assert line, "the camera could not be served"
+                settings = None if arguments.receiver == "none" else ReceiveSettings(receiver=arguments.receiver)
+                print(measured(rate, arguments.seconds, arguments.queue_s, settings), flush=True)
+            except HeliographError as error:
+                print(f"{rate:6g} {error}", flush=True)
+            finally:
+                server.kill()
 
 
 if __name__ == "__main__":

@@ -99,6 +99,17 @@ def test_the_frame_period_is_that_of_the_stamps_not_of_the_cameras_word() -> Non
     assert numbering.skipped == 0
 
 
+def test_the_frame_period_is_found_where_most_gaps_hold_frames_that_were_not_taken() -> None:
+    numbering = Numbering(100, even=True)
+    gaps = [10, 20, 20, 10, 30, 20, 20, 20, 10, 30] * 8
+    stamps = [sum(gaps[:k]) for k in range(len(gaps))]
+    places = [numbering.place(k, stamp * MS, stamp * MS) for k, stamp in enumerate(stamps)]
+    assert numbering.period_s == pytest.approx(0.01)
+    known = places[40:]
+    assert known[0] is not None
+    assert [place and place.index - known[0].index for place in known] == [(s - stamps[40]) // 10 for s in stamps[40:]]
+
+
 @pytest.mark.parametrize("to", [0, 3_600_000])
 def test_a_clock_that_is_set_is_followed_by_the_hosts(to: int) -> None:
     numbering = Numbering(100, even=True)

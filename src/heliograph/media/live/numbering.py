@@ -14,7 +14,11 @@ KNOWN_GAPS = 8
 Chosen: three of them may be long."""
 
 REMEMBERED_GAPS = 31
-"""Gaps between frames of which the median is taken. Chosen: fifteen of them may be long."""
+"""Gaps between frames of which the median is taken. Chosen: twenty-three of them may be long."""
+
+SHORT = 0.7
+"""Gaps below this fraction of the median are of one frame period where a quarter are: the median is then of two; as
+`timing.camera_clock.SHORT`."""
 
 LATE = 0.75
 """Frame periods by which a stamp must be late for a frame to be missing before it; as `timing.camera_clock.MISSING`."""
@@ -98,8 +102,13 @@ class Numbering:
 
     @property
     def period_s(self) -> float:
-        """Frame period in s: the median of the last ones, or that which the camera says."""
-        return sorted(self._gaps)[len(self._gaps) // 2] if len(self._gaps) >= KNOWN_GAPS else self._claimed_s
+        """Frame period in s: the median of the last ones, long ones left out, or that which the camera says."""
+        if len(self._gaps) < KNOWN_GAPS:
+            return self._claimed_s
+        gaps = sorted(self._gaps)
+        middle = gaps[len(gaps) // 2]
+        short = [gap for gap in gaps if gap < SHORT * middle]
+        return short[len(short) // 2] if len(short) >= len(gaps) / 4 else middle
 
     def broke(self) -> None:
         """Take note of a frame of which a part came; it used up a number."""
