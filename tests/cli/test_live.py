@@ -2,7 +2,6 @@
 
 import json
 import signal
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -108,10 +107,9 @@ def test_ctrl_c_is_an_end_like_any_other(film: Path, tmp_path: Path, by: signal.
 
 
 def test_it_ends_after_its_duration(call: Call, film: Path) -> None:
-    began = time.monotonic()
-    run = received(call, film, "--camera", "Times=0", "--camera", "Speed=200", "--duration", "1", "--json")
-    assert time.monotonic() - began < 30
-    report = json.loads(succeeded(run))
+    report = json.loads(
+        succeeded(received(call, film, "--camera", "Times=0", "--camera", "Speed=200", "--duration", "1", "--json"))
+    )
     assert 1 <= report["frames"] <= 210
 
 
@@ -170,5 +168,5 @@ def test_cameras_are_listed_and_what_is_missing_is_said(call: Call, monkeypatch:
     assert "camera:played:FILM" in says
     for kind, why in found["lacking"].items():
         assert f"camera:{kind}: {why}" in says
-        assert any(cure in why for cure in ("install", "plug one in", "no camera answers")), why
+        assert any(cure in why for cure in ("install", "plug one in", "no camera answers", "give its address")), why
     assert "genicam" in found["lacking"]
