@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     from heliograph.base.frames import Frame
     from heliograph.base.registry import load_parts
     from heliograph.channel.parts import register_background, register_motion, register_point_spread
+    from heliograph.link.budget import Budget, budget
     from heliograph.link.codec import decode, encode
+    from heliograph.link.photometry import LightSettings
     from heliograph.link.settings import LinkSettings, load_settings
     from heliograph.link.simulate import simulate
     from heliograph.media import convert_film, create_film, open_film, open_slots
@@ -34,8 +36,10 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Budget": "link.budget",
     "Frame": "base.frames",
     "HeliographError": "base.errors",
+    "LightSettings": "link.photometry",
     "LinkSettings": "link.settings",
     "MediaError": "base.errors",
     "Packet": "receive",
@@ -44,6 +48,7 @@ _HOMES = {
     "SettingsError": "base.errors",
     "SignalSettings": "signal.settings",
     "Transmitter": "transmit",
+    "budget": "link.budget",
     "convert_film": "media",
     "create_film": "media",
     "decode": "link.codec",
@@ -67,8 +72,10 @@ _HOMES = {
 }
 
 __all__ = [
+    "Budget",
     "Frame",
     "HeliographError",
+    "LightSettings",
     "LinkSettings",
     "MediaError",
     "Packet",
@@ -77,6 +84,7 @@ __all__ = [
     "SettingsError",
     "SignalSettings",
     "Transmitter",
+    "budget",
     "convert_film",
     "create_film",
     "decode",

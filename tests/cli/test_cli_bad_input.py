@@ -138,6 +138,12 @@ BAD = {
     f"simulate a.mkv {S} --imu {{}}/empty": "is empty",
     f"simulate a.mkv {S} --imu {{}}/a.mkv": "no text",
     f"simulate a.mkv {S} --set channel.shake=imu": "--imu",
+    # budgets
+    "budget --candela -1": "setting 'candela': input should be greater than",
+    "budget --wavelength 900": "setting 'wavelength_nm'",
+    "budget --vary channel.distanse_m=3": "did you mean 'channel.distance_m'",
+    "budget --vary foo": "write key=value,value or key=first:last:step",
+    "budget --set signal.data_pairs=1": "raise signal.data_pairs",
     # messages
     f"simulate a.mkv {S} --high {{}}/missing": "cannot read",
     f"simulate a.mkv {S} --low {{}}/empty": "nothing to send",

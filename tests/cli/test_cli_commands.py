@@ -214,6 +214,32 @@ def test_a_converted_film_is_read_like_its_source(film: Path, tmp_path: Path, ca
     assert "is read and would be written" in failed(call("convert", "b.h5", "b.h5"))
 
 
+@pytest.mark.parametrize("preset", ["static", "night"])
+def test_budget_says_what_a_link_has(preset: str, call: Call) -> None:
+    small = ("--preset", preset, "--set", "signal.side=8", "--vary", "channel.distance_m=20,60")
+    text = succeeded(call("budget", *small))
+    rows = [line.split() for line in text.splitlines()]
+    assert rows[0][:3] == ["channel.distance_m", "m", "px/LED"]
+    assert [row[0] for row in rows[1:3]] == ["20", "60"]
+    assert [row[:3] for row in rows if row[:1] == ["soft"]] == [
+        ["soft", mode, layer] for mode in ("paired", "single") for layer in ("high", "middle", "low")
+    ]
+    assert "flicker, paired: the array's light is even over 2 ms (500 Hz), an LED's over 2 ms (500 Hz)" in text
+    points = json.loads(succeeded(call("budget", *small, "--candela", "0.5", "--json")))
+    assert [point["settings"] for point in points] == [{"channel.distance_m": 20}, {"channel.distance_m": 60}]
+    assert points[0]["candela"] == 0.5
+    assert points[0]["spot"]["electrons_led"] == pytest.approx(9 * points[1]["spot"]["electrons_led"], rel=0.1)
+    assert {layer["receiver"] for layer in points[0]["layers"]} == {"plain", "soft"}
+    assert points[1]["flicker"]["single"]["led_period_s"] > 0.01
+    assert points[0]["notes"] == []
+
+
+def test_budget_says_what_spoils_a_link(call: Call) -> None:
+    text = succeeded(call("budget", "--set", "signal.side=8", "--set", "channel.distance_m=30", "--candela", "9"))
+    assert "note: the array saturates" in text
+    assert "reads to" not in text
+
+
 def test_presets_are_listed_and_printed(tmp_path: Path, call: Call) -> None:
     listed = succeeded(call("presets")).splitlines()
     assert [line.split()[0] for line in listed] == list(PRESETS)

@@ -7,7 +7,7 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from heliograph.base.compile_time import clock
@@ -37,6 +37,13 @@ def say_prose(text: str) -> None:
         width = max(NARROWEST, shutil.get_terminal_size().columns - 1)
         text = textwrap.fill(text, width, subsequent_indent=" " * 4, break_on_hyphens=False)
     say(text)
+
+
+def say_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table of texts, flush right, as a result."""
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    for cells in [head, *rows]:
+        say("  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
 
 
 def note(text: str) -> None:

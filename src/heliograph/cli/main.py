@@ -330,6 +330,46 @@ def sweep(
 
 
 @app.command()
+def budget(
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="KEY=VALUES",
+            show_default=False,
+            help="Key and its values: 1,2 or first:last:step. Repeat it for a grid. Distances from 25 m to 200 m if "
+            "left out.",
+        ),
+    ] = None,
+    preset: options.Preset = "static",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    candela: Annotated[
+        float | None,
+        typer.Option(
+            metavar="CD",
+            show_default=False,
+            help="Luminous intensity of an LED on its axis; if left out, what channel.emitter.all_on stands for.",
+        ),
+    ] = None,
+    f_number: Annotated[float, typer.Option("--f-number", help="Focal length over the lens's opening.")] = 11.0,
+    efficiency: Annotated[
+        float, typer.Option(help="Electrons a photon: transmission of the lens times quantum efficiency.")
+    ] = 0.4,
+    wavelength_nm: Annotated[float, typer.Option("--wavelength", metavar="NM", help="Wavelength of the LEDs.")] = 625.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON list and nothing else.")] = False,
+) -> None:
+    """Say what a link has before it is built: light, electrons, pixels, blur, range of each layer, flicker.
+
+    Geometry, lens, sensor and LEDs are settings of 'channel'; --set and --vary change them.
+    """
+    from heliograph.cli.budget import run_budget
+
+    light = {"candela": candela, "f_number": f_number, "efficiency": efficiency, "wavelength_nm": wavelength_nm}
+    run_budget(vary, preset, settings, assignments, light, as_json)
+
+
+@app.command()
 def reproduce(
     figures: Annotated[
         list[str] | None,

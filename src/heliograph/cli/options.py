@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from heliograph import __version__
+from heliograph.base.config import merge
 from heliograph.base.errors import MediaError, SettingsError, shown
 from heliograph.base.files import read_bounded
 from heliograph.base.toml_text import parse_assignment, parse_toml
@@ -136,6 +137,26 @@ def signal_changes(file: Path | None, assignments: list[str]) -> list[dict[str, 
     """What TOML file and assignments say of the signal, in this order; to be asked for once they are checked."""
     changes = [read_toml(file) if file else {}, *map(parse_assignment, assignments)]
     return [change["signal"] for change in changes if change.get("signal")]
+
+
+def laid_over(file: Path | None, assignments: list[str] | None) -> Any:
+    """TOML file and assignments as one nested mapping, in this order."""
+    tree: Any = read_toml(file) if file else {}
+    for change in map(parse_assignment, assignments or ()):
+        tree = merge(tree, change)
+    return tree
+
+
+def varied(texts: list[str] | None) -> dict[str, list[Any]]:
+    """Keys that vary with their values, by what was given as key=value,value or key=first:last:step."""
+    from heliograph.sweeps.vary import parse_vary
+
+    vary: dict[str, list[Any]] = {}
+    for key, values in map(parse_vary, texts or ()):
+        if key in vary:
+            raise SettingsError(f"'{key}' is varied twice; write its values in one --vary")
+        vary[key] = values
+    return vary
 
 
 def read_messages(settings: "LinkSettings", high: str | None, middle: str | None, low: str | None) -> "list[Messages]":

@@ -8,9 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from heliograph.base.config import merge
-from heliograph.base.errors import HeliographError, SettingsError
-from heliograph.base.toml_text import parse_assignment
+from heliograph.base.errors import HeliographError
 from heliograph.cli import console, options
 
 if TYPE_CHECKING:
@@ -39,7 +37,7 @@ def run_sweep(
     from heliograph.sweeps.reach import not_looked_for
     from heliograph.sweeps.tally import PointTally, StopRule
 
-    points = plan(_varied(vary), preset, _over(file, assignments), seed, *recordings)
+    points = plan(options.varied(vary), preset, options.laid_over(file, assignments), seed, *recordings)
     tallies = [PointTally(point, StopRule(**limits)) for point in points]
     for text in filter(None, (not_looked_for(points), fewer_workers(crew[0]))):
         console.complain(text)
@@ -70,25 +68,6 @@ def _run(
     return None
 
 
-def _varied(texts: list[str] | None) -> dict[str, list[Any]]:
-    from heliograph.sweeps.vary import parse_vary
-
-    vary: dict[str, list[Any]] = {}
-    for key, values in map(parse_vary, texts or ()):
-        if key in vary:
-            raise SettingsError(f"'{key}' is varied twice; write its values in one --vary")
-        vary[key] = values
-    return vary
-
-
-def _over(file: Path | None, assignments: list[str] | None) -> Any:
-    """File and assignments as one nested mapping."""
-    tree: Any = options.read_toml(file) if file else {}
-    for change in map(parse_assignment, assignments or ()):
-        tree = merge(tree, change)
-    return tree
-
-
 @contextlib.contextmanager
 def _progress(points: int) -> "Iterator[PointProgress]":
     """A bar with the time left on a terminal, a line now and then in a log."""
@@ -106,9 +85,7 @@ def _show(tallies: "Sequence[PointTally]") -> None:
     """A line per point and layer: codewords wrong, error rates with intervals or bounds, packets found."""
     rows = [row for tally in tallies for row in _rows(tally)]
     head = [*tallies[0].point.choice, "layer", "wrong", "of", "FER (95 %)", "BER (95 %)", "found", "net bit/s"]
-    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    for cells in [head, *rows]:
-        console.say("  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)))
+    console.say_table(head, rows)
 
 
 def _rows(tally: "PointTally") -> "Iterator[list[str]]":

@@ -1,0 +1,98 @@
+"""The budget of a link: its numbers hold together, and what spoils it is said."""
+
+from typing import Any
+
+import pytest
+
+import heliograph
+from heliograph.base.errors import SettingsError
+from heliograph.link.budget import Budgets
+from heliograph.link.photometry import LightSettings
+from heliograph.link.settings import LinkSettings, load_settings
+
+SMALL: dict[str, Any] = {"signal": {"side": 4, "data_pairs": 192}}
+
+
+def small(**channel: Any) -> LinkSettings:
+    return load_settings("static", {**SMALL, "channel": channel})
+
+
+@pytest.fixture(scope="module")
+def reference() -> heliograph.Budget:
+    return heliograph.budget(small(distance_m=50.0))
+
+
+def test_an_array_is_seen_as_the_reference_link_says(reference: heliograph.Budget) -> None:
+    """1.17 px a LED at 50 m, 80 % of a full well of 15000 electrons, 0.6 % of noise."""
+    spot = reference.spot
+    assert spot.pitch_px == pytest.approx(1.167, abs=1e-3)
+    assert spot.side_px == pytest.approx(4 * spot.pitch_px)
+    assert spot.electrons_px == pytest.approx(12000, rel=0.01)
+    assert spot.electrons_led == pytest.approx(spot.electrons_px * spot.pitch_px**2)
+    assert spot.light == pytest.approx(0.8, rel=0.01)
+    assert spot.noise == pytest.approx(0.006, rel=0.02)
+    assert spot.blur_pitches == pytest.approx(spot.blur_px / spot.pitch_px)
+    assert reference.notes == ()
+
+
+@pytest.mark.slow
+def test_layers_end_in_the_order_of_their_priority(reference: heliograph.Budget) -> None:
+    by = {(one.receiver, str(one.mode), one.layer): one for one in reference.layers}
+    assert len(by) == 9
+    for receiver, mode in (("plain", "paired"), ("soft", "paired"), ("soft", "single")):
+        far = [by[receiver, mode, layer].range_m for layer in ("high", "middle", "low")]
+        assert far == sorted(far, reverse=True)
+    for one in by.values():
+        assert one.range_m <= one.most_m * 1.001 <= reference.found_m[one.receiver] * 1.002
+        assert one.here >= one.needed
+        assert one.range_m >= min(50, reference.found_m[one.receiver])
+    assert by["soft", "paired", "low"].range_m > by["plain", "paired", "low"].range_m
+    assert by["soft", "paired", "low"].range_m >= by["soft", "single", "low"].range_m
+
+
+@pytest.mark.slow
+def test_formats_that_are_sent_are_those_that_count() -> None:
+    form = [{"mode": "single", "low": 0.9}]
+    found = heliograph.budget(load_settings("static", {**SMALL, "transmit": {"formats": form}}))
+    assert {(one.receiver, one.mode) for one in found.layers} == {("soft", "single")}
+    assert [one.rate for one in found.layers] == [1 / 3, 1 / 3, 0.9]
+
+
+@pytest.mark.slow
+def test_distances_of_one_link_have_one_range() -> None:
+    made = Budgets(LightSettings())
+    near, far = (made.of(small(distance_m=at)).layers for at in (30.0, 90.0))
+    assert [(one.range_m, one.most_m) for one in near] == [(one.range_m, one.most_m) for one in far]
+    assert all(a.here >= b.here for a, b in zip(near, far, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("light", "channel", "says"),
+    [
+        ({"candela": 20.0}, {}, "the array saturates, 18 full scales with every LED on: close the lens to f/52"),
+        ({"candela": 0.01}, {}, "too dim to be looked for, 0.009 of full scale"),
+        ({}, {"camera": {"fps": 500.0}}, "500 frames/s are fewer than the 1000 patterns a second"),
+        ({}, {"camera": {"exposure_s": 4e-4}}, "an exposure of 0.4 ms sees a part of each pattern of 1 ms"),
+        ({"f_number": 32.0}, {}, "a lens of f/32 blurs by 0.7 px at 50 m, more than channel.camera.blur_px=0.5"),
+        ({}, {"distance_m": 5.0}, "at 5 m the array is not in the picture: +875, -583 px from its middle"),
+    ],
+)
+@pytest.mark.slow
+def test_what_spoils_a_budget_is_said(light: dict[str, Any], channel: dict[str, Any], says: str) -> None:
+    found = heliograph.budget(small(**channel), heliograph.LightSettings(**light))
+    assert any(says in note for note in found.notes), found.notes
+    assert bool(found.layers) == ("saturates" not in says)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ((None,), "a budget is of heliograph.load_settings(...), not NoneType"),
+        ((load_settings(), 3), "light is a heliograph.LightSettings, not 3"),
+        ((small(distance_m=3.0, arrays=({"z_offset_m": -4.0, "vz_m_s": 9.0},)),), "1 m behind the camera"),
+    ],
+)
+def test_what_is_no_link_is_one_line(arguments: Any, says: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        heliograph.budget(*arguments)
+    assert says in str(caught.value)

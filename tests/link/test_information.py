@@ -1,0 +1,154 @@
+"""Information of the symbols: against an oracle written apart, against the images' own formula, and by its order."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+
+from heliograph.base.arrays import Floats
+from heliograph.channel.settings import CameraSettings, ChannelSettings, Placement
+from heliograph.link.information import (
+    LOOKS_PX,
+    NEEDED,
+    Looks,
+    Reach,
+    array_images,
+    binary_information,
+    looks_at,
+    needed,
+    noise_share,
+    symbol_layers,
+    symbol_levels,
+)
+from heliograph.link.settings import load_settings
+from heliograph.signal import haar
+from heliograph.signal.formats import Mode
+from heliograph.signal.settings import LAYERS, SignalSettings
+
+ORACLE = {
+    100: ((0.914, 0.711, 0.651), (1.00, 1.00, 0.820)),
+    150: ((0.545, 0.295, 0.082), (1.00, 0.768, 0.091)),
+}
+"""Information of the high, middle and low layer by distance, after cancelling the higher ones, with all others known:
+of a program written apart, with disc and blur as one Gaussian, a small random roll, random places."""
+
+
+@pytest.mark.slow
+def test_information_is_that_of_a_program_written_apart() -> None:
+    settings = load_settings("static")
+    reach = Reach(settings, settings.channel.emitter.all_on)
+    for distance_m, (linear, bound) in ORACLE.items():
+        for layer, one, most in zip(LAYERS, linear, bound, strict=True):
+            assert reach.information("linear", "paired", layer, distance_m) == pytest.approx(one, abs=0.02)
+            assert reach.information("bound", "paired", layer, distance_m) == pytest.approx(most, abs=0.02)
+
+
+@pytest.mark.parametrize(("ratio", "bits"), [(0.0, 0.0), (1.0, 0.4859), (100.0, 1.0)])
+def test_information_of_a_binary_symbol(ratio: float, bits: float) -> None:
+    """At 0 dB the capacity of the binary channel with Gaussian noise is 0.4859."""
+    assert binary_information(np.array([ratio]))[0] == pytest.approx(bits, abs=2e-4)
+
+
+def plain_images(channel: ChannelSettings, side: int, distance_m: float, shift_px: tuple[float, float]) -> Floats:
+    """Images of LEDs that face the camera, a disc taken for a Gaussian: products of integrals over pixels."""
+    camera, emitter = channel.camera, channel.emitter
+    pitch = camera.focal_px * emitter.pitch_m / distance_m
+    sigma = math.hypot(camera.blur_px, emitter.diameter_m / emitter.pitch_m * pitch / 4)
+    erf = np.vectorize(math.erf)
+    parts = []
+    for shift in shift_px:
+        place = (np.arange(side) - (side - 1) / 2) * pitch + shift
+        edge = np.arange(-40.5, 41)
+        parts.append(np.diff(erf((edge[:, None] - place) / sigma / math.sqrt(2)) / 2, axis=0))
+    return np.einsum("yu,xv->yxuv", parts[1], parts[0]) * pitch**2
+
+
+@pytest.mark.parametrize("distance_m", [40.0, 100.0])
+def test_images_are_the_integrals_over_pixels(distance_m: float) -> None:
+    channel = ChannelSettings(arrays=(Placement(x_m=0, y_m=0),))
+    for shift in LOOKS_PX[:2]:
+        found = array_images(channel, 8, distance_m, shift)
+        meant = plain_images(channel, 8, distance_m, shift)
+        rows, columns = found.leds.shape[:2]
+        # the same pixels, wherever either window begins
+        best = min(
+            float(np.abs(found.leds - meant[y : y + rows, x : x + columns]).max())
+            for y in range(81 - rows + 1)
+            for x in range(81 - columns + 1)
+            if abs(y + rows / 2 - 40.5) < 2 and abs(x + columns / 2 - 40.5) < 2
+        )
+        assert best < 2e-3 * float(meant.max())
+        assert found.pitch_px == pytest.approx(channel.camera.focal_px * 0.02 / distance_m)
+        assert found.light == pytest.approx(1, abs=2e-3)
+
+
+def test_a_turned_array_is_narrower_and_dimmer() -> None:
+    channel = ChannelSettings(arrays=(Placement(x_m=0, y_m=0, yaw_deg=40),))
+    found = array_images(channel, 8, 60.0, (0.0, 0.0))
+    facing = channel.camera.focal_px * 0.02 / 60
+    assert found.pitch_px == pytest.approx(facing * math.sqrt(math.cos(math.radians(40))), rel=1e-2)
+    lobe = math.cos(math.radians(40)) ** channel.emitter.lobe_order
+    assert found.light == pytest.approx(lobe / math.cos(math.radians(40)), rel=2e-2)
+
+
+def test_symbols_are_those_of_the_transform() -> None:
+    d = np.random.default_rng(0).choice([-1.0, 1.0], (8, 8))
+    levels = haar.encode(d) / 4
+    assert symbol_levels(8, "haar") @ d.ravel() + 0.5 == pytest.approx(levels)
+    assert [int((symbol_layers(8) == k).sum()) for k in range(3)] == [16, 32, 16]
+
+
+def test_noise_is_that_of_the_sensor() -> None:
+    channel = ChannelSettings()
+    electrons = 15000 * (0.4 + 0.02)
+    variance = 40**2 + electrons + (15000 / 255) ** 2 / 12
+    assert noise_share(channel, 0.8) == pytest.approx(math.sqrt(variance) / 15000)
+
+
+@given(
+    distance_m=st.floats(20, 120),
+    blur_px=st.floats(0.2, 1.5),
+    snr=st.floats(1, 300),
+    modulation=st.sampled_from(["haar", "ook"]),
+)
+@examples(12)
+@pytest.mark.slow
+def test_no_estimate_has_more_than_the_bound(distance_m: float, blur_px: float, snr: float, modulation: Any) -> None:
+    channel = ChannelSettings(camera=CameraSettings(blur_px=blur_px))
+    looks: Looks = looks_at(channel, SignalSettings(side=4, modulation=modulation), distance_m)
+    for layer in range(3):
+        sampled, linear, bound = (looks.information(kind, layer, snr) for kind in ("sampled", "linear", "bound"))
+        assert -1e-9 <= linear <= bound + 1e-9 <= 1 + 2e-9
+        # of the high layer "sampled" estimates with the same symbols unknown, and not as well
+        assert layer or sampled <= linear + 0.01
+
+
+@pytest.mark.slow
+def test_a_range_ends_where_the_code_no_longer_gets_enough() -> None:
+    reach = Reach(load_settings("static", {"signal": {"side": 8}}), 0.8)
+    cases: list[tuple[Mode, float]] = [("paired", 1 / 3), ("single", 2 / 3)]
+    for mode, rate in cases:
+        far = [reach.range_m("linear", mode, layer, rate, 400.0) for layer in LAYERS]
+        assert far == sorted(far, reverse=True)
+        for layer, at_m in zip(LAYERS, far, strict=True):
+            inside, beyond = (reach.information("linear", mode, layer, at_m * k) for k in (0.95, 1.05))
+            assert inside > needed(rate) > beyond
+    assert reach.range_m("linear", "paired", "high", 1 / 3, 40.0) == 40.0
+    assert reach.range_m("linear", "paired", "high", 1 / 3, 5.0) == 5.0
+
+
+def test_light_without_contrast_reaches_nowhere() -> None:
+    assert (
+        Reach(load_settings("static", {"signal": {"side": 4}}), 1e-4).range_m("linear", "paired", "low", 0.5, 99) == 0
+    )
+
+
+def test_what_a_code_needs_rises_with_its_rate() -> None:
+    assert needed(1 / 3) == NEEDED[0][1]
+    assert needed(0.45) == pytest.approx((0.482 + 0.590) / 2)
+    assert all(rate < information <= 1 for rate, information in NEEDED[:-1])
+    assert [needed(rate) for rate, _ in NEEDED] == sorted(information for _, information in NEEDED)
