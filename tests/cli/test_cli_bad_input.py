@@ -13,7 +13,6 @@ import pytest
 from cli_runs import SMALL, Run, called, failed, heliograph, lasting, names, succeeded
 
 from heliograph.base.frames import Frame
-from heliograph.cli import console
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
 from heliograph.media import create_film
@@ -345,18 +344,6 @@ def test_results_that_have_nowhere_to_go_end_before_any_work(tmp_path: Path) -> 
     assert "standard output is closed" in failed(run)
     unheard = heliograph("receive", "none.mkv", cwd=tmp_path, prepare=lambda: os.close(2))
     assert (unheard.returncode, unheard.stderr) == (1, "")
-
-
-def test_progress_of_a_film_that_claims_fewer_frames(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(console, "EVERY_S", 0.0)
-    note = console.Lines("receiving", 31)
-    for done in (1, 20, 921):
-        note(done)
-    lines = capfd.readouterr().err.splitlines()
-    assert lines[1].startswith("receiving: 20 of 31, about")
-    assert lines[2] == "receiving: 921"
 
 
 def test_no_array_in_sight_is_a_result_not_a_fault(call: Call, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Each command does what it says; the JSON keeps to its contract."""
 
 import base64
+import io
 import json
 import os
 import pty
@@ -12,7 +13,6 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -403,20 +403,25 @@ def test_a_closed_pipe_is_no_fault(command: str, film: Path, tmp_path: Path) -> 
     assert run.stdout.count("\n") == 1
 
 
-def test_a_log_gets_a_line_of_progress_now_and_then(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    now = [0.0]
-    monkeypatch.setattr(console, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    monkeypatch.setattr(console, "clock", lambda: max(0.0, now[0] - 30.0))  # the first 30 s it compiled
-    lines = console.Lines("sweeping, points", 12)
-    for now[0], done in ((31.0, 4.0), (59.0, 4.5), (91.0, 5.0), (120.0, 6.0), (151.0, 6.0)):
-        lines(done)
-    # 4 of 12 were done before: 60 s for one point, 120 s for two
-    assert capsys.readouterr().err.splitlines() == [
-        "sweeping, points: 5 of 12, about 7 min left",
-        "sweeping, points: 6 of 12, about 6 min left",
-    ]
+def test_progress_is_shown_on_a_terminal_and_nothing_in_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
+    for seen in (True, False):
+        monkeypatch.setattr(sys, "stderr", error := _Screen(seen))
+        with console.progress("receiving", 31) as note:
+            for done in (1, 20, 921):
+                note(done)
+        # the film held more frames than it claimed
+        assert ("receiving" in error.getvalue(), "921/921" in error.getvalue()) == (seen, seen)
+
+
+class _Screen(io.StringIO):
+    """Standard error that somebody looks at, or nobody."""
+
+    def __init__(self, seen: bool):
+        super().__init__()
+        self._seen = seen
+
+    def isatty(self) -> bool:
+        return self._seen
 
 
 def test_a_sweep_shows_counts_and_intervals(call: Call) -> None:

@@ -2,11 +2,9 @@
 
 import contextlib
 import json
-import math
 import shutil
 import sys
 import textwrap
-import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -20,9 +18,6 @@ LONGEST = 600
 
 NARROWEST = 40
 """Least characters of a line of prose on a terminal."""
-
-EVERY_S = 60.0
-"""Time between two lines of progress in a log: what is done sooner says nothing."""
 
 
 def say(text: str) -> None:
@@ -73,43 +68,11 @@ def say_json(value: Any) -> None:
     say(json.dumps(value))
 
 
-class Lines:
-    """Progress where there is no terminal, in a log: a line now and then, with the time left.
-
-    Parameters
-    ----------
-    title
-        What is counted.
-    total
-        How much there is of it, if that is known.
-    """
-
-    def __init__(self, title: str, total: int | None):
-        self._title, self._total = title, total
-        self._said = time.monotonic()
-        self._first: tuple[float, float] | None = None
-
-    def __call__(self, done: float) -> None:
-        """Take the number done, parts included; the first may be of work done before."""
-        began, before = self._first = self._first or (clock(), done)
-        if time.monotonic() - self._said < EVERY_S:
-            return
-        self._said = time.monotonic()
-        text = f"{self._title}: {done:.1f}".removesuffix(".0")
-        if self._total and done <= self._total:  # a film may hold more frames than it claims
-            text += f" of {self._total}"
-            if done > before:
-                left = (clock() - began) * (self._total - done) / (done - before)
-                text += f", about {math.ceil(left / 60)} min left"
-        sys.stderr.write(text + "\n")
-        sys.stderr.flush()
-
-
 @contextlib.contextmanager
 def progress(title: str, total: int | None) -> Iterator[Callable[[float], None]]:
-    """A progress bar on a terminal, a line now and then in a log; call it with the number done, parts included."""
+    """A progress bar on a terminal, and nothing in a pipe; call it with the number done, parts included."""
     if not sys.stderr.isatty():
-        yield Lines(title, total)
+        yield lambda _done: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -119,4 +82,5 @@ def progress(title: str, total: int | None) -> Iterator[Callable[[float], None]]
     aside = sys.stdout.isatty()
     with Progress(*columns, console=Console(stderr=True), transient=True, get_time=clock, redirect_stdout=aside) as bar:
         task = bar.add_task(title, total=total)
-        yield lambda done: bar.update(task, completed=done, total=total if total and done <= total else None)
+        # a film may hold more frames than it claims
+        yield lambda done: bar.update(task, completed=done, total=None if total is None else max(total, done))

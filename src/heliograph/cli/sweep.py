@@ -1,6 +1,5 @@
 """heliograph sweep."""
 
-import contextlib
 import logging
 import os
 import sys
@@ -13,7 +12,6 @@ from heliograph.cli import console, options
 
 if TYPE_CHECKING:
     from heliograph.measure.statistics import Count
-    from heliograph.sweeps.runner import PointProgress
     from heliograph.sweeps.tally import PointTally
 
 
@@ -58,27 +56,15 @@ def _run(
     tallies: "Sequence[PointTally]", output: Path | None, crew: tuple[int | None, str | None]
 ) -> BaseException | None:
     """Count to the end, or until something ends it: that is returned."""
+    from heliograph.sweeps.bar import bar
     from heliograph.sweeps.sweep import count
 
     try:
-        with _progress(len(tallies)) as progress:
+        with bar(len(tallies)) as progress:
             count(tallies, output, *crew, progress)
     except (HeliographError, OSError, MemoryError, KeyboardInterrupt) as error:
         return error
     return None
-
-
-@contextlib.contextmanager
-def _progress(points: int) -> "Iterator[PointProgress]":
-    """A bar with the time left on a terminal, a line now and then in a log."""
-    from heliograph.sweeps.bar import bar, on_a_terminal
-
-    if on_a_terminal():
-        with bar(points) as show:
-            yield show
-    else:
-        lines = console.Lines("sweeping, points", points)
-        yield lambda tallies: lines(sum(tally.fraction for tally in tallies))
 
 
 def _show(tallies: "Sequence[PointTally]") -> None:
