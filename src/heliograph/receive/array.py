@@ -14,6 +14,7 @@ from heliograph.receive.events import Observer, TrackEvent
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose, rim_distance
 from heliograph.receive.image.view import CAMERA, View
+from heliograph.receive.lost_pair import read_renumbered
 from heliograph.receive.packets import Packet, Status, Words
 from heliograph.receive.reader_protocol import PacketReader
 from heliograph.receive.settings import CalibrationSettings
@@ -315,7 +316,10 @@ class ArrayReceiver:
         gathered, self._gathered = self._gathered, self._empty()
         reader, reason = self._reader, ""
         try:
-            layers = reader.decode()
+            if self._slips.shows_header(self._number) and self._number % self._pairs == self._pairs - 1:
+                reader, layers = read_renumbered(reader, self._signal.data_pairs)
+            else:
+                layers = reader.decode()
         except (np.linalg.LinAlgError, ReservedModeError) as error:
             layers, reason = unread(PacketFormat(self._signal, reader.format), self.identity), str(error)
             # of a header that something hides, any mode may be read

@@ -1,6 +1,7 @@
 """The soft receiver's reader: a packet's frames are kept until its end, equalised and decoded together."""
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -141,7 +142,7 @@ class SoftReader:
         self._format_reader = FormatReader(identity, self._side)
         self._decisions: DecisionDirectedTracker | None = None
         self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), _Light(), KeptPairs()
-        self._misled = False
+        self._misled, self._buffer = False, parts.buffer
 
     @property
     def format(self) -> Format:
@@ -214,11 +215,18 @@ class SoftReader:
         """Keep the frame that is left of a pair; see `PacketReader`."""
         self._data = self._data.with_lone(place, lone)
 
+    def renumbered(self, place: int) -> "SoftReader":
+        """The same reader with the pairs from one on moved to the next number; see `PacketReader`."""
+        other = copy(self)
+        other._data = self._data.renumbered(place, self._parts.form.settings.data_pairs)
+        other._buffer = None
+        return other
+
     @one_thread()
     def decode(self) -> Words:
         """Codewords by layer, of all pairs kept."""
         check_mode(self._format_reader.number(self._light.gain))
-        buffer, first = self._parts.buffer, Assumption(self._gains(), self._cutouts())
+        buffer, first = self._buffer, Assumption(self._gains(), self._cutouts())
         shown, new = self._led_by_led(first), self._led_gains is not None and not self._proven
         if shown is not None and not open_words(shown) and not new:
             self._learn_brightness(first, shown)

@@ -94,6 +94,17 @@ class PacketReader(Protocol):
             The frame that is there.
         """
 
+    def renumbered(self, place: int) -> "PacketReader":
+        """Give a reader of the same packet for which a pair is lost that the numbers do not tell of.
+
+        What it decodes is not kept for later packets.
+
+        Parameters
+        ----------
+        place
+            Number of the lost pair; what was taken from there on is that of the pairs after it.
+        """
+
     def decode(self) -> Words:
         """Decode all that was taken: codewords by layer."""
 

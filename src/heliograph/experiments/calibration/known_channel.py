@@ -147,6 +147,16 @@ class KnownReader:
             The frame that is there; ignored.
         """
 
+    def renumbered(self, place: int) -> "KnownReader":  # noqa: ARG002 - no frame is lost
+        """The same: no frame is lost of which the truth is known; see `PacketReader`.
+
+        Parameters
+        ----------
+        place
+            Number of a lost pair; ignored.
+        """
+        return self
+
     def decode(self) -> Words:
         """Codewords by layer."""
         noise, side, receive = true_noise(self._gain, self._link), self._link.signal.side, self._link.receive

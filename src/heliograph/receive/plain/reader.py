@@ -1,5 +1,7 @@
 """The plain receiver's reader: luminances at the LEDs' image positions, FHWT, one decoding."""
 
+from copy import copy
+
 import numpy as np
 
 from heliograph.base.arrays import Floats
@@ -13,6 +15,7 @@ from heliograph.receive.reader_protocol import ReadHeader
 from heliograph.receive.settings import Equaliser
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.kalman import PoseState
+from heliograph.receive.track.kept_pairs import renumbered
 from heliograph.receive.track.lone_frames import around, state_between
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
@@ -104,6 +107,16 @@ class PlainReader:
     def take_lone(self, place: int, lone: LoneFrame) -> None:
         """Keep the frame that is left of a pair; see `PacketReader`."""
         self._lone[place] = lone
+
+    def renumbered(self, place: int) -> "PlainReader":
+        """The same reader with the pairs from one on moved to the next number; see `PacketReader`."""
+        other, pairs = copy(self), len(self._seen)
+        other._luminances, other._seen = self._luminances.copy(), self._seen.copy()
+        other._luminances[place + 1 :], other._seen[place + 1 :] = self._luminances[place:-1], self._seen[place:-1]
+        other._luminances[place], other._seen[place] = 0.0, False
+        other._lone = renumbered(self._lone, place, pairs)
+        other._states, other._sums = renumbered(self._states, place, pairs), renumbered(self._sums, place, pairs)
+        return other
 
     def decode(self) -> Words:
         """Codewords by layer."""

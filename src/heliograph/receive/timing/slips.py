@@ -8,7 +8,7 @@ places. A slip shows itself. Let r~_i be frame i less the mean of the frames, at
 is near 0 for a pattern and its inverse, and near 1 for patterns of different pairs. Where something hides the array,
 epsilon says nothing. Where a pair is uneven, the frames after it are awaited. They are then paired at the least cost:
 epsilon for each pair, `SLIP_COST` for each frame taken as the one left of a pair. A pair that is lost as a whole leaves
-sums even. The next header shows the loss, as it comes two patterns early.
+sums even. The next header shows the loss, as it comes two patterns early; `lost_pair` finds the place.
 """
 
 from collections.abc import Iterator
@@ -259,6 +259,17 @@ class SlipWatch:
         if 0 < abs(early) <= length and all((-1) ** (k + 1) * h > HEADER_CORRELATION for k, h in enumerate(last)):
             self.lost += early
         self._headers = {k: h for k, h in self._headers.items() if k > number - length}
+
+    def shows_header(self, pair: int) -> bool:
+        """Whether the frames taken for a pair of data are a header's: a pair before it was lost as a whole.
+
+        Parameters
+        ----------
+        pair
+            Number of the pair since the detection; the last one or the one before.
+        """
+        up, down = (self._headers.get(2 * pair + k, 0.0) for k in range(2))
+        return up > HEADER_CORRELATION and down < -HEADER_CORRELATION
 
     def _gap(self, place: int) -> int:
         """Frame periods from a frame in hand to the next."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.observe.cutout import Cutout
@@ -9,6 +10,8 @@ from heliograph.receive.timing.frame_pair import LoneFrame
 from heliograph.receive.track.hidden_leds import hidden_since
 from heliograph.receive.track.lone_frames import SeenPair, lone_cutout
 from heliograph.receive.track.track import Track
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +77,19 @@ class KeptPairs:
         """
         return replace(self, lone={**self.lone, place: lone})
 
+    def renumbered(self, place: int, pairs: int) -> "KeptPairs":
+        """The same with the pairs from one on moved to the next number.
+
+        Parameters
+        ----------
+        place
+            Number of the first pair that is moved.
+        pairs
+            Pairs of data of a packet; what would come after them is left out.
+        """
+        cutouts, seen = renumbered(self.cutouts, place, pairs), renumbered(self.seen, place, pairs)
+        return KeptPairs(cutouts, seen, renumbered(self.lone, place, pairs))
+
     def rather(self, cutouts: Sequence[Cutout | None]) -> "KeptPairs":
         """The same with other cut-outs.
 
@@ -109,3 +125,19 @@ class KeptPairs:
         return {
             place: lone_cutout(lone, place, self.seen, late_s, gain, led_gains) for place, lone in self.lone.items()
         }
+
+
+def renumbered(items: Mapping[int, T], place: int, pairs: int) -> dict[int, T]:
+    """What is kept by number of the pair, those from one on moved to the next number.
+
+    Parameters
+    ----------
+    items
+        Of the pairs there are, by number from 0.
+    place
+        Number of the first pair that is moved.
+    pairs
+        Pairs of data of a packet; what would come after them is left out.
+    """
+    moved = {number + (number >= place): item for number, item in items.items()}
+    return {number: item for number, item in moved.items() if number < pairs}
