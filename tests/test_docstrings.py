@@ -9,7 +9,19 @@ import pytest
 
 ROOT = Path(__file__).parents[1] / "src" / "heliograph"
 
-HELD = ("base", "signal", "transmit", "channel", "media", "receive", "link", "measure", "sweeps", "experiments")
+HELD = (
+    "base",
+    "signal",
+    "transmit",
+    "channel",
+    "media",
+    "receive",
+    "link",
+    "measure",
+    "sweeps",
+    "experiments",
+    "probe",
+)
 """Packages held to the rules: all but the command line, whose parameters its help describes."""
 
 ERRORS = {"HeliographError", "SettingsError", "MediaError", "ValueError"}

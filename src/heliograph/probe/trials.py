@@ -1,0 +1,272 @@
+"""What would read a region: receivers tried on its frames, with what it shows itself in place of the settings.
+
+Where a codeword is right under other settings, these are the diagnosis, as no codeword is right by chance.
+"""
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import ceil, floor
+from typing import Any
+
+from heliograph.base.config import merge
+from heliograph.base.frames import Frame
+from heliograph.probe.clock import Clock, clock_of
+from heliograph.probe.headers import HeaderSeen
+from heliograph.probe.light import LightRate
+from heliograph.probe.reach import MOST_SIDE, NEAR_PITCH_PX, layer_information
+from heliograph.probe.reading import READ, SLACK, Asked, Reading, narrowed, read
+from heliograph.receive import ReceiveSettings
+from heliograph.receive.observe.noise import Noise
+from heliograph.receive.settings import SMALLEST_SIDE_PX
+from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
+from heliograph.signal.settings import SignalSettings
+
+SIDES = (8, 16, 32, 12, 24, 4, 20, 48, 64)
+"""LEDs in a row that are tried where a header is found but no codeword is right, the usual ones first."""
+
+LEAST_PITCH_PX = 0.3
+"""Least pitch in px of a side that is tried: LEDs nearer to each other are not read, however many there are."""
+
+LEAST_SCORE = 0.7
+"""Least correlation with a header that is worth a trial."""
+
+SURE_HEADER = 0.85
+"""Correlation with a header from which on a region has one: clutter seldom exceeds 0.8."""
+
+BLURRED, BLURRED_PX = 1.2, 1.2
+"""Blur over the pitch, and in px, from which on a lens is out of focus: of the reference lens it is 0.5 px."""
+
+FAR_BLUR = 2.5
+"""Blur of a header over the first guess of the settings from which on that is to be set: a fit finds twice of it."""
+
+NEAR_BLUR = 0.5
+"""Blur over the pitch up to which it hides nothing of a header, whose cells are four LEDs wide or more."""
+
+MOST_HEADER_PAIRS = 16
+"""Most pairs of a header that the signal's settings allow."""
+
+RESOLVED_PX = 1.0
+"""Least pitch in px of an array that is tried without a model of what it holds."""
+
+WORTH = 0.8
+"""Least information of the high layer over its rate, as the model of `reach` has it, for a receiver to be tried: 1.3
+are needed, and the model errs a little on the careful side."""
+
+AROUND = 8
+"""Patterns before and after a packet that are tried with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What reads a region.
+
+    Attributes
+    ----------
+    reading
+        The reading in which a codeword is right.
+    changes
+        What was changed for it, a nested mapping with "signal" and "receive"; empty where nothing was.
+    retimed
+        Whether frames were given the times by which a pattern lasts what the settings say.
+    clock
+        The light's clock in the camera's.
+    """
+
+    reading: Reading
+    changes: Mapping[str, Any]
+    retimed: bool
+    clock: Clock
+
+
+def what_reads(
+    frames: Sequence[Frame], asked: Asked, rate: LightRate | None, header: HeaderSeen, noise: Noise, whole: bool
+) -> Found | None:
+    """Look for settings with which a region is read.
+
+    Parameters
+    ----------
+    frames
+        The region's part of frames, in the order of time.
+    asked
+        What the film is to be read with.
+    rate
+        Frames that a pattern lasts as the light shows it; None where it does not.
+    header
+        What of a header the region shows.
+    noise
+        Variances of a difference of two frames in squared gray levels, as far as they are known.
+    whole
+        Whether arrays of other sides may be tried: not where the region is cut, saturated, blurred or smeared.
+
+    Returns
+    -------
+    The first reading in which a codeword is right, and what it takes; None where there is none.
+    """
+    if header.score < LEAST_SCORE or asked.signal.header != "m_sequence":
+        return None
+    other = rate is not None and abs(rate.frames / asked.frames_a_pattern - 1) > STEP_TOLERANCE
+    seen = retimed(frames, rate, asked.signal) if other and rate is not None else frames
+    frames_a_pattern = rate.frames if rate is not None else asked.frames_a_pattern
+    form = other_packets(header, asked.signal, frames_a_pattern)
+    some = one_packet(seen, header, frames_a_pattern, asked.changed({"signal": form}).signal)
+    size, full = header.fit.pose.pitch * asked.signal.side, frames[0].full_scale
+    pose, sure = header.fit.pose, header.score >= SURE_HEADER
+    sharp = pose.blur <= max(BLURRED * pose.pitch, BLURRED_PX)
+    sides = [one for one in SIDES if one != asked.signal.side and size / one > LEAST_PITCH_PX]
+    sides = sides if whole and sure and sharp else []
+    for side in (asked.signal.side, *sides):
+        changed = form if side == asked.signal.side else {**form, "side": side}
+        for receiver in _receivers(asked.settings, frames_a_pattern):
+            changes = {"signal": changed, "receive": needed(asked.settings, receiver, header, size, full)}
+            tried = asked.changed(merge(changes, {"receive": {"detect": narrowed(size)}}))
+            if _hopeless(header, receiver, noise, tried.signal):
+                continue
+            reading = read(some, tried.signal, tried.settings)
+            if reading.read:
+                good = [one for one in reading.packets if one.status in READ]
+                return Found(reading, changes, other, clock_of(good, some, tried.signal))
+    return None
+
+
+def retimed(frames: Sequence[Frame], rate: LightRate, signal: SignalSettings) -> list[Frame]:
+    """Frames with the times that they have if a pattern lasts what the signal says.
+
+    Parameters
+    ----------
+    frames
+        Frames in the order of time; a gap in their numbers stays one.
+    rate
+        Frames that a pattern lasts.
+    signal
+        The light's signal, with the pattern period.
+    """
+    every = max(1, min((b.index - a.index for a, b in itertools.pairwise(frames)), default=1))
+    in_step = abs(rate.frames - 1) < STEP_TOLERANCE
+    step_s = signal.pattern_period_s / (1.0 if in_step else rate.frames)
+    first = frames[0].index
+    return [
+        replace(frame, index=(frame.index - first) // every, time_s=(frame.index - first) / every * step_s)
+        for frame in frames
+    ]
+
+
+def _hopeless(header: HeaderSeen, receiver: str, noise: Noise, signal: SignalSettings) -> bool:
+    """Whether by size, blur and noise not even the high layer can be read, so that a trial would only take time."""
+    pose = header.fit.pose
+    pose = replace(pose, pitch=pose.pitch * header.side / signal.side)
+    if signal.side > MOST_SIDE or signal.modulation != "haar":
+        # the soft receiver's matrices take minutes
+        return pose.pitch < RESOLVED_PX or (receiver == "soft" and signal.side > MOST_SIDE)
+    while pose.pitch > NEAR_PITCH_PX:
+        pose = replace(pose, pitch=pose.pitch / 2, blur=pose.blur / 2)
+    held = layer_information(receiver, pose, header.fit.gain, noise, signal)
+    return held["high"] < WORTH * signal.rate.high
+
+
+def other_packets(header: HeaderSeen, signal: SignalSettings, frames_a_pattern: float) -> dict[str, int]:
+    """Pairs of header and data that headers show, where they are others than the settings'; else nothing.
+
+    Parameters
+    ----------
+    header
+        What of a header a region shows: its pairs, and when it comes again.
+    signal
+        The light's signal, of which the packet's shape counts.
+    frames_a_pattern
+        Frames that a pattern lasts.
+    """
+    patterns = round(header.period / frames_a_pattern)
+    right = header.pairs == signal.header_pairs and patterns in (0, signal.packet_patterns)
+    if right or not 1 <= header.pairs <= MOST_HEADER_PAIRS or patterns % 2 or patterns <= 2 * header.pairs:
+        return {}
+    return {"header_pairs": header.pairs, "data_pairs": patterns // 2 - header.pairs}
+
+
+def one_packet(
+    frames: Sequence[Frame], header: HeaderSeen, frames_a_pattern: float, signal: SignalSettings
+) -> Sequence[Frame]:
+    """Frames of the first packet that is whole, and some about it; all where no header's start is seen.
+
+    Parameters
+    ----------
+    frames
+        Frames in the order of time.
+    header
+        What of a header they show: numbers of the patterns with which it begins.
+    frames_a_pattern
+        Frames that a pattern lasts.
+    signal
+        The light's signal, with the patterns of a packet.
+    """
+    around = round(AROUND * frames_a_pattern)
+    length = round(signal.packet_patterns * frames_a_pattern) + around
+    for start in header.starts:
+        first = round(start * frames_a_pattern)
+        if first + length - around <= len(frames):
+            return frames[max(first - around, 0) : first + length]
+    return frames
+
+
+def needed(
+    asked: ReceiveSettings, receiver: str, header: HeaderSeen, size_px: float, full_scale: int
+) -> dict[str, Any]:
+    """Settings of a receiver that a region asks for by its size, contrast and blur, as a nested mapping.
+
+    Parameters
+    ----------
+    asked
+        Settings that were asked for.
+    receiver
+        Which one is to read it, "plain" or "soft".
+    header
+        What of a header the region shows.
+    size_px
+        Side of the array in px by it.
+    full_scale
+        Largest gray level of the film.
+    """
+    out: dict[str, Any] = {} if asked.receiver == receiver else {"receiver": receiver}
+    detect = dict[str, float]()
+    smallest = asked.detect.min_side_px or SMALLEST_SIDE_PX[receiver]
+    if size_px < smallest:
+        detect["min_side_px"] = max(floor(2 * SLACK * size_px) / 2, 3.0)
+    if size_px > asked.detect.max_side_px:
+        detect["max_side_px"] = float(min(ceil(size_px / SLACK / 16) * 16, 4096))
+    if header.fit.gain < asked.detect.min_contrast * full_scale:
+        detect["min_contrast"] = float(f"{SLACK * header.fit.gain / full_scale:.1g}")
+    if detect:
+        out["detect"] = detect
+    pose = header.fit.pose
+    if pose.blur > max(FAR_BLUR * asked.calibration.blur_px, NEAR_BLUR * pose.pitch):
+        out["calibration"] = {"blur_px": min(round(header.fit.pose.blur, 1), 5.0)}
+    return out
+
+
+def _receivers(asked: ReceiveSettings, frames_a_pattern: float) -> list[str]:
+    """Receivers that are tried: the plain one reads one frame a pattern alone."""
+    stepped = abs(frames_a_pattern - 1) < STEP_TOLERANCE and asked.receiver != "soft"
+    return ["plain", "soft"] if stepped else ["soft"]
+
+
+def options(changes: Mapping[str, Any]) -> tuple[str, ...]:
+    """Options of the command that make changes, the receiver first.
+
+    Parameters
+    ----------
+    changes
+        Nested mapping with "signal" and "receive".
+    """
+    receive = dict(changes.get("receive", {}))
+    receiver = receive.pop("receiver", None)
+    flat = [*_flat("signal", changes.get("signal", {})), *_flat("receive", receive)]
+    return (*((f"--receiver {receiver}",) if receiver else ()), *(f"--set {key}={value:g}" for key, value in flat))
+
+
+def _flat(name: str, tree: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Dotted keys of a nested mapping, with their values."""
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _flat(f"{name}.{key}", value)
+        else:
+            yield f"{name}.{key}", value

@@ -1,0 +1,139 @@
+"""Small films of an array with one fault each, as a camera would deliver them: frames alone, no note, no truth."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.channel import film as filmed
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import default_messages, simulate
+from heliograph.media import create_film
+
+
+@dataclass
+class KeptFilm:
+    """Frames of a film that is held in memory, as an open film gives them."""
+
+    frames: Sequence[Frame]
+    rate_hz: float = 1000.0
+    path: Path = Path("the film")
+
+    @property
+    def claimed_hz(self) -> float:
+        return self.rate_hz
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.frames)
+
+    @property
+    def width(self) -> int:
+        return int(self.frames[0].pixels.shape[1])
+
+    @property
+    def height(self) -> int:
+        return int(self.frames[0].pixels.shape[0])
+
+    @property
+    def bits(self) -> int:
+        return self.frames[0].bits
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        return {}
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self.frames)
+
+
+SMALL: dict[str, Any] = {
+    "distance_m": 50.0,
+    "duration_s": 0.26,
+    "camera": {"width": 160, "height": 120},
+    "arrays": [{"x_m": 0.0, "y_m": 0.0}],
+}
+"""A small camera that looks straight at the array for two packets and a half."""
+
+
+def link(*changes: str, **channel: Any) -> LinkSettings:
+    return load_settings("static", {"channel": {**SMALL, **channel}}, changes)
+
+
+def film(settings: LinkSettings, seed: int = 1) -> list[Frame]:
+    return [frame for frame, _ in simulate(settings, default_messages(settings), seed)]
+
+
+def kept(settings: LinkSettings, change: Callable[[Frame], Frame] | None = None, rate_hz: float = 0.0) -> KeptFilm:
+    """A film of a link, each frame changed."""
+    frames = film(settings)
+    return KeptFilm(list(map(change, frames)) if change else frames, rate_hz or settings.channel.camera.fps)
+
+
+def mirrored(frame: Frame) -> Frame:
+    pixels: Any = np.ascontiguousarray(frame.pixels[:, ::-1])
+    return replace(frame, pixels=pixels)
+
+
+def slowed(factor: float) -> Callable[[Frame], Frame]:
+    """What a file claims of frames that were taken so many times as fast."""
+    return lambda frame: replace(frame, time_s=frame.time_s * factor)
+
+
+def shown(patterns: Sequence[NDArray[np.uint8]], settings: LinkSettings, seed: int = 1) -> KeptFilm:
+    """A film of lamps that show patterns of one's own over and over."""
+
+    def endless() -> Iterator[NDArray[np.uint8]]:
+        while True:
+            yield from patterns
+
+    timed = filmed(settings.channel, [endless()], np.random.default_rng(seed), pattern_period_s=1e-3)
+    return KeptFilm([frame for frame, _ in timed], settings.channel.camera.fps)
+
+
+def blinking_square(every: int = 3) -> KeptFilm:
+    """A lamp as large as an array that goes on and off, each for so many frames."""
+    on = np.full((16, 16), 4, np.uint8)
+    return shown([*[on] * every, *[0 * on] * every], link())
+
+
+def write(film: KeptFilm, path: Path) -> Path:
+    """A film as a file without any note."""
+    first = film.frames[0]
+    with create_film(path, width=film.width, height=film.height, rate_hz=film.rate_hz, bits=first.bits) as target:
+        for frame in film.frames:
+            target.write(frame)
+        target.finish()
+    return path
+
+
+RIGHT: dict[str, Callable[[], KeptFilm]] = {
+    "right": lambda: kept(link()),
+    "mirrored": lambda: kept(link(), mirrored),
+    "frames lost": lambda: kept(link(camera={**SMALL["camera"], "dropped": 0.05})),
+}
+"""Films that are read."""
+
+FAULTY: dict[str, Callable[[], KeptFilm]] = {
+    "too small": lambda: kept(link(distance_m=330.0, duration_s=0.22)),
+    "too large": lambda: kept(link(distance_m=14.0, camera={"width": 112, "height": 112})),
+    "too dim": lambda: kept(link(emitter={"all_on": 0.022})),
+    "saturated": lambda: kept(link(emitter={"all_on": 4.0}, arrays=[{"x_m": 0, "y_m": 0, "brightness": 8.0}])),
+    "out of focus": lambda: kept(link(camera={**SMALL["camera"], "blur_px": 6.0})),
+    "no header": blinking_square,
+    "half the rate": lambda: kept(link("signal.pattern_period_s=0.002", duration_s=0.45)),
+    "mislabelled": lambda: kept(link(), slowed(1000 / 30), 30.0),
+    "wrong side": lambda: kept(link("signal.side=8", emitter={"pitch_m": 0.04})),
+    "moving": lambda: kept(link(arrays=[{"x_m": -0.9, "y_m": 0, "vx_m_s": 80.0}], duration_s=0.03)),
+    "nothing blinks": lambda: kept(link(arrays=[{"x_m": 0, "y_m": 0, "brightness": 0.0}])),
+    "cut": lambda: kept(link(arrays=[{"x_m": 1.27, "y_m": 0}])),
+    "hidden": lambda: kept(link(arrays=[{"x_m": 0, "y_m": 0, "hidden": (0, 0, 1, 0.6)}])),
+    "other packets": lambda: kept(link("signal.header_pairs=1", "signal.data_pairs=30")),
+    "out of step": lambda: kept(link(camera={**SMALL["camera"], "start_s": 0.0005})),
+    "slow camera": lambda: kept(link(camera={**SMALL["camera"], "fps": 700.0})),
+}
+"""Films of which the default receiver reads nothing."""

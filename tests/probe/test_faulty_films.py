@@ -1,0 +1,118 @@
+"""Films with one fault each are told what is wrong with them, by their frames alone."""
+
+from dataclasses import dataclass
+
+import pytest
+from faulty_films import FAULTY, RIGHT, KeptFilm, blinking_square
+
+from heliograph.base.config import from_mapping
+from heliograph.probe import Findings, probe_film
+from heliograph.receive import ReceiveSettings
+from heliograph.signal.settings import SignalSettings
+
+pytestmark = pytest.mark.slow
+
+
+def probed(film: KeptFilm, **receive: object) -> Findings:
+    return probe_film(film, SignalSettings(), from_mapping(ReceiveSettings, receive))
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is to be told of a film: the first cause of its only region, whether it was read then, and advice."""
+
+    kind: str
+    proven: bool
+    advice: tuple[str, ...]
+    why: str = ""
+
+
+TOLD = {
+    "too small": Told("too small", False, ("longer lens",), "3.4 px a side"),
+    "too large": Told("too large", True, ("--set receive.detect.max_side_px=80",), "px a side; up to 48 px"),
+    "too dim": Told(
+        "too dim", True, ("expose longer", "--set receive.detect.min_contrast=0.02"), "2.2 % of full scale"
+    ),
+    "saturated": Told("saturated", False, ("expose shorter",), "at full scale"),
+    "out of focus": Told("out of focus", False, ("focus the lens",), "blurred to 6.0 px"),
+    "no header": Told("lamp", False, ("if it is a lamp",), "every 6.0 frames"),
+    "half the rate": Told(
+        "other rate", True, ("--fps 2000", "signal.pattern_period_s=0.002", "--receiver soft"), "lasts 2.00 frames"
+    ),
+    "mislabelled": Told("other rate", True, ("--fps 1000", "signal.pattern_period_s=0.033"), "lasts 1.00 frames"),
+    "wrong side": Told("other side", True, ("--set signal.side=8",), "with 8 LEDs in a row, not with 16"),
+    "moving": Told("moving", False, ("follow it with the camera",), "4.6 px a frame"),
+    "cut": Told("cut", False, ("turn the camera",), "the frame's border"),
+    "hidden": Told("hidden", False, ("whole array is in view",), "19 px wide and 7 px high"),
+    "other packets": Told(
+        "other packets", True, ("--set signal.header_pairs=1 --set signal.data_pairs=30",), "1 pairs of header and 30"
+    ),
+    "out of step": Told("out of step", True, ("--receiver soft",), "0.50 of a pattern"),
+    "slow camera": Told("slow camera", False, (), "lasts 0.70 frames"),
+}
+
+
+@pytest.mark.parametrize("name", TOLD)
+def test_a_film_with_a_fault_is_told_it(name: str) -> None:
+    detect = {"max_side_px": 48.0} if name == "too large" else {}
+    found, told = probed(FAULTY[name](), detect=detect), TOLD[name]
+    assert not found.read
+    assert len(found.regions) == 1
+    first = found.regions[0].causes[0]
+    assert (first.kind, first.proven) == (told.kind, told.proven), found.regions[0].causes
+    assert told.why in first.why
+    for word in told.advice:
+        assert any(word in line for line in found.advice), found.advice
+
+
+def test_where_nothing_blinks_that_is_said() -> None:
+    found = probed(FAULTY["nothing blinks"]())
+    assert not found.read
+    assert not found.regions
+    assert found.causes[0].kind == "still"
+    assert "switched on" in found.advice[0]
+
+
+def test_a_camera_slower_than_the_light_is_told_of_the_film() -> None:
+    found = probed(FAULTY["slow camera"]())
+    assert [cause.kind for cause in found.causes] == ["slow camera"]
+    assert "film with 1000 frames a second or more" in found.advice
+    assert "one frame a pattern" in found.error
+
+
+@pytest.mark.parametrize("name", RIGHT)
+def test_a_right_film_is_read(name: str) -> None:
+    found = probed(RIGHT[name]())
+    (array,) = found.arrays
+    assert found.read
+    assert array.identity == 0
+    assert array.orientation == ("mirrored" if name == "mirrored" else "upright")
+    assert array.last_distance_m == pytest.approx(50, abs=0.2)
+    assert array.pitch_px == pytest.approx(1.1667, rel=2e-3)
+    assert array.blur_px == pytest.approx(0.51, abs=0.03)
+    assert array.contrast == pytest.approx(0.8, abs=0.01)
+    assert array.failed == {"high": 0, "middle": 0, "low": 0}
+    assert array.clock is not None
+    assert array.clock.phase == pytest.approx(0, abs=0.03)
+    assert found.regions[0].array == array
+    assert found.rate is not None
+    assert found.rate.frames == pytest.approx(1, abs=3e-3)
+    lost = [cause for cause in found.causes if cause.kind == "lost frames"]
+    assert bool(lost) == (name == "frames lost")
+    if lost:
+        assert found.times.lost == 14
+        assert "14 of 260 frames" in lost[0].why
+
+
+def test_a_lamp_of_another_rate_is_told_by_its_period() -> None:
+    found = probed(blinking_square(5))
+    assert found.regions[0].lamp_frames == pytest.approx(10, abs=0.05)
+    assert "every 10.0 frames (99.97 times a second" in found.regions[0].causes[0].why
+
+
+def test_orders_of_another_receiver_are_kept() -> None:
+    """What was asked for is read with what was asked for: the soft receiver reads a film out of step."""
+    found = probed(FAULTY["out of step"](), receiver="soft")
+    (array,) = found.arrays
+    assert array.clock is not None
+    assert abs(array.clock.phase) == pytest.approx(0.5, abs=0.03)
