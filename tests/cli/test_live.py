@@ -170,3 +170,9 @@ def test_cameras_are_listed_and_what_is_missing_is_said(call: Call, monkeypatch:
         assert f"camera:{kind}: {why}" in says
         assert any(cure in why for cure in ("install", "plug one in", "no camera answers", "give its address")), why
     assert "genicam" in found["lacking"]
+
+
+def test_what_a_camera_sees_is_probed(call: Call, film: Path) -> None:
+    says = succeeded(call("probe", f"camera:played:{film}", "--preset", "static", "--frames", "230"))
+    assert f"camera:played:{film}: 230 frames of 160x120 px" in says
+    assert "array 0: upright" in says

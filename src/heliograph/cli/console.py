@@ -13,6 +13,9 @@ from heliograph.base.compile_time import clock
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
 
+NO_ARRAY = 3
+"""Exit status where all was read to its end, and no array was found."""
+
 LONGEST = 600
 """Most characters of a message: some quote what was typed, or a file, which may be of any length."""
 

@@ -208,14 +208,15 @@ def receive(
     workers: options.WorkersOption = None,
     scheduler: Scheduler = None,
 ) -> None:
-    """Find arrays in films, or before a live camera, and read what they send.
+    """Find arrays in films, or before a live camera, and read what they send; where nothing is read it says why.
 
     A live camera is camera:KIND or camera:KIND:ADDRESS; 'heliograph cameras' lists what is there. It is received until
     Ctrl-C, for --duration S, or to the camera's end.
 
     Films of 'simulate' hold a note of their signal, which wins over the preset. --settings and --set win over the
     note; a line says where they differ from it. Of several films, or a folder of films, a line of JSON is printed for
-    each; --output has a folder for each, and what is there already is not read again.
+    each; --output has a folder for each, and what is there already is not read again. The exit status is 3 where no
+    array was found, of several films in none of them.
     """
     from heliograph.cli.live import LiveOptions
     from heliograph.cli.news import Told
@@ -242,6 +243,55 @@ def cameras(camera: CameraOption = None, as_json: Json = False) -> None:
     from heliograph.cli.cameras import run_cameras
 
     run_cameras(camera, as_json)
+
+
+@app.command()
+def probe(
+    film: Annotated[Path, typer.Argument(metavar="FILM", help=f"{READ} Or a live camera, camera:KIND:ADDRESS.")],
+    receiver: Annotated[
+        str | None,
+        typer.Option(
+            help="Receiver that is to read it: plain, soft or one of your own; that of the preset if left out.",
+            show_default=False,
+            autocompletion=options.begun_receivers,
+        ),
+    ] = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(
+            "--frames",
+            min=1,
+            metavar="N",
+            show_default=False,
+            help="Look at the first N frames alone; of a live camera at 2048 if left out.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", metavar="DIR", help="Folder for probe.html, the same with pictures.", show_default=False
+        ),
+    ] = None,
+    fps: Fps = None,
+    crop: Crop = None,
+    binning: Bin = 1,
+    rotate: Rotate = 0,
+    channel: Channel = "luma",
+    camera: CameraOption = None,
+    preset: options.Preset = "paper",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    as_json: Json = False,
+) -> None:
+    """Tell what a film shows: its frames, light and noise, what blinks, why that is or is no array, what to change.
+
+    The exit status is 0 where an array is read with the settings as they are, and 3 where none is.
+    """
+    from heliograph.cli.probe import run_probe
+
+    seen = options.FilmOptions(fps, crop, binning, rotate, channel)
+    changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
+    run_probe(film, seen, camera, frames, output, preset, settings, changes, as_json)
 
 
 @app.command()

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from heliograph.measure.errors import ErrorCounter
     from heliograph.measure.reception import Reception
     from heliograph.media import FilmReader
+    from heliograph.probe import Findings
     from heliograph.signal.message import Message
     from heliograph.signal.settings import SignalSettings
 
@@ -40,12 +41,13 @@ def run_receive(
     told: Told,
     live: LiveOptions,
 ) -> None:
-    """Read a film; whatever ends it, what was decoded before is kept and shown.
+    """Read a film; whatever ends it, what was decoded before is kept and shown. Where nothing was, it is said why.
 
     What the film notes of its signal wins over the preset; file and assignments win over the note.
     """
     import cv2
 
+    from heliograph.cli.probe import found_array, why_unread
     from heliograph.link.notes import check_truth, signal_of
     from heliograph.link.truth import open_truth
     from heliograph.measure.reception import Reception
@@ -78,6 +80,11 @@ def run_receive(
             with console.progress("receiving", watch.frame_count) as advance:
                 ending = read_film(watch, signal, settings, reception, (folder, news), advance)
             report = {**reception.report(time.perf_counter() - began), "reading_seconds": source.read_s}
+            try:
+                # what a camera shows is gone
+                why = None if watch.is_live else why_unread(source, signal, settings, report, ending)
+            except KeyboardInterrupt as error:
+                why, ending = None, error
             ending = finish_folder(folder, report, watch) or ending
             news.tell({"event": "end", **report})
     if told.follow:
@@ -86,6 +93,7 @@ def run_receive(
         console.say_json(report)
     else:
         _show(report, reception, folder)
+        _show_why(why, film)
         watch.show()
         if not watch.is_live:
             _show_reading(source, report)
@@ -94,6 +102,8 @@ def run_receive(
         sys.exit(console.INTERRUPTED)
     if ending is not None:
         raise ending
+    if not found_array(report):
+        sys.exit(console.NO_ARRAY)
 
 
 def read_film(
@@ -209,6 +219,17 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
         console.say(f"array {identity}, {layer}, message {stream}: {had} of {size} bytes")
     if reception.errors is not None:
         _show_errors(reception.errors)
+
+
+def _show_why(why: "Findings | None", film: Path) -> None:
+    """Say in short why nothing was read."""
+    if why is None:
+        return
+    from heliograph.probe.words import in_short
+
+    for line in in_short(why):
+        console.say_prose(line)
+    console.note(f"'heliograph probe {film} --output DIR' tells more, with pictures")
 
 
 def _show_reading(source: "FilmReader", report: dict[str, Any]) -> None:

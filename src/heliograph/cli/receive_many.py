@@ -79,6 +79,7 @@ def run_many(
 
     Workers are given by their number, None for one a core, or by the address of a Dask scheduler.
     """
+    from heliograph.cli.probe import found_array
     from heliograph.sweeps.executors import fewer_workers, open_workers
 
     options.settings_from(preset, file, list(assignments))  # what is wrong with them is said once
@@ -105,6 +106,8 @@ def run_many(
     broken = sum("error" in row for row in rows.values())
     if broken:
         raise MediaError(f"{broken} of {len(works)} films could not be read to the end; their lines say why")
+    if not any(found_array(row) for row in rows.values()):
+        sys.exit(console.NO_ARRAY)
 
 
 def receive_one(work: FilmWork) -> dict[str, Any]:
@@ -123,6 +126,7 @@ def receive_one(work: FilmWork) -> dict[str, Any]:
 
     from heliograph.cli.live import Watch
     from heliograph.cli.news import News, Told
+    from heliograph.cli.probe import why_unread
     from heliograph.cli.receive import Folder, finish_folder, read_film
     from heliograph.link.notes import signal_of
     from heliograph.measure.reception import Reception
@@ -141,6 +145,7 @@ def receive_one(work: FilmWork) -> dict[str, Any]:
                 ending = read_film(watch, signal, settings, reception, (folder, news))
                 report = {"film": work.film, **reception.report(time.perf_counter() - began)}
                 report["messages"] = folder.messages
+                why_unread(source, signal, settings, report, ending, quiet=True)
                 if ending is not None:
                     report["error"] = _line(ending)
                 ending = finish_folder(folder, {**report, "made_of": made_of}, watch) or ending
