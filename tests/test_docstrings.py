@@ -16,6 +16,7 @@ HELD = (
     "channel",
     "media",
     "receive",
+    "panel",
     "link",
     "measure",
     "sweeps",

@@ -14,6 +14,7 @@ PICTURES = {
     "own_receiver": ["own_receiver.png"],
     "own_code": ["own_code.png"],
     "eight_by_eight": ["eight_by_eight.csv", "eight_by_eight.png"],
+    "any_panel": ["any_panel.png"],
 }
 
 

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from heliograph.link.photometry import LightSettings
     from heliograph.link.settings import LinkSettings, load_settings
     from heliograph.link.simulate import simulate
-    from heliograph.media import convert_film, create_film, open_film, open_slots
+    from heliograph.media import convert_film, create_film, open_colours, open_film, open_slots
     from heliograph.media.live.camera import register_camera
+    from heliograph.panel import Place, follow, locate, sample
     from heliograph.receive import (
         Packet,
         Receiver,
@@ -43,6 +44,7 @@ _HOMES = {
     "LinkSettings": "link.settings",
     "MediaError": "base.errors",
     "Packet": "receive",
+    "Place": "panel",
     "ReceiveSettings": "receive",
     "Receiver": "receive",
     "SettingsError": "base.errors",
@@ -53,9 +55,12 @@ _HOMES = {
     "create_film": "media",
     "decode": "link.codec",
     "encode": "link.codec",
+    "follow": "panel",
     "load_parts": "base.registry",
     "load_settings": "link.settings",
+    "locate": "panel",
     "make_receiver": "receive",
+    "open_colours": "media",
     "open_film": "media",
     "open_slots": "media",
     "own_settings": "receive",
@@ -67,6 +72,7 @@ _HOMES = {
     "register_motion": "channel.parts",
     "register_point_spread": "channel.parts",
     "register_receiver": "receive",
+    "sample": "panel",
     "simulate": "link.simulate",
     "sweep": "sweeps.sweep",
 }
@@ -79,6 +85,7 @@ __all__ = [
     "LinkSettings",
     "MediaError",
     "Packet",
+    "Place",
     "ReceiveSettings",
     "Receiver",
     "SettingsError",
@@ -89,9 +96,12 @@ __all__ = [
     "create_film",
     "decode",
     "encode",
+    "follow",
     "load_parts",
     "load_settings",
+    "locate",
     "make_receiver",
+    "open_colours",
     "open_film",
     "open_slots",
     "own_settings",
@@ -103,6 +113,7 @@ __all__ = [
     "register_motion",
     "register_point_spread",
     "register_receiver",
+    "sample",
     "simulate",
     "sweep",
 ]

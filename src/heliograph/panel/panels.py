@@ -1,0 +1,371 @@
+"""Any panel of LEDs by hand, without this project's packets: where it is, where it goes, what its LEDs show."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from math import inf, nan
+from numbers import Integral
+from typing import Any
+
+import numpy as np
+
+from heliograph.base.arrays import Floats
+from heliograph.base.errors import HeliographError, shown
+from heliograph.panel.lattice import FIRST_BLUR, Fitted, Lattice, Shape, fitted
+from heliograph.panel.outline import SMOOTHING, SMOOTHING_PITCHES, Region, evidence, outlined, quadrilateral
+from heliograph.panel.phase import AFRESH, FARTHEST, ONWARDS, Phased, phased, strength
+from heliograph.panel.picture import COLOURS, AnyFrame, Levels, Picture, picture_of
+from heliograph.panel.place import Place, area, grown, is_convex
+
+MOST_LEDS = 1 << 16
+"""Most LEDs of a panel: with 256 x 256 undoing the blur takes 0.3 to 0.6 GB."""
+
+LEAST_SIDE_PX = 8.0
+"""Least side of a panel in px: of less nothing is told."""
+
+SHOWN = 5.0
+"""Standard deviations from which on a grid is taken to show: noise has more once in a million frames."""
+
+SURE = 15.0
+"""Strength of a grid from which on its phases are taken for the right ones.
+
+Of panels of 0.55 pitches of blur a grid had 8 at the right place, and up to 7.5 at wrong ones.
+"""
+
+FAINTER = 0.8
+"""Least strength of a grid, as a fraction of the frame's before, of one that is not looked for farther about.
+
+Chosen: of 64 x 64 LEDs on or off at random it differs by 2 %; where an eighth of a panel is a pitch off, by more.
+"""
+
+WORSE = 1.5
+"""Ratio of what a fit leaves unexplained to what the frame's before did, above which another start is tried. Chosen."""
+
+SEEN = 0.5
+"""Least score of a panel whose grid never shows. Chosen."""
+
+FOLLOW_STEPS = 4
+"""Most steps of a fit from frame to frame: it starts within a tenth of a pitch where the grid shows."""
+
+PLAIN_WIDTH, LEAST_WIDTH_PX = 0.15, 0.6
+"""Width in pitches, and the least in px, of the Gaussian with which pixels about an LED are weighted.
+
+Of panels with 1.4 to 4 standard deviations of blur a pitch 0.1 and 0.2 left as many bits wrong, 0.3 up to ten times as
+many. Below 0.6 px a Gaussian falls between the pixels.
+"""
+
+
+def locate(
+    frames: AnyFrame | Sequence[AnyFrame],
+    corners: Any = None,
+    region: Region | None = None,
+    rows: int | None = None,
+    columns: int | None = None,
+) -> Place:
+    """Find where a panel of LEDs is, whatever it shows.
+
+    With `rows` and `columns` the place is that at which the LEDs explain the first frame best: to some hundredths of a
+    pixel, with the blur. Without them it is the outline of the LED area, to about a pitch.
+
+    Parameters
+    ----------
+    frames
+        A frame: `heliograph.Frame`, or an array (rows, columns) of gray levels or (rows, columns, 3) of colours. Or a
+        list of successive frames: where they change the panel is; the place is that in the first.
+    corners
+        Four points (x, y) in px, as given by hand: the corners of the LED area, upper left, upper right, lower right
+        and lower left as the panel counts its rows; they may be off by about two pitches. None: the largest area is
+        taken that changes, or of a single frame that is bright.
+    region
+        (x, y, columns, rows) in px of the part of the frame that is searched; None for all of it.
+    rows, columns
+        LEDs along a column and along a row, 2 or more of each; None where they are not known.
+
+    Returns
+    -------
+    The place, its corners in px of the frame, or of the sensor where a frame has an origin.
+
+    Raises
+    ------
+    HeliographError
+        The arguments are none of these; no quadrilateral is there; or it lies beyond the frame.
+    """
+    pictures = _pictures(frames)
+    shape = _shape(rows, columns)
+    first = pictures[0]
+    images = [one.gray for one in pictures]
+    x, y, width, height = _region(region, first)
+    # what lies beyond the region may be another panel's
+    shows, begin = evidence(images)[y : y + height, x : x + width], np.array([x, y], np.float64)
+    start = quadrilateral(shows, region) + begin if corners is None else _corners(corners) - first.corner
+    _check_there(start, first)
+    if corners is None or shape is None:
+        widths = [share * area(start) ** 0.5 for share in SMOOTHING]
+        if shape is not None:
+            widths += [share * shape.pitch(start) for share in SMOOTHING_PITCHES]
+        start = _kept(outlined(shows, start - begin, widths) + begin, start)
+    if shape is None:
+        return Place(start + first.corner)
+    _, found = _fitted(first, [start], Fitted(start, nan, 1.0), shape, inf)
+    return Place(found.corners + first.corner, found.blur, found.score)
+
+
+def follow(frames: Iterable[AnyFrame], place: Place, rows: int, columns: int) -> Iterator[Place]:
+    """Follow a panel from frame to frame.
+
+    Parameters
+    ----------
+    frames
+        Successive frames, each as for `locate`.
+    place
+        Where the panel is in the first of them, of `locate`. From one frame to the next it may move by up to three
+        pitches beside what it did before.
+    rows, columns
+        LEDs along a column and along a row, 2 or more of each.
+
+    Yields
+    ------
+    Place
+        The place in each frame. Where the panel is not seen, as it is hidden or shows nothing, its score is 0 and its
+        corners are those of the frame before.
+
+    Raises
+    ------
+    HeliographError
+        At once: the arguments are none of these. Later: a frame is none.
+    """
+    if not isinstance(frames, Iterable):
+        raise HeliographError(f"frames are an open film, or any iterable of frames, not {shown(frames)}")
+    shape = _shape(rows, columns)
+    assert shape is not None
+    return _followed(frames, _checked(place), shape)
+
+
+def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool = False, leakage: Any = None) -> Floats:
+    """Values at the LEDs of a panel.
+
+    Parameters
+    ----------
+    frame
+        A frame, as for `locate`.
+    place
+        Where the panel is in it, of `locate` or `follow`.
+    rows, columns
+        LEDs along a column and along a row, 2 or more of each.
+    unblur
+        Whether light of neighbouring LEDs is told apart: least squares over all LEDs, each a Gaussian of the place's
+        blur, before an even background. It is worth it from about 0.4 pitches of blur on.
+    leakage
+        (3, 3) what each channel of the camera (row) sees of the light of each colour (column), such as measured with
+        one colour lit at a time: its inverse is applied. None: channels stay as they are.
+
+    Returns
+    -------
+    (rows, columns), or (rows, columns, 3) of a frame in colour: gray levels at the LEDs' centres; with `unblur` those
+    that each LED alone adds to the background. NaN for LEDs beyond the frame.
+
+    Raises
+    ------
+    HeliographError
+        The arguments are none of these, or the place lies beyond the frame.
+    """
+    shape, picture = _shape(rows, columns), picture_of(frame)
+    assert shape is not None
+    matrix = _leakage(leakage, picture)
+    at = _checked(place).corners - picture.corner
+    _check_there(at, picture)
+    images, moved = _about(picture, at, 2 * shape.pitch(at))
+    corners = at - moved
+    values = _unblurred(images, corners, place.blur, shape) if unblur else _weighted(images, corners, shape)
+    points = Place(corners).leds(rows, columns).reshape(-1, 2)
+    beyond = (points < -0.5).any(axis=1) | (points > np.array(images.shape[:0:-1]) - 0.5).any(axis=1)
+    values[beyond] = np.nan
+    if matrix is not None:
+        values = values @ matrix.T
+    return values.reshape((rows, columns) if len(images) == 1 else (rows, columns, len(images)))
+
+
+def _followed(frames: Iterable[AnyFrame], place: Place, shape: Shape) -> Iterator[Place]:
+    last = before = place.corners
+    held = Fitted(last, place.blur if place.blur > 0 else FIRST_BLUR * shape.pitch(last), 1.0)
+    known = 0.0
+    for frame in frames:
+        picture = picture_of(frame)
+        starts = [one for one in (2 * last - before, last) if _is_there(one - picture.corner, picture)]
+        strong, found = 0.0, held
+        if starts:
+            strong, found = _fitted(picture, [one - picture.corner for one in starts], held, shape, known)
+        # of a panel whose grid never showed the fit alone tells
+        seen = strong >= SHOWN if known or strong >= SHOWN else found.score >= SEEN
+        if not (starts and seen and _is_there(found.corners, picture)):
+            before = last
+            yield Place(last, held.blur, 0.0)
+            continue
+        known = strong if strong >= SHOWN else known
+        held, last, before = found, found.corners + picture.corner, last
+        yield Place(last, found.blur, found.score)
+
+
+def _fitted(
+    picture: Picture, starts: Sequence[Floats], held: Fitted, shape: Shape, known: float = 0.0
+) -> tuple[float, Fitted]:
+    """How surely the LEDs' grid shows, and its place in a picture; `known` is how surely it showed before."""
+    images, moved = _about(Picture(picture.gray[None]), starts[0], (FARTHEST + 2) * shape.pitch(starts[0]))
+    image, grid = images[0], Phased(starts[0] - moved, 0.0)
+    for ways in (ONWARDS, AFRESH):
+        for start in starts:
+            if grid.strength < max(FAINTER * known, SHOWN):
+                grid = max(grid, phased(image, start - moved, shape, ways), key=lambda one: one.strength)
+    if grid.strength >= SURE and held.hessian is not None:  # an earlier fit leaves little to do
+        found = fitted(image, held._replace(corners=grid.corners), shape, FOLLOW_STEPS)
+    elif grid.strength >= SURE:
+        found = _afresh(image, grid.corners, shape)
+    else:
+        found = held._replace(score=-1.0)
+        for start in [*(one - moved for one in starts), grid.corners]:
+            # what is as well explained as before is right
+            if 1 - found.score > WORSE * (1 - held.score):
+                found = max(found, _afresh(image, start, shape), key=lambda one: one.score)
+    strong = strength(image, found.corners, shape)
+    return strong, found._replace(corners=found.corners + moved)
+
+
+def _afresh(image: Levels, corners: Floats, shape: Shape) -> Fitted:
+    """A fit without an earlier one: narrow images of LEDs draw it from afar, wide ones explain whatever there is."""
+    return fitted(image, Fitted(corners, FIRST_BLUR * shape.pitch(corners), 0.0), shape)
+
+
+def _unblurred(images: Levels, corners: Floats, blur: float, shape: Shape) -> Floats:
+    if not blur > 0:
+        raise HeliographError(
+            "the blur of the place is not known: locate(..., rows=, columns=) finds it, or give Place(corners, blur)"
+        )
+    mask = shape.mask(corners, (images.shape[1], images.shape[2]))
+    lattice = Lattice(shape, corners, blur, mask)
+    light, _ = lattice.light(images * mask)
+    # the peak of a Gaussian of that light
+    return light / (2 * np.pi * lattice.sigma**2)
+
+
+def _weighted(images: Levels, corners: Floats, shape: Shape) -> Floats:
+    from heliograph.panel import kernels  # Numba is slow to import
+
+    points = Place(corners).leds(shape.rows, shape.columns).reshape(-1, 2)
+    width = max(PLAIN_WIDTH * shape.pitch(corners), LEAST_WIDTH_PX)
+    out = np.empty((len(images), len(points), 4))
+    level = np.empty((len(points), 4))
+    # of LEDs at the frame's edge a part of the weights lies beyond it
+    kernels.gathered(np.ones(images.shape[1:], np.float32), points, width, 3 * width, level)
+    for image, one in zip(images, out, strict=True):
+        kernels.gathered(image, points, width, 3 * width, one)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((out[..., 0] / level[:, 0]).T)
+
+
+def _about(picture: Picture, corners: Floats, margin: float) -> tuple[Levels, Floats]:
+    """The part (channels, rows, columns) of a picture about a panel, and the place (x, y) of its first pixel."""
+    outer = grown(corners, margin)
+    rows, columns = picture.levels.shape[1:]
+    x0, y0 = np.clip(np.floor(outer.min(axis=0)).astype(int), 0, [columns - 1, rows - 1])
+    x1, y1 = np.clip(np.ceil(outer.max(axis=0)).astype(int) + 1, [x0 + 1, y0 + 1], [columns, rows])
+    return np.ascontiguousarray(picture.levels[:, y0:y1, x0:x1]), np.array([x0, y0], np.float64)
+
+
+def _kept(corners: Floats, start: Floats) -> Floats:
+    """Fitted corners, or where they went astray those from which the fit started."""
+    return corners if _is_place(corners) and 0.5 < area(corners) / area(start) < 2 else start
+
+
+def _is_place(corners: Floats) -> bool:
+    """Whether corners are those of a panel that is large enough, seen from its front."""
+    return is_convex(corners) and area(corners) >= LEAST_SIDE_PX**2
+
+
+def _is_there(corners: Floats, picture: Picture) -> bool:
+    """Whether a panel is a convex quadrilateral whose middle lies within a picture."""
+    rows, columns = picture.levels.shape[1:]
+    x, y = corners.mean(axis=0)
+    return _is_place(corners) and 0 <= x < columns and 0 <= y < rows and abs(area(corners)) < 4 * rows * columns
+
+
+def _check_there(corners: Floats, picture: Picture) -> None:
+    if not _is_there(corners, picture):
+        rows, columns = picture.levels.shape[1:]
+        text = ", ".join(f"{x:.0f} {y:.0f}" for x, y in corners + picture.corner)
+        raise HeliographError(
+            f"the corners {text} are no panel in a frame of {columns}x{rows} pixels: give x, y of upper left, upper "
+            f"right, lower right and lower left"
+        )
+
+
+def _pictures(frames: Any) -> list[Picture]:
+    several = frames if isinstance(frames, (list, tuple)) else [frames]
+    if not several:
+        raise HeliographError("locate takes a frame or a list of frames, not an empty one")
+    pictures = [picture_of(one) for one in several]
+    if any(one.levels.shape != pictures[0].levels.shape or one.origin != pictures[0].origin for one in pictures):
+        raise HeliographError("frames of a list have one size, place and number of colours: give those of one camera")
+    return pictures
+
+
+def _shape(rows: Any, columns: Any) -> Shape | None:
+    if rows is None and columns is None:
+        return None
+    for name, count in (("rows", rows), ("columns", columns)):
+        if not isinstance(count, Integral) or count < 2:
+            raise HeliographError(f"{name} of LEDs are a whole number, 2 or more, not {shown(count)}")
+    if rows * columns > MOST_LEDS:
+        raise HeliographError(f"a panel has at most {MOST_LEDS} LEDs, not {rows} x {columns}: take a part of it")
+    return Shape(int(rows), int(columns))
+
+
+def _corners(corners: Any) -> Floats:
+    try:
+        found = np.asarray(corners, np.float64)
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape != (4, 2) or not np.isfinite(found).all():
+        raise HeliographError(
+            f"corners are four points (x, y) in px, such as [(10, 10), (90, 12), (88, 95), (9, 90)], not "
+            f"{shown(corners)}"
+        )
+    return found
+
+
+def _checked(place: Any) -> Place:
+    if not isinstance(place, Place):
+        raise HeliographError(
+            f"a place is what locate gives, or heliograph.panel.Place(corners, blur), not {shown(place)}"
+        )
+    return Place(_corners(place.corners), place.blur, place.score)
+
+
+def _region(region: Any, picture: Picture) -> Region:
+    rows, columns = picture.levels.shape[1:]
+    if region is None:
+        return 0, 0, columns, rows
+    numbers = isinstance(region, (list, tuple)) and len(region) == 4 and all(isinstance(n, Integral) for n in region)
+    if not numbers:
+        raise HeliographError(f"a region is (x, y, columns, rows) in whole pixels, not {shown(region)}")
+    x, y, width, height = (int(n) for n in region)
+    x, y = x - picture.origin[0], y - picture.origin[1]
+    x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + width, columns), min(y + height, rows)
+    if x1 - x0 < LEAST_SIDE_PX or y1 - y0 < LEAST_SIDE_PX:
+        raise HeliographError(
+            f"the region {','.join(map(str, region))} has no {LEAST_SIDE_PX:g} x {LEAST_SIDE_PX:g} pixels of the "
+            f"frame, which is {columns}x{rows}"
+        )
+    return x0, y0, x1 - x0, y1 - y0
+
+
+def _leakage(leakage: Any, picture: Picture) -> Floats | None:
+    if leakage is None:
+        return None
+    if len(picture.levels) != COLOURS:
+        raise HeliographError("leakage is between colours: the frame has one channel")
+    try:
+        matrix = np.asarray(leakage, np.float64).reshape(COLOURS, COLOURS)
+        return np.asarray(np.linalg.inv(matrix), np.float64)
+    except (TypeError, ValueError, np.linalg.LinAlgError):
+        raise HeliographError(
+            f"leakage is a matrix (3, 3) that has an inverse: what each channel (row) sees of each colour (column), "
+            f"not {shown(leakage)}"
+        ) from None

@@ -1,0 +1,39 @@
+import numpy as np
+import pytest
+
+from heliograph.panel import kernels, reference
+
+POINTS = np.array([[10.3, 8.7], [0.2, 14.9], [19.4, 0.1], [-1.5, 5.0], [40.0, 5.0], [np.nan, 2.0]])
+"""Places within, at the rim, just beyond, far beyond, and nowhere."""
+SIZE = (16, 20)
+
+
+@pytest.mark.parametrize("sigma", [0.7, 1.8])
+def test_inner_products_are_those_of_the_reference(sigma: float) -> None:
+    image = np.random.default_rng(0).normal(10, 3, SIZE).astype(np.float32)
+    out = np.full((len(POINTS), 4), np.nan)
+    kernels.gathered(image, POINTS, sigma, 4 * sigma, out)
+    known = reference.gathered(image.astype(np.float64), POINTS[:-1], sigma, 4 * sigma)
+    np.testing.assert_allclose(out[:-1], known, rtol=2e-4, atol=2e-4)
+    assert (out[4:] == 0).all()
+
+
+@pytest.mark.parametrize("sigma", [0.7, 1.8])
+def test_what_is_drawn_is_that_of_the_reference(sigma: float) -> None:
+    amounts = np.random.default_rng(1).normal(0, 50, (len(POINTS), 4))
+    image = np.ones(SIZE, np.float32)
+    kernels.drawn(amounts, POINTS, sigma, 4 * sigma, image)
+    known = reference.drawn(amounts[:-1], POINTS[:-1], sigma, 4 * sigma, SIZE)
+    np.testing.assert_allclose(image - 1, known, atol=2e-4)
+
+
+def test_derivatives_of_the_reference_are_differences() -> None:
+    point, sigma, step = np.array([7.4, 8.1]), 1.6, 1e-4
+    found = reference.shapes(point, sigma, 100.0, SIZE)
+
+    def shape(x: float = 0.0, y: float = 0.0, grow: float = 0.0) -> np.ndarray:
+        return np.asarray(reference.shapes(point + np.array([x, y]), sigma * np.exp(grow), 100.0, SIZE)[0])
+
+    for k, name in ((1, "x"), (2, "y"), (3, "grow")):
+        slope = (shape(**{name: step}) - shape(**{name: -step})) / (2 * step)
+        np.testing.assert_allclose(found[k], slope, atol=1e-7)

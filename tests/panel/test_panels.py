@@ -1,0 +1,220 @@
+"""`locate`, `follow` and `sample` on films of `panel_films`, which has none of their code."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from panel_films import PanelFilm, keystone, moving
+
+import heliograph
+from heliograph.measure.statistics import Count
+
+ROWS, COLUMNS = 16, 20
+Colours = NDArray[np.uint8]
+
+
+@cache
+def small(blur: float = 1.6, **changes: Any) -> PanelFilm:
+    """A panel of 16 x 20 LEDs with a pitch of about 6 px, turned and tilted, that moves."""
+    place = keystone((75.0, 60.0), 107.0, 1.25, 0.07, 0.15)
+    film = PanelFilm(moving(place, (0.2, -0.1), 1.0), ROWS, COLUMNS, 150, 120, blur, noise=1.5)
+    return replace(film, **changes)
+
+
+@cache
+def frames(count: int, blur: float = 1.6, **changes: Any) -> list[Colours]:
+    return list(small(blur, **changes).film(count))
+
+
+def off(place: heliograph.Place, film: PanelFilm, number: int = 0) -> float:
+    """Largest distance of a coordinate of a corner from where it is, in px."""
+    return float(np.abs(place.corners - film.corners(number)).max())
+
+
+def wrong(values: list[Any], film: PanelFilm) -> int:
+    """Bits that are wrong where each LED is judged by its own mean over the film."""
+    seen = np.array(values)
+    return int(((seen > seen.mean(axis=0)) != np.array([film.bits(k) for k in range(len(values))])).sum())
+
+
+def test_a_panel_is_found_by_what_changes() -> None:
+    place = heliograph.locate(frames(2), rows=ROWS, columns=COLUMNS)
+    assert off(place, small()) < 0.06
+    # the emitters are discs of 0.55 pitches, of 0.14 pitches of standard deviation
+    assert abs(place.blur - np.hypot(1.6, 0.55 / 4 * 6.0)) < 0.1
+    assert place.score > 0.99
+    np.testing.assert_allclose(place.leds(ROWS, COLUMNS)[0, 0], place.corners[0] + 3, atol=1.0)
+
+
+def test_a_bright_panel_is_found_in_a_single_gray_frame() -> None:
+    film = small(colours=1, scenery=5.0)
+    place = heliograph.locate(film.frame(0)[..., 0], rows=ROWS, columns=COLUMNS)
+    assert off(place, film) < 0.06
+
+
+@pytest.mark.parametrize("hand", [1.0, 5.0])
+def test_corners_by_hand_are_put_right(hand: float) -> None:
+    given = small().corners(0) + hand * np.array([[1, -1], [-0.5, 1], [1, 1], [-1, 0.3]])
+    place = heliograph.locate(frames(1)[0], corners=given, rows=ROWS, columns=COLUMNS)
+    assert off(place, small()) < 0.06
+
+
+def test_a_frame_with_an_origin_is_placed_on_the_sensor() -> None:
+    gray = np.rint(frames(1)[0].mean(axis=2)).astype(np.uint8)
+    window = heliograph.Frame(0, 0.0, np.ascontiguousarray(gray[3:, 5:]), 8, (5, 3))
+    place = heliograph.locate(window, small().corners(0) + 1, rows=ROWS, columns=COLUMNS)
+    assert off(place, small()) < 0.08
+    values = heliograph.sample(window, place, ROWS, COLUMNS)
+    np.testing.assert_allclose(values, heliograph.sample(gray, place, ROWS, COLUMNS), atol=1e-3)
+
+
+def test_without_its_rows_and_columns_the_outline_is_found() -> None:
+    still = small(corners=moving(small().corners(0), (0, 0), 0, 0))
+    shown = list(still.film(4))
+    assert off(heliograph.locate(shown), still) < 6  # a pitch
+    assert off(heliograph.locate(shown, region=(10, 5, 135, 110)), still) < 6
+    assert off(heliograph.locate(shown, still.corners(0) + np.array([3, -3])), still) < 6
+
+
+def test_a_panel_beside_another_is_found_in_its_region() -> None:
+    left, right = (small(corners=lambda _, x=x: keystone((x, 60.0), 74.0), width=180, seed=x) for x in (45, 133))
+    both = [np.where(np.arange(180)[None, :, None] < 88, left.frame(k), right.frame(k)) for k in range(2)]
+    for film, region in ((left, (2, 2, 86, 116)), (right, (90, 2, 88, 116))):
+        assert off(heliograph.locate(both, region=region, rows=ROWS, columns=COLUMNS), film) < 0.2
+
+
+def test_a_panel_is_followed_and_read_in_three_colours() -> None:
+    film, shown = small(), frames(24)
+    start = heliograph.locate(shown[:2], rows=ROWS, columns=COLUMNS)
+    places = list(heliograph.follow(shown, start, ROWS, COLUMNS))
+    assert max(off(place, film, k) for k, place in enumerate(places)) < 0.1
+    for unblur in (False, True):
+        values = [
+            heliograph.sample(frame, place, ROWS, COLUMNS, unblur, film.leak)
+            for frame, place in zip(shown, places, strict=True)
+        ]
+        assert values[0].shape == (ROWS, COLUMNS, 3)
+        assert wrong(values, film) == 0
+
+
+def test_a_panel_that_is_hidden_for_a_while_is_found_again() -> None:
+    film, shown = small(), [*frames(10)]
+    shown[4] = shown[5] = np.full_like(shown[0], 30)
+    places = list(heliograph.follow(shown, heliograph.Place(film.corners(0)), ROWS, COLUMNS))
+    assert [place.score > 0.9 for place in places] == [k not in (4, 5) for k in range(10)]
+    np.testing.assert_array_equal(places[5].corners, places[3].corners)
+    assert off(places[9], film, 9) < 0.06
+
+
+def test_places_are_given_frame_by_frame() -> None:
+    taken = []
+    places = heliograph.follow((taken.append(k) or frame for k, frame in enumerate(frames(10))),  # type: ignore[func-returns-value]
+                               heliograph.Place(small().corners(0)), ROWS, COLUMNS)  # fmt: skip
+    next(places)
+    assert taken == [0]
+
+
+def test_undoing_the_blur_reads_what_blur_has_mixed() -> None:
+    """At 0.55 pitches of blur an LED gives its neighbours a fifth of its light."""
+    film, shown = small(3.2, spread=0.02), frames(16, 3.2, spread=0.02)
+    blur = float(np.hypot(3.2, 0.55 / 4 * 6.0))
+    places = [heliograph.Place(film.corners(k), blur) for k in range(16)]
+    errors = {}
+    for unblur in (False, True):
+        values = [heliograph.sample(*one, ROWS, COLUMNS, unblur) for one in zip(shown, places, strict=True)]
+        errors[unblur] = wrong(values, film)
+    assert errors[False] > 20 * max(errors[True], 1)
+    assert errors[True] < 20
+
+
+def test_light_is_that_of_each_led_alone() -> None:
+    film = small(2.6, colours=1, noise=0.1, spread=0.0, fall_off=0.0, scenery=4.0)
+    blur = float(np.hypot(2.6, 0.55 / 4 * 6.0))
+    lit = np.zeros((ROWS, COLUMNS, 1), bool)
+    lit[5, 7] = lit[5, 8] = lit[11, 3] = True
+    place = heliograph.Place(film.corners(0), blur)
+    values = heliograph.sample(film.frame(0, lit)[..., 0], place, ROWS, COLUMNS, unblur=True)
+    on = values[lit[..., 0]]
+    assert on.min() > 0.85 * on.max() > 5
+    assert np.abs(values[~lit[..., 0]]).max() < 0.1 * on.max()
+
+
+def test_leds_beyond_the_frame_are_no_numbers() -> None:
+    cut = frames(1)[0][:, 60:]
+    place = heliograph.Place(small().corners(0) - [60, 0], 1.8)
+    whole = heliograph.sample(frames(1)[0], heliograph.Place(small().corners(0), 1.8), ROWS, COLUMNS, True)
+    for unblur in (False, True):
+        values = heliograph.sample(cut, place, ROWS, COLUMNS, unblur)
+        missing = place.leds(ROWS, COLUMNS)[..., 0] < -0.5
+        assert (np.isnan(values).all(axis=-1) == missing).all()
+    np.testing.assert_allclose(values[:, -5:], whole[:, -5:], atol=3.0)
+
+
+@pytest.mark.slow
+def test_a_panel_of_64_x_64_in_three_colours_takes_less_than_a_fifth_of_a_second() -> None:
+    """The film of the issue, as `python -m benchmarks.panels` measures it at length."""
+    film = PanelFilm(moving(keystone((280.0, 280.0), 430.0, 1.0, 0.06, 0.15)), blur=2.0)
+    shown = list(film.film(6))
+    start = heliograph.locate(shown[:2], rows=64, columns=64)
+    assert off(start, film) < 0.04
+    places = list(heliograph.follow(shown, start, 64, 64))
+    assert max(off(place, film, k) for k, place in enumerate(places)) < 0.04
+    began = time.process_time()
+    values = np.array(
+        [heliograph.sample(frame, place, 64, 64, True, film.leak) for frame, place in zip(shown, places, strict=True)]
+    )
+    assert (time.process_time() - began) / len(shown) < 0.2
+    # six frames are too few for a mean of each LED
+    known, found = np.array([film.bits(k) for k in range(6)]), values > values.mean(axis=(0, 1, 2))
+    count = Count(known.size, int((known != found).sum()))
+    assert count.interval()[1] < 2e-4
+
+
+FRAME = np.zeros((120, 150), np.uint8)
+PLACE = heliograph.Place(np.array([[20.0, 20], [120, 20], [120, 100], [20, 100]]), 1.5)
+Anything: Any = heliograph
+
+DOORS: dict[str, tuple[Callable[[], object], str]] = {
+    "no frame": (lambda: Anything.locate("film.mkv"), "heliograph.Frame or an array (rows, columns)"),
+    "no frames": (lambda: Anything.locate([]), "a frame or a list of frames, not an empty one"),
+    "four colours": (lambda: Anything.locate(np.zeros((9, 9, 4))), "not float64 of (9, 9, 4)"),
+    "no pixels": (lambda: Anything.locate(np.zeros((0, 9))), "no pixels: its shape is (0, 9)"),
+    "no numbers": (lambda: Anything.locate(np.full((20, 20), np.nan)), "levels that are not finite"),
+    "two sizes": (lambda: Anything.locate([FRAME, FRAME[1:]]), "have one size"),
+    "nothing there": (lambda: Anything.locate(FRAME), "nothing is bright or changes: give corners="),
+    "nothing in there": (lambda: Anything.locate(FRAME, region=(0, 0, 50, 50)), "in the region 0,0,50,50"),
+    "three corners": (lambda: Anything.locate(FRAME, [(1, 1), (2, 2), (3, 3)]), "corners are four points (x, y)"),
+    "corners as text": (lambda: Anything.locate(FRAME, "1,1,2,2"), "corners are four points (x, y)"),
+    "corners crossed": (
+        lambda: Anything.locate(FRAME, [(20, 20), (120, 100), (120, 20), (20, 100)]), "are no panel in a frame"
+    ),
+    "corners beyond": (lambda: Anything.locate(FRAME, PLACE.corners + 900), "no panel in a frame of 150x120 pixels"),
+    "a region of three": (lambda: Anything.locate(FRAME, region=(1, 2, 3)), "(x, y, columns, rows) in whole pixels"),
+    "a region beyond": (lambda: Anything.locate(FRAME, region=(400, 0, 50, 50)), "which is 150x120"),
+    "rows alone": (lambda: Anything.locate(FRAME, rows=16), "columns of LEDs are a whole number"),
+    "one row": (lambda: Anything.sample(FRAME, PLACE, 1, 16), "rows of LEDs are a whole number, 2 or more, not 1"),
+    "half a row": (lambda: Anything.sample(FRAME, PLACE, 1.5, 16), "not 1.5"),
+    "too many": (lambda: Anything.sample(FRAME, PLACE, 1000, 1000), "at most 65536 LEDs"),
+    "no place": (lambda: Anything.sample(FRAME, [[1, 2]], 16, 16), "a place is what locate gives"),
+    "follow nothing": (lambda: Anything.follow(None, PLACE, 16, 16), "any iterable of frames"),
+    "follow nowhere": (lambda: Anything.follow([], None, 16, 16), "a place is what locate gives"),
+    "no blur": (lambda: Anything.sample(FRAME, replace(PLACE, blur=np.nan), 16, 16, True), "the blur of the place"),
+    "leakage of gray": (lambda: Anything.sample(FRAME, PLACE, 16, 16, leakage=np.eye(3)), "the frame has one channel"),
+    "leakage": (
+        lambda: Anything.sample(np.dstack([FRAME] * 3), PLACE, 16, 16, leakage=np.ones((3, 3))), "that has an inverse"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_wrong_arguments_are_said_in_one_line(door: str) -> None:
+    call, says = DOORS[door]
+    with pytest.raises(heliograph.HeliographError) as caught:
+        call()
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
