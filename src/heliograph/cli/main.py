@@ -69,6 +69,26 @@ Rotate = Annotated[
     int, typer.Option("--rotate", metavar="DEGREES", help="Turn the part clockwise: 0, 90, 180 or 270 degrees.")
 ]
 Channel = Annotated[str, typer.Option("--channel", help="Gray level of a colour: luma, red, green or blue.")]
+Corners = Annotated[
+    str | None,
+    typer.Option(
+        "--corners",
+        metavar="X,Y,X,Y,X,Y,X,Y",
+        show_default=False,
+        help="Where an array is that is not found by itself: the four corners of its LED area one after the other, in "
+        "pixels of the frames as they are read. Sets receive.detect.corners.",
+    ),
+]
+Region = Annotated[
+    str | None,
+    typer.Option(
+        "--region",
+        metavar="X,Y,WIDTH,HEIGHT",
+        show_default=False,
+        help="Part of the frames in which arrays are looked for, however faint; they are followed beyond it. Sets "
+        "receive.detect.region.",
+    ),
+]
 Scheduler = Annotated[
     str | None,
     typer.Option(
@@ -170,6 +190,8 @@ def receive(
     binning: Bin = 1,
     rotate: Rotate = 0,
     channel: Channel = "luma",
+    corners: Corners = None,
+    region: Region = None,
     preset: options.Preset = "paper",
     settings: options.SettingsFile = None,
     assignments: options.Assignments = None,
@@ -225,6 +247,7 @@ def receive(
 
     seen = options.FilmOptions(fps, crop, binning, rotate, channel)
     changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
+    changes += options.place_changes(corners, region)
     if is_many(films) or workers is not None or scheduler is not None:
         if truth or follow or send or verbose or camera or record or duration is not None:
             raise MediaError(

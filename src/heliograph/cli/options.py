@@ -1,6 +1,7 @@
 """Options that several commands share, and how they become settings."""
 
 import contextlib
+import math
 import re
 import sys
 from collections.abc import Iterable
@@ -118,6 +119,27 @@ class FilmOptions:
         return {
             "rate_hz": self.fps, "crop": crop, "binning": self.binning, "rotate": self.rotate, "channel": self.channel
         }  # fmt: skip
+
+
+def place_changes(corners: str | None, region: str | None) -> list[str]:
+    """Settings that say where an array is, by what was given to --corners and --region."""
+    out = []
+    for name, given, count, form in (
+        ("corners", corners, 8, "X,Y,X,Y,X,Y,X,Y in pixels"),
+        ("region", region, 4, "X,Y,WIDTH,HEIGHT in whole pixels"),
+    ):
+        if given is None:
+            continue
+        kind = int if name == "region" else float
+        try:
+            numbers = [kind(one) for one in given.split(",")]
+            whole = len(numbers) == count and all(map(math.isfinite, numbers))
+        except (ValueError, OverflowError):
+            whole = False
+        if not whole:
+            raise MediaError(f"--{name} takes {form}, not {shown(given)}")
+        out.append(f"receive.detect.{name}={numbers}")
+    return out
 
 
 def message_option(layer: str) -> Any:

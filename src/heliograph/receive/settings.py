@@ -16,6 +16,21 @@ Equaliser = Literal["none", "inverse"]
 Feedback = Literal["none", "decoded", "soft", "propagation"]
 """What the soft receiver's equaliser gets back from the decoder; see `SoftSettings`."""
 
+PlaceInPx = Annotated[float, Field(ge=-1e5, le=1e5)]
+"""A coordinate in px, no farther off than any sensor is wide."""
+
+Corners = tuple[PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx]
+"""x and y in px of four corners in turn."""
+
+Start = Annotated[int, Field(ge=-(10**5), le=10**5)]
+"""First column or row of a region, no farther off than any sensor is wide."""
+
+Length = Annotated[int, Field(ge=8, le=10**5)]
+"""Columns or rows of a region: a search needs some."""
+
+Region = tuple[Start, Start, Length, Length]
+"""x, y, columns and rows in px."""
+
 SMALLEST_SIDE_PX = {"plain": 8.0, "soft": 4.0}
 """Smallest array looked for by default: 117 m away in the reference link, and 233 m."""
 
@@ -66,6 +81,13 @@ class DetectSettings:
         Least correlation with the header's image of a detection. Lower lets clutter through.
     candidates
         Most candidates examined per search, 1 to 64. More finds arrays among more clutter and takes longer.
+    corners
+        Where somebody sees an array in the film: x and y in px of the four corners of its LED area, one after the other
+        around it, in the frames as they are read; empty for none. Arrays are then looked for about it alone, turned and
+        tilted as it is, down to a tenth of min_contrast.
+    region
+        Part of the frames in which arrays are looked for alone, down to a tenth of min_contrast: x, y, columns and rows
+        in px; empty for all of it, or for what lies about the corners. An array that is found is followed beyond it.
     """
 
     min_side_px: Annotated[float, Field(ge=3)] | None = None
@@ -73,6 +95,17 @@ class DetectSettings:
     min_contrast: Fraction = 0.03
     score: Fraction = 0.9
     candidates: Annotated[int, Field(ge=1, le=64)] = 6
+    corners: Corners | tuple[()] = ()
+    region: Region | tuple[()] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "DetectSettings":
+        if self.corners and not _is_around(self.corners):
+            raise ValueError(
+                f"corners are x and y of four corners one after the other around an area, not "
+                f"{','.join(f'{n:g}' for n in self.corners)}"
+            )
+        return self
 
 
 @clear_errors
@@ -203,6 +236,14 @@ class ReceiveSettings:
         if self.own and (kind := part_of(self.receiver).settings) is not None:
             from_mapping(kind, self.own)
         return self
+
+
+def _is_around(corners: Corners) -> bool:
+    """Whether four corners go around an area one after the other, without a dent."""
+    x, y = corners[0::2], corners[1::2]
+    sides = [(x[(k + 1) % 4] - x[k], y[(k + 1) % 4] - y[k]) for k in range(4)]
+    turns = [a * d - b * c for (a, b), (c, d) in zip(sides, sides[1:] + sides[:1], strict=True)]
+    return all(turn > 0 for turn in turns) or all(turn < 0 for turn in turns)
 
 
 def _without_effect(settings: ReceiveSettings) -> list[str]:

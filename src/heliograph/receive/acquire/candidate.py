@@ -158,6 +158,28 @@ def lit_cells(
     -------
     (4, 4), 1 for cells that alternate and 0 for hidden ones.
     """
+    light = cell_light(change, origin, pose, weights)
+    return np.asarray((light > least * np.median(light[light > 0])).astype(float).reshape(CELLS, CELLS))
+
+
+def cell_light(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, weights: Floats) -> Floats:
+    """How much each cell of an array alternates, by least squares.
+
+    Parameters
+    ----------
+    change
+        (rows, columns) gray levels of what alternates.
+    origin
+        (x, y) on the sensor of its first pixel.
+    pose
+        Pose of the array's image on the sensor; a part of it lies within.
+    weights
+        (n, n) of the LEDs within their cells: +-1 of a header, 1 where it is not known, 0 where they are hidden.
+
+    Returns
+    -------
+    (16,) gray levels, row by row, by those weights.
+    """
     from heliograph.receive.image import kernels
 
     x0, y0, width, height = window_around(pose, len(weights), CANDIDATE_MARGIN_PX)
@@ -168,8 +190,7 @@ def lit_cells(
         lit = weights * cell_weights(cell, len(weights))
         kernels.render(pose.full_vector(), lit, float(origin[0] + j), float(origin[1] + i), out)
         shapes.append(out[0].ravel().copy())
-    light = np.linalg.lstsq(np.stack(shapes, 1), image.ravel(), rcond=None)[0]
-    return np.asarray((light > least * np.median(light[light > 0])).astype(float).reshape(CELLS, CELLS))
+    return np.asarray(np.linalg.lstsq(np.stack(shapes, 1), image.ravel(), rcond=None)[0], np.float64)
 
 
 def plausible(fit: Fit, parameters: SearchParameters, side: int, full_scale: int) -> bool:
@@ -189,7 +210,9 @@ def plausible(fit: Fit, parameters: SearchParameters, side: int, full_scale: int
     size, half_step = side * fit.pose.pitch, SIDE_STEP**0.5
     bright = fit.gain >= parameters.min_contrast * full_scale
     sized = parameters.min_side_px / half_step <= size <= parameters.max_side_px * half_step
-    turned = np.hypot(fit.pose.stretch, fit.pose.shear) <= MOST_TILT
+    # a tilt that was given is that of an array
+    given = (parameters.start.stretch, parameters.start.shear) if parameters.start is not None else (0.0, 0.0)
+    turned = np.hypot(fit.pose.stretch - given[0], fit.pose.shear - given[1]) <= MOST_TILT
     return bool(bright and sized and turned)
 
 

@@ -79,6 +79,12 @@ class SearchParameters:
         Whether headers are squares that blink as a whole, without an identity.
     blur_px
         First guess of the blur's standard deviation in px.
+    everywhere
+        Whether every block is searched, as somebody said where the array is; else those alone in which more changes
+        than in others.
+    start
+        Pose of an array on the sensor as somebody gave it: others of its roll and tilt are looked for, and its header
+        is tried there in any case. None where nobody did.
     """
 
     min_side_px: float
@@ -91,6 +97,8 @@ class SearchParameters:
     impaired: bool = False
     all_on: bool = False
     blur_px: float
+    everywhere: bool = False
+    start: Pose | None = None
 
     def sides(self) -> NDArray[np.float64]:
         """Sizes looked for in px, (sizes,), rising by `SIDE_STEP` at most."""
@@ -199,7 +207,12 @@ def _whole(weights: FrameWeights) -> tuple[NDArray[np.int16], np.float32] | None
 
 
 def busy_blocks(
-    means: NDArray[np.float32], frame: Frame, taken: Sequence[Pose], side: int, min_contrast: float
+    means: NDArray[np.float32],
+    frame: Frame,
+    taken: Sequence[Pose],
+    side: int,
+    min_contrast: float,
+    everywhere: bool = False,
 ) -> NDArray[np.bool_]:
     """Blocks in which an array may have its centre: something alternates there, and no array is followed there.
 
@@ -215,6 +228,8 @@ def busy_blocks(
         LEDs in a row.
     min_contrast
         Least luminance of a lit cell, as a fraction of full scale, 0 to 1.
+    everywhere
+        Whether an array may be wherever none is followed, however little alternates there.
 
     Returns
     -------
@@ -223,6 +238,8 @@ def busy_blocks(
     left, least = means.copy(), PART_LIT * min_contrast * frame.full_scale
     for pose in taken:
         _blank(left, pose, side, frame.origin)
+    if everywhere:
+        return np.asarray(left != BLANK)
     most = float(left.max(initial=0.0))
     if most <= least:
         return np.zeros(means.shape, bool)

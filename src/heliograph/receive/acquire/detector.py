@@ -32,11 +32,11 @@ from heliograph.receive.acquire.coarse import (
     alternation_means,
     alternation_of,
     busy_blocks,
-    coarse_candidates,
     searched_part,
 )
 from heliograph.receive.acquire.detection import HIDDEN_REGULARITY, Detection
 from heliograph.receive.acquire.drift import drift_of
+from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header, fit_moving
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, Hypothesis, headers
 from heliograph.receive.acquire.slots import Due, Slots, alike, before, filled, in_common
@@ -89,6 +89,8 @@ class Detector:
         self._parameters, self._side = parameters, signal.side
         # a lit square may be anything's; a tilted one all the more
         tilted = parameters.impaired and not parameters.all_on
+        # corners by hand are off by some px, which is a tilt of a far array
+        tilted |= parameters.start is not None
         self._tilts = (UPRIGHT_SPREAD, TILTED_SPREAD) if tilted else (UPRIGHT_SPREAD,)
         self._header = 2 * signal.header_pairs
         self._period_s = signal.pattern_period_s
@@ -196,7 +198,8 @@ class Detector:
             Poses of arrays already followed.
         """
         first = next(frame for frame in slots if frame is not None)
-        return busy_blocks(change, first, taken, self._side, self._parameters.min_contrast)
+        parameters = self._parameters
+        return busy_blocks(change, first, taken, self._side, parameters.min_contrast, parameters.everywhere)
 
     def alternating(self, slots: Slots, busy: NDArray[np.bool_], around_px: float) -> NDArray[np.float32] | None:
         """What alternates in frames that are due, where it does.
@@ -239,10 +242,8 @@ class Detector:
         change = alternation_of(header)
         found: list[Detection] = []
         for searched in self._headers if turned else self._headers[:1]:
-            rows = coarse_candidates(
-                change, busy, header[0], self._parameters, searched.cells, self._sides, searched.apart
-            )
-            fitted = [self._refine(slots, change, header[0].origin, row, searched, taken) for row in rows]
+            candidates = candidates_of(change, busy, header[0], self._parameters, searched, self._sides, self._side)
+            fitted = [self._refine(slots, change, header[0].origin, one, searched, taken) for one in candidates]
             # what seems an upright array partly hidden may be a turned one in clear sight
             found = distinct([*found, *(d for d in fitted if d is not None and (d.clear or not found))], self._side)
             if found and all(one.clear for one in found):
@@ -258,15 +259,14 @@ class Detector:
         slots: Slots,
         change: NDArray[np.float32],
         origin: tuple[int, int],
-        row: NDArray[np.float64],
+        candidate: Candidate,
         searched: Headers,
         taken: Sequence[Pose],
     ) -> Detection | None:
         """Fit a candidate's pose, then ask when its header began and whether it alternates in step."""
         self._fitted += 1
-        number, sign = int(row[4]), float(np.sign(row[0]))
+        start, number, sign = candidate
         weights, blur = cell_weights(searched.cells[number], self._side), self._parameters.blur_px
-        start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], row[3] / self._side, 0.0, blur)
         if followed(start, taken, self._side):
             return None
         best: Detection | None = None

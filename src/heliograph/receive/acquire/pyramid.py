@@ -175,7 +175,8 @@ def level_parameters(parameters: SearchParameters, side: int) -> list[SearchPara
         k = len(levels)
         sizes = reduced / 2 / SIDE_STEP, min(reduced, largest / 2**k)
         blur = reduced_blur(parameters.blur_px, k)
-        levels.append(replace(parameters, min_side_px=min(sizes), max_side_px=max(sizes), blur_px=blur))
+        start = parameters.start and View(k).pose_in(parameters.start)
+        levels.append(replace(parameters, min_side_px=min(sizes), max_side_px=max(sizes), blur_px=blur, start=start))
     return levels
 
 

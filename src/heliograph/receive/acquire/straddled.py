@@ -22,13 +22,13 @@ from heliograph.receive.acquire.coarse import (
     DIFFERENCE,
     SearchParameters,
     busy_blocks,
-    coarse_candidates,
     combined,
     combined_means,
     searched_part,
 )
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.detector import distinct
+from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, headers
 from heliograph.receive.acquire.slots import alike
 from heliograph.receive.image.fit import Fit, header_amplitude
@@ -108,15 +108,17 @@ class StraddledDetector:
         ends, weight = [frames[k] for k in (0, 1, -2, -1)], 2 * self._header / (self._header - 2)
         weights = (2.0, -weight, weight, -2.0)
         means = combined_means(ends, weights)
-        busy = busy_blocks(means, frames[0], taken, self._side, self._parameters.min_contrast)
+        busy = busy_blocks(
+            means, frames[0], taken, self._side, self._parameters.min_contrast, self._parameters.everywhere
+        )
         if busy.any():
             busy &= self._quiet(frames, means)
         if not busy.any():
             return []
         ends, busy = searched_part(ends, busy, self._sides[-1])
         change = combined(ends, weights)
-        rows = coarse_candidates(change, busy, ends[0], self._parameters, self._searched.cells, self._sides)
-        found = [self._fit(frames, change, ends[0].origin, row, taken) for row in rows if row[0] > 0]
+        candidates = candidates_of(change, busy, ends[0], self._parameters, self._searched, self._sides, self._side)
+        found = [self._fit(frames, change, ends[0].origin, one, taken) for one in candidates if one.sign > 0]
         return distinct([one for one in found if one is not None], self._side)
 
     def _quiet(self, frames: Sequence[Frame], means: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -130,15 +132,13 @@ class StraddledDetector:
         frames: Sequence[Frame],
         change: NDArray[np.float32],
         origin: tuple[int, int],
-        row: NDArray[np.float64],
+        candidate: Candidate,
         taken: Sequence[Pose],
     ) -> Detection | None:
         """Fit a candidate's pose; its start is that of the first frame and half a pattern."""
         self._fitted += 1
-        number, parameters = int(row[4]), self._parameters
+        (start, number, _), parameters = candidate, self._parameters
         weights = cell_weights(self._searched.cells[number], self._side)
-        pitch = row[3] / self._side
-        start = Pose(row[1] - 0.5 + origin[0], row[2] - 0.5 + origin[1], pitch, 0.0, parameters.blur_px)
         if followed(start, taken, self._side):
             return None
         fit = fit_near(change, origin, start, weights, LEVEL_SPREAD)

@@ -1,0 +1,267 @@
+"""Where somebody said an array is: a part of the frame that is searched, and a pose at which its header is tried."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import ceil
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.arrays import TINY, Floats
+from heliograph.base.errors import HeliographError
+from heliograph.base.frames import Frame
+from heliograph.receive.acquire.candidate import CANDIDATE_MARGIN_PX, cell_light
+from heliograph.receive.acquire.coarse import BLOCK_PX, RING, SearchParameters, coarse_candidates
+from heliograph.receive.acquire.detection import Detection, HeaderSearch
+from heliograph.receive.acquire.hypotheses import Headers
+from heliograph.receive.image.orientation import Orientation
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.image.window import Window, window_around
+
+AROUND_SIDES = 0.5
+"""Sides of an array about it that are searched where its corners were given, or where it was followed last.
+
+Chosen: half of its side on each side. A car that shakes moves an array by some pixels from packet to packet, and
+corners may be those of a later frame.
+"""
+
+
+class Candidate(NamedTuple):
+    """What may be an array.
+
+    Attributes
+    ----------
+    start
+        Pose from which its fit starts, on the sensor.
+    number
+        Number of its header among those searched.
+    sign
+        1 where the header comes first, -1 where its inverse does.
+    """
+
+    start: Pose
+    number: int
+    sign: float
+
+
+def pose_of(corners: Sequence[float], side: int, blur: float) -> Pose:
+    """Pose of an array whose corners somebody gave.
+
+    Parameters
+    ----------
+    corners
+        x and y in px of the four corners of the LED area, eight numbers: one after the other around it, whichever comes
+        first and whichever way.
+    side
+        LEDs in a row.
+    blur
+        Blur in px to begin with.
+
+    Returns
+    -------
+    The affine map nearest to them, on the sensor, turned by 45 degrees at most: how the camera sees an array beyond
+    that, its header tells.
+    """
+    points = np.asarray(corners, np.float64).reshape(4, 2)
+    x, y = points.mean(axis=0).tolist()
+    # clockwise in the image, the first one between left and up
+    upper_left, upper_right, lower_right, lower_left = points[
+        np.argsort(np.arctan2(points[:, 1] - y, points[:, 0] - x))
+    ]
+    along = (upper_right - upper_left + lower_right - lower_left) / (2 * side)
+    down = (lower_left - upper_left + lower_right - upper_right) / (2 * side)
+    # A = R(roll) P, P = pitch ((1 + stretch, shear), (shear, 1 - stretch)): the polar decomposition
+    u, sizes, vt = np.linalg.svd(np.stack([along, down], axis=1))
+    rotation, form = u @ vt, vt.T @ np.diag(sizes) @ vt
+    pitch, roll = float(np.trace(form)) / 2, float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    stretch, shear = float(form[0, 0] - form[1, 1]) / (2 * pitch), float(form[0, 1]) / pitch
+    # with another corner first rows are columns, which turns a tilt's sign
+    quarters = round(roll / (np.pi / 2))
+    sign = -1 if quarters % 2 else 1
+    return Pose(x, y, pitch, roll - quarters * np.pi / 2, blur, sign * stretch, sign * shear)
+
+
+def candidates_of(
+    change: NDArray[np.float32],
+    busy: NDArray[np.bool_],
+    frame: Frame,
+    parameters: SearchParameters,
+    searched: Headers,
+    sides: Floats,
+    side: int,
+) -> list[Candidate]:
+    """What may be arrays: the best of the coarse search; where a pose was given, arrays turned and tilted as that one.
+
+    Parameters
+    ----------
+    change
+        (rows, columns) gray levels of what alternates.
+    busy
+        (blocks down, blocks across), whether an array may have its centre there.
+    frame
+        The first of the frames, for place and full scale.
+    parameters
+        What is looked for.
+    searched
+        Headers looked for, each with what it may mean.
+    sides
+        (sizes,) sides of arrays in px.
+    side
+        LEDs in a row.
+    """
+    if parameters.start is not None:
+        return _given(change, frame, parameters, parameters.start, searched, sides, side)
+    rows = coarse_candidates(change, busy, frame, parameters, searched.cells, sides, searched.apart)
+    (x, y), blur = frame.origin, parameters.blur_px
+    poses = [Pose(row[1] - 0.5 + x, row[2] - 0.5 + y, row[3] / side, 0.0, blur) for row in rows]
+    return [Candidate(pose, int(row[4]), float(np.sign(row[0]))) for pose, row in zip(poses, rows, strict=True)]
+
+
+def _given(
+    change: NDArray[np.float32],
+    frame: Frame,
+    parameters: SearchParameters,
+    start: Pose,
+    searched: Headers,
+    sides: Floats,
+    side: int,
+) -> list[Candidate]:
+    """Candidates turned and tilted as a pose, and that pose itself.
+
+    The coarse search takes arrays for upright. So what alternates is drawn as it would look if the given array were
+    upright, and searched. Then the given pose itself is a candidate, with the header that its cells resemble most.
+    """
+    rows, columns = change.shape
+    # upright image -> change: about the middles of both, by the given roll and tilt
+    map_ = start.axes / start.pitch
+    size = [ceil(n) for n in np.abs(np.linalg.inv(map_)) @ [columns, rows]]
+    middle, there = np.array([columns - 1, rows - 1]) / 2, (np.array(size) - 1) / 2
+    drawn = np.column_stack([map_, middle - map_ @ there])
+    upright = np.asarray(cv2.warpAffine(change, drawn, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP), np.float32)
+    everywhere = np.ones((-(-size[1] // BLOCK_PX), -(-size[0] // BLOCK_PX)), bool)
+    placed = replace(frame, origin=(0, 0))
+    out = []
+    for row in coarse_candidates(upright, everywhere, placed, parameters, searched.cells, sides, searched.apart):
+        x, y = (drawn @ [row[1] - 0.5, row[2] - 0.5, 1.0] + frame.origin).tolist()
+        pose = replace(start, x=x, y=y, pitch=float(row[3]) / side, blur=parameters.blur_px)
+        out.append(Candidate(pose, int(row[4]), float(np.sign(row[0]))))
+    if sides[0] <= side * start.pitch <= sides[-1] and _within(change, frame.origin, start, side):
+        light = cell_light(change, frame.origin, start, np.ones((side, side)))
+        alike = searched.cells @ light / max(float(np.linalg.norm(light)), TINY)
+        best = int(np.argmax(np.abs(alike)))
+        out.append(Candidate(replace(start, blur=parameters.blur_px), best, float(np.sign(alike[best]))))
+    return out
+
+
+def _within(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, side: int) -> bool:
+    """Whether an image holds an array and what is fitted about it."""
+    x, y, width, height = window_around(pose, side, RING * side * pose.pitch + CANDIDATE_MARGIN_PX)
+    rows, columns = change.shape
+    left, top = x - origin[0], y - origin[1]
+    return left >= 0 and top >= 0 and left + width <= columns and top + height <= rows
+
+
+class GivenSearch:
+    """A search of a part of the frames: the region given, and what lies about the arrays followed last.
+
+    Parameters
+    ----------
+    search
+        What searches that part of each frame.
+    region
+        Corner (x, y) on the sensor, columns and rows of the region; an array lies within.
+    side
+        LEDs in a row.
+    """
+
+    def __init__(self, search: HeaderSearch, region: Window, side: int):
+        self._search, self._given, self._region, self._side = search, region, _wider(region), side
+        self._whole: list[Frame] = []
+
+    def start(self, period_s: float) -> None:
+        """Begin to search frames; see `HeaderSearch`."""
+        self._search.start(period_s)
+
+    def settle(self, orientation: Orientation) -> None:
+        """Look for one orientation alone from now on; see `HeaderSearch`."""
+        self._search.settle(orientation)
+
+    @property
+    def candidates_fitted(self) -> int:
+        """Candidates fitted so far."""
+        return self._search.candidates_fitted
+
+    @property
+    def recent(self) -> Sequence[Frame]:
+        """The last frames as they came, oldest first; see `HeaderSearch`."""
+        whole = {frame.time_s: frame for frame in self._whole}
+        return [whole.get(frame.time_s, frame) for frame in self._search.recent]
+
+    def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
+        """Take the next frame; see `HeaderSearch`.
+
+        Parameters
+        ----------
+        frame
+            Next frame as the camera took it, whole.
+        taken
+            Poses of arrays already followed; once they are lost, they are looked for where they were, too.
+
+        Raises
+        ------
+        HeliographError
+            The region given lies beyond the first frame.
+        """
+        if not self._whole and _part(frame, self._given) is None:
+            (x, y), (rows, columns) = frame.origin, frame.pixels.shape
+            where = f" from {x},{y} on" if frame.origin != (0, 0) else ""
+            raise HeliographError(
+                f"the region {','.join(map(str, self._given))} that was given lies beyond the frames, which are "
+                f"{columns}x{rows}{where}"
+            )
+        for pose in taken:
+            self._region = _joined(self._region, around(pose, self._side))
+        part = _part(frame, self._region)
+        # a camera's window may be elsewhere for a while
+        found = self._search.push(part, taken) if part is not None else []
+        kept = {one.time_s for one in self._search.recent}
+        self._whole = [one for one in (*self._whole, frame) if one.time_s in kept]
+        return found
+
+
+def around(pose: Pose, side: int) -> Window:
+    """The part of the sensor about an array that is searched.
+
+    Parameters
+    ----------
+    pose
+        Pose of the array on the sensor.
+    side
+        LEDs in a row.
+    """
+    return window_around(pose, side, AROUND_SIDES * side * pose.pitch)
+
+
+def _wider(region: Window) -> Window:
+    """A region with the ring about an array that must not alternate, were it as large as the region."""
+    x, y, width, height = region
+    margin = ceil(RING * max(width, height) + CANDIDATE_MARGIN_PX) + BLOCK_PX
+    return x - margin, y - margin, width + 2 * margin, height + 2 * margin
+
+
+def _joined(a: Window, b: Window) -> Window:
+    left, top = min(a[0], b[0]), min(a[1], b[1])
+    right, low = max(a[0] + a[2], b[0] + b[2]), max(a[1] + a[3], b[1] + b[3])
+    return left, top, right - left, low - top
+
+
+def _part(frame: Frame, region: Window) -> Frame | None:
+    """The part of a frame in a region; None where it shows nothing of it."""
+    (x, y), (rows, columns) = frame.origin, frame.pixels.shape
+    left, top = max(0, region[0] - x), max(0, region[1] - y)
+    right, low = min(columns, region[0] + region[2] - x), min(rows, region[1] + region[3] - y)
+    if right <= left or low <= top:
+        return None
+    return replace(frame, pixels=frame.pixels[top:low, left:right], origin=(x + left, y + top))

@@ -1,0 +1,66 @@
+"""The command takes a place by hand where detection fails."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from cli_runs import Run, called, failed, lasting, succeeded
+
+Call = Callable[..., Run]
+CORNERS = "78,43,96,58,81,76,63,61"
+TURNED = (*lasting(0.15), "--set", "channel.distance_m=40", "--set", "channel.arrays.0.roll_deg=40")
+
+
+@pytest.fixture
+def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: called(*arguments, capfd=capfd, monkeypatch=monkeypatch)
+
+
+def arrays(run: Run) -> list[int]:
+    return [array["id"] for array in json.loads(succeeded(run))["arrays"]]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("receiver", ["plain", "soft"])
+def test_a_turned_array_is_read_by_its_corners(receiver: str, call: Call) -> None:
+    succeeded(call("simulate", "a.h5", *TURNED, "--high", "text:mind the gap"))
+    read = ("receive", "a.h5", "--preset", "static", "--receiver", receiver, "--json", "--output", "out")
+    assert arrays(call(*read)) == []
+    assert arrays(call(*read, "--region", "50,30,60,60")) == []
+    assert arrays(call(*read, "--corners", CORNERS)) == [0]
+    assert Path("out", "array-0-high-0.bin").read_bytes() == b"mind the gap"
+    # several films, with a cut that moves what is seen
+    moved = ",".join(str(int(n) - (10, 5)[k % 2]) for k, n in enumerate(CORNERS.split(",")))
+    said = succeeded(call("receive", "a.h5", "--workers", "1", "--preset", "static", "--receiver", receiver,
+                          "--crop", "10,5,140,110", "--corners", moved))  # fmt: skip
+    assert [array["id"] for array in json.loads(said)["arrays"]] == [0]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--corners", "1,2,3"), "--corners takes X,Y,X,Y,X,Y,X,Y in pixels, not '1,2,3'"),
+        (("--corners", "a,b,c,d,e,f,g,h"), "--corners takes"),
+        (("--corners", "nan,0,9,0,9,9,0,9"), "--corners takes"),
+        (("--corners", "0,0,90,90,90,0,0,90"), "four corners one after the other around an area"),
+        (("--corners", "0,0,5,0,5,5,0,5"), "set receive.detect.min_side_px"),
+        (("--region", "1,2,30"), "--region takes X,Y,WIDTH,HEIGHT in whole pixels, not '1,2,30'"),
+        (("--region", "1,2,30,4.5"), "--region takes"),
+        (("--region", "1,2,3,3"), "receive.detect.region"),
+        (("--region", ""), "--region takes"),
+        (("--region", "1,2,1" + "0" * 5000 + ",9"), "--region takes"),
+        (("--region", "1,2,1" + "0" * 400 + ",9"), "--region takes"),
+    ],
+)
+def test_what_is_no_place_is_said_in_one_line(options: tuple[str, str], says: str, call: Call) -> None:
+    succeeded(call("simulate", "a.h5", *lasting(0.01)))
+    assert says in failed(call("receive", "a.h5", "--preset", "static", *options))
+
+
+def test_a_region_beyond_the_film_is_said_in_one_line(call: Call) -> None:
+    succeeded(call("simulate", "a.h5", *lasting(0.01)))
+    run = call("receive", "a.h5", "--preset", "static", "--region", "500,0,40,40")
+    assert run.returncode == 1
+    assert run.stderr == "heliograph: the region 500,0,40,40 that was given lies beyond the frames, which are 160x120\n"
