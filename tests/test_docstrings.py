@@ -20,6 +20,7 @@ HELD = (
     "link",
     "measure",
     "sweeps",
+    "datasets",
     "experiments",
     "probe",
 )

@@ -15,6 +15,7 @@ PICTURES = {
     "own_code": ["own_code.png"],
     "eight_by_eight": ["eight_by_eight.csv", "eight_by_eight.png"],
     "any_panel": ["any_panel.png"],
+    "data_set": ["data_set", "data_set.png"],
 }
 
 

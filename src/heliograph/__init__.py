@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from heliograph.base.frames import Frame
     from heliograph.base.registry import load_parts
     from heliograph.channel.parts import register_background, register_motion, register_point_spread
+    from heliograph.datasets.dataset import write_dataset
     from heliograph.link.budget import Budget, budget
     from heliograph.link.codec import decode, encode
     from heliograph.link.photometry import LightSettings
@@ -75,6 +76,7 @@ _HOMES = {
     "sample": "panel",
     "simulate": "link.simulate",
     "sweep": "sweeps.sweep",
+    "write_dataset": "datasets.dataset",
 }
 
 __all__ = [
@@ -116,6 +118,7 @@ __all__ = [
     "sample",
     "simulate",
     "sweep",
+    "write_dataset",
 ]
 
 

@@ -443,6 +443,56 @@ def budget(
 
 
 @app.command()
+def dataset(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the data set; a new one.")],
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="KEY=VALUES",
+            show_default=False,
+            help="Key and its values, 1,2 or first:last:step: distances, scenes, faults. Each combination gets films.",
+        ),
+    ] = None,
+    films: Annotated[int, typer.Option("--films", min=1, help="Films of each combination.")] = 10,
+    splits: Annotated[
+        str, typer.Option("--splits", metavar="SHARES", help="Shares of train, validation and test.")
+    ] = "80,10,10",
+    packets: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            show_default=False,
+            help="Length of a film in packets; left out, one where nothing moves, else the whole drive.",
+        ),
+    ] = None,
+    preset: options.Preset = "static",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    seed: options.Seed = 0,
+    background: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--background",
+            metavar="VIDEO",
+            show_default=False,
+            help="Recorded footage for the background; repeat it: each serves one split alone.",
+        ),
+    ] = None,
+    imu: options.Imu = None,
+    size: Annotated[bool, typer.Option("--size", help="Say how large it will be, and write nothing.")] = False,
+) -> None:
+    """Write films with truth and cut-outs, split for training detectors and decoders.
+
+    The size is said first. What was stopped goes on by the same command. DATASHEET.md in DIR says what it has.
+    """
+    from heliograph.cli.dataset import run_dataset
+
+    run_dataset(folder, vary, preset, settings, assignments, (films, packets), splits, seed, (background or [], imu),
+                size)  # fmt: skip
+
+
+@app.command()
 def reproduce(
     figures: Annotated[
         list[str] | None,

@@ -61,8 +61,19 @@ _READ_TIMES = 4096
 """Times read at once: 32 kB. Chosen; it bounds memory."""
 
 
-class _PatientFile:
-    """A file that hides a failed write from HDF5, which would crash the process at exit; its user reads ``error``."""
+class PatientFile:
+    """A file that hides a failed write from HDF5, which would crash the process at exit; its user reads ``error``.
+
+    Parameters
+    ----------
+    path
+        File that is written anew.
+
+    Attributes
+    ----------
+    error
+        The first write that failed; None as long as all went well.
+    """
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("w+b", buffering=0)
@@ -71,16 +82,45 @@ class _PatientFile:
         self.flush, self.close = self._file.flush, self._file.close
 
     def readinto(self, buffer: memoryview) -> int:
+        """Read.
+
+        Parameters
+        ----------
+        buffer
+            Where the bytes go.
+
+        Returns
+        -------
+        How many bytes that were; all of them, once a write has failed.
+        """
         got = self._file.readinto(buffer)
         return len(buffer) if self.error else got  # what was never written may be asked for again
 
     def write(self, data: memoryview) -> int:
+        """Write, or note why that failed.
+
+        Parameters
+        ----------
+        data
+            Bytes that are to be written at the place reached.
+
+        Returns
+        -------
+        How many bytes these are, whatever was written of them.
+        """
         left = memoryview(data).cast("B")
         while self.error is None and len(left):  # near the end of the disk only a part is taken
             left = left[self._tried(self._file.write, left) :]
         return len(data)
 
     def truncate(self, size: int) -> int:
+        """Cut the file, or note why that failed.
+
+        Parameters
+        ----------
+        size
+            Its new length in bytes.
+        """
         self._tried(self._file.truncate, size)
         return size
 
@@ -116,7 +156,7 @@ class Hdf5Sink:
         self._target = target
         self._count = 0
         with self._clear_errors():
-            self._disk = _PatientFile(partial)
+            self._disk = PatientFile(partial)
             self._file = h5py.File(self._disk, "w")
             shape, dtype = (spec.height, spec.width), "u1" if spec.bits == 8 else "<u2"
             limits = {"maxshape": (None, *shape), "chunks": (1, *shape)}

@@ -1,0 +1,79 @@
+"""heliograph dataset, as its users run it."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from cli_runs import Run, called, failed, grown, interrupted, names, succeeded
+
+Call = Callable[..., Run]
+SMALL = (
+    "--set", "channel.camera.width=64", "--set", "channel.camera.height=48", "--set", "signal.data_pairs=8",
+    "--set", "channel.arrays.0.x_m=0", "--set", "channel.arrays.0.y_m=0",
+)  # fmt: skip
+LARGE = ("--set", "channel.camera.width=4000", "--set", "channel.camera.height=4000")
+SPLIT = ("--vary", "channel.distance_m=30,40", "--films", "3", "--splits", "1,1,1")
+FILMS = ["test/000002.h5", "test/000005.h5", "train/000000.h5", "train/000003.h5", "validation/000001.h5",
+         "validation/000004.h5"]  # fmt: skip
+
+
+@pytest.fixture
+def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: called(*arguments, capfd=capfd, monkeypatch=monkeypatch)
+
+
+def test_the_size_is_said_before_and_what_is_there_is_kept(call: Call, tmp_path: Path) -> None:
+    said = succeeded(call("dataset", "a", *SMALL, *SPLIT, "--size"))
+    assert said.startswith("a: 6 films, 120 frames, ")
+    assert not (tmp_path / "a").exists()
+    made = succeeded(call("dataset", "a", *SMALL, *SPLIT)).splitlines()
+    assert made == [said.strip(), "a/DATASHEET.md: seed 0; 2 train, 2 validation, 2 test"]
+    assert names(tmp_path / "a") == ["DATASHEET.md", "dataset.json", "films.csv", *FILMS]
+    again = succeeded(call("dataset", "a", *SMALL, *SPLIT)).splitlines()
+    assert again[0] == f"{said.strip()}, of which 6 films are there"
+    assert "differs in seed" in failed(call("dataset", "a", *SMALL, *SPLIT, "--seed", "1"))
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--splits", "many"), "--splits takes TRAIN,VALIDATION,TEST in whole shares, not 'many'"),
+        (("--splits", "1,2"), "such as 80,10,10, not 1,2"),
+        (("--films", "2"), "2 films of each kind cannot be split in 3"),
+        (("--vary", "channel.distnce_m=3"), "did you mean 'channel.distance_m'?"),
+        (("--vary", "channel.distance_m=3", "--vary", "channel.distance_m=4"), "is varied twice"),
+        (("--set", "channel.background.kind=footage"), "give it by --background VIDEO"),
+        (("--background", "none.mp4"), "there is no file none.mp4"),
+        (
+            (
+                "--packets",
+                "10000",
+                "--films",
+                "2000",
+                "--set",
+                "channel.camera.width=4000",
+                "--set",
+                "channel.camera.height=4000",
+            ),
+            "are free",
+        ),
+    ],
+)
+def test_what_cannot_be_made_is_said_in_one_line(options: tuple[str, ...], says: str, call: Call) -> None:
+    run = call("dataset", "a", *SMALL, *options)
+    assert says in failed(run)
+    assert not Path("a").exists()
+
+
+@pytest.mark.slow
+def test_after_ctrl_c_the_same_command_goes_on(tmp_path: Path, call: Call) -> None:
+    longer = (*SMALL, *SPLIT, "--packets", "20")
+    run = interrupted("dataset", "a", *longer, cwd=tmp_path, when=grown(tmp_path / "a", "validation/*.h5"))
+    assert run.returncode == 130
+    assert run.stderr.startswith("heliograph: interrupted after ")
+    assert run.stderr.endswith("of 6 films; the same command goes on\n")
+    there = names(tmp_path / "a")
+    assert "DATASHEET.md" not in there
+    assert f"of which {len(there) - 1} films are there" in succeeded(call("dataset", "a", *longer))
+    assert names(tmp_path / "a") == ["DATASHEET.md", "dataset.json", "films.csv", *FILMS]
