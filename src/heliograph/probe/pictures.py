@@ -170,10 +170,10 @@ def noise_picture(noise: NoiseFound) -> Figure:
         x = np.array([0.0, points[:, 0].max()])
         axes.plot(x, noise.line[0] + noise.line[1] * x, color=DARK_GRAY, lw=1, label="line through them")
         axes.set_xlim(left=0)
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, 1.15 * points[:, 1].max())
     axes.set_xlabel("gray level")
     axes.set_ylabel("variance of a pixel")
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend(frameon=False, fontsize=8, loc="lower right")
     tidy(axes)
     figure.tight_layout()
     return figure
