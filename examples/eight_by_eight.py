@@ -2,7 +2,7 @@
 
 Run it as it is: `python examples/eight_by_eight.py` writes the patterns for a panel (eight_by_eight.csv), films the
 panel with the simulated camera, receives the film, and draws the first patterns, a frame and the reach of each layer
-into eight_by_eight.png. It needs `pip install heliograph[analysis]`.
+into eight_by_eight.png. It needs `pip install xarray pandas h5netcdf`.
 """
 
 import sys

@@ -5,7 +5,7 @@
 #
 # How far can each priority layer be read? A sweep sends random packets through the simulated channel at several
 # distances, receives them and counts errors. Run this file as it is, or cell by cell in an editor that knows `# %%`.
-# It needs `pip install heliograph[analysis]`.
+# It needs `pip install xarray pandas h5netcdf`.
 
 # %%
 import json

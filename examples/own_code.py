@@ -1,7 +1,7 @@
 """A channel code of one's own: an LDPC code from the library `ldpc` in place of the turbo code.
 
 Run it as it is: `python examples/own_code.py` prints codeword error rates of both codes over distance, and draws them
-into own_code.png. It needs `pip install heliograph[analysis] ldpc`.
+into own_code.png. It needs `pip install xarray pandas h5netcdf ldpc`.
 """
 
 import sys

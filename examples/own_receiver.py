@@ -1,7 +1,7 @@
 """A receiver of one's own: a threshold, a bounding box and a resize by OpenCV, beside the package's two receivers.
 
 Run it as it is: `python examples/own_receiver.py` counts codeword errors of all three over distance, and draws them
-into own_receiver.png. It needs `pip install heliograph[analysis]`. The same file serves the command line:
+into own_receiver.png. It needs `pip install xarray pandas h5netcdf`. The same file serves the command line:
 `heliograph --load examples/own_receiver.py receive film.mkv --receiver threshold`.
 """
 

@@ -127,6 +127,11 @@ def test_what_is_no_assignment_is_shown_how(text: str) -> None:
         parse_assignment(text)
 
 
+def test_a_wrong_item_is_named_by_its_place_alone() -> None:
+    with pytest.raises(SettingsError, match=r"setting 'channel\.arrays\.0\.hidden(\.\d)?': "):
+        load_settings(assignments=["channel.arrays.0.hidden=[0,0,5,5]"])
+
+
 def test_a_fraction_may_be_written_as_one() -> None:
     assert load_settings(assignments=["signal.rate.high=1/2"]).signal.rate.high == 0.5
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -134,6 +135,22 @@ def test_whole_frames_of_a_damaged_film_are_kept(tmp_path: Path) -> None:
         converted(path, tmp_path / "b.h5")
     with open_film(tmp_path / "b.h5") as read:
         assert 0 < len(list(read)) < len(PLACES)
+
+
+def test_a_film_is_not_written_over_itself(tmp_path: Path) -> None:
+    path = film(tmp_path / "a.h5")
+    held = path.read_bytes()
+    with open_film(path, crop=(0, 0, 2, 2)) as opened, pytest.raises(MediaError, match="is read and would be written"):
+        convert_film(opened, tmp_path / "." / "a.h5")
+    assert path.read_bytes() == held
+
+
+def test_what_is_no_film_is_refused(tmp_path: Path) -> None:
+    nothing: Any = "a.h5"
+    with pytest.raises(MediaError, match="takes a film as open_film gives it, not str"):
+        convert_film(nothing, tmp_path / "b.h5")
+    with open_film(film(tmp_path / "a.h5")) as opened, pytest.raises(MediaError, match="path is text or a pathlib"):
+        convert_film(opened, cast(Any, 5))
 
 
 def test_ctrl_c_keeps_the_frames_so_far(tmp_path: Path) -> None:

@@ -102,6 +102,15 @@ def test_a_rate_that_no_film_has(tmp_path: Path, rate: Any) -> None:
     assert "attribute 'rate_hz' is" in refused(hdf5(tmp_path / "a.h5", rate_hz=rate))[1]
 
 
+@pytest.mark.parametrize("times", [np.zeros(COUNT), TIMES[::-1]], ids=["still", "falling"])
+@pytest.mark.parametrize("rate", [{}, {"rate_hz": 1000.0}], ids=str)
+def test_times_that_do_not_rise(tmp_path: Path, times: Any, rate: dict[str, float]) -> None:
+    path = hdf5(tmp_path / "a.h5", times, **rate)
+    assert "times_s do not rise; write the time of each frame" in refused(path)[1]
+    with pytest.raises(MediaError, match="times_s do not rise"):
+        open_film(path, rate_hz=1000.0)
+
+
 @pytest.mark.parametrize("unit", [1e3, 1e6, 1e9, 1e-3])
 def test_times_in_another_unit_than_the_rate(tmp_path: Path, unit: float) -> None:
     path = hdf5(tmp_path / "a.h5", TIMES * unit, rate_hz=1000.0)

@@ -362,9 +362,9 @@ def test_the_camera_s_own_rate_replaces_that_of_a_file_in_slow_motion(name: str,
     assert [frame.time_s for frame in frames] == pytest.approx([k * 1e-3 for k in numbers], abs=1e-6)
 
 
-@pytest.mark.parametrize("rate_hz", [0.0, -25.0, float("inf"), float("nan")])
+@pytest.mark.parametrize("rate_hz", [0.0, -25.0, 1e300, float("inf"), float("nan")])
 def test_a_rate_that_no_camera_has_is_refused(rate_hz: float, tmp_path: Path) -> None:
-    with pytest.raises(MediaError, match="more than 0 frames/s"):
+    with pytest.raises(MediaError, match=r"1e-06 to 1e\+06 frames/s"):
         open_film(tmp_path / "a.mkv", rate_hz=rate_hz)
 
 

@@ -61,6 +61,15 @@ def test_near_both_receivers_read_all() -> None:
         assert wrong(link("static", receiver, "channel.distance_m=25")) == {"high": 0, "middle": 0, "low": 0}
 
 
+def test_where_no_receiver_reads_none_is_advised() -> None:
+    """Too few frames a pattern are too few for the soft receiver, too."""
+    frames = [Frame(k, 0.04 * k, np.full((40, 40), k, np.uint8)) for k in range(20)]
+    plain = make_receiver(SignalSettings())
+    with pytest.raises(HeliographError, match="needs one frame a pattern") as caught:
+        [list(plain.push(frame)) for frame in frames]
+    assert "soft" not in str(caught.value)
+
+
 def test_receivers_are_chosen_by_name() -> None:
     """The plain one wants a frame a pattern, the soft one takes any rate from there on."""
     frames = [Frame(k, 0.6e-3 * k, np.full((40, 40), k, np.uint8)) for k in range(20)]

@@ -175,7 +175,9 @@ def _clear(error: ValidationError, cls: type) -> SettingsError:
 
 def _one_line(error: ValidationError, cls: type) -> str:
     first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])[:MOST_SHOWN]
+    # beside a value's key Pydantic names the kind that it tried
+    parts = [str(part) for part in first["loc"]]
+    key = ".".join(part for part in parts if not re.search(r"\[|^(constrained|function)-", part))[:MOST_SHOWN]
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return f"unknown setting '{key}'{_nearest(key, cls)}"
     if first["type"] == "unexpected_positional_argument":

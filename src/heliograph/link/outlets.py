@@ -194,7 +194,7 @@ def _web_socket(parts: SplitResult, port: int) -> WebSocket:
     try:
         return WebSocket(parts.hostname, port)
     except ImportError:
-        raise MediaError("a WebSocket takes the library websockets: pip install 'heliograph[web]'") from None
+        raise MediaError("a WebSocket takes the library websockets: pip install websockets") from None
 
 
 def _line(row: Mapping[str, Any]) -> bytes:

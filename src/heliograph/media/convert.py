@@ -8,7 +8,7 @@ from typing import Any
 from heliograph.base.errors import MediaError
 from heliograph.base.files import room_for
 from heliograph.media import hdf5
-from heliograph.media.film import create_film
+from heliograph.media.film import checked_path, create_film
 from heliograph.media.reader import FilmReader
 
 
@@ -57,10 +57,14 @@ def convert_film(
     Raises
     ------
     MediaError
-        The film cannot be written, or the kind does not hold its rate or bits: nothing is left. Or the source is
-        damaged: its whole frames are kept in the target.
+        The source is no film, or the one to be written. Or the film cannot be written, or its kind does not hold rate
+        or bits: nothing is left. Or the source is damaged: its whole frames are kept in the target.
     """
-    path = Path(target)
+    if not isinstance(source, FilmReader):
+        raise MediaError(f"convert_film takes a film as open_film gives it, not {type(source).__name__}")
+    path = checked_path(target)
+    if path.exists() and source.path.exists() and path.samefile(source.path):
+        raise MediaError(f"{path} is read and would be written: give the output another name")
     bits = source.bits
     if path.suffix.lower() in hdf5.SUFFIXES:
         room_for(path, (source.frame_count or 0) * source.width * source.height * (1 if bits == 8 else 2))

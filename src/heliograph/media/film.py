@@ -115,7 +115,7 @@ def open_film(
     SettingsError
         A camera's setting is unknown or out of range, or it does not take it.
     """
-    path, view = _checked_path(path), View(crop=crop, binning=binning, rotate=rotate)
+    path, view = checked_path(path), View(crop=crop, binning=binning, rotate=rotate)
     reading = Reading(rate_hz=rate_hz, expand_range=expand_range, channel=channel)
     asked = camera_settings(camera)
     if is_camera(path):
@@ -210,7 +210,7 @@ def create_film(
     MediaError
         Unknown suffix or codec, settings that do not go together, or a place that cannot be written.
     """
-    target = _checked_path(path)
+    target = checked_path(path)
     suffix = target.suffix.lower()
     if suffix not in FILM_SUFFIXES:
         raise MediaError(
@@ -229,7 +229,19 @@ def create_film(
     return FilmWriter(target, partial, spec, sink)
 
 
-def _checked_path(path: object) -> Path:
+def checked_path(path: object) -> Path:
+    """A film's path as one.
+
+    Parameters
+    ----------
+    path
+        What is given for it.
+
+    Raises
+    ------
+    MediaError
+        It is neither text nor a path.
+    """
     if not isinstance(path, (str, os.PathLike)):
         raise MediaError(f"a film's path is text or a pathlib.Path, not {shown(path)}")
     return Path(path)

@@ -238,6 +238,7 @@ class Hdf5Reader(FilmReader):
             _check_held(path, frames, file["times_s"])
             self.bits = int(_number(path, file.attrs, "bits", *BITS[frames.dtype]) or 8 * frames.dtype.itemsize)
             self.metadata = _read_metadata(file.attrs)
+            _check_rising(path, file["times_s"])
             claimed_hz = _number(path, file.attrs, "rate_hz", SLOWEST_HZ, FASTEST_HZ)
             if claimed_hz and reading.rate_hz is None:
                 _check_unit(path, file["times_s"], claimed_hz)
@@ -291,6 +292,15 @@ def _median_rate(times: Any) -> float:
     gaps = np.diff(known[np.abs(known) <= LATEST_S])
     gap = float(np.median(gaps)) if gaps.size else 0.0
     return 1 / gap if gap >= 1 / FASTEST_HZ else 1.0
+
+
+def _check_rising(path: Path, times: Any) -> None:
+    """Say so where the times are none of frames one after another; a few that are damaged are told where they stand."""
+    with _damage_is_clear(path, 0), np.errstate(over="ignore", invalid="ignore"):
+        known = np.asarray(times[:_READ_TIMES], np.float64)
+    gaps = np.diff(known[np.abs(known) <= LATEST_S])
+    if gaps.size and np.median(gaps) <= 0:
+        raise MediaError(f"{path}: times_s do not rise; write the time of each frame there, in seconds")
 
 
 def _check_unit(path: Path, times: Any, claimed_hz: float) -> None:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from numbers import Real
 
 from heliograph.base.errors import MediaError, shown
+from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ
 
 CHANNELS = ("luma", "red", "green", "blue")
 """What is taken of a colour for a gray level."""
@@ -16,7 +17,7 @@ class Reading:
     Attributes
     ----------
     rate_hz
-        Frames per second that the camera took, above 0; None believes the file.
+        Frames per second that the camera took, 1e-6 to 1e6; None believes the file.
     expand_range
         Whether to stretch limited-range video (black at 16, white at 235) to the full scale.
     channel
@@ -25,7 +26,7 @@ class Reading:
     Raises
     ------
     MediaError
-        The rate is not above 0, or there is no such channel.
+        The rate is none of a camera, or there is no such channel.
     """
 
     rate_hz: float | None = None
@@ -35,15 +36,12 @@ class Reading:
     def __post_init__(self) -> None:
         if self.rate_hz is not None and not _is_rate(self.rate_hz):
             raise MediaError(
-                f"a camera takes more than 0 frames/s, not {shown(self.rate_hz)}; give the rate it was set to"
+                f"a camera takes {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames/s, not {shown(self.rate_hz)}; give the rate "
+                "it was set to"
             )
         if self.channel not in CHANNELS:
             raise MediaError(f"there is no channel {shown(self.channel)}: choose one of {', '.join(CHANNELS)}")
 
 
 def _is_rate(value: object) -> bool:
-    """Whether it is a number above 0 that a float can hold."""
-    try:
-        return isinstance(value, Real) and 0 < float(value) < float("inf")
-    except OverflowError:
-        return False
+    return isinstance(value, Real) and bool(value <= FASTEST_HZ) and not value < SLOWEST_HZ

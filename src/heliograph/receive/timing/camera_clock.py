@@ -121,10 +121,12 @@ class SteppedClock:
         steps = np.maximum(np.round(gaps / frame_period(gaps)), 1)
         period_s = float(gaps.sum() / steps.sum())
         if abs(period_s - self.period_s) > STEP_TOLERANCE * self.period_s:
+            # the soft receiver, too, needs a frame a pattern
+            other = "use --receiver soft, " if period_s < self.period_s else ""
             raise HeliographError(
                 f"the plain receiver needs one frame a pattern: the film has {1 / period_s:.1f} frames/s, the light "
-                f"{1 / self.period_s:.1f} patterns/s; film at that rate, use --receiver soft, or say by --fps what the "
-                f"camera did where the film misstates it"
+                f"{1 / self.period_s:.1f} patterns/s; film at that rate, {other}or say by --fps what the camera did "
+                f"where the film misstates it"
             )
 
 
