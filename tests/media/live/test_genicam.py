@@ -42,11 +42,15 @@ def test_its_cameras_are_listed_and_found_by_what_is_listed(producer: str) -> No
 
 
 def test_frames_are_numbered_without_a_gap(producer: str) -> None:
-    with opened(producer, **MONO, duration_s=1.0) as film:
-        frames = list(film)
+    frames = []
+    with opened(producer, **MONO) as film:
+        for frame in film:
+            frames.append(frame)
+            if len(frames) == 8:
+                film.stop()
         counts = film.counts
     assert counts is not None
-    assert len(frames) == counts.frames >= 5
+    assert len(frames) == counts.frames >= 8
     assert [frame.index for frame in frames] == list(range(frames[-1].index + 1))
     assert all(one.time_s < other.time_s for one, other in itertools.pairwise(frames))
     assert all(frame.pixels.shape == (112, 128) and frame.pixels.dtype == np.uint8 for frame in frames)
