@@ -50,7 +50,7 @@ def test_frames_are_numbered_without_a_gap(producer: str) -> None:
                 film.stop()
         counts = film.counts
     assert counts is not None
-    assert len(frames) == counts.frames >= 8
+    assert len(frames) == counts.frames - counts.waiting >= 8
     assert [frame.index for frame in frames] == list(range(frames[-1].index + 1))
     assert all(one.time_s < other.time_s for one, other in itertools.pairwise(frames))
     assert all(frame.pixels.shape == (112, 128) and frame.pixels.dtype == np.uint8 for frame in frames)
