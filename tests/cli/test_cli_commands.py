@@ -403,6 +403,17 @@ def test_a_closed_pipe_is_no_fault(command: str, film: Path, tmp_path: Path) -> 
     assert run.stdout.count("\n") == 1
 
 
+def test_an_array_outside_the_picture_is_told_on_a_terminal(
+    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    two = ("--set", "transmit.identities=[3,4]", "--set", "channel.arrays=[{x_m=0,y_m=0},{x_m=30,y_m=0}]")
+    run = call("simulate", "a.h5", *lasting(0.02), *two)
+    assert run.returncode == 0
+    assert "array 1 is never whole in the picture" in run.stderr
+    assert "array 0 is" not in run.stderr
+
+
 def test_progress_is_shown_on_a_terminal_and_nothing_in_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
     for seen in (True, False):
         monkeypatch.setattr(sys, "stderr", error := _Screen(seen))

@@ -46,6 +46,23 @@ def run_simulate(
         console.complain(f"interrupted; {kept}")
         sys.exit(console.INTERRUPTED)
     console.say(f"{film}: {count} frames; truth in {truth_path(film)}")
+    for array in _never_seen(truth_path(film)):
+        console.note(
+            f"array {array} is never whole in the picture, so no receiver reads it: move it by "
+            f"channel.arrays.{array}.x_m and y_m, or film it from farther away"
+        )
+
+
+def _never_seen(truth: Path) -> list[int]:
+    """Numbers of the arrays that no frame of a film shows as a whole."""
+    from heliograph.link.truth import open_truth
+
+    seen = [False] * len((known := open_truth(truth)).settings.channel.arrays)
+    for frame in known.frames():
+        seen = [before or now for before, now in zip(seen, frame.visible, strict=True)]
+        if all(seen):
+            break
+    return [array for array, one in enumerate(seen) if not one]
 
 
 def scene_from(
