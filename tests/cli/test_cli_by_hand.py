@@ -19,7 +19,9 @@ def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.
 
 
 def arrays(run: Run) -> list[int]:
-    return [array["id"] for array in json.loads(succeeded(run))["arrays"]]
+    found = [array["id"] for array in json.loads(run.stdout)["arrays"]]
+    assert (run.returncode, run.stderr) == (0 if found else 3, "")
+    return found
 
 
 @pytest.mark.slow
