@@ -194,6 +194,33 @@ def test_files_that_are_no_array(tmp_path: Path, data: bytes) -> None:
     assert "is no array of NumPy, or damaged" in refused(tmp_path / "a.npy")[1]
 
 
+def headed(path: Path, header: str) -> Path:
+    """An .npy file of 100 bytes behind a header of this text."""
+    text = header.encode() + b"\n"
+    path.write_bytes(b"\x93NUMPY\x01\0" + struct.pack("<H", len(text)) + text + bytes(100))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["()", "('|u1',)", "(('|u1',), (2,))", "'>a2'"])
+def test_arrays_of_kinds_that_are_none(tmp_path: Path, kind: str) -> None:
+    """NumPy raises an IndexError, or warns."""
+    path = headed(tmp_path / "a.npy", f"{{'descr': {kind}, 'fortran_order': False, 'shape': (2, 3, 4), }}")
+    assert "a.npy" in refused(path)[1]
+
+
+@pytest.mark.parametrize("shape", ["(2L, 3L, 4L)", "(2, 3, 4)"])
+def test_an_array_of_python_2_is_read_without_a_warning(tmp_path: Path, shape: str) -> None:
+    path = headed(tmp_path / "a.npy", f"{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}, }}")
+    with open_film(path, rate_hz=10) as film:
+        assert (len(list(film)), film.width, film.height) == (2, 4, 3)
+
+
+def test_a_length_of_an_array_that_is_no_number(tmp_path: Path) -> None:
+    path = headed(tmp_path / "a.npy", "{'descr': '|u1', 'fortran_order': False, 'shape': (2, True, 4), }")
+    with open_film(path, rate_hz=10) as film:
+        assert (len(list(film)), film.width, film.height) == (2, 4, 1)
+
+
 def test_a_number_stands_in_one_name(tmp_path: Path) -> None:
     """Two names would give two frames of one number and one time."""
     levels = noise(3, 6, 10, 8)

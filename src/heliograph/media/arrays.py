@@ -1,5 +1,6 @@
 """Read films that NumPy saved: .npy files of an array (frames, rows, columns)."""
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from tokenize import TokenError
@@ -19,7 +20,7 @@ SUFFIXES = (".npy",)
 SIGNATURE = b"\x93NUMPY"
 """First bytes of an .npy file, by its format specification."""
 
-_BROKEN = (ValueError, OSError, SyntaxError, TypeError, RecursionError, MemoryError, TokenError)
+_BROKEN = (ValueError, OSError, SyntaxError, TypeError, IndexError, RecursionError, MemoryError, TokenError)
 """All that NumPy makes of a damaged header."""
 
 
@@ -60,7 +61,8 @@ class ArrayReader(NumberedReader):
 def _header(path: Path) -> tuple[tuple[int, int, int], np.dtype[np.uint8] | np.dtype[np.uint16], int]:
     """The array's shape and type, and where its numbers begin."""
     try:
-        with path.open("rb") as file:
+        # it warns of files of Python 2, which it reads, and of old names of types, which are no film
+        with path.open("rb") as file, warnings.catch_warnings(action="ignore"):
             version = np.lib.format.read_magic(file)
             read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
             shape, by_columns, dtype = read(file)
@@ -78,4 +80,5 @@ def _header(path: Path) -> tuple[tuple[int, int, int], np.dtype[np.uint8] | np.d
         raise MediaError(
             f"{path} is in Fortran's order, each frame all over the file: save numpy.ascontiguousarray of it"
         )
-    return shape, dtype, start
+    frames, rows, columns = map(int, shape)  # a damaged length may be True
+    return (frames, rows, columns), dtype, start
