@@ -229,6 +229,17 @@ def test_a_header_takes_no_memory_for_what_it_claims(path: Path) -> None:
         tracemalloc.stop()
 
 
+@pytest.mark.parametrize("changed", [(b"(30,)", b"(30L)"), (b"(30,)", b"(True,)"), (b"'descr': [", b"'descr': (),#")])
+def test_a_damaged_header_of_the_rows_is_told_of_without_a_warning(path: Path, changed: tuple[bytes, bytes]) -> None:
+    write(path)
+    rows = rows_of(path, (1, 0))
+    assert changed[0] in rows
+    header, size = rows.replace(*changed), int.from_bytes(rows[8:10], "little")
+    size += len(header) - len(rows)
+    rewritten(path, frames_npy=header[:8] + size.to_bytes(2, "little") + header[10:])
+    assert "damaged" in complaint(path)
+
+
 def test_a_truth_without_frames_is_refused_at_once(path: Path) -> None:
     write(path)
     rewritten(path, frames_npy=rows_of(path, (2, 0), count=0))

@@ -10,6 +10,7 @@ import lzma
 import struct
 import tempfile
 import tokenize
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -285,7 +286,8 @@ def _count(file: IO[bytes], kind: np.dtype[Any]) -> int:
     size = int.from_bytes(length, "little")
     if size > MOST_HEADER:
         raise HeliographError(f"the header of its rows has {size} bytes, more than {MOST_HEADER}")
-    shape, _, stored = read(io.BytesIO(length + file.read(size)))
+    with warnings.catch_warnings(action="ignore"):  # of what only damage makes of the header
+        shape, _, stored = read(io.BytesIO(length + file.read(size)))
     if stored != kind:
         raise HeliographError(f"its rows have the type {stored}, not {kind}")
     if len(shape) != 1:
