@@ -41,6 +41,9 @@ CIHX = """<?xml version="1.0" encoding="utf-8"?>
 <recordInfo><recordRate>{rate:g}</recordRate></recordInfo>
 <deviceInfo><deviceName>FASTCAM Mini</deviceName></deviceInfo></cih>"""
 
+Y4M_FORMS = {"mono": 1, "420jpeg": 1.5, "422": 2, "444": 3, "mono12": 2, "420p10": 3, "mono16": 2}
+"""Forms of .y4m, and bytes of a pixel."""
+
 
 def noise(frames: int, rows: int, columns: int, bits: int, seed: int = 0) -> Levels:
     levels = np.random.default_rng(seed).integers(0, 1 << bits, (frames, rows, columns))
@@ -74,11 +77,12 @@ def write_cine(
     times_s: Sequence[float] | None = None,
     rate: int = 1000,
     upwards: bool = True,
+    settings: int = 6000,
 ) -> Path:
-    """A .cine file of 8, 16, 24 or 48 bits a pixel as they are, or of 10 or 12 packed ones."""
+    """A .cine file of 8, 16, 24 or 48 bits a pixel as they are, or of 10 or 12 packed ones; `settings` are bytes."""
     rows, columns = frames[0].shape[:2]
     packing = {10: 256, 12: 1024}.get(word, 0)
-    setup = bytearray(6000)
+    setup = bytearray(settings)
     setup[140:144] = b"ST" + struct.pack("<H", len(setup))
     setup[768:772], setup[896:900] = struct.pack("<I", rate), struct.pack("<I", depth)
     blocks = struct.pack("<IHH", 12, 1003, 1) + bytes(4)
@@ -144,6 +148,29 @@ def write_tiff(path: Path, levels: Levels, order: str = "<", big: bool = False) 
         out += struct.pack(order + place, end if number + 1 < len(levels) else 0)
         out += outside.ljust(16, b"\0") + b"".join(strips)
     path.write_bytes(out)
+    return path
+
+
+def write_imagej(path: Path, levels: Levels, description: bytes) -> Path:
+    """A stack of one page, behind which the other pictures follow."""
+    rows, columns = levels.shape[1:]
+    data = 8 + 2 + 9 * 12 + 4 + 64
+    tags = [(256, 4, 1, columns), (257, 4, 1, rows), (258, 3, 1, 16), (259, 3, 1, 1), (262, 3, 1, 1),
+            (270, 2, len(description), data - 64), (273, 4, 1, data), (277, 3, 1, 1),
+            (279, 4, 1, 2 * rows * columns)]  # fmt: skip
+    entries = b"".join(
+        struct.pack(">HHI", *tag[:3]) + struct.pack(">I" if tag[1] != 3 else ">H2x", tag[3]) for tag in tags
+    )
+    head = b"MM\0*" + struct.pack(">IH", 8, 9) + entries + bytes(4) + description.ljust(64, b"\0")
+    path.write_bytes(head + levels.astype(">u2").tobytes())
+    return path
+
+
+def write_y4m(path: Path, form: str, frames: int = 5) -> Path:
+    """A .y4m file of frames of 10x6 pixels, each of one level."""
+    size = int(10 * 6 * Y4M_FORMS[form])
+    body = b"".join(b"FRAME\n" + bytes([number]) * size for number in range(frames))
+    path.write_bytes(f"YUV4MPEG2 W10 H6 F1000:1 Ip A1:1 C{form}\n".encode() + body)
     return path
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from made_recordings import Levels, noise, write_tiff
+from made_recordings import Levels, noise, write_imagej, write_tiff
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
@@ -129,24 +129,9 @@ def test_pages_that_go_round_in_a_circle(tmp_path: Path) -> None:
     assert "is damaged after 3 whole frames" in says
 
 
-def imagej(path: Path, levels: Levels, description: bytes) -> Path:
-    """A stack of one page, behind which the other pictures follow."""
-    rows, columns = levels.shape[1:]
-    data = 8 + 2 + 9 * 12 + 4 + 64
-    tags = [(256, 4, 1, columns), (257, 4, 1, rows), (258, 3, 1, 16), (259, 3, 1, 1), (262, 3, 1, 1),
-            (270, 2, len(description), data - 64), (273, 4, 1, data), (277, 3, 1, 1),
-            (279, 4, 1, 2 * rows * columns)]  # fmt: skip
-    entries = b"".join(
-        struct.pack(">HHI", *tag[:3]) + struct.pack(">I" if tag[1] != 3 else ">H2x", tag[3]) for tag in tags
-    )
-    head = b"MM\0*" + struct.pack(">IH", 8, 9) + entries + bytes(4) + description.ljust(64, b"\0")
-    path.write_bytes(head + levels.astype(">u2").tobytes())
-    return path
-
-
 def test_imagej_s_long_stacks(tmp_path: Path) -> None:
     levels = noise(4, 6, 10, 16)
-    path = imagej(tmp_path / "a.tif", levels, b"ImageJ=1.54f\nimages=4\nslices=4\n")
+    path = write_imagej(tmp_path / "a.tif", levels, b"ImageJ=1.54f\nimages=4\nslices=4\n")
     with open_film(path, rate_hz=10) as film:
         assert film.frame_count == 4
         assert same(list(film), levels)
@@ -154,7 +139,7 @@ def test_imagej_s_long_stacks(tmp_path: Path) -> None:
     got, says = refused(path)
     assert same(got, levels[:3])
     assert "ends in the middle, after 3 whole frames" in says
-    with open_film(imagej(path, levels, b"somebody else's\nimages=4\n"), rate_hz=10) as film:
+    with open_film(write_imagej(path, levels, b"somebody else's\nimages=4\n"), rate_hz=10) as film:
         assert film.frame_count == 1
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import av
 import numpy as np
 import pytest
-from made_recordings import noise
+from made_recordings import Y4M_FORMS, noise, write_y4m
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
@@ -183,20 +183,9 @@ def test_red_of_ten_bits() -> None:
     assert abs(int(pixels[0, 0]) - 200 * 1023 / 255) <= 3
 
 
-FORMS = {"mono": 1, "420jpeg": 1.5, "422": 2, "444": 3, "mono12": 2, "420p10": 3, "mono16": 2}
-"""Forms of .y4m, and bytes of a pixel."""
-
-
-def y4m(path: Path, form: str, frames: int = 5) -> Path:
-    size = int(10 * 6 * FORMS[form])
-    body = b"".join(b"FRAME\n" + bytes([number]) * size for number in range(frames))
-    path.write_bytes(f"YUV4MPEG2 W10 H6 F1000:1 Ip A1:1 C{form}\n".encode() + body)
-    return path
-
-
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", Y4M_FORMS)
 def test_y4m(tmp_path: Path, form: str) -> None:
-    path = y4m(tmp_path / "a.y4m", form)
+    path = write_y4m(tmp_path / "a.y4m", form)
     with open_film(path) as seen:
         got = list(seen)
         assert (seen.width, seen.height, seen.rate_hz) == (10, 6, 1000)
@@ -205,10 +194,10 @@ def test_y4m(tmp_path: Path, form: str) -> None:
     assert whole.ends_early(path) is False
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", Y4M_FORMS)
 @pytest.mark.parametrize("lost", [1, 30])
 def test_a_cut_y4m_gives_its_whole_frames_first(tmp_path: Path, form: str, lost: int) -> None:
-    path = y4m(tmp_path / "a.y4m", form)
+    path = write_y4m(tmp_path / "a.y4m", form)
     path.write_bytes(path.read_bytes()[:-lost])
     got: list[Frame] = []
     with open_film(path) as seen, pytest.raises(MediaError, match="ends in the middle, after 4 whole frames"):
