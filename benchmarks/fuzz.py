@@ -16,7 +16,7 @@ import warnings
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -24,16 +24,15 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks._fuzz_films import FRAMES_READ, MARK, Parser, Seeds, film_seeds
 from heliograph.base.config import to_mapping
 from heliograph.base.errors import HeliographError
-from heliograph.base.frames import Frame
 from heliograph.base.toml_text import parse_assignment, parse_toml, to_toml
 from heliograph.link.film import write_film
 from heliograph.link.notes import noted_signal
 from heliograph.link.recordings import load_imu
 from heliograph.link.settings import load_settings
 from heliograph.link.truth import open_truth
-from heliograph.media import create_film, open_film
 from heliograph.media.record import FilmRecord
 from heliograph.media.slots import SUFFIXES, SlotForm, open_slots, write_slots
 from heliograph.signal.block import Block, pack, payload_bytes, unpack
@@ -46,9 +45,6 @@ LIMIT_S = 10.0
 LIMIT_BYTES = 3 << 30
 """Address space of a worker beyond what it begins with."""
 
-FRAMES_READ = 200
-"""Most frames read of a film: a damaged one may claim more than there are."""
-
 WORDS = [
     b"nan", b"inf", b"-1", b"0", b"1e308", b"1e-308", b"true", b"null", b"[", b"]", b"{", b"}", b'"', b"=", b".", b",",
     b":", b"\n", b"\x00", b"\xff", b"9" * 5000, b"[" * 3000, b"0x" + b"f" * 5000, b"a." * 500,
@@ -57,13 +53,8 @@ WORDS = [
 ]  # fmt: skip
 """What is put into texts."""
 
-MARK = b"--part--"
-"""Between the parts of a truth file that is changed within."""
-
 TRUTH_PARTS = ("about.json", "frames.npy", "messages/0/high/0", "messages/0/low/0")
 """Parts of the truth file that is changed."""
-
-Parser = Callable[[bytes, Path], object]
 
 
 def mutated(data: bytes, rng: random.Random) -> bytes:
@@ -88,20 +79,6 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
         else:
             out[place : place + 8] = rng.choice((0, 1, (1 << 63) - 1, (1 << 64) - 1, 1 << 32)).to_bytes(8, "little")
     return bytes(out) if rng.random() < 0.97 else bytes(out[: rng.randrange(len(out) + 1)])
-
-
-def read_film(data: bytes, folder: Path, suffix: str) -> object:
-    path = folder / f"a{suffix}"
-    path.write_bytes(data)
-    with open_film(path) as film:
-        noted_signal(film)
-        for _, _ in zip(film, range(FRAMES_READ), strict=False):
-            pass
-    return None
-
-
-def film_parser(suffix: str) -> Parser:
-    return lambda data, folder: read_film(data, folder, suffix)
 
 
 def slots_parser(suffix: str) -> Parser:
@@ -170,23 +147,18 @@ def read_block(data: bytes, _: Path) -> object:
     return block and Reassembler().add(block, payload_bytes(bits.size))
 
 
-def seeds(folder: Path) -> dict[str, tuple[Parser, list[bytes]]]:
+def seeds(folder: Path) -> Seeds:
     """Parsers by name, each with what it reads well."""
     small = ["channel.camera.width=64", "channel.camera.height=32", "channel.duration_s=0.02"]
     settings = load_settings("static", None, small)
     write_film(folder / "a.h5", settings, [{"high": [b"kept"], "low": [b"more"]}], seed=1)
     truth = (folder / "a.h5.truth.npz").read_bytes()
-    found: dict[str, tuple[Parser, list[bytes]]] = {"truth": (read_truth, [truth, unpacked(folder / "a.h5.truth.npz")])}
-    noise = np.random.default_rng(0).integers(0, 256, (12, 16, 24), dtype=np.uint8)
-    for suffix, codec in ((".h5", None), (".mkv", "ffv1"), (".nut", "ffv1"), (".mp4", "h264"), (".avi", "mjpeg")):
-        path = folder / f"b{suffix}"
-        note = {"heliograph_signal": json.dumps(to_mapping(settings.signal))}
-        with create_film(path, width=24, height=16, rate_hz=1000, codec=codec, metadata=note) as film:
-            for k, pixels in enumerate(noise):
-                film.write(Frame(k, k / 1000, pixels))
-        found[f"film{suffix}"] = (film_parser(suffix), [path.read_bytes()])
+    found: Seeds = {"truth": (read_truth, [truth, unpacked(folder / "a.h5.truth.npz")])}
+    note = json.dumps(to_mapping(settings.signal))
+    slots = np.random.default_rng(0).integers(0, 2, (12, 8, 8), dtype=np.uint8)
+    found |= film_seeds(folder, note)
     for suffix in SUFFIXES:
-        write_slots(folder / f"c{suffix}", noise[:, :8, :8] & 1, SlotForm(8, 4, 250_000, len(noise)))
+        write_slots(folder / f"c{suffix}", slots, SlotForm(8, 4, 250_000, len(slots)))
         found[f"slots{suffix}"] = (slots_parser(suffix), [(folder / f"c{suffix}").read_bytes()])
     trees = [to_toml(to_mapping(load_settings(name))).encode() for name in ("paper", "two-arrays")]
     keys = [b"channel.distance_m=60", b"channel.arrays.0.x_m=1.5", b"signal.rate.high=1/2",
@@ -202,7 +174,7 @@ def seeds(folder: Path) -> dict[str, tuple[Parser, list[bytes]]]:
         "set": (read_assignment, keys),
         "vary": (read_vary, ranges),
         "record": (read_record, [record.dumps().encode()]),
-        "note": (read_note, [json.dumps(to_mapping(settings.signal)).encode()]),
+        "note": (read_note, [note.encode()]),
         "block": (read_block, [np.packbits(block).tobytes()[:-4]]),
     }
 
@@ -285,7 +257,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", help="one parser")
+    parser.add_argument("--only", nargs="+", default=[], help="these parsers alone, the same number of cases each")
     parser.add_argument("--keep", type=Path, help="folder for the cases that end in something else")
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as there:
@@ -293,7 +265,7 @@ def main() -> None:
     if chosen.keep is not None:
         chosen.keep.mkdir(parents=True, exist_ok=True)
     wrong = 0
-    plan = shares(chosen.cases, names) if chosen.only is None else {chosen.only: chosen.cases}
+    plan = {name: chosen.cases // len(chosen.only) for name in chosen.only} or shares(chosen.cases, names)
     print(f"{'parser':10} {'cases':>7} {'values':>7} {'errors':>7} {'s':>6} {'MB more':>8}")
     for name, count in plan.items():
         # a process of its own: a crash of a library ends that one alone

@@ -22,9 +22,11 @@ from heliograph.media.slots import SUFFIXES
 from heliograph.signal.block import unpack
 from heliograph.signal.message import Reassembler
 
-FILMS = ["film.h5", "film.mkv", "film.nut", "film.mp4", "film.avi"]
+VIDEOS = ["film.h5", "film.mkv", "film.nut", "film.mp4", "film.avi", "film.y4m"]
+CAMERAS = ["film.cine", "film.cih", "film.cihx"]
+PICTURES = ["film.tif", "film.npy", "film.png", "film.jpg", "shots.png", "shots.jpg", "shots.tif"]
 SLOTS = [f"slots{suffix}" for suffix in SUFFIXES]
-NAMES = [*FILMS, *SLOTS, "truth", "trace", "settings", "set", "record", "note", "block", "vary"]
+NAMES = [*VIDEOS, *CAMERAS, *PICTURES, *SLOTS, "truth", "trace", "settings", "set", "record", "note", "block", "vary"]
 
 
 @pytest.mark.parametrize("name", NAMES)
