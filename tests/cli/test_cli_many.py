@@ -5,8 +5,13 @@ import os
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cli_runs import Run, called, failed, heliograph, lasting, names, succeeded
+from made_recordings import write_pictures
+
+from heliograph.cli.options import FilmOptions
+from heliograph.cli.receive_many import FilmWork
 
 pytestmark = pytest.mark.slow
 
@@ -21,6 +26,21 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def rows(run: Run) -> dict[str, dict[str, object]]:
     read = [json.loads(line) for line in run.stdout.splitlines()]
     return {row["film"]: row for row in read}
+
+
+@pytest.mark.parametrize("name", ["shots", "shots/img%04d.png", "m.mraw"])
+def test_what_a_film_is_made_of_is_looked_at_again(name: str, tmp_path: Path) -> None:
+    levels = np.zeros((3, 8, 8), np.uint8)
+    write_pictures(tmp_path / "shots", levels)
+    (tmp_path / "m.mraw").write_bytes(bytes(192))
+    (tmp_path / "m.cih").write_text("#Camera Information Header")
+    work = FilmWork(str(tmp_path / name), FilmOptions(None, None, 1, 0, "luma"), "static", None, (), None)
+    before = work.made_of()
+    assert before
+    assert work.made_of() == before
+    part = tmp_path / "m.cih" if name == "m.mraw" else sorted((tmp_path / "shots").iterdir())[1]
+    part.write_bytes(part.read_bytes() + b" ")
+    assert work.made_of() != before
 
 
 def test_a_folder_of_films_is_received_and_resumed(

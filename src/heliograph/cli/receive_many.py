@@ -1,6 +1,7 @@
 """heliograph receive, of many films: a worker for each, a line of JSON for each, and what is done is not done again."""
 
 import contextlib
+import glob
 import json
 import sys
 import time
@@ -15,7 +16,22 @@ from heliograph import __version__
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.cli import console, options
 
-FILMS = (".mkv", ".nut", ".mp4", ".mov", ".avi", ".y4m", ".h264", ".h5", ".hdf5", ".mraw", ".cine", ".npy")
+FILMS = (
+    ".mkv",
+    ".nut",
+    ".mp4",
+    ".mov",
+    ".m4v",
+    ".webm",
+    ".avi",
+    ".y4m",
+    ".h264",
+    ".h5",
+    ".hdf5",
+    ".mraw",
+    ".cine",
+    ".npy",
+)
 """Suffixes of files that are taken for films in a folder; pictures in it are the frames of one film."""
 
 SUMMARY = "summary.json"
@@ -40,14 +56,26 @@ class FilmWork:
     def made_of(self) -> dict[str, Any]:
         """What its results follow from, as plain values: they hold as long as it stays the same."""
         with contextlib.suppress(OSError):
-            found = Path(self.film).stat()
+            found = [file.stat() for file in _files_of(Path(self.film))]
             settings = "" if self.file is None else self.file.read_text(encoding="utf-8", errors="replace")
             return {
-                "film": {"bytes": found.st_size, "modified_ns": found.st_mtime_ns},
+                "film": [[one.st_size, one.st_mtime_ns] for one in found],
                 "options": [asdict(self.seen), self.preset, settings, list(self.assignments)],
                 "version": __version__,
             }
         return {}
+
+
+def _files_of(film: Path) -> list[Path]:
+    """The files that a film may be made of: pictures of a folder or pattern, a header beside its frames, or itself."""
+    from heliograph.media.images import is_pattern
+
+    if film.is_dir():
+        return sorted(film.iterdir())
+    if is_pattern(film):
+        return sorted(film.parent.glob(f"*{film.suffix}"))
+    headed = film.suffix.lower() in (".mraw", ".cih", ".cihx")
+    return sorted(film.parent.glob(f"{glob.escape(film.stem)}.*")) if headed else [film]
 
 
 def films_of(given: Sequence[Path]) -> list[Path]:
