@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from cli_runs import Run, called, failed, grown, heliograph, interrupted, lasting, names, succeeded
 
+from heliograph.base.frames import Frame
 from heliograph.media import create_film, open_film
 
 pytestmark = pytest.mark.slow
@@ -111,6 +112,15 @@ def test_it_ends_after_its_duration(call: Call, film: Path) -> None:
         succeeded(received(call, film, "--camera", "Times=0", "--camera", "Speed=200", "--duration", "1", "--json"))
     )
     assert 1 <= report["frames"] <= 210
+
+
+def test_where_no_array_is_seen_it_says_what_tells_why(call: Call, tmp_path: Path) -> None:
+    with create_film(tmp_path / "dark.h5", width=64, height=48, rate_hz=1000) as made:
+        for number in range(120):
+            made.write(Frame(number, number / 1000, np.full((48, 64), 20 + number % 2, np.uint8)))
+    run = received(call, tmp_path / "dark.h5")
+    assert run.returncode == 3
+    assert f"'heliograph probe camera:played:{tmp_path / 'dark.h5'}' tells what the camera shows" in run.stdout
 
 
 def test_nothing_is_recorded_where_all_was_read(call: Call, film: Path, tmp_path: Path) -> None:
