@@ -89,6 +89,14 @@ BackgroundOption = Annotated[
     ),
 ]
 
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS", help="Dask scheduler whose workers compute, in place of --workers.", show_default=False
+    ),
+]
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 WorkersOption = Annotated[
     int | None,
     typer.Option("--workers", min=1, help="Worker processes; one for each core if left out.", show_default=False),

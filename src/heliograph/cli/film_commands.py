@@ -1,0 +1,307 @@
+"""The commands that write or read films and light, with their options."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from heliograph.base.errors import MediaError
+from heliograph.cli import options
+
+READ = "Video, .h5, .mraw, .cine, TIFF stack, .npy, folder of pictures, or their names such as img%04d.png."
+"""Films that are read, for the help."""
+
+High = Annotated[str | None, options.message_option("high")]
+Middle = Annotated[str | None, options.message_option("middle")]
+Low = Annotated[str | None, options.message_option("low")]
+Codec = Annotated[
+    str | None, typer.Option(help="Codec of the film: ffv1, h264 or mjpeg; chosen by the suffix if left out.")
+]
+Fps = Annotated[
+    float | None,
+    typer.Option(
+        "--fps",
+        metavar="RATE",
+        show_default=False,
+        help="Frames per second that the camera took, where the film claims another rate, as in slow motion, or has no "
+        "clock: a folder of pictures, TIFF, .npy.",
+    ),
+]
+Crop = Annotated[
+    str | None,
+    typer.Option(
+        "--crop",
+        metavar="X,Y,WIDTH,HEIGHT",
+        show_default=False,
+        help="Part of the frames that is read, in pixels; x and y count from 0 at the upper left.",
+    ),
+]
+Bin = Annotated[
+    int,
+    typer.Option(
+        "--bin",
+        metavar="SIDE",
+        help="Take the mean of squares of so many pixels a side, 1 to 16; 2 for a Bayer mosaic.",
+    ),
+]
+Rotate = Annotated[
+    int, typer.Option("--rotate", metavar="DEGREES", help="Turn the part clockwise: 0, 90, 180 or 270 degrees.")
+]
+Channel = Annotated[str, typer.Option("--channel", help="Gray level of a colour: luma, red, green or blue.")]
+Corners = Annotated[
+    str | None,
+    typer.Option(
+        "--corners",
+        metavar="X,Y,X,Y,X,Y,X,Y",
+        show_default=False,
+        help="Where an array is that is not found by itself: the four corners of its LED area one after the other, in "
+        "pixels of the frames as they are read. Sets receive.detect.corners.",
+    ),
+]
+Region = Annotated[
+    str | None,
+    typer.Option(
+        "--region",
+        metavar="X,Y,WIDTH,HEIGHT",
+        show_default=False,
+        help="Part of the frames in which arrays are looked for, however faint; they are followed beyond it. Sets "
+        "receive.detect.region.",
+    ),
+]
+CameraOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--camera",
+        metavar="KEY=VALUE",
+        show_default=False,
+        help="Set a live camera: exposure_us, gain, rate_hz, region=X,Y,WIDTH,HEIGHT, pixel_format, trigger, producer, "
+        "queue_s, reconnect, or a feature by the camera's own name, such as BlackLevel; may be repeated.",
+    ),
+]
+Receiver = Annotated[
+    str | None,
+    typer.Option(
+        help="Receiver: plain, soft or one of your own; that of the preset if left out.",
+        show_default=False,
+        autocompletion=options.begun_receivers,
+    ),
+]
+
+
+def simulate(
+    film: Annotated[Path, typer.Argument(help="Film to write: .mkv, .nut, .mp4, .avi or .h5.")],
+    preset: options.Preset = "paper",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    seed: options.Seed = 0,
+    background: options.BackgroundOption = None,
+    imu: options.Imu = None,
+    high: High = None,
+    middle: Middle = None,
+    low: Low = None,
+    codec: Codec = None,
+    crf: Annotated[float | None, typer.Option(help="Quality of lossy H.264, 0 to 51.")] = None,
+    lossless: Annotated[bool, typer.Option(help="Store H.264 without loss.")] = False,
+) -> None:
+    """Film a drive past the arrays, and write its truth beside it."""
+    from heliograph.cli.simulate import run_simulate
+
+    run_simulate(film, preset, settings, assignments, seed, background, imu, (high, middle, low),
+                 {"codec": codec, "crf": crf, "lossless": lossless})  # fmt: skip
+
+
+def transmit(
+    output: Annotated[
+        Path,
+        typer.Argument(
+            help="Patterns to write: .npy, .csv, a film (.mkv, .mp4, ...); for drivers, by slot: .bits (bit planes), "
+            ".h (C header), .hub75 (row scan), .shift (shift registers)."
+        ),
+    ],
+    packets: Annotated[int, typer.Option(min=1, help="Packets to write.")] = 10,
+    identity: Annotated[int, typer.Option(min=0, max=29, help="Identity of the array.")] = 0,
+    slots: Annotated[bool, typer.Option("--slots", help="Write on and off by PWM slot instead of levels.")] = False,
+    preset: options.Preset = "paper",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    high: High = None,
+    middle: Middle = None,
+    low: Low = None,
+) -> None:
+    """Write the LED patterns of a transmission."""
+    from heliograph.cli.transmit import run_transmit
+
+    run_transmit(output, packets, identity, slots, preset, settings, assignments, (high, middle, low))
+
+
+def receive(
+    films: Annotated[
+        list[Path], typer.Argument(metavar="FILM...", help=f"{READ} Or a live camera, camera:KIND:ADDRESS.")
+    ],
+    receiver: Receiver = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", metavar="DIR", help="Folder for the messages and the packet log.", show_default=False),
+    ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option("--truth", metavar="FILE", help="Truth of the film, to count errors by.", show_default=False),
+    ] = None,
+    fps: Fps = None,
+    crop: Crop = None,
+    binning: Bin = 1,
+    rotate: Rotate = 0,
+    channel: Channel = "luma",
+    corners: Corners = None,
+    region: Region = None,
+    preset: options.Preset = "paper",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    camera: CameraOption = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Seconds after which a live camera is left.", show_default=False),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="HDF5 film of the last seconds of a live camera in which an array was lost or a packet not read.",
+            show_default=False,
+        ),
+    ] = None,
+    record_s: Annotated[
+        float, typer.Option("--record-s", metavar="S", min=0.1, max=3600, help="Seconds that --record keeps.")
+    ] = 10.0,
+    as_json: options.Json = False,
+    follow: Annotated[
+        bool,
+        typer.Option("--follow", help="Print a JSON line for each array found or lost, each packet and message."),
+    ] = False,
+    send: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--send",
+            metavar="ADDRESS",
+            show_default=False,
+            help="Send these lines too: udp://HOST:PORT, or ws://127.0.0.1:PORT for clients of a WebSocket; may be "
+            "repeated.",
+        ),
+    ] = None,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say the same in words on standard error.")] = False,
+    workers: options.WorkersOption = None,
+    scheduler: options.Scheduler = None,
+) -> None:
+    """Find arrays in films, or before a live camera, and read what they send; where nothing is read it says why.
+
+    A live camera is camera:KIND or camera:KIND:ADDRESS; 'heliograph cameras' lists what is there. It is received until
+    Ctrl-C, for --duration S, or to the camera's end.
+
+    Films of 'simulate' hold a note of their signal, which wins over the preset. --settings and --set win over the
+    note; a line says where they differ from it. Of several films, or a folder of films, a line of JSON is printed for
+    each; --output has a folder for each, and what is there already is not read again. The exit status is 3 where no
+    array was found, of several films in none of them.
+    """
+    from heliograph.cli.live import LiveOptions
+    from heliograph.cli.news import Told
+    from heliograph.cli.receive import run_receive
+    from heliograph.cli.receive_many import is_many, run_many
+
+    seen = options.FilmOptions(fps, crop, binning, rotate, channel)
+    changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
+    changes += options.place_changes(corners, region)
+    if is_many(films) or workers is not None or scheduler is not None:
+        if truth or follow or send or verbose or camera or record or duration is not None:
+            raise MediaError(
+                "--truth, --follow, --send, --verbose and cameras' options take one film: receive the films one by one"
+            )
+        run_many(films, seen, preset, settings, changes, output, (workers, scheduler))
+        return
+    live = LiveOptions(camera, duration, record, record_s)
+    told = Told(follow, verbose, tuple(send or ()))
+    run_receive(films[0], seen, output, truth, preset, settings, changes, as_json, told, live)
+
+
+def cameras(camera: CameraOption = None, as_json: options.Json = False) -> None:
+    """List the live cameras that are there, by the names that 'receive' takes, and what is missing to see others."""
+    from heliograph.cli.cameras import run_cameras
+
+    run_cameras(camera, as_json)
+
+
+def probe(
+    film: Annotated[Path, typer.Argument(metavar="FILM", help=f"{READ} Or a live camera, camera:KIND:ADDRESS.")],
+    receiver: Receiver = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(
+            "--frames",
+            min=1,
+            metavar="N",
+            show_default=False,
+            help="Look at the first N frames alone; of a live camera at 2048 if left out.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", metavar="DIR", help="Folder for probe.html, the same with pictures.", show_default=False
+        ),
+    ] = None,
+    fps: Fps = None,
+    crop: Crop = None,
+    binning: Bin = 1,
+    rotate: Rotate = 0,
+    channel: Channel = "luma",
+    camera: CameraOption = None,
+    preset: options.Preset = "paper",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    as_json: options.Json = False,
+) -> None:
+    """Tell what a film shows: its frames, light and noise, what blinks, why that is or is no array, what to change.
+
+    The exit status is 0 where an array is read with the settings as they are, and 3 where none is.
+    """
+    from heliograph.cli.probe import run_probe
+
+    seen = options.FilmOptions(fps, crop, binning, rotate, channel)
+    changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
+    run_probe(film, seen, camera, frames, output, preset, settings, changes, as_json)
+
+
+def convert(
+    film: Annotated[Path, typer.Argument(help=READ)],
+    output: Annotated[Path, typer.Argument(help="Film to write: .mkv, .nut, .mp4, .avi or .h5.")],
+    fps: Fps = None,
+    crop: Crop = None,
+    binning: Bin = 1,
+    rotate: Rotate = 0,
+    channel: Channel = "luma",
+    codec: Codec = None,
+    crf: Annotated[
+        float | None,
+        typer.Option(help="Quality of lossy H.264, 0 to 51; without it every gray level is kept.", show_default=False),
+    ] = None,
+) -> None:
+    """Write a film as another kind, with its gray levels and times; .h5 is the fastest to read."""
+    from heliograph.cli.convert import run_convert
+
+    run_convert(film, output, options.FilmOptions(fps, crop, binning, rotate, channel), codec, crf)
+
+
+def demo(
+    output: Annotated[
+        Path, typer.Option("--output", metavar="DIR", help="Folder for the film, the messages and the report.")
+    ] = Path("demo"),
+    seed: options.Seed = 0,
+    preset: options.Preset = "paper",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+    background: options.BackgroundOption = None,
+    imu: options.Imu = None,
+) -> None:
+    """Simulate the paper's drive, receive it, and show what arrived in report.html."""
+    from heliograph.cli.demo import run_demo
+
+    run_demo(output, seed, preset, settings, assignments, background, imu)
