@@ -8,7 +8,7 @@ from typing import Any
 from heliograph.base.errors import MediaError
 from heliograph.base.files import clear_write_errors, room_for, write_whole
 from heliograph.datasets.film import write_planned
-from heliograph.datasets.plan import DatasetPlan, planned
+from heliograph.datasets.plan import DatasetPlan, PlannedFilm, planned
 from heliograph.datasets.sheet import datasheet, film_table
 from heliograph.sweeps.plan import laid_over
 
@@ -132,13 +132,17 @@ def write(plan: DatasetPlan, folder: Path, progress: Callable[[float], None] = l
     for film in plan.films:
         if film.number in kept:
             continue
-        begun, frames = count, max(film.frames, 1)
-        write_planned(folder / film.name, film, lambda n, begun=begun, of=frames: progress(begun + min(n / of, 1.0)))  # type: ignore[misc]
+        write_planned(folder / film.name, film, _part_of(film, count, progress))
         count += 1
         progress(count)
     sources = sorted({Path(one.path).name for film in plan.films for one in film.point.recordings.values()})
     write_whole(folder / TABLE, film_table(plan).encode())
     write_whole(folder / SHEET, datasheet(plan, sources).encode())
+
+
+def _part_of(film: PlannedFilm, before: int, progress: Callable[[float], None]) -> Callable[[int], None]:
+    """Progress of a film's frames as that of all films, of which so many were done before."""
+    return lambda frames: progress(before + min(frames / max(film.frames, 1), 1.0))
 
 
 def _plain(plan: DatasetPlan) -> Any:

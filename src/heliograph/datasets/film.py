@@ -21,7 +21,7 @@ from heliograph.link.notes import SIGNAL_TAG
 from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.simulate import Recordings, simulate, transmitters
 from heliograph.measure.bench import dithered, random_messages
-from heliograph.media.hdf5 import PatientFile
+from heliograph.media.hdf5_write import PatientFile
 from heliograph.sweeps.points import Recorded
 
 STEP = 64

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from heliograph.base.errors import MediaError, shown
-from heliograph.media import arrays, hdf5, images, phantom, photron, tiff, video_read, video_write
+from heliograph.media import arrays, hdf5, hdf5_write, images, phantom, photron, tiff, video_read, video_write
 from heliograph.media.arrays import ArrayReader
 from heliograph.media.live.reader import LiveReader, is_camera
 from heliograph.media.live.settings import CameraSettings, camera_settings
@@ -263,5 +263,5 @@ def _codec(
 
 def _sink(partial: Path, target: Path, spec: FilmSpec, codec: video_write.VideoCodec | None) -> Sink:
     if codec is None:
-        return hdf5.Hdf5Sink(partial, target, spec)  # writes faster than a queue hands over
+        return hdf5_write.Hdf5Sink(partial, target, spec)  # writes faster than a queue hands over
     return ThreadedSink(video_write.VideoSink(partial, target, spec, codec))

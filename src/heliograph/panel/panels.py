@@ -9,7 +9,8 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError, shown
-from heliograph.panel.lattice import FIRST_BLUR, Fitted, Lattice, Shape, fitted
+from heliograph.panel.lattice import FIRST_BLUR, Fitted, Lattice, Shape
+from heliograph.panel.lattice_fit import fitted
 from heliograph.panel.outline import SMOOTHING, SMOOTHING_PITCHES, Region, evidence, outlined, quadrilateral
 from heliograph.panel.phase import AFRESH, FARTHEST, ONWARDS, Phased, phased, strength
 from heliograph.panel.picture import COLOURS, AnyFrame, Levels, Picture, picture_of
