@@ -5,6 +5,7 @@ import json
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -78,7 +79,7 @@ def run_receive(
         ):
             began = time.perf_counter()
             with console.progress("receiving", watch.frame_count) as advance:
-                ending = read_film(watch, signal, settings, reception, (folder, news), advance)
+                ending = read_film(watch, signal, _on_all_cores(settings), reception, (folder, news), advance)
             report = {**reception.report(time.perf_counter() - began), "reading_seconds": source.read_s}
             try:
                 # what a camera shows is gone
@@ -139,6 +140,16 @@ def read_film(
     except (HeliographError, OSError, MemoryError, KeyboardInterrupt) as error:
         return error
     return None
+
+
+def _on_all_cores(settings: "LinkSettings") -> "LinkSettings":
+    """Settings by which packets are decoded beside the frames that follow, where there is a core for it."""
+    from heliograph.receive.registry import RECEIVERS
+
+    receive = settings.receive
+    if receive.decode.beside is not None or (os.cpu_count() or 1) < 2 or not RECEIVERS.is_built_in(receive.receiver):
+        return settings
+    return replace(settings, receive=replace(receive, decode=replace(receive.decode, beside=True)))
 
 
 def finish_folder(folder: "Folder", report: dict[str, Any], watch: Watch) -> MediaError | None:

@@ -3,19 +3,21 @@
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.coming import ENOUGH_SEEN, HEADER_SEEN, ComingPacket, DecodedPacket, Decoders
 from heliograph.receive.decode.codeword import unread
-from heliograph.receive.events import Observer, TrackEvent
+from heliograph.receive.events import Event, Observer, TrackEvent
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose, rim_distance
 from heliograph.receive.image.view import CAMERA, View
 from heliograph.receive.lost_pair import read_renumbered
-from heliograph.receive.packets import Packet, Status, Words
+from heliograph.receive.packets import Packet
 from heliograph.receive.reader_protocol import PacketReader
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, Pairing, PoseAt
@@ -24,23 +26,12 @@ from heliograph.receive.timing.slips import SlipWatch
 from heliograph.receive.track.lone_frames import REACH
 from heliograph.receive.track.track import TrackedPair
 from heliograph.receive.track.tracker import Tracker
-from heliograph.signal.formats import Format, ReservedModeError
+from heliograph.signal.formats import ReservedModeError
 from heliograph.signal.header import header_levels
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
 LOG = logging.getLogger(__name__)
-
-HEADER_SEEN = 0.5
-"""Least header score of a packet whose header was seen: half of the array's light must alternate."""
-
-ENOUGH_SEEN = 0.5
-"""Least fraction of a packet's data that must have been seen.
-
-Below it a packet that the film's end cuts off is not given out, and one without a right codeword is "no_array". Of
-data half of which is erased no code of a rate above 1/2 can be read. Half of it loses none of 192 codewords; twice of
-it, all of the data, loses 20, all of cameras out of step (docs/constants.md).
-"""
 
 ASTRAY = 0.5
 """Pitches by which the rim of an array that is followed may lie off its header: beyond it LEDs are taken for others."""
@@ -73,6 +64,8 @@ class ArrayReceiver:
         Follows the array from pair to pair.
     reader
         Reads its first packet, and gives the readers of the next ones.
+    decoders
+        Decodes its packets, one after the other.
     signal
         The light's signal: pattern period, and pairs of header and data in a packet.
     calibration
@@ -91,6 +84,7 @@ class ArrayReceiver:
         pairing: Pairing,
         tracker: Tracker,
         reader: PacketReader,
+        decoders: Decoders,
         *,
         signal: SignalSettings,
         calibration: CalibrationSettings,
@@ -99,7 +93,7 @@ class ArrayReceiver:
         view: View = CAMERA,
     ):
         self.found, self._view = detection, view
-        self._pairing, self._tracker, self._reader = pairing, tracker, reader
+        self._pairing, self._tracker, self._reader, self._decoders = pairing, tracker, reader, decoders
         self._signal, self._calibration, self._coast_s, self._observe = signal, calibration, coast_s, observe
         self._track = tracker.start(detection)
         self._gathered = self._empty()
@@ -109,6 +103,7 @@ class ArrayReceiver:
         self._start_lost = 0
         self._poses: dict[int, PoseAt] = {}
         self._read: bool | None = None
+        self._beside: ComingPacket | None = None
         self._proven = self._failed = self._outgrown = False
 
     @property
@@ -187,7 +182,7 @@ class ArrayReceiver:
         off = rim_distance(there, detection.fit.pose, self._signal.side)
         return detection.clear and bool((detection.led_gains == 1).all()) and off > ASTRAY * there.pitch
 
-    def push(self, frame: Frame) -> Iterator[Packet]:
+    def push(self, frame: Frame) -> Iterator[ComingPacket]:
         """Take the next frame; yield the packet it completes.
 
         Parameters
@@ -210,7 +205,7 @@ class ArrayReceiver:
         """
         return time_s - self._track.last_seen_s > self._coast_s + self._signal.packet_s
 
-    def flush(self, over: bool = False) -> Iterator[Packet]:
+    def flush(self, over: bool = False) -> Iterator[ComingPacket]:
         """Yield the packet in progress.
 
         Parameters
@@ -231,7 +226,7 @@ class ArrayReceiver:
     def _pairs(self) -> int:
         return self._signal.packet_patterns // 2
 
-    def _take_all(self, numbers: Iterator[int]) -> Iterator[Packet]:
+    def _take_all(self, numbers: Iterator[int]) -> Iterator[ComingPacket]:
         """Read pairs; an array whose pixels give no solution is given up, and found again by its next header."""
         try:
             for number in () if self._failed else numbers:
@@ -240,7 +235,7 @@ class ArrayReceiver:
             self._failed = True
             LOG.warning("array %d is given up at %.4f s: %s", self.identity, self._pairing.now_s, error)
 
-    def _take(self, number: int) -> Iterator[Packet]:
+    def _take(self, number: int) -> Iterator[ComingPacket]:
         """Read a pair; yield the packet it completes."""
         self._number, in_packet = number, number % self._pairs
         place = in_packet - self._signal.header_pairs
@@ -311,34 +306,71 @@ class ArrayReceiver:
         gathered.poses.append(tracked.state.pose)
         self._observe(TrackEvent(self.identity, pair.pattern.index, tracked, self._view))
 
-    def _finish(self) -> Packet:
-        """Decode what was gathered, and begin the next packet."""
+    def _finish(self) -> ComingPacket:
+        """Have decoded what was gathered, and begin the next packet."""
+        self._take_over()
         gathered, self._gathered = self._gathered, self._empty()
-        reader, reason = self._reader, ""
+        seen, lacks_pair = self._packet(gathered), self._lacks_pair
+        # its next header finds it again, in a view that suits
+        self._outgrown = not self._view.suits(self._track.state.pose)
+        if self._expected(seen) and not lacks_pair:
+            # nothing of it is asked before the next packet's end
+            reader, self._reader = self._reader, self._reader.next()
+            coming = self._beside = self._coming(seen, reader, lacks_pair)
+        else:
+            coming = self._coming(seen, self._reader, lacks_pair)
+            self._conclude(coming)
+            self._reader = coming.reader.next()
+        return coming
+
+    @property
+    def _lacks_pair(self) -> bool:
+        """Whether the next header shows where the packet's last pair should be."""
+        return self._slips.shows_header(self._number) and self._number % self._pairs == self._pairs - 1
+
+    def _expected(self, seen: Packet) -> bool:
+        """Whether an array is followed on, whatever comes of decoding its packet: that it is there, is beyond doubt."""
+        clear = seen.header_score >= HEADER_SEEN and seen.pairs_seen >= ENOUGH_SEEN
+        return self._proven and bool(self._read) and clear and bool((self._track.shining == 1).all())
+
+    def _coming(self, seen: Packet, reader: PacketReader, lacks_pair: bool) -> ComingPacket:
+        work = self._decoders.submit(partial(self._decoded, reader, lacks_pair, seen.first_frame))
+        return ComingPacket(seen, work, self._observe)
+
+    def _decoded(self, reader: PacketReader, lacks_pair: bool, first_frame: int) -> DecodedPacket:
+        """Decode a packet; frames may be taken meanwhile, so nothing is changed here but its reader."""
+        reason, events = "", list[Event]()
         try:
-            if self._slips.shows_header(self._number) and self._number % self._pairs == self._pairs - 1:
-                reader, layers = read_renumbered(reader, self._signal.data_pairs)
+            if lacks_pair:
+                reader, layers = read_renumbered(reader, self._signal.data_pairs, events.append)
             else:
-                layers = reader.decode()
+                layers = reader.decode(events.append)
         except (np.linalg.LinAlgError, ReservedModeError) as error:
             layers, reason = unread(PacketFormat(self._signal, reader.format), self.identity), str(error)
             # of a header that something hides, any mode may be read
             level = logging.INFO if isinstance(error, ReservedModeError) else logging.WARNING
-            LOG.log(level, "array %d, packet at frame %d is not read: %s", self.identity, gathered.frames[0], reason)
-        self._reader = reader.next()
-        packet = replace(self._packet(gathered, layers, reader.format), reason=reason)
+            LOG.log(level, "array %d, packet at frame %d is not read: %s", self.identity, first_frame, reason)
+        return DecodedPacket(reader, layers, reason, tuple(events))
+
+    def _take_over(self) -> None:
+        """Take over what the packet before has taught, if it was decoded while this one was seen."""
+        if self._beside is not None:
+            self._conclude(self._beside)
+            self._reader.learn_from(self._beside.reader)
+            self._beside = None
+
+    def _conclude(self, coming: ComingPacket) -> None:
+        """Know from a packet how the array is followed."""
+        packet, misled = coming.packet(), coming.reader.misled
         # neither header nor a right codeword: no array, or out of step; it is found again by its next header
         # where LEDs seem to be missing, a packet read in part may have come from a wrong pose
         whole = bool((self._track.shining == 1).all())
-        self._read = not reader.misled and (packet.status == "ok" or (packet.status == "partial" and whole))
+        self._read = not misled and (packet.status == "ok" or (packet.status == "partial" and whole))
         self._proven |= packet.status in ("ok", "partial")
         self._failed = packet.status in ("no_header", "no_array")
-        # its next header finds it again, in a view that suits
-        self._outgrown = not self._view.suits(self._track.state.pose)
-        self._observe(reader.shown(packet))
-        return packet
 
-    def _packet(self, gathered: _Gathered, layers: Words, form: Format) -> Packet:
+    def _packet(self, gathered: _Gathered) -> Packet:
+        """The packet gathered, without its codewords."""
         header, seen = float(np.mean(gathered.header or [0.0])), float(gathered.seen.mean())
         pose = self._view.pose_out(gathered.poses[len(gathered.poses) // 2])
         calibration = self._calibration
@@ -346,7 +378,7 @@ class ArrayReceiver:
         patterns = 2 * (self._number - self._number % self._pairs) - self._start_lost
         return Packet(
             identity=self.identity,
-            status=_status(layers, header, seen),
+            status="crc_fail",
             start_time_s=self._pairing.origin_s + patterns * self._signal.pattern_period_s,
             first_frame=gathered.frames[0],
             last_frame=gathered.frames[-1],
@@ -356,19 +388,9 @@ class ArrayReceiver:
             header_score=header,
             track_score=float(np.mean(gathered.scores)),
             pairs_seen=seen,
-            layers=layers,
-            format=form,
+            layers={},
             orientation=self.orientation,
         )
 
     def _empty(self) -> _Gathered:
         return _Gathered(np.zeros(self._signal.data_pairs, dtype=bool))
-
-
-def _status(layers: Words, header: float, seen: float) -> Status:
-    good = [word.status == "ok" for words in layers.values() for word in words]
-    if any(good):
-        return "ok" if all(good) else "partial"
-    if seen < ENOUGH_SEEN:
-        return "no_array"
-    return "crc_fail" if header >= HEADER_SEEN else "no_header"

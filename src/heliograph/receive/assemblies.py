@@ -9,6 +9,7 @@ from heliograph.receive.acquire.given import GivenSearch, around, pose_of
 from heliograph.receive.acquire.phases import PhasedSearch
 from heliograph.receive.acquire.pyramid import PyramidSearch
 from heliograph.receive.array import ArrayReceiver
+from heliograph.receive.coming import decoders
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.soft_combining import SharedBuffers
 from heliograph.receive.events import Observer
@@ -243,6 +244,8 @@ def _following(
 ) -> Callable[[Detection], ArrayReceiver]:
     """Makes the receiver of an array that was found."""
     focal_px = settings.calibration.focal_m / settings.calibration.pixel_m
+    # of all arrays, so that they share what is seen of codewords in the packets' order
+    packets = decoders(bool(settings.decode.beside))
 
     def follow(detection: Detection) -> ArrayReceiver:
         view = View.of(detection.fit.pose, detection.orientation)
@@ -256,6 +259,7 @@ def _following(
             pairing(seen),
             tracker,
             reader(seen, tracker),
+            packets,
             signal=signal,
             calibration=settings.calibration,
             coast_s=settings.track.coast_patterns * signal.pattern_period_s,

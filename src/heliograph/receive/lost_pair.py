@@ -7,6 +7,7 @@ decoded as if the pair were lost at each of a few places.
 
 import numpy as np
 
+from heliograph.receive.events import Observer
 from heliograph.receive.packets import Words
 from heliograph.receive.reader_protocol import PacketReader
 
@@ -18,7 +19,7 @@ wrong. A code of rate 1/3 corrects about 17 %.
 """
 
 
-def read_renumbered(reader: PacketReader, pairs: int) -> tuple[PacketReader, Words]:
+def read_renumbered(reader: PacketReader, pairs: int, observe: Observer) -> tuple[PacketReader, Words]:
     """Read a packet that lacks a pair nobody knows of.
 
     Parameters
@@ -27,6 +28,8 @@ def read_renumbered(reader: PacketReader, pairs: int) -> tuple[PacketReader, Wor
         Has taken the packet's pairs, and after those that are left of it the next header's first one.
     pairs
         Pairs of data of a packet.
+    observe
+        Gets the events of each decoding.
 
     Returns
     -------
@@ -43,7 +46,7 @@ def read_renumbered(reader: PacketReader, pairs: int) -> tuple[PacketReader, Wor
     # each in the middle of a part of the packet
     for place in np.unique((np.arange(PLACES) + 0.5) * pairs / PLACES).astype(int).tolist():
         one = reader.renumbered(place)
-        words = one.decode()
+        words = one.decode(observe)
         if best is None or _right(words) > _right(best[1]):
             best = one, words
         if _right(words) == sum(map(len, words.values())):

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 
 from heliograph.base.frames import Frame
 from heliograph.receive.array import ArrayReceiver
+from heliograph.receive.coming import ComingPacket
 from heliograph.receive.image.orientation import UPRIGHT, Orientation
-from heliograph.receive.packets import Packet
 
 
 class OrientedReceivers:
@@ -42,7 +42,7 @@ class OrientedReceivers:
         """Whether it is followed no longer."""
         return not self._receivers or self.leading.done
 
-    def push(self, frame: Frame) -> Iterator[Packet]:
+    def push(self, frame: Frame) -> Iterator[ComingPacket]:
         """Take the next frame; yield the packet it completes.
 
         Parameters
@@ -62,7 +62,7 @@ class OrientedReceivers:
         """
         return all(one.overdue(time_s) for one in self._receivers)
 
-    def flush(self, over: bool = False) -> Iterator[Packet]:
+    def flush(self, over: bool = False) -> Iterator[ComingPacket]:
         """Yield the packet in progress; see `ArrayReceiver`.
 
         Parameters
@@ -89,7 +89,7 @@ class OrientedReceivers:
             self._receivers, self._settled = left, True
         return bool(left)
 
-    def _believed(self, read: list[tuple[ArrayReceiver, list[Packet]]]) -> Iterator[Packet]:
+    def _believed(self, read: list[tuple[ArrayReceiver, list[ComingPacket]]]) -> Iterator[ComingPacket]:
         """Packets of the receiver of which a codeword was right, else of the upright one."""
         proven = next((one for one, _ in read if one.proven), None)
         if proven is not None:

@@ -65,7 +65,7 @@ class SoftParts:
     led_by_led
         Whether a packet is read LED by LED first.
     observe
-        Gets an `ExtractEvent` each pair and an `EqualiseEvent` each iteration.
+        Gets an `ExtractEvent` each pair.
     """
 
     form: PacketFormat
@@ -223,8 +223,8 @@ class SoftReader:
         return other
 
     @one_thread()
-    def decode(self) -> Words:
-        """Codewords by layer, of all pairs kept."""
+    def decode(self, observe: Observer, /) -> Words:
+        """Codewords by layer, of all pairs kept; see `PacketReader`."""
         check_mode(self._format_reader.number(self._light.gain))
         buffer, first = self._buffer, Assumption(self._gains(), self._cutouts())
         shown, new = self._led_by_led(first), self._led_gains is not None and not self._proven
@@ -234,10 +234,10 @@ class SoftReader:
         earlier = None if buffer is None else buffer.content
 
         def read(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
-            return self._decode(assumed, earlier, shown if assumed is first else self._led_by_led(assumed))
+            return self._decode(assumed, earlier, shown if assumed is first else self._led_by_led(assumed), observe)
 
         # of an array just found the equaliser must show by itself that its pose is right
-        reading = read_packet(first, read if not new else lambda assumed: self._decode(assumed, earlier, None))
+        reading = read_packet(first, read if not new else lambda assumed: self._decode(assumed, earlier, None, observe))
         if new and shown is not None and reading.lacks(shown):
             self._misled = True
             reading = reading.or_rather(read_packet(first, read))
@@ -256,6 +256,14 @@ class SoftReader:
         """The reader of the next packet; it knows the LEDs."""
         led_gains = None if self._led_gains is None else self._led_gains.faded()
         return SoftReader(self._identity, self._parts, led_gains, self._proven)
+
+    def learn_from(self, before: "SoftReader") -> None:
+        """Take over the LEDs' brightness; what is in sight, this packet's own header shows; see `PacketReader`."""
+        learnt, self._proven = before._led_gains, self._proven or before._proven
+        if self._led_gains is None:
+            self._led_gains = learnt and learnt.faded()
+        elif learnt is not None:
+            self._led_gains = replace(self._led_gains, brightness=learnt.faded().brightness)
 
     def _learn(
         self, pair: FramePair, weights: Floats, before: Track, track: Track, led_gains: LedGains
@@ -302,15 +310,14 @@ class SoftReader:
         return read_led_by_led(self._with_lone(assumed), self._form, self._identity, options)
 
     def _decode(
-        self, assumed: Assumption, earlier: SoftBuffer | None, known: Words | None, observe: Observer | None = None
+        self, assumed: Assumption, earlier: SoftBuffer | None, known: Words | None, observe: Observer
     ) -> DecodedPacket[ObservedPacket]:
         """Decode what is not known yet of all that was kept; `earlier` is what was seen of its codewords before."""
         parts, light, form, noise = self._parts, self._light, self._form, self._noise(assumed)
         observed = ObservedPacket.of(self._with_lone(assumed), noise, form, assumed.led_gains)
         channel = GainAndNoise(min(light.gain, light.full_scale), noise.lit, light.full_scale)
-        told = observe or parts.observe
         return decode_iteratively(
-            observed, channel, form, self._identity, parts.options, earlier, parts.feedback, told, known
+            observed, channel, form, self._identity, parts.options, earlier, parts.feedback, observe, known
         )
 
     def _with_lone(self, assumed: Assumption) -> list[Cutout | None]:

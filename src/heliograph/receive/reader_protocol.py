@@ -1,9 +1,9 @@
 """What a reader of packets must offer to the receiver of an array."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
-from heliograph.receive.events import DecodeEvent
+from heliograph.receive.events import DecodeEvent, Observer
 from heliograph.receive.packets import Packet, Words
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.track import Track, TrackedPair
@@ -105,8 +105,16 @@ class PacketReader(Protocol):
             Number of the lost pair; what was taken from there on is that of the pairs after it.
         """
 
-    def decode(self) -> Words:
-        """Decode all that was taken: codewords by layer."""
+    def decode(self, observe: Observer, /) -> Words:
+        """Decode all that was taken: codewords by layer.
+
+        Other readers of the array, and its tracker, may be at work in another thread meanwhile.
+
+        Parameters
+        ----------
+        observe
+            Gets the events of decoding.
+        """
 
     def shown(self, packet: Packet) -> DecodeEvent:
         """What an observer of the packet gets.
@@ -118,4 +126,16 @@ class PacketReader(Protocol):
         """
 
     def next(self) -> "PacketReader":
-        """Give the reader of the next packet, once this one is decoded."""
+        """Give the reader of the next packet.
+
+        It is asked for before this one is decoded where the array is beyond doubt, and afterwards otherwise.
+        """
+
+    def learn_from(self, before: Any) -> None:
+        """Take over what the packet before has taught, which was decoded while this one was seen.
+
+        Parameters
+        ----------
+        before
+            The reader whose `next` this one is.
+        """

@@ -1,5 +1,6 @@
 """A receiver: finds arrays in a stream of frames and hands each frame to all that are followed."""
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -7,6 +8,7 @@ from heliograph.base.frames import Frame, check_next
 from heliograph.receive.acquire.candidate import apart
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
 from heliograph.receive.array import ArrayReceiver
+from heliograph.receive.coming import ComingPacket
 from heliograph.receive.equalise.threads import in_one_thread
 from heliograph.receive.events import DetectEvent, LostEvent, Observer
 from heliograph.receive.image.orientation import UPRIGHT, Orientation
@@ -54,6 +56,7 @@ class StreamReceiver:
         self._orientation: Orientation | None = None
         self._started = False
         self._last: Frame | None = None
+        self._coming: deque[ComingPacket] = deque()
 
     @property
     def candidates_fitted(self) -> int:
@@ -76,7 +79,10 @@ class StreamReceiver:
         check_next(frame, self._last)
         self._last = frame
         for timed in self._parts.clock.push(frame):
-            yield from self._take(timed)
+            self._coming.extend(self._take(timed))
+        # in the order in which they were seen
+        while self._coming and self._coming[0].done:
+            yield self._coming.popleft().packet()
 
     def finish(self) -> Iterator[Packet]:
         """End of the film: yield the packets in progress of which enough was seen."""
@@ -84,12 +90,14 @@ class StreamReceiver:
 
     def _finish(self) -> Iterator[Packet]:
         for timed in self._parts.clock.flush():
-            yield from self._take(timed)
+            self._coming.extend(self._take(timed))
         for array in self._arrays:
-            yield from array.flush()
+            self._coming.extend(array.flush())
         self._arrays = []
+        while self._coming:
+            yield self._coming.popleft().packet()
 
-    def _take(self, frame: Frame) -> Iterator[Packet]:
+    def _take(self, frame: Frame) -> Iterator[ComingPacket]:
         """Take a frame whose time is known."""
         if not self._started:
             self._parts.search.start(self._parts.clock.period_s)
@@ -107,7 +115,7 @@ class StreamReceiver:
         for detection in self._parts.search.push(frame, [array.leading.pose for array in kept]):
             yield from self._weigh(detection)
 
-    def _weigh(self, detection: Detection) -> Iterator[Packet]:
+    def _weigh(self, detection: Detection) -> Iterator[ComingPacket]:
         """Follow what was found unless it lies where a better array is followed."""
         rivals = [a for a in self._arrays if not apart(a.leading.pose, detection.fit.pose, self._parts.side)]
         if any(self._stands(rival, detection) for rival in rivals):
@@ -125,7 +133,7 @@ class StreamReceiver:
             return rival.credible
         return not rival.leading.yields(detection)
 
-    def _take_up(self, detection: Detection) -> Iterator[Packet]:
+    def _take_up(self, detection: Detection) -> Iterator[ComingPacket]:
         """Begin to follow an array, its header's frames first."""
         recent = tuple(self._parts.search.recent)
         self._observe(DetectEvent(detection, recent))
@@ -135,7 +143,7 @@ class StreamReceiver:
         for frame in recent:
             yield from self._push(array, frame)
 
-    def _push(self, array: OrientedReceivers, frame: Frame) -> Iterator[Packet]:
+    def _push(self, array: OrientedReceivers, frame: Frame) -> Iterator[ComingPacket]:
         """Hand a frame to an array; the first right codeword tells how the camera sees all of them."""
         packets = list(array.push(frame))
         if self._orientation is None and array.leading.proven:

@@ -138,10 +138,15 @@ class DecodeSettings:
         takes longer. If it is left out, "max-log" for "plain" and "log-map" for "soft".
     iterations
         Most iterations, 1 to 64; a codeword is finished as soon as its CRC is right.
+    beside
+        Whether packets are decoded in a thread of their own, while the next frames are searched and followed on another
+        core. The packets are the same; a receiver hands each out with the first frame after it is decoded. If it is
+        left out, the command ``receive`` does so where there are two cores, and nothing else does.
     """
 
     algorithm: Literal["max-log", "log-map"] | None = None
     iterations: Annotated[int, Field(ge=1, le=64)] = 8
+    beside: bool | None = None
 
 
 @clear_errors

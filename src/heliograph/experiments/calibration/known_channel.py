@@ -25,7 +25,7 @@ from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import decode_iteratively
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.threads import one_thread
-from heliograph.receive.events import DecodeEvent, ignore
+from heliograph.receive.events import DecodeEvent, Observer, ignore
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics
@@ -157,8 +157,14 @@ class KnownReader:
         """
         return self
 
-    def decode(self) -> Words:
-        """Codewords by layer."""
+    def decode(self, observe: Observer, /) -> Words:  # noqa: ARG002 - the protocol's
+        """Codewords by layer.
+
+        Parameters
+        ----------
+        observe
+            Gets nothing: no event tells of this decoding.
+        """
         noise, side, receive = true_noise(self._gain, self._link), self._link.signal.side, self._link.receive
         observed = ObservedPacket.of(self._cutouts, noise, self._form, LedGains.sound(side))
         channel, decoding = GainAndNoise(self._gain, noise.lit), Decoding("log-map", receive.decode.iterations)
@@ -178,6 +184,15 @@ class KnownReader:
     def next(self) -> "KnownReader":
         """Give the reader of the next packet."""
         return KnownReader(self._link, self._truths, self._blind.next())
+
+    def learn_from(self, before: "KnownReader") -> None:
+        """Nothing is learnt of a packet: all is known.
+
+        Parameters
+        ----------
+        before
+            The reader of the packet before this one.
+        """
 
 
 @dataclass(frozen=True, slots=True)

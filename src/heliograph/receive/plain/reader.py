@@ -118,8 +118,8 @@ class PlainReader:
         other._states, other._sums = renumbered(self._states, place, pairs), renumbered(self._sums, place, pairs)
         return other
 
-    def decode(self) -> Words:
-        """Codewords by layer."""
+    def decode(self, observe: Observer, /) -> Words:  # noqa: ARG002 - the protocol's
+        """Codewords by layer; see `PacketReader`."""
         for place, lone in self._lone.items():
             self._read_lone(place, lone)
         check_mode(self._format_reader.number(self._gain))
@@ -144,3 +144,6 @@ class PlainReader:
     def next(self) -> "PlainReader":
         """The reader of the next packet."""
         return PlainReader(self._identity, self._form, self._tracker, self._equaliser, self._options, self._observe)
+
+    def learn_from(self, before: "PlainReader") -> None:
+        """Nothing is learnt of a packet; see `PacketReader`."""

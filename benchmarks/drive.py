@@ -1,0 +1,140 @@
+"""Whole frames of the paper's drive, 80 m to 25 m, from memory: `python -m benchmarks.drive FILM [--seconds 6.6]`.
+
+FILM is simulated where it does not exist: `heliograph simulate FILM --preset paper --seed 3`. Its frames take 3.5 GB.
+
+First each receiver reads the drive on one core, everything included but the loading of machine code: medians of three
+runs of processor time a frame, beside an inverse of 256 x 256 float32 and a Gaussian blur of the frame in the same run.
+Then the frames come at the camera's rate, and packets are decoded beside following: a packet's delay is from the time
+at which its last frame came to its bytes, and a frame waits where the receiver is not done with those before it.
+"""
+
+import argparse
+import gc
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from heliograph.sweeps.executors import THREAD_LIMITS, limit_threads
+
+os.environ.update(THREAD_LIMITS)  # before NumPy is imported: algebra in one thread
+
+import cv2
+import numpy as np
+
+from heliograph.base.frames import Frame
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import default_messages, simulate
+from heliograph.media import create_film, open_film
+from heliograph.receive import Packet, make_receiver
+
+RUNS = 3
+WARM_FRAMES = 330
+"""Frames read before time is taken: three packets, so that all machine code is loaded."""
+
+
+def film(path: Path, seconds: float) -> list[Frame]:
+    """The drive's frames, those of the first seconds."""
+    settings = load_settings("paper")
+    if not path.exists():
+        camera = settings.channel.camera
+        with create_film(
+            path, width=camera.width, height=camera.height, rate_hz=1 / settings.signal.pattern_period_s
+        ) as writer:
+            for frame, _ in simulate(settings, default_messages(settings), 3):
+                writer.write(frame)
+    with open_film(path) as source:
+        return [frame for frame in source if frame.time_s < seconds]
+
+
+def link(receiver: str, beside: bool) -> LinkSettings:
+    settings = load_settings("paper", None, [f"receive.receiver={receiver}"])
+    decode = replace(settings.receive.decode, beside=beside)
+    return replace(settings, receive=replace(settings.receive, decode=decode))
+
+
+def read(settings: LinkSettings, frames: Sequence[Frame]) -> list[Packet]:
+    receiver = make_receiver(settings.signal, settings.receive)
+    packets = [packet for frame in frames for packet in receiver.push(frame)]
+    return [*packets, *receiver.finish()]
+
+
+def median_ms(work: Callable[[], object], runs: int = 40) -> float:
+    """Median processor time of a call in ms."""
+    times = []
+    for _ in range(runs):
+        start = time.process_time()
+        work()
+        times.append(time.process_time() - start)
+    return float(np.median(times)) * 1e3
+
+
+def right(packets: Sequence[Packet]) -> str:
+    counts = Counter(name for p in packets for name, by in p.layers.items() for word in by if word.status == "ok")
+    return ", ".join(f"{name} {counts[name]}" for name in ("high", "middle", "low"))
+
+
+def on_one_core(frames: Sequence[Frame]) -> None:
+    matrix = np.random.default_rng(0).standard_normal((256, 512)).astype(np.float32)
+    gram, image = matrix @ matrix.T, frames[0].pixels
+    for receiver in ("soft", "plain"):
+        settings, times, yard = link(receiver, False), [], []
+        read(settings, frames[:WARM_FRAMES])
+        packets: list[Packet] = []
+        for _ in range(RUNS):
+            yard.append((median_ms(lambda: np.linalg.inv(gram)), median_ms(lambda: cv2.GaussianBlur(image, (5, 5), 0))))
+            gc.collect()
+            start = time.process_time()
+            packets = read(settings, frames)
+            times.append((time.process_time() - start) / len(frames) * 1e3)
+        inverse, blur = np.median(yard, axis=0)
+        ms = float(np.median(times))
+        print(
+            f"{receiver:6} {ms:.3f} ms a frame ({min(times):.3f} to {max(times):.3f}), {ms / inverse:.2f} inverses of "
+            f"{inverse:.2f} ms, {ms / blur:.2f} blurs of {blur:.3f} ms; right: {right(packets)}"
+        )
+
+
+def at_the_cameras_rate(frames: Sequence[Frame], receiver: str, beside: bool) -> None:
+    settings = link(receiver, beside)
+    read(settings, frames[:WARM_FRAMES])
+    one, delays, waits = make_receiver(settings.signal, settings.receive), list[float](), list[float]()
+    gc.collect()
+    gc.freeze()
+    start, first = time.perf_counter() + 0.01, frames[0]
+    due = [start + frame.time_s - first.time_s for frame in frames]
+    for frame, at in zip(frames, due, strict=True):
+        late = time.perf_counter() - at
+        if late < 0:
+            time.sleep(-late)
+        waits.append(max(late, 0.0))
+        for packet in one.push(frame):
+            delays.append(time.perf_counter() - due[packet.last_frame - first.index])
+    for packet in one.finish():
+        delays.append(time.perf_counter() - due[packet.last_frame - first.index])
+    wait, delay = np.array(waits) * 1e3, np.array(delays) * 1e3
+    print(
+        f"{receiver:6} at the camera's rate, {'two threads' if beside else 'one thread'}: delay in ms of {len(delay)} "
+        f"packets {np.median(delay):.0f} in the middle, 90 % {np.quantile(delay, 0.9):.0f}, most {delay.max():.0f}; "
+        f"frames waiting: 99 % {np.quantile(wait, 0.99):.0f}, most {wait.max():.0f}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("film", type=Path)
+    parser.add_argument("--seconds", type=float, default=6.6)
+    asked = parser.parse_args()
+    limit_threads()
+    cv2.setNumThreads(1)
+    frames = film(asked.film, asked.seconds)
+    on_one_core(frames)
+    for receiver in ("soft", "plain"):
+        for beside in (True, False):
+            at_the_cameras_rate(frames, receiver, beside)
+
+
+if __name__ == "__main__":
+    main()
