@@ -92,10 +92,23 @@ def test_gram(pose: Pose) -> None:
 
 def test_a_background_in_motion_is_taken_off_by_its_slopes() -> None:
     rng = np.random.default_rng(10)
-    change, total, lit, got = *rng.normal(size=(3, 9, 7)), np.empty((9, 7))
-    kernels.motion_compensated(change, total, lit, 3.0, 0.2, -0.4, got)
+    change, total, got = *rng.normal(size=(2, *SHAPE)), np.empty(SHAPE)
+    gains, first, last = rng.random(SYMBOLS), (*light_of(POSES[0]),), (*light_of(POSES[1]),)
+    kernels.motion_compensated(change, total, first, last, gains, 3.0, 0.2, -0.4, got)
+    lit = np.zeros(SHAPE)
+    for light in (first, last):
+        add_image(gains, *light, lit)
     down, right = np.gradient(0.5 * (total - 3.0 * lit))
     assert got == pytest.approx(change - 0.2 * right + 0.4 * down)
+
+
+def test_power_beside_the_array() -> None:
+    difference = np.random.default_rng(12).normal(size=SHAPE)
+    lit = np.zeros(SHAPE)
+    add_image(np.ones(SYMBOLS), *light_of(POSES[0]), lit)
+    power, count = kernels.power_beside(difference, (*light_of(POSES[0]),), 0.3)
+    assert 0 < count == (lit < 0.3).sum() < lit.size
+    assert power == pytest.approx((difference[lit < 0.3] ** 2).sum())
 
 
 @pytest.mark.parametrize("even", [False, True])

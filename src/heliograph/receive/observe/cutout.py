@@ -7,7 +7,7 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels as image_kernels
-from heliograph.receive.image.footprint import image_of
+from heliograph.receive.image.footprint import by_squares, footprints
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import RIM_PX, covered, cut_out, window_around
 from heliograph.receive.observe import kernels
@@ -23,6 +23,10 @@ APART_PX = 0.25
 At 0.3 px it makes an error of 6e-4 in G, at 0.6 px of 2e-2, at 1.1 px, as in a pothole, of 0.15. A G of both frames
 takes twenty times as long.
 """
+
+
+ALL_SHOWN = np.ones(0)
+"""Stands for factors of 1 on all columns, rows or LEDs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,12 +123,12 @@ class Cutout:
         if len(self.poses) != 2 or self.combination is not None:
             return self
         first, second = self.poses
-        shining = self.shining(led_gains)
-        lit = image_of(shining, first, self.corner, self.shape) + image_of(shining, second, self.corner, self.shape)
+        ends = [footprints(pose, self.corner, self.shape, len(led_gains)) for pose in self.poses]
         # b(x - p_1) - b(x - p_2) = (p_2 - p_1) grad b, b = (r + r' - g (A_1 + A_2) 1 / 2) / 2
-        steady = np.empty_like(self.difference)
+        steady, shining = np.empty_like(self.difference), by_squares(self.shining(led_gains))
+        x, y = second.x - first.x, second.y - first.y
         kernels.motion_compensated(
-            self.difference, self.total, lit, 0.5 * gain, second.x - first.x, second.y - first.y, steady
+            self.difference, self.total, (*ends[0],), (*ends[1],), shining, 0.5 * gain, x, y, steady
         )
         return replace(self, difference=steady)
 

@@ -44,22 +44,78 @@ def weight_roots(light, first, lit, dark, ring, out):
 
 
 @compiled()
-def weighted(light, first, root, out):
-    """LEDs' light times the root of each pixel's weight.
+def whitened(lit, dark, ring, faded, covered_x, covered_y, gains, levels, difference, middle, first, last, out):
+    """Divide a pair's pixels, and the light that LEDs give them, by the roots of their noise.
 
     Parameters
     ----------
-    light, first
-        Light of the LEDs and where it begins, as in `weight_roots`.
-    root
-        (pixels,) roots of the weights, of `weight_roots`.
+    lit, dark
+        Noise variances inside and beside the array in squared gray levels, above 0.
+    ring
+        Outer pixels of the window, which weigh 0; 0 or more.
+    faded
+        Factor on the roots of all weights: one over the root of a noise in units of that of a pair.
+    covered_x, covered_y
+        (columns,) and (rows,) part of the light that the window shows of a column and of a row; empty for all of it.
+    gains
+        (n n,) gains of the LEDs in the order of `image.kernels.footprints`; empty for 1 each.
+    levels
+        (2,) mean levels of the LEDs in the first frame and in the second.
+    difference
+        (rows, columns) difference of the frames in gray levels.
+    middle, first, last
+        Footprints (across, down, first) at the pose between the frames, in the first and in the last of them.
     out
-        (n n, width), overwritten; 0 beyond the window.
+        (root, difference, offset): the roots of the weights, the difference and the offset times these, (rows, columns)
+        float64, overwritten; and for each of the footprints across and down, of their shapes, overwritten.
     """
-    for k in range(light.shape[0]):
-        for i in range(light.shape[1]):
-            j = first[k] + i
-            out[k, i] = light[k, i] * root[j] if 0 <= j < root.shape[0] else 0.0
+    root, white, offset, middle_x, middle_y, first_x, first_y, last_x, last_y = out
+    rows, cols = difference.shape
+    columns, lines = np.empty(cols), np.empty(rows)
+    weight_roots(middle[0], middle[2][:, 0], lit, dark, ring, columns)
+    weight_roots(middle[1], middle[2][:, 1], lit, dark, ring, lines)
+    for j in range(cols):
+        columns[j] *= faded * (covered_x[j] if covered_x.shape[0] else 1.0)
+    for i in range(rows):
+        lines[i] *= covered_y[i] if covered_y.shape[0] else 1.0
+    _weighted(middle, columns, lines, gains, middle_x, middle_y)
+    _weighted(first, columns, lines, gains, first_x, first_y)
+    _weighted(last, columns, lines, gains, last_x, last_y)
+    for i in range(rows):
+        for j in range(cols):
+            root[i, j] = lines[i] * columns[j]
+            white[i, j] = root[i, j] * difference[i, j]
+            offset[i, j] = 0.0
+    # o = l_1 A_1 1 - l_2 A_2 1, none at all where nothing moves
+    other = np.zeros((rows, cols))
+    _add_all_on(first_x, first_y, first[2], levels[0], offset)
+    _add_all_on(last_x, last_y, last[2], levels[1], other)
+    offset -= other
+
+
+@compiled()
+def _weighted(light, columns, lines, gains, across, down):
+    """Footprints times the root of each pixel's weight, and times the LEDs' gains."""
+    x, y, first = light
+    for k in range(x.shape[0]):
+        gain = gains[k] if gains.shape[0] else 1.0
+        for i in range(x.shape[1]):
+            j, m = first[k, 0] + i, first[k, 1] + i
+            across[k, i] = gain * x[k, i] * columns[j] if 0 <= j < columns.shape[0] else 0.0
+            down[k, i] = y[k, i] * lines[m] if 0 <= m < lines.shape[0] else 0.0
+
+
+@compiled()
+def _add_all_on(across, down, first, level, out):
+    """Add the image of all LEDs at one level."""
+    rows, cols = out.shape
+    width = across.shape[1]
+    for n in range(across.shape[0]):
+        x, y = first[n, 0], first[n, 1]
+        for i in range(max(0, -y), min(width, rows - y)):
+            w = level * down[n, i]
+            for j in range(max(0, -x), min(width, cols - x)):
+                out[y + i, x + j] += w * across[n, j]
 
 
 @compiled(inline="always")
@@ -96,6 +152,38 @@ def correlate(image, across, down, first, out):
                 total += line * down[n, i]
             led[k] = total
         out[q], out[squares + q], out[2 * squares + q], out[3 * squares + q] = _haar(led[0], led[1], led[2], led[3])
+
+
+@compiled()
+def seen_by_symbols(difference, offset, root, first, last, matched, shown):
+    """What a whitened pair shows of its symbols: B^T d and B^T o, B being the mean of two frames.
+
+    Parameters
+    ----------
+    difference, offset, root
+        (rows, columns) difference and offset of the pair times the roots of the weights, and these roots.
+    first, last
+        Footprints (across, down, first) of the two frames, times the roots of the weights; the same of a single frame.
+    matched, shown
+        (symbols,) B^T of the difference and of the offset, overwritten.
+
+    Returns
+    -------
+    d^T o, o^T o, d^T d and the number of pixels of weight above 0.
+    """
+    other = np.empty_like(matched)
+    for image, out in ((difference, matched), (offset, shown)):
+        correlate(image, first[0], first[1], first[2], out)
+        correlate(image, last[0], last[1], last[2], other)
+        for k in range(out.shape[0]):
+            out[k] = 0.5 * (out[k] + other[k])
+    cross, offset_power, power, pixels = 0.0, 0.0, 0.0, 0
+    for i in range(root.shape[0]):
+        for j in range(root.shape[1]):
+            d, o = difference[i, j], offset[i, j]
+            cross, offset_power, power = cross + d * o, offset_power + o * o, power + d * d
+            pixels += root[i, j] > 0
+    return cross, offset_power, power, pixels
 
 
 @compiled()
@@ -234,15 +322,17 @@ def add_light(across, down, first, out):
 
 
 @compiled()
-def motion_compensated(difference, total, lit, gain, x, y, out):
-    """Difference of a pair less (x, y) . grad b, b = (total - gain lit) / 2 the background.
+def motion_compensated(difference, total, first, last, gains, gain, x, y, out):
+    """Difference of a pair less (x, y) . grad b, b = (total - gain (A_1 + A_2) w) / 2 the background.
 
     Parameters
     ----------
     difference, total
         (rows, columns) difference and sum of the pair in gray levels.
-    lit
-        (rows, columns) sum of the images of the first and the second frame with all LEDs on, 0 to about 2.
+    first, last
+        Footprints (across, down, first) of its frames, A_1 and A_2.
+    gains
+        w, (n n,) gains of the LEDs in the order of `image.kernels.footprints`.
     gain
         Half of the gray levels of the array with all LEDs on: the mean light of a frame.
     x, y
@@ -251,13 +341,90 @@ def motion_compensated(difference, total, lit, gain, x, y, out):
         (rows, columns) difference without the background's part, overwritten.
     """
     rows, cols = out.shape
+    behind = total.copy()
+    _add_leds(first, gains, -gain, behind)
+    _add_leds(last, gains, -gain, behind)
     for i in range(rows):
         up, low = max(i - 1, 0), min(i + 1, rows - 1)
         for j in range(cols):
             left, right = max(j - 1, 0), min(j + 1, cols - 1)
-            across = (total[i, right] - gain * lit[i, right]) - (total[i, left] - gain * lit[i, left])
-            down = (total[low, j] - gain * lit[low, j]) - (total[up, j] - gain * lit[up, j])
+            across, down = behind[i, right] - behind[i, left], behind[low, j] - behind[up, j]
             out[i, j] = difference[i, j] - 0.5 * (x * across / (right - left) + y * down / (low - up))
+
+
+@compiled()
+def unevenness(total, first, last, gains, in_sight, covered_x, covered_y, inside, out):
+    """Residual of a pair's sum about the array's light and a plane; see `uneven`.
+
+    Parameters
+    ----------
+    total
+        (rows, columns) sum of the pair in gray levels.
+    first, last
+        Footprints (across, down, first) of its frames.
+    gains
+        (n n,) gains of the LEDs in the order of `image.kernels.footprints`.
+    in_sight
+        (n n,) how much of each LED is in sight, 0 to 1.
+    covered_x, covered_y
+        (columns,) and (rows,) part of the light that the window shows of a column and of a row; empty for all of it.
+    inside
+        Light of a pixel inside the array, at least, as a fraction of the brightest one's with all LEDs on.
+    out
+        (rows, columns) residual inside, overwritten; NaN elsewhere.
+
+    Returns
+    -------
+    Number of pixels inside.
+    """
+    rows, cols = total.shape
+    whole, lit, most = np.zeros((rows, cols)), np.zeros((rows, cols)), 0.0
+    _add_leds(first, in_sight, 1.0, whole)
+    _add_leds(first, gains, 0.5, lit)
+    _add_leds(last, gains, 0.5, lit)
+    for i in range(rows):
+        for j in range(cols):
+            if covered_x.shape[0]:
+                whole[i, j] *= covered_x[j] * covered_y[i]
+            most = max(most, whole[i, j])
+    return uneven(total, lit, whole > inside * most, out)
+
+
+@compiled()
+def power_beside(difference, light, least):
+    """Sum of the squares of a difference beside the array, and the number of pixels there.
+
+    Parameters
+    ----------
+    difference
+        (rows, columns) difference of a pair in gray levels.
+    light
+        Footprints (across, down, first) of the LEDs.
+    least
+        Light of a pixel with all LEDs on, 0 to 1, from which on it is not beside the array.
+    """
+    whole, power, count = np.zeros(difference.shape), 0.0, 0
+    _add_all_on(light[0], light[1], light[2], 1.0, whole)
+    for i in range(whole.shape[0]):
+        for j in range(whole.shape[1]):
+            if whole[i, j] < least:
+                power += difference[i, j] ** 2
+                count += 1
+    return power, count
+
+
+@compiled()
+def _add_leds(light, levels, factor, out):
+    """Add the image of LEDs at levels of their own, times a factor."""
+    across, down, first = light
+    rows, cols = out.shape
+    width = across.shape[1]
+    for n in range(across.shape[0]):
+        x, y = first[n, 0], first[n, 1]
+        for i in range(max(0, -y), min(width, rows - y)):
+            w = factor * levels[n] * down[n, i]
+            for j in range(max(0, -x), min(width, cols - x)):
+                out[y + i, x + j] += w * across[n, j]
 
 
 @compiled()

@@ -8,10 +8,10 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels
-from heliograph.receive.image.footprint import footprints, image_of
+from heliograph.receive.image.footprint import by_squares, footprints
 from heliograph.receive.image.robust import robust_std
 from heliograph.receive.observe import kernels as observe_kernels
-from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.observe.cutout import ALL_SHOWN, Cutout
 
 INSIDE = 0.8
 """Fraction of the array's light from which on a pixel lies inside the array.
@@ -86,8 +86,8 @@ def measure_noise(cutouts: Sequence[Cutout], gain: float, side: int, led_gains: 
     total, count = np.array(parts).sum(0)
     unevenness, moved = float(total) / max(float(count), 1.0), float(np.mean([one.moved for one in uneven]))
     lit = max(unevenness - moved, MOVED_ERROR * moved, LEAST_NOISE)
-    beside = np.concatenate([_beside(cutout, side) for cutout in cutouts])
-    dark = float((beside**2).mean()) if beside.size else 0.0
+    power, pixels = np.sum([_beside(cutout, side) for cutout in cutouts], axis=0)
+    dark = float(power / pixels) if pixels else 0.0
     return Noise(lit, max(dark, LEAST_NOISE))
 
 
@@ -101,11 +101,11 @@ def noise_beside(cutouts: Sequence[Cutout], side: int) -> float:
     side
         LEDs in a row.
     """
-    ones = np.ones((side, side))
     squares, count = 0.0, 0
     for cutout in cutouts:
-        beside = cutout.difference[image_of(ones, cutout.middle, cutout.corner, cutout.shape) < BESIDE]
-        squares, count = squares + float((beside**2).sum()), count + beside.size
+        light = footprints(cutout.middle, cutout.corner, cutout.shape, side)
+        power, pixels = observe_kernels.power_beside(cutout.difference, (*light,), BESIDE)
+        squares, count = squares + power, count + pixels
     return max(squares / max(count, 1), LEAST_NOISE)
 
 
@@ -128,18 +128,11 @@ class _Unevenness:
 def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None) -> _Unevenness:
     """Residual of a sum about the array with all LEDs on and a plane, scaled by its degrees of freedom."""
     frames = [footprints(pose, cutout.corner, cutout.shape, side) for pose in cutout.poses]
-    if cutout.in_sight is None:
-        whole = frames[0].all_on(cutout.shape)
-    else:
-        led_gains = cutout.shining(np.ones((side, side)) if led_gains is None else led_gains)
-        whole = frames[0].scaled(cutout.in_sight).all_on(cutout.shape)
-    if cutout.covered is not None:
-        whole = whole * cutout.covered[0] * cutout.covered[1][:, None]
-    lit = np.zeros(cutout.shape)
-    for frame in frames:
-        frame.scaled(led_gains).add_all_on(0.5, lit)
-    residual = np.empty(cutout.shape)
-    count = observe_kernels.uneven(cutout.total, lit, whole > INSIDE * whole.max(), residual)
+    sight = np.ones((side, side)) if cutout.in_sight is None else cutout.in_sight
+    gains, residual = sight if led_gains is None else cutout.shining(led_gains), np.empty(cutout.shape)
+    lit_by, covered = (by_squares(gains), by_squares(sight)), cutout.covered or (ALL_SHOWN, ALL_SHOWN)
+    first, last = (*frames[0],), (*frames[1],)
+    count = observe_kernels.unevenness(cutout.total, first, last, *lit_by, *covered, INSIDE, residual)
     residual *= np.sqrt(count / max(count - _PARAMETERS, 1))
     # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
     moved = gain**2 / 16 * kernels.squared_difference(*frames[0], *frames[1]) / (side * cutout.middle.pitch) ** 2
@@ -149,11 +142,11 @@ def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None
     return _Unevenness(residual / np.sqrt(cutout.combination.sum_noise), cutout.corner, 0.0)
 
 
-def _beside(cutout: Cutout, side: int) -> Floats:
-    """The difference beside the array, in units of a difference of two frames."""
-    lit = footprints(cutout.poses[0], cutout.corner, cutout.shape, side).all_on(cutout.shape)
-    beside = cutout.difference[lit < BESIDE]
-    return beside if cutout.combination is None else beside / np.sqrt(cutout.combination.noise)
+def _beside(cutout: Cutout, side: int) -> tuple[float, int]:
+    """Power of the difference beside the array, in units of a difference of two frames, and the pixels there."""
+    light = footprints(cutout.poses[0], cutout.corner, cutout.shape, side)
+    power, pixels = observe_kernels.power_beside(cutout.difference, (*light,), BESIDE)
+    return power if cutout.combination is None else power / cutout.combination.noise, pixels
 
 
 def _subtracted(one: _Unevenness, other: _Unevenness) -> Floats:

@@ -20,9 +20,9 @@ from scipy.linalg import blas
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels as image_kernels
-from heliograph.receive.image.footprint import Footprints, footprints, image_of
+from heliograph.receive.image.footprint import Footprints, by_squares, footprints, image_of
 from heliograph.receive.observe import kernels
-from heliograph.receive.observe.cutout import RING_PX, Cutout
+from heliograph.receive.observe.cutout import ALL_SHOWN, RING_PX, Cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.timing.combination import Combination
 
@@ -133,7 +133,10 @@ class WhitenedCutout:
 
     def statistics(self) -> PairStatistics:
         """Sufficient statistics for the symbols."""
-        return self._statistics(self._gram(), self.correlated(self.difference), self.correlated(self.offset))
+        matched, shown = np.empty((2, len(self.between.across)))
+        first, last = self.frames[0], self.frames[-1]
+        powers = kernels.seen_by_symbols(self.difference, self.offset, self.root, (*first,), (*last,), matched, shown)
+        return self._statistics(self._gram(), matched, shown, powers)
 
     def without(self, slopes: Floats, precision: Floats) -> PairStatistics:
         """Statistics where the image may also hold some of other images, whose amplitudes are marginalised.
@@ -153,7 +156,9 @@ class WhitenedCutout:
         c = found[:, :-2]
         part = np.linalg.solve(f @ f.T + precision, np.column_stack([c.T, f @ seen]))
         d, o = (found[:, -2:] - c @ part[:, -2:]).T
-        return self._statistics((self._gram() - c @ part[:, :-2]).astype(np.float32), d, o)
+        white, offset = self.difference, self.offset
+        powers = (white * offset).sum(), (offset**2).sum(), (white**2).sum(), (self.root > 0).sum()
+        return self._statistics((self._gram() - c @ part[:, :-2]).astype(np.float32), d, o, powers)
 
     def correlated(self, image: Floats) -> Floats:
         """B^T W^(1/2) of an image, (symbols,).
@@ -198,17 +203,19 @@ class WhitenedCutout:
         rows, cols = self.difference.shape
         return rows, cols
 
-    def _statistics(self, gram: NDArray[np.float32], matched: Floats, offset: Floats) -> PairStatistics:
-        """Statistics of a B^T W B, (symbols, symbols), B^T W d and B^T W o, (symbols,)."""
-        d, o = self.difference, self.offset
+    def _statistics(
+        self, gram: NDArray[np.float32], matched: Floats, offset: Floats, powers: tuple[float, float, float, int]
+    ) -> PairStatistics:
+        """Statistics of B^T W B, (symbols, symbols), B^T W d and B^T W o, (symbols,), and `seen_by_symbols`'s sums."""
+        cross, offset_power, power, pixels = powers
         found = PairStatistics(
             gram,
             matched,
             offset,
-            cross=float((d * o).sum()),
-            offset_power=float((o * o).sum()),
-            power=float((d * d).sum()),
-            pixels=int((self.root > 0).sum()),
+            cross=float(cross),
+            offset_power=float(offset_power),
+            power=float(power),
+            pixels=int(pixels),
             combination=self.combination,
         )
         # combined frames have another noise than a difference of two
@@ -255,26 +262,37 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
     first, last = cutout.poses[0], cutout.poses[-1]
     motion = 0.5 * (last.x - first.x), 0.5 * (last.y - first.y)
     middle = footprints(cutout.middle, corner, shape, side, motion)
-    weights = _weight_roots(middle, noise, shape)
-    if cutout.covered is not None:
-        weights = weights[0] * cutout.covered[0], weights[1] * cutout.covered[1]
-    if cutout.noise != 1:
-        weights = weights[0] / cutout.noise**0.5, weights[1]
-    root = weights[1][:, None] * weights[0]
-    between = _weighted(middle, weights).scaled(led_gains)
-    frames: tuple[Footprints, ...] = (between,)
-    if len(cutout.poses) > 1:
-        frames = tuple(
-            _weighted(footprints(pose, corner, shape, side), weights).scaled(led_gains) for pose in cutout.poses
-        )
-    if cutout.mean_light_pose is None:
-        # the mean light of combined frames is not half of the array's
-        levels = (0.5, 0.5) if cutout.combination is None else cutout.combination.levels
-        offset = levels[0] * frames[0].all_on(shape) - levels[1] * frames[-1].all_on(shape)
-    else:
+    single = len(cutout.poses) == 1
+    ends = [middle] * 2 if single else [footprints(pose, corner, shape, side) for pose in cutout.poses]
+    # the mean light of combined frames is not half of the array's
+    levels = (0.5, 0.5) if cutout.combination is None else cutout.combination.levels
+    covered = cutout.covered or (ALL_SHOWN, ALL_SHOWN)
+    root, white, offset = np.empty((3, *shape))
+    between, start, end = (_alike(light) for light in (middle, *ends))
+    kernels.whitened(
+        noise.lit,
+        noise.dark,
+        int(RING_PX),
+        1 / cutout.noise**0.5,
+        *covered,
+        ALL_SHOWN if led_gains is None else by_squares(led_gains),
+        levels,
+        cutout.difference,
+        (*middle,),
+        (*ends[0],),
+        (*ends[1],),
+        (root, white, offset, *between[:2], *start[:2], *end[:2]),
+    )
+    if cutout.mean_light_pose is not None:
         gains = np.ones((side, side)) if led_gains is None else led_gains
         offset = root * image_of(gains, cutout.mean_light_pose, corner, shape)
-    return WhitenedCutout(root, root * cutout.difference, offset, frames, between, cutout.apart, cutout.combination)
+    frames = (between,) if single else (start, end)
+    return WhitenedCutout(root, white, offset, frames, between, cutout.apart, cutout.combination)
+
+
+def _alike(light: Footprints) -> Footprints:
+    """Footprints of the same places, not filled."""
+    return Footprints(np.empty_like(light.across), np.empty_like(light.down), light.first)
 
 
 def _correlated(images: Floats, light: tuple[Footprints, ...]) -> Floats:
@@ -305,19 +323,3 @@ def gram_of(light: Footprints, shape: tuple[int, int]) -> NDArray[np.float32]:
     across, down = products
     kernels.gram(across, down, gram := np.empty_like(across))
     return gram
-
-
-def _weight_roots(light: Footprints, noise: Noise, shape: tuple[int, int]) -> tuple[Floats, Floats]:
-    """Roots of the weights by column and by row: W = lit / s^2, 0 in the ring."""
-    columns, rows = np.empty(shape[1]), np.empty(shape[0])
-    kernels.weight_roots(light.across, light.first[:, 0], noise.lit, noise.dark, int(RING_PX), columns)
-    kernels.weight_roots(light.down, light.first[:, 1], noise.lit, noise.dark, int(RING_PX), rows)
-    return columns, rows
-
-
-def _weighted(light: Footprints, weights: tuple[Floats, Floats]) -> Footprints:
-    """Footprints times the root of each pixel's weight."""
-    across, down = np.empty_like(light.across), np.empty_like(light.down)
-    kernels.weighted(light.across, light.first[:, 0], weights[0], across)
-    kernels.weighted(light.down, light.first[:, 1], weights[1], down)
-    return Footprints(across, down, light.first)
