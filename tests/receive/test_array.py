@@ -14,8 +14,8 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, receive_frames
 from heliograph.receive.decode.codeword import ERASED
-from heliograph.receive.packet_reader import SoftReader
-from heliograph.receive.plain.reader import PlainReader
+from heliograph.receive.plain.reader import TakenLuminances
+from heliograph.receive.taken_pairs import TakenPairs
 from heliograph.receive.track.track import TrackedPair
 from heliograph.receive.track.tracker import Tracker
 
@@ -123,15 +123,15 @@ def test_a_packet_whose_equations_have_no_solution_is_lost_alone(
     receiver: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     settings, calls = link(f"receive.receiver={receiver}"), itertools.count()
-    reader: type[PlainReader | SoftReader] = PlainReader if receiver == "plain" else SoftReader
-    decode = reader.decode
+    taken: type[TakenLuminances | TakenPairs] = TakenLuminances if receiver == "plain" else TakenPairs
+    decode = taken.decode
 
     def failing(self: Any, observe: Any) -> Any:
         if next(calls) == 0:
             raise np.linalg.LinAlgError("no solution")
         return decode(self, observe)
 
-    monkeypatch.setattr(reader, "decode", failing)
+    monkeypatch.setattr(taken, "decode", failing)
     packets, _ = read(film(settings, 204), settings)
     assert [(p.status, p.reason) for p in packets] == [("crc_fail", "no solution"), ("ok", "")]
     assert all((word.raw == ERASED).all() for words in packets[0].layers.values() for word in words)

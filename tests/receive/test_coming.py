@@ -1,20 +1,26 @@
-"""Packets decoded in a thread beside the frames that follow."""
+"""Packets decoded beside the frames that follow."""
 
+import itertools
+import os
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from recorder import Recorder
 from scenes import film, link
 
+from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.receive import Packet, make_receiver, receive_frames
+from heliograph.receive import Packet, assemblies, coming, make_receiver, receive_frames
+from heliograph.receive.events import ignore
 from heliograph.receive.packet_reader import SoftReader
-from heliograph.receive.reader_protocol import PacketReader
+from heliograph.receive.taken_pairs import TakenPairs
 
 PACKET = 100
 """Frames of a packet."""
@@ -62,16 +68,16 @@ def test_the_packets_are_those_decoded_at_once(receiver: str, frames: list[Frame
     assert told[0] == told[1]
 
 
-def waiting(monkeypatch: pytest.MonkeyPatch, before: Callable[[int], None]) -> None:
-    """The soft reader calls a function, with the number of its call, before it decodes."""
-    decode, calls = SoftReader.decode, Counter[str]()
+def in_a_thread(monkeypatch: pytest.MonkeyPatch, before: Callable[[int], None]) -> None:
+    """Packets are decoded in a thread, and a function is called with the number of each before."""
+    decode, calls = TakenPairs.decode, itertools.count(1)
 
-    def late(self: SoftReader, observe: Any, /) -> Any:
-        calls["n"] += 1
-        before(calls["n"])
+    def late(self: TakenPairs, observe: Any, /) -> Any:
+        before(next(calls))
         return decode(self, observe)
 
-    monkeypatch.setattr(SoftReader, "decode", late)
+    monkeypatch.setattr(TakenPairs, "decode", late)
+    monkeypatch.setattr(assemblies, "decoders", lambda _: ThreadPoolExecutor(1))
 
 
 def one_array() -> LinkSettings:
@@ -84,23 +90,21 @@ def pushed(frames: Sequence[Frame], settings: LinkSettings) -> tuple[Any, list[P
 
 
 def test_frames_are_taken_while_a_packet_is_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
-    free, threads = threading.Event(), set[str]()
+    free = threading.Event()
 
     def hold(number: int) -> None:
-        threads.add(threading.current_thread().name)
         if number == 2:  # the first packet is waited for: before it nothing shows that there is an array
             assert free.wait(60)
 
     settings = one_array()
     frames = film(settings, 3 * PACKET + 10)
-    waiting(monkeypatch, hold)
+    in_a_thread(monkeypatch, hold)
     receiver, packets = pushed(frames[: 2 * PACKET + 80], settings)
     assert len(packets) == 1, "the second packet is still being decoded, and its successor's frames were taken"
     free.set()
     packets += [packet for frame in frames[2 * PACKET + 80 :] for packet in receiver.push(frame)]
     packets += receiver.finish()
     assert [packet.first_frame for packet in packets] == [0, PACKET, 2 * PACKET]
-    assert threading.current_thread().name not in threads
 
 
 def test_what_breaks_off_decoding_breaks_off_receiving(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,7 +114,7 @@ def test_what_breaks_off_decoding_breaks_off_receiving(monkeypatch: pytest.Monke
 
     settings = one_array()
     frames = film(settings, 2 * PACKET + 10)
-    waiting(monkeypatch, breaks)
+    in_a_thread(monkeypatch, breaks)
     with pytest.raises(ZeroDivisionError, match="a bug"):
         list(receive_frames(frames, settings.signal, settings.receive))
 
@@ -122,7 +126,7 @@ def test_a_packet_without_a_solution_is_lost_alone(monkeypatch: pytest.MonkeyPat
 
     settings = one_array()
     frames = film(settings, 4 * PACKET + 10)
-    waiting(monkeypatch, fails)
+    in_a_thread(monkeypatch, fails)
     packets = list(receive_frames(frames, settings.signal, settings.receive))
     assert [(packet.status, packet.reason) for packet in packets] == [
         ("ok", ""),
@@ -134,17 +138,39 @@ def test_a_packet_without_a_solution_is_lost_alone(monkeypatch: pytest.MonkeyPat
 
 def test_the_led_brightness_of_a_packet_reaches_the_next_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a packet teaches is taken over by the reader that followed meanwhile."""
-    taught: list[tuple[PacketReader, Any]] = []
-    learn_from = SoftReader.learn_from
+    taught: list[tuple[Any, Any]] = []
+    catch_up = SoftReader.catch_up
 
-    def noted(self: SoftReader, before: Any) -> None:
-        learn_from(self, before)
-        taught.append((before, self._gains().brightness))
+    def noted(self: SoftReader, lesson: Any) -> None:
+        catch_up(self, lesson)
+        taught.append((lesson.led_gains.faded(), self._gains()))
 
-    monkeypatch.setattr(SoftReader, "learn_from", noted)
+    monkeypatch.setattr(SoftReader, "catch_up", noted)
     settings = one_array()
     list(receive_frames(film(settings, 4 * PACKET + 10), settings.signal, settings.receive))
     assert taught
-    for before, brightness in taught:
-        assert isinstance(before, SoftReader)
-        assert np.array_equal(brightness.values, before._gains().brightness.faded().values)
+    for lesson, gains in taught:
+        assert np.array_equal(lesson.brightness.values, gains.brightness.values)
+
+
+def test_a_process_that_dies_is_told_in_a_line_and_begun_anew() -> None:
+    settings = one_array()
+    frames = film(settings, PACKET + 10)
+    (packet,) = receive_frames(frames, settings.signal, settings.receive)
+    dying: Any = coming.Beside().submit(partial(os._exit, 1))
+    lost = coming.ComingPacket(packet, cast(Any, None), dying, ignore)
+    with pytest.raises(HeliographError, match=r"^the process that decodes packets has ended.*beside = false"):
+        lost.packet()
+    assert [one.status for one in receive_frames(frames, settings.signal, settings.receive)] == ["ok"]
+
+
+def test_what_another_process_has_seen_before_stays_there() -> None:
+    """Soft values of a packet too dim to be read are added to those of the next one, as in one process."""
+    read = []
+    for beside in (False, True):
+        changes = (f"receive.decode.beside={str(beside).lower()}", "receive.receiver=soft", "receive.detect.score=0.5")
+        settings = link(*changes, distance_m=170.0, arrays=[{"x_m": 0.0, "y_m": 0.0}])
+        packets = list(receive_frames(film(settings, 4 * PACKET + 10), settings.signal, settings.receive))
+        read.append([known(packet) for packet in packets])
+    assert read[0] == read[1]
+    assert read[0]

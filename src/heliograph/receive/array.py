@@ -3,20 +3,17 @@
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.coming import ENOUGH_SEEN, HEADER_SEEN, ComingPacket, DecodedPacket, Decoders
-from heliograph.receive.decode.codeword import unread
-from heliograph.receive.events import Event, Observer, TrackEvent
+from heliograph.receive.coming import ENOUGH_SEEN, HEADER_SEEN, ComingPacket, Decoders, Work
+from heliograph.receive.events import Observer, TrackEvent
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose, rim_distance
 from heliograph.receive.image.view import CAMERA, View
-from heliograph.receive.lost_pair import read_renumbered
 from heliograph.receive.packets import Packet
 from heliograph.receive.reader_protocol import PacketReader
 from heliograph.receive.settings import CalibrationSettings
@@ -26,9 +23,7 @@ from heliograph.receive.timing.slips import SlipWatch
 from heliograph.receive.track.lone_frames import REACH
 from heliograph.receive.track.track import TrackedPair
 from heliograph.receive.track.tracker import Tracker
-from heliograph.signal.formats import ReservedModeError
 from heliograph.signal.header import header_levels
-from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
 LOG = logging.getLogger(__name__)
@@ -313,14 +308,14 @@ class ArrayReceiver:
         seen, lacks_pair = self._packet(gathered), self._lacks_pair
         # its next header finds it again, in a view that suits
         self._outgrown = not self._view.suits(self._track.state.pose)
-        if self._expected(seen) and not lacks_pair:
+        coming, beyond_doubt = self._coming(seen, lacks_pair), self._expected(seen) and not lacks_pair
+        if beyond_doubt:
             # nothing of it is asked before the next packet's end
-            reader, self._reader = self._reader, self._reader.next()
-            coming = self._beside = self._coming(seen, reader, lacks_pair)
+            self._beside = coming
         else:
-            coming = self._coming(seen, self._reader, lacks_pair)
             self._conclude(coming)
-            self._reader = coming.reader.next()
+            self._reader.learn(coming.decoded.lesson)
+        self._reader = self._reader.next()
         return coming
 
     @property
@@ -333,35 +328,21 @@ class ArrayReceiver:
         clear = seen.header_score >= HEADER_SEEN and seen.pairs_seen >= ENOUGH_SEEN
         return self._proven and bool(self._read) and clear and bool((self._track.shining == 1).all())
 
-    def _coming(self, seen: Packet, reader: PacketReader, lacks_pair: bool) -> ComingPacket:
-        work = self._decoders.submit(partial(self._decoded, reader, lacks_pair, seen.first_frame))
-        return ComingPacket(seen, work, self._observe)
-
-    def _decoded(self, reader: PacketReader, lacks_pair: bool, first_frame: int) -> DecodedPacket:
-        """Decode a packet; frames may be taken meanwhile, so nothing is changed here but its reader."""
-        reason, events = "", list[Event]()
-        try:
-            if lacks_pair:
-                reader, layers = read_renumbered(reader, self._signal.data_pairs, events.append)
-            else:
-                layers = reader.decode(events.append)
-        except (np.linalg.LinAlgError, ReservedModeError) as error:
-            layers, reason = unread(PacketFormat(self._signal, reader.format), self.identity), str(error)
-            # of a header that something hides, any mode may be read
-            level = logging.INFO if isinstance(error, ReservedModeError) else logging.WARNING
-            LOG.log(level, "array %d, packet at frame %d is not read: %s", self.identity, first_frame, reason)
-        return DecodedPacket(reader, layers, reason, tuple(events))
+    def _coming(self, seen: Packet, lacks_pair: bool) -> ComingPacket:
+        taken = self._reader.taken()
+        work = self._decoders.submit(Work(taken, self.identity, self._signal, lacks_pair))
+        return ComingPacket(seen, taken, work, self._observe)
 
     def _take_over(self) -> None:
         """Take over what the packet before has taught, if it was decoded while this one was seen."""
         if self._beside is not None:
             self._conclude(self._beside)
-            self._reader.learn_from(self._beside.reader)
+            self._reader.catch_up(self._beside.decoded.lesson)
             self._beside = None
 
     def _conclude(self, coming: ComingPacket) -> None:
         """Know from a packet how the array is followed."""
-        packet, misled = coming.packet(), coming.reader.misled
+        packet, misled = coming.packet(), coming.decoded.misled
         # neither header nor a right codeword: no array, or out of step; it is found again by its next header
         # where LEDs seem to be missing, a packet read in part may have come from a wrong pose
         whole = bool((self._track.shining == 1).all())

@@ -19,6 +19,7 @@ from heliograph.receive.plain.reader import PlainReader
 from heliograph.receive.reader_protocol import PacketReader
 from heliograph.receive.receiver import Parts, StreamReceiver
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.taken_pairs import SoftReading
 from heliograph.receive.timing.camera_clock import CameraClock, SteppedClock
 from heliograph.receive.timing.clocked_pairing import ClockedPairing
 from heliograph.receive.timing.frame_pair import Pairing
@@ -168,7 +169,7 @@ def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
     settings
         Settings of the receiver, of which those of the decoder and of "soft" count.
     observe
-        Gets an `ExtractEvent` each pair and an `EqualiseEvent` each iteration.
+        Gets an `ExtractEvent` each pair.
 
     Returns
     -------
@@ -181,8 +182,8 @@ def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
 
     def reader(detection: Detection, tracker: Tracker) -> PacketReader:
         buffer = buffers.of((detection.identity, detection.orientation)) if settings.soft.combining else None
-        parts = SoftParts(form, tracker, buffer, decoding, settings.soft.feedback, settings.soft.led_by_led, observe)
-        return SoftReader(detection.identity, parts)
+        reading = SoftReading(buffer, decoding, settings.soft.feedback, settings.soft.led_by_led)
+        return SoftReader(detection.identity, SoftParts(form, tracker, reading, observe))
 
     return reader
 

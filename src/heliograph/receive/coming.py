@@ -1,13 +1,32 @@
-"""Packets that are decoded, at once or in a thread beside the frames that follow."""
+"""Packets that are decoded, at once or in a process beside the frames that follow."""
 
+import logging
+import signal
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from typing import Protocol
+from functools import lru_cache
+from importlib import import_module
+from multiprocessing import get_context
+from typing import Protocol, TypeVar
 
+import cv2
+import numpy as np
+
+from heliograph.base.errors import HeliographError
+from heliograph.receive.decode.codeword import unread
 from heliograph.receive.events import Event, Observer
+from heliograph.receive.lost_pair import decode_renumbered
 from heliograph.receive.packets import Packet, Status, Words
-from heliograph.receive.reader_protocol import PacketReader
+from heliograph.receive.reader_protocol import Decoded, TakenPacket
+from heliograph.signal.formats import ReservedModeError
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import SignalSettings
+
+LOG = logging.getLogger(__name__)
+
+Result = TypeVar("Result")
 
 HEADER_SEEN = 0.5
 """Least header score of a packet whose header was seen: half of the array's light must alternate."""
@@ -23,24 +42,59 @@ it, all of the data, loses 20, all of cameras out of step (docs/constants.md).
 
 @dataclass(frozen=True, slots=True)
 class DecodedPacket:
-    """What decoding made of a packet.
+    """A packet once it is decoded.
 
     Attributes
     ----------
-    reader
-        The reader that read it.
-    layers
-        Codewords by layer, decoded or not.
-    reason
-        Why nothing was read, or empty; see `Packet`.
+    decoded
+        What decoding made of it.
     events
         What observers are told of decoding, in its order.
+    failure
+        Why nothing was read; None where it was decoded.
+    renumbered
+        The packet with its pairs renumbered, where that is how it was decoded; None else.
     """
 
-    reader: PacketReader
-    layers: Words
-    reason: str
-    events: tuple[Event, ...]
+    decoded: Decoded
+    events: tuple[Event, ...] = ()
+    failure: Exception | None = None
+    renumbered: TakenPacket | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """A packet to be decoded; another process may do it.
+
+    Attributes
+    ----------
+    taken
+        All that was taken of the packet.
+    identity
+        Number of the array, 0 to 29.
+    signal
+        The light's signal.
+    lacks_pair
+        Whether a pair of it is lost, nobody knows which.
+    """
+
+    taken: TakenPacket
+    identity: int
+    signal: SignalSettings
+    lacks_pair: bool
+
+    def __call__(self) -> DecodedPacket:
+        """Decode it."""
+        events, renumbered = list[Event](), None
+        try:
+            if self.lacks_pair:
+                renumbered, decoded = decode_renumbered(self.taken, self.signal.data_pairs, events.append)
+            else:
+                decoded = self.taken.decode(events.append)
+        except (np.linalg.LinAlgError, ReservedModeError) as error:
+            words = unread(PacketFormat(self.signal, self.taken.format), self.identity)
+            return DecodedPacket(Decoded(words), tuple(events), error)
+        return DecodedPacket(decoded, tuple(events), None, renumbered)
 
 
 class Decoders(Protocol):
@@ -52,7 +106,7 @@ class Decoders(Protocol):
         Parameters
         ----------
         work
-            Decodes it; called once, from any thread.
+            Decodes it; called once, here or in another process.
         """
 
 
@@ -66,16 +120,55 @@ class AtOnce:
         return done
 
 
+class Beside:
+    """Decodes packets in another process, the same one for all receivers of this process.
+
+    A thread would do no good: following and decoding are half Python, of which one thread runs at a time.
+    """
+
+    def submit(self, work: Callable[[], DecodedPacket], /) -> Future[DecodedPacket]:
+        """Hand it to the process; see `Decoders`."""
+        return _submitted(work)
+
+
 def decoders(beside: bool) -> Decoders:
     """What decodes packets.
 
     Parameters
     ----------
     beside
-        Whether in a thread of its own.
+        Whether in a process of its own, which is begun now.
     """
-    # one thread: what a packet teaches the next ones is learnt in their order
-    return ThreadPoolExecutor(1, "heliograph-decode") if beside else AtOnce()
+    if not beside:
+        return AtOnce()
+    _submitted(_loaded)
+    return Beside()
+
+
+def _submitted(work: Callable[[], Result]) -> Future[Result]:
+    """Hand work to the process, or to another one where that has ended."""
+    try:
+        return _process().submit(work)
+    except BrokenProcessPool:
+        _process.cache_clear()
+        return _process().submit(work)
+
+
+@lru_cache(maxsize=1)
+def _process() -> ProcessPoolExecutor:
+    # one process: what is seen of codewords again is kept there, in the packets' order
+    return ProcessPoolExecutor(1, get_context("spawn"), _begin)
+
+
+def _begin() -> None:
+    """Leave Ctrl-C to the process that takes the frames, and the other core to it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    cv2.setNumThreads(1)
+
+
+def _loaded() -> None:
+    """Have all that decoding needs before the first packet comes."""
+    import_module("heliograph.receive.assemblies")
 
 
 class ComingPacket:
@@ -85,37 +178,73 @@ class ComingPacket:
     ----------
     seen
         The packet without its codewords.
-    decoded
+    taken
+        All that was taken of it.
+    work
         What decoding makes of it.
     observe
         Gets the events of decoding, in the thread that asks for the packet.
     """
 
-    def __init__(self, seen: Packet, decoded: Future[DecodedPacket], observe: Observer):
-        self._seen, self._decoded, self._observe = seen, decoded, observe
+    def __init__(self, seen: Packet, taken: TakenPacket, work: Future[DecodedPacket], observe: Observer):
+        self._seen, self._taken, self._work, self._observe = seen, taken, work, observe
         self._packet: Packet | None = None
 
     @property
     def done(self) -> bool:
         """Whether it is decoded."""
-        return self._decoded.done()
+        return self._work.done()
 
     @property
-    def reader(self) -> PacketReader:
-        """The reader that read it, with what it has learnt; waits until it is decoded."""
-        return self._decoded.result().reader
+    def decoded(self) -> Decoded:
+        """What decoding made of it; waits until it is decoded.
+
+        Raises
+        ------
+        HeliographError
+            The process that decodes has ended.
+        """
+        return self._result().decoded
 
     def packet(self) -> Packet:
-        """The packet; waits until it is decoded."""
+        """The packet; waits until it is decoded.
+
+        Raises
+        ------
+        HeliographError
+            The process that decodes has ended.
+        """
         if self._packet is None:
-            decoded, seen = self._decoded.result(), self._seen
-            status = _status(decoded.layers, seen.header_score, seen.pairs_seen)
+            result, seen = self._result(), self._seen
+            taken, words = result.renumbered or self._taken, result.decoded.words
             self._packet = replace(
-                seen, status=status, layers=decoded.layers, format=decoded.reader.format, reason=decoded.reason
+                seen,
+                status=_status(words, seen.header_score, seen.pairs_seen),
+                layers=words,
+                format=taken.format,
+                reason=self._reason(result.failure),
             )
-            for event in (*decoded.events, decoded.reader.shown(self._packet)):
+            for event in (*result.events, taken.shown(self._packet, result.decoded)):
                 self._observe(event)
         return self._packet
+
+    def _result(self) -> DecodedPacket:
+        try:
+            return self._work.result()
+        except BrokenProcessPool:
+            raise HeliographError(
+                "the process that decodes packets has ended: was there too little memory? "
+                "receive.decode.beside = false decodes them in this process"
+            ) from None
+
+    def _reason(self, failure: Exception | None) -> str:
+        if failure is None:
+            return ""
+        # of a header that something hides, any mode may be read
+        level = logging.INFO if isinstance(failure, ReservedModeError) else logging.WARNING
+        place = self._seen.identity, self._seen.first_frame
+        LOG.log(level, "array %d, packet at frame %d is not read: %s", *place, failure)
+        return str(failure)
 
 
 def _status(layers: Words, header: float, seen: float) -> Status:

@@ -9,7 +9,7 @@ import numpy as np
 
 from heliograph.receive.events import Observer
 from heliograph.receive.packets import Words
-from heliograph.receive.reader_protocol import PacketReader
+from heliograph.receive.reader_protocol import Decoded, TakenPacket
 
 PLACES = 6
 """Places at which a pair is taken for lost.
@@ -19,13 +19,13 @@ wrong. A code of rate 1/3 corrects about 17 %.
 """
 
 
-def read_renumbered(reader: PacketReader, pairs: int, observe: Observer) -> tuple[PacketReader, Words]:
-    """Read a packet that lacks a pair nobody knows of.
+def decode_renumbered(taken: TakenPacket, pairs: int, observe: Observer) -> tuple[TakenPacket, Decoded]:
+    """Decode a packet that lacks a pair nobody knows of.
 
     Parameters
     ----------
-    reader
-        Has taken the packet's pairs, and after those that are left of it the next header's first one.
+    taken
+        The packet's pairs, and after those that are left of it the next header's first one.
     pairs
         Pairs of data of a packet.
     observe
@@ -33,7 +33,7 @@ def read_renumbered(reader: PacketReader, pairs: int, observe: Observer) -> tupl
 
     Returns
     -------
-    The reader for which most codewords were right, and the codewords by layer.
+    The packet for which most codewords were right, and what decoding made of it.
 
     Raises
     ------
@@ -42,14 +42,14 @@ def read_renumbered(reader: PacketReader, pairs: int, observe: Observer) -> tupl
     heliograph.signal.formats.ReservedModeError
         Its header asks for a mode that no receiver may read.
     """
-    best: tuple[PacketReader, Words] | None = None
+    best: tuple[TakenPacket, Decoded] | None = None
     # each in the middle of a part of the packet
     for place in np.unique((np.arange(PLACES) + 0.5) * pairs / PLACES).astype(int).tolist():
-        one = reader.renumbered(place)
-        words = one.decode(observe)
-        if best is None or _right(words) > _right(best[1]):
-            best = one, words
-        if _right(words) == sum(map(len, words.values())):
+        one = taken.renumbered(place)
+        decoded = one.decode(observe)
+        if best is None or _right(decoded.words) > _right(best[1].words):
+            best = one, decoded
+        if _right(decoded.words) == sum(map(len, decoded.words.values())):
             break
     assert best is not None  # PLACES is at least one
     return best

@@ -1,7 +1,5 @@
 """The soft receiver's reader: a packet's frames are kept until its end, equalised and decoded together."""
 
-import math
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,32 +7,22 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.acquire.header import header_score, header_weights
-from heliograph.receive.assumptions import Assumption, ReadPacket, open_words, read_packet
-from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.gain_and_noise import GainAndNoise
-from heliograph.receive.decode.iterate import decode_iteratively
-from heliograph.receive.decode.observed import DecodedPacket
-from heliograph.receive.decode.soft_combining import SharedBuffer, SoftBuffer
 from heliograph.receive.equalise.led_gains import LearntGains, LedGains
 from heliograph.receive.equalise.threads import one_thread
-from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer, ignore
+from heliograph.receive.events import ExtractEvent, Observer
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
-from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
-from heliograph.receive.packets import Packet, Words
-from heliograph.receive.plain.led_by_led import read_led_by_led
 from heliograph.receive.reader_protocol import ReadHeader
-from heliograph.receive.settings import Feedback
+from heliograph.receive.taken_pairs import Lesson, Light, SoftReading, TakenPairs
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.background import SeenHeader
 from heliograph.receive.track.decision_directed import DecisionDirectedTracker
 from heliograph.receive.track.hidden_leds import beside_what_hides
 from heliograph.receive.track.kept_pairs import KeptPairs
-from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.receive.track.sight import dark_zone
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
-from heliograph.signal.formats import AGREED, Format, check_mode, known_format
+from heliograph.signal.formats import AGREED, Format, known_format
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import light_centroids
 
@@ -56,24 +44,15 @@ class SoftParts:
         The agreed format of packets.
     tracker
         Follows the array from pair to pair.
-    buffer
-        What was seen of its codewords before; None adds nothing.
-    options
-        Algorithm of the channel decoder, and its most iterations.
-    feedback
-        What the equaliser gets back from the decoder.
-    led_by_led
-        Whether a packet is read LED by LED first.
+    reading
+        How its packets are decoded.
     observe
         Gets an `ExtractEvent` each pair.
     """
 
     form: PacketFormat
     tracker: Tracker
-    buffer: SharedBuffer | None
-    options: Decoding
-    feedback: Feedback
-    led_by_led: bool
+    reading: SoftReading
     observe: Observer
 
 
@@ -99,25 +78,6 @@ class _Header:
     even: Cutout | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class _Light:
-    """Light of the array with all LEDs on in gray levels, as the last pair showed it.
-
-    Attributes
-    ----------
-    gain
-        Of a difference.
-    full_scale
-        Largest that the sensor can show.
-    sum_gain
-        Of the sum of a pair of data in step.
-    """
-
-    gain: float = 0.0
-    full_scale: float = math.inf
-    sum_gain: float = 0.0
-
-
 class SoftReader:
     """Reads a packet at the limit of the channel; see `array.PacketReader`.
 
@@ -141,18 +101,12 @@ class SoftReader:
         self._led_gains, self._proven = led_gains, proven
         self._format_reader = FormatReader(identity, self._side)
         self._decisions: DecisionDirectedTracker | None = None
-        self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), _Light(), KeptPairs()
-        self._misled, self._buffer = False, parts.buffer
+        self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), Light(), KeptPairs()
 
     @property
     def format(self) -> Format:
         """The packet's format, as far as its header has shown it."""
         return self._header.format
-
-    @property
-    def misled(self) -> bool:
-        """Whether an array just found was read LED by LED, but not by the pose and the gains it was found with."""
-        return self._misled
 
     def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
         """Read the format, refine the pose and learn the LEDs' gains; see `PacketReader`."""
@@ -215,55 +169,41 @@ class SoftReader:
         """Keep the frame that is left of a pair; see `PacketReader`."""
         self._data = self._data.with_lone(place, lone)
 
-    def renumbered(self, place: int) -> "SoftReader":
-        """The same reader with the pairs from one on moved to the next number; see `PacketReader`."""
-        other = copy(self)
-        other._data = self._data.renumbered(place, self._parts.form.settings.data_pairs)
-        other._buffer = None
-        return other
+    def taken(self) -> TakenPairs:
+        """The cut-outs of all pairs, and what is known of the array; see `PacketReader`."""
+        return TakenPairs(
+            self._identity,
+            self._form,
+            self._parts.reading,
+            self._format_reader.number(self._light.gain),
+            self._data,
+            self._light,
+            self._led_gains,
+            self._proven,
+            self._late_s,
+            self._header.even,
+            None if self._decisions is None else self._decisions.noise.lit,
+        )
 
-    @one_thread()
-    def decode(self, observe: Observer, /) -> Words:
-        """Codewords by layer, of all pairs kept; see `PacketReader`."""
-        check_mode(self._format_reader.number(self._light.gain))
-        buffer, first = self._buffer, Assumption(self._gains(), self._cutouts())
-        shown, new = self._led_by_led(first), self._led_gains is not None and not self._proven
-        if shown is not None and not open_words(shown) and not new:
-            self._learn_brightness(first, shown)
-            return shown
-        earlier = None if buffer is None else buffer.content
-
-        def read(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
-            return self._decode(assumed, earlier, shown if assumed is first else self._led_by_led(assumed), observe)
-
-        # of an array just found the equaliser must show by itself that its pose is right
-        reading = read_packet(first, read if not new else lambda assumed: self._decode(assumed, earlier, None, observe))
-        if new and shown is not None and reading.lacks(shown):
-            self._misled = True
-            reading = reading.or_rather(read_packet(first, read))
-        self._data = self._data.rather(reading.assumed.cutouts)
-        self._proven |= new and not self._misled and reading.open < sum(map(len, reading.words.values()))
-        self._led_gains = self._learnt(reading)
-        if buffer is not None and reading.decoded.buffer is not None:
-            buffer.keep(reading.decoded.buffer)
-        return reading.words
-
-    def shown(self, packet: Packet) -> DecodeEvent:
-        """The packet with the cut-outs of its pairs; see `PacketReader`."""
-        return DecodeEvent(self._identity, packet, cutouts=tuple(self._cutouts()))
+    def learn(self, lesson: Lesson | None) -> None:
+        """Know the LEDs as the packet has shown them; see `PacketReader`."""
+        if lesson is not None:
+            self._led_gains, self._proven = lesson
 
     def next(self) -> "SoftReader":
         """The reader of the next packet; it knows the LEDs."""
         led_gains = None if self._led_gains is None else self._led_gains.faded()
         return SoftReader(self._identity, self._parts, led_gains, self._proven)
 
-    def learn_from(self, before: "SoftReader") -> None:
+    def catch_up(self, lesson: Lesson | None) -> None:
         """Take over the LEDs' brightness; what is in sight, this packet's own header shows; see `PacketReader`."""
-        learnt, self._proven = before._led_gains, self._proven or before._proven
-        if self._led_gains is None:
-            self._led_gains = learnt and learnt.faded()
-        elif learnt is not None:
-            self._led_gains = replace(self._led_gains, brightness=learnt.faded().brightness)
+        learnt, proven = lesson or (None, False)
+        self._proven |= proven
+        if learnt is None:
+            return
+        gains = self._led_gains
+        faded = learnt.faded()
+        self._led_gains = faded if gains is None else replace(gains, brightness=faded.brightness)
 
     def _learn(
         self, pair: FramePair, weights: Floats, before: Track, track: Track, led_gains: LedGains
@@ -300,68 +240,6 @@ class SoftReader:
         times, headers = (late_s, self._late_s), list(self._header.pairs)
         return DecisionDirectedTracker(self._parts.tracker, times, headers, track.data_gain, track.shining)
 
-    def _led_by_led(self, assumed: Assumption) -> Words | None:
-        """What the LEDs' positions alone tell; None where they are not asked, or tell nothing."""
-        parts = self._parts
-        if not parts.led_by_led or parts.feedback == "none":
-            return None
-        # behind a post the scale of these LLRs is wrong; max-log heeds their proportions alone
-        options = replace(parts.options, algorithm="max-log")
-        return read_led_by_led(self._with_lone(assumed), self._form, self._identity, options)
-
-    def _decode(
-        self, assumed: Assumption, earlier: SoftBuffer | None, known: Words | None, observe: Observer
-    ) -> DecodedPacket[ObservedPacket]:
-        """Decode what is not known yet of all that was kept; `earlier` is what was seen of its codewords before."""
-        parts, light, form, noise = self._parts, self._light, self._form, self._noise(assumed)
-        observed = ObservedPacket.of(self._with_lone(assumed), noise, form, assumed.led_gains)
-        channel = GainAndNoise(min(light.gain, light.full_scale), noise.lit, light.full_scale)
-        return decode_iteratively(
-            observed, channel, form, self._identity, parts.options, earlier, parts.feedback, observe, known
-        )
-
-    def _with_lone(self, assumed: Assumption) -> list[Cutout | None]:
-        """All cut-outs, those of frames included whose other half is lost."""
-        cutouts, gain, values = [*assumed.cutouts], self._light.sum_gain, assumed.led_gains.values
-        for place, lone in self._data.lone_cutouts(self._late_s, gain, values).items():
-            cutouts[place] = lone
-        return cutouts
-
-    def _noise(self, assumed: Assumption) -> Noise:
-        """Noise of the cut-outs."""
-        seen = [cutout for cutout in assumed.cutouts if cutout is not None]
-        if self._decisions is not None:
-            return Noise(self._decisions.noise.lit, noise_beside(seen, self._side))
-        # what hides a part of the array is uneven too
-        whole = [cutout for cutout in seen if cutout.in_sight is None]
-        gain, values, even = self._light.gain, assumed.led_gains.values, self._header.even
-        noise = measure_noise(whole if len(whole) > 1 else seen, gain, self._side, values)
-        if even is None or not any(cutout.combination for cutout in seen):
-            return noise
-        # of pairs out of step the sum is uneven, but not that of a header
-        return Noise(min(measure_noise([even], gain, self._side, values).lit, noise.lit), noise.dark)
-
-    def _learnt(self, reading: ReadPacket) -> LedGains | None:
-        """Gains of the LEDs after a packet was read."""
-        led_gains = reading.assumed.led_gains
-        if self._led_gains is None or (not reading.open and led_gains.brightness.settled):
-            return self._led_gains
-        return _learnt_from(reading.decoded, led_gains)
-
-    def _learn_brightness(self, assumed: Assumption, shown: Words) -> None:
-        """Learn the LEDs' brightness from a packet that they showed by themselves, unless it is known."""
-        if self._led_gains is None or self._led_gains.brightness.learnt:
-            return
-        # only these pairs are learnt from
-        stride = assumed.led_gains.brightness.stride
-        kept = [
-            None if k % stride or cutout is None or cutout.apart else cutout for k, cutout in enumerate(assumed.cutouts)
-        ]
-        if all(cutout is None for cutout in kept):
-            return
-        decoded = self._decode(replace(assumed, cutouts=kept), None, shown, ignore)
-        self._led_gains = _learnt_from(decoded, assumed.led_gains, stride=1)
-
     def _cutout(self, pair: FramePair, track: Track, led_gains: LedGains) -> Cutout:
         """Cut-out of a pair where the data's light was, the background's motion compensated."""
         late_s, combination = (self._late_s, self._late_s), pair.combination
@@ -381,17 +259,6 @@ class SoftReader:
     @property
     def _form(self) -> PacketFormat:
         return PacketFormat(self._parts.form.settings, self.format)
-
-    def _cutouts(self) -> list[Cutout | None]:
-        """One per pair, in the single mode one per pattern; None where the array was not seen."""
-        return self._data.in_order(self._form.layers["high"].pairs)
-
-
-def _learnt_from(decoded: DecodedPacket[ObservedPacket], led_gains: LedGains, stride: int | None = None) -> LedGains:
-    """Gains of the LEDs with what a decoded packet shows of their brightness."""
-    channel = decoded.channel
-    learnt = decoded.observed.learnt(decoded.mean, decoded.variance, channel.gain, channel.noise, stride)
-    return replace(led_gains, brightness=learnt)
 
 
 def _poses_at(track: Track, pair: FramePair, late_s: tuple[float, float]) -> tuple[Pose, Pose]:

@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from heliograph.base.arrays import Floats
 from heliograph.receive.events import DecodeEvent, Observer
+from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packets import Packet, Words
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.track import Track, TrackedPair
@@ -26,16 +28,76 @@ class ReadHeader:
     score: float
 
 
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """What decoding made of what was taken of a packet.
+
+    Attributes
+    ----------
+    words
+        Codewords by layer, decoded or not.
+    misled
+        Whether they show that the array is not quite as it is followed.
+    lesson
+        What they teach the readers of this packet and the next ones; None for nothing.
+    cutouts
+        Cut-outs of its pairs where others were decoded than those taken; None else.
+    luminances
+        (pairs, n, n) that were decoded; None of a reader that does not read LED by LED.
+    """
+
+    words: Words
+    misled: bool = False
+    lesson: Any = None
+    cutouts: tuple[Cutout | None, ...] | None = None
+    luminances: Floats | None = None
+
+
+class TakenPacket(Protocol):
+    """All that was taken of a packet: a value, which another process may decode."""
+
+    @property
+    def format(self) -> Format:
+        """The packet's format, as far as its header has shown it."""
+
+    def renumbered(self, place: int) -> "TakenPacket":
+        """Give the same packet as it is if a pair is lost that the numbers do not tell of.
+
+        What it teaches is not kept for later packets.
+
+        Parameters
+        ----------
+        place
+            Number of the lost pair; what was taken from there on is that of the pairs after it.
+        """
+
+    def decode(self, observe: Observer, /) -> Decoded:
+        """Decode it.
+
+        Parameters
+        ----------
+        observe
+            Gets the events of decoding.
+        """
+
+    def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:
+        """What an observer of the packet gets.
+
+        Parameters
+        ----------
+        packet
+            The packet as it will be handed out.
+        decoded
+            What decoding made of it.
+        """
+
+
 class PacketReader(Protocol):
     """Reads one packet of an array."""
 
     @property
     def format(self) -> Format:
         """The packet's format, as far as its header has shown it."""
-
-    @property
-    def misled(self) -> bool:
-        """Whether the packet just decoded shows that the array is not quite as it is followed."""
 
     def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
         """Read a header pair.
@@ -94,48 +156,29 @@ class PacketReader(Protocol):
             The frame that is there.
         """
 
-    def renumbered(self, place: int) -> "PacketReader":
-        """Give a reader of the same packet for which a pair is lost that the numbers do not tell of.
+    def taken(self) -> TakenPacket:
+        """All that was taken, to be decoded."""
 
-        What it decodes is not kept for later packets.
-
-        Parameters
-        ----------
-        place
-            Number of the lost pair; what was taken from there on is that of the pairs after it.
-        """
-
-    def decode(self, observe: Observer, /) -> Words:
-        """Decode all that was taken: codewords by layer.
-
-        Other readers of the array, and its tracker, may be at work in another thread meanwhile.
+    def learn(self, lesson: Any) -> None:
+        """Learn what decoding this packet has taught, before `next` is asked for.
 
         Parameters
         ----------
-        observe
-            Gets the events of decoding.
-        """
-
-    def shown(self, packet: Packet) -> DecodeEvent:
-        """What an observer of the packet gets.
-
-        Parameters
-        ----------
-        packet
-            The packet just decoded, as it will be handed out.
+        lesson
+            The `Decoded.lesson` of this packet.
         """
 
     def next(self) -> "PacketReader":
         """Give the reader of the next packet.
 
-        It is asked for before this one is decoded where the array is beyond doubt, and afterwards otherwise.
+        Where the array is beyond doubt it is asked for before this packet is decoded.
         """
 
-    def learn_from(self, before: Any) -> None:
-        """Take over what the packet before has taught, which was decoded while this one was seen.
+    def catch_up(self, lesson: Any) -> None:
+        """Learn what the packet before has taught, which was decoded while this one was seen.
 
         Parameters
         ----------
-        before
-            The reader whose `next` this one is.
+        lesson
+            The `Decoded.lesson` of the packet before.
         """

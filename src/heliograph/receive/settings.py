@@ -139,9 +139,9 @@ class DecodeSettings:
     iterations
         Most iterations, 1 to 64; a codeword is finished as soon as its CRC is right.
     beside
-        Whether packets are decoded in a thread of their own, while the next frames are searched and followed on another
-        core. The packets are the same; a receiver hands each out with the first frame after it is decoded. If it is
-        left out, the command ``receive`` does so where there are two cores, and nothing else does.
+        Whether packets are decoded in a process of their own, while the next frames are searched and followed on
+        another core. The packets are the same; a receiver hands each out with the first frame after it is decoded. If
+        it is left out, the command ``receive`` does so where there are two cores, and nothing else does.
     """
 
     algorithm: Literal["max-log", "log-map"] | None = None

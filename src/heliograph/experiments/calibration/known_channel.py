@@ -29,8 +29,7 @@ from heliograph.receive.events import DecodeEvent, Observer, ignore
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.packets import Words
-from heliograph.receive.reader_protocol import PacketReader, ReadHeader
+from heliograph.receive.reader_protocol import Decoded, PacketReader, ReadHeader
 from heliograph.receive.receiver import StreamReceiver
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.pose_refinement import ObservedPacket
@@ -77,11 +76,6 @@ class KnownReader:
     def format(self) -> Format:
         """The packet's format, as its header signals it."""
         return self._blind.format
-
-    @property
-    def misled(self) -> bool:
-        """The truth does not mislead."""
-        return False
 
     def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
         """Read a header pair blind; see `PacketReader`.
@@ -135,7 +129,6 @@ class KnownReader:
         self._cutouts[place] = take_cutout(pair, poses, self._link.signal.side)
         self._gain = true_gain(first, self._link)
 
-    @one_thread()
     def take_lone(self, place: int, lone: LoneFrame) -> None:
         """Leave a pair out of which one frame is lost; see `PacketReader`.
 
@@ -147,8 +140,61 @@ class KnownReader:
             The frame that is there; ignored.
         """
 
-    def renumbered(self, place: int) -> "KnownReader":  # noqa: ARG002 - no frame is lost
-        """The same: no frame is lost of which the truth is known; see `PacketReader`.
+    def taken(self) -> "KnownPairs":
+        """The cut-outs of all pairs, with the gain; see `PacketReader`."""
+        return KnownPairs(self._link, self._form, tuple(self._cutouts), self._gain)
+
+    def learn(self, lesson: None) -> None:
+        """Nothing is learnt of a packet: all is known.
+
+        Parameters
+        ----------
+        lesson
+            What decoding it has taught, which is nothing.
+        """
+
+    def next(self) -> "KnownReader":
+        """Give the reader of the next packet."""
+        return KnownReader(self._link, self._truths, self._blind.next())
+
+    def catch_up(self, lesson: None) -> None:
+        """Nothing is learnt of a packet: all is known.
+
+        Parameters
+        ----------
+        lesson
+            What decoding the packet before has taught, which is nothing.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class KnownPairs:
+    """What was taken of a packet whose channel is known; see `reader_protocol.TakenPacket`.
+
+    Attributes
+    ----------
+    link
+        The link as simulated, with one array at rest in step.
+    form
+        Format of the packet.
+    cutouts
+        Cut-outs of its pairs at their true poses; None for pairs not seen.
+    gain
+        Gray levels of the array with all LEDs on.
+    """
+
+    link: LinkSettings
+    form: PacketFormat
+    cutouts: tuple[Cutout | None, ...]
+    gain: float
+
+    @property
+    def format(self) -> Format:
+        """The packet's format."""
+        return self.form.format
+
+    def renumbered(self, place: int) -> "KnownPairs":  # noqa: ARG002 - no frame is lost
+        """The same: no frame is lost of which the truth is known; see `TakenPacket`.
 
         Parameters
         ----------
@@ -157,7 +203,8 @@ class KnownReader:
         """
         return self
 
-    def decode(self, observe: Observer, /) -> Words:  # noqa: ARG002 - the protocol's
+    @one_thread()
+    def decode(self, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
         """Codewords by layer.
 
         Parameters
@@ -165,34 +212,23 @@ class KnownReader:
         observe
             Gets nothing: no event tells of this decoding.
         """
-        noise, side, receive = true_noise(self._gain, self._link), self._link.signal.side, self._link.receive
-        observed = ObservedPacket.of(self._cutouts, noise, self._form, LedGains.sound(side))
-        channel, decoding = GainAndNoise(self._gain, noise.lit), Decoding("log-map", receive.decode.iterations)
-        identity = self._link.transmit.identities[0]
-        return decode_iteratively(_FixedPoses(observed), channel, self._form, identity, decoding, None).words
+        noise, receive = true_noise(self.gain, self.link), self.link.receive
+        observed = ObservedPacket.of(self.cutouts, noise, self.form, LedGains.sound(self.link.signal.side))
+        channel, decoding = GainAndNoise(self.gain, noise.lit), Decoding("log-map", receive.decode.iterations)
+        identity = self.link.transmit.identities[0]
+        return Decoded(decode_iteratively(_FixedPoses(observed), channel, self.form, identity, decoding, None).words)
 
-    def shown(self, packet: Packet) -> DecodeEvent:
+    def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:  # noqa: ARG002 - the protocol's
         """The packet with the cut-outs of its pairs.
 
         Parameters
         ----------
         packet
             The packet that was just decoded.
+        decoded
+            What decoding made of it; ignored.
         """
-        return DecodeEvent(packet.identity, packet, cutouts=tuple(self._cutouts))
-
-    def next(self) -> "KnownReader":
-        """Give the reader of the next packet."""
-        return KnownReader(self._link, self._truths, self._blind.next())
-
-    def learn_from(self, before: "KnownReader") -> None:
-        """Nothing is learnt of a packet: all is known.
-
-        Parameters
-        ----------
-        before
-            The reader of the packet before this one.
-        """
+        return DecodeEvent(packet.identity, packet, cutouts=self.cutouts)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,8 @@ LLRs of one and the same packet would not add: the light of its other layers dis
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
+from uuid import uuid4
 
 import numpy as np
 
@@ -233,10 +235,16 @@ class SharedBuffers:
 
 
 class SharedBuffer:
-    """Hands a buffer on from reader to reader of an array, also to those of the array lost and found again."""
+    """Hands a buffer on from reader to reader of an array, also to those of the array lost and found again.
 
-    def __init__(self) -> None:
-        self._content = SoftBuffer()
+    Another process that it is handed to has a content of its own, which stays there from packet to packet.
+    """
+
+    def __init__(self, name: str | None = None) -> None:
+        self._content, self._name = SoftBuffer(), name or uuid4().hex
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _of_this_process, (self._name,)
 
     @property
     def content(self) -> SoftBuffer:
@@ -252,6 +260,18 @@ class SharedBuffer:
             The buffer after a packet that was decoded.
         """
         self._content = buffer
+
+
+_HERE: dict[str, SharedBuffer] = {}
+"""Buffers that other processes have handed to this one, by name, those asked for last at the end."""
+
+
+def _of_this_process(name: str) -> SharedBuffer:
+    """The buffer that stands here for one of another process."""
+    _HERE[name] = found = _HERE.pop(name, None) or SharedBuffer(name)
+    while len(_HERE) > BUFFERS_KEPT:
+        del _HERE[next(iter(_HERE))]
+    return found
 
 
 def agreement(a: Floats, b: Floats) -> tuple[float, float]:

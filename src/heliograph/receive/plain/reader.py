@@ -1,17 +1,19 @@
 """The plain receiver's reader: luminances at the LEDs' image positions, FHWT, one decoding."""
 
-from copy import copy
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.acquire.header import header_score, header_weights
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
-from heliograph.receive.packets import Packet, Words
+from heliograph.receive.packets import Packet
 from heliograph.receive.plain.extract import luminances, normalised, pair_luminances
-from heliograph.receive.reader_protocol import ReadHeader
+from heliograph.receive.reader_protocol import Decoded, ReadHeader
 from heliograph.receive.settings import Equaliser
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.kalman import PoseState
@@ -68,11 +70,6 @@ class PlainReader:
         """The agreed one."""
         return AGREED
 
-    @property
-    def misled(self) -> bool:
-        """It reads LED by LED."""
-        return False
-
     def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
         """Refine the pose by a header pair; see `PacketReader`."""
         track, side = tracked.track, self._form.settings.side
@@ -108,42 +105,111 @@ class PlainReader:
         """Keep the frame that is left of a pair; see `PacketReader`."""
         self._lone[place] = lone
 
-    def renumbered(self, place: int) -> "PlainReader":
-        """The same reader with the pairs from one on moved to the next number; see `PacketReader`."""
-        other, pairs = copy(self), len(self._seen)
-        other._luminances, other._seen = self._luminances.copy(), self._seen.copy()
-        other._luminances[place + 1 :], other._seen[place + 1 :] = self._luminances[place:-1], self._seen[place:-1]
-        other._luminances[place], other._seen[place] = 0.0, False
-        other._lone = renumbered(self._lone, place, pairs)
-        other._states, other._sums = renumbered(self._states, place, pairs), renumbered(self._sums, place, pairs)
-        return other
+    def taken(self) -> "TakenLuminances":
+        """The luminances, and frames whose other half is lost; see `PacketReader`."""
+        return TakenLuminances(
+            self._identity,
+            self._form,
+            self._options,
+            self._format_reader.number(self._gain),
+            self._luminances,
+            self._seen,
+            self._lone,
+            self._states,
+            self._sums,
+            self._sum_gain,
+        )
 
-    def decode(self, observe: Observer, /) -> Words:  # noqa: ARG002 - the protocol's
-        """Codewords by layer; see `PacketReader`."""
-        for place, lone in self._lone.items():
-            self._read_lone(place, lone)
-        check_mode(self._format_reader.number(self._gain))
-        return decode_packet(self._luminances, self._seen, self._form, self._identity, self._options)
-
-    def _read_lone(self, place: int, lone: LoneFrame) -> None:
-        """Read the luminances of a pair by one of its frames, the sum being that of the pairs around."""
-        chosen = around(place, self._sums)
-        if not chosen:
-            return
-        pose = state_between(lone.frame.time_s, self._states, place).pose
-        total = np.mean([self._sums[k] for k in chosen], axis=0)
-        # 2 r - (r + r') = r - r'
-        shown = 2 * luminances(lone.frame, pose, len(total)) - total
-        self._luminances[place] = normalised(-shown if lone.inverted else shown, self._sum_gain)
-        self._seen[place] = True
-
-    def shown(self, packet: Packet) -> DecodeEvent:
-        """The packet with its luminances; see `PacketReader`."""
-        return DecodeEvent(self._identity, packet, luminances=self._luminances)
+    def learn(self, lesson: None) -> None:
+        """Nothing is learnt of a packet; see `PacketReader`."""
 
     def next(self) -> "PlainReader":
         """The reader of the next packet."""
         return PlainReader(self._identity, self._form, self._tracker, self._equaliser, self._options, self._observe)
 
-    def learn_from(self, before: "PlainReader") -> None:
+    def catch_up(self, lesson: None) -> None:
         """Nothing is learnt of a packet; see `PacketReader`."""
+
+
+@dataclass(frozen=True, slots=True)
+class TakenLuminances:
+    """All that was taken of a packet; see `TakenPacket`.
+
+    Attributes
+    ----------
+    identity
+        Number of the array, 0 to 29.
+    form
+        The agreed format of packets.
+    options
+        How codewords are decoded: algorithm and iterations.
+    mode
+        Number of the format that its header signals.
+    luminances
+        (pairs, n, n) difference of pattern and inverse at each LED.
+    seen
+        (pairs,) pairs that were seen.
+    lone
+        By number of the pair, frames whose other half is lost.
+    states
+        By number of the pair, where the array was.
+    sums
+        By number of the pair, (n, n) sum of pattern and inverse at each LED in gray levels.
+    sum_gain
+        Gray levels of a sum with all LEDs on.
+    """
+
+    identity: int
+    form: PacketFormat
+    options: Decoding
+    mode: int
+    luminances: Floats
+    seen: NDArray[np.bool_]
+    lone: Mapping[int, LoneFrame]
+    states: Mapping[int, PoseState]
+    sums: Mapping[int, Floats]
+    sum_gain: float
+
+    @property
+    def format(self) -> Format:
+        """The agreed one."""
+        return AGREED
+
+    def renumbered(self, place: int) -> "TakenLuminances":
+        """The same with the pairs from one on moved to the next number; see `TakenPacket`."""
+        pairs, luminances, seen = len(self.seen), self.luminances.copy(), self.seen.copy()
+        luminances[place + 1 :], seen[place + 1 :] = self.luminances[place:-1], self.seen[place:-1]
+        luminances[place], seen[place] = 0.0, False
+        return replace(
+            self,
+            luminances=luminances,
+            seen=seen,
+            lone=renumbered(self.lone, place, pairs),
+            states=renumbered(self.states, place, pairs),
+            sums=renumbered(self.sums, place, pairs),
+        )
+
+    def decode(self, _observe: Observer, /) -> Decoded:
+        """Codewords by layer; see `TakenPacket`."""
+        luminances, seen = self.luminances.copy(), self.seen.copy()
+        for place, lone in self.lone.items():
+            if (shown := self._read_lone(place, lone)) is not None:
+                luminances[place], seen[place] = shown, True
+        check_mode(self.mode)
+        words = decode_packet(luminances, seen, self.form, self.identity, self.options)
+        return Decoded(words, luminances=luminances)
+
+    def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:
+        """The packet with its luminances; see `TakenPacket`."""
+        return DecodeEvent(self.identity, packet, luminances=decoded.luminances)
+
+    def _read_lone(self, place: int, lone: LoneFrame) -> Floats | None:
+        """Luminances (n, n) of a pair by one of its frames, the sum being that of the pairs around; None without."""
+        chosen = around(place, self.sums)
+        if not chosen:
+            return None
+        pose = state_between(lone.frame.time_s, self.states, place).pose
+        total = np.mean([self.sums[k] for k in chosen], axis=0)
+        # 2 r - (r + r') = r - r'
+        shown = 2 * luminances(lone.frame, pose, len(total)) - total
+        return normalised(-shown if lone.inverted else shown, self.sum_gain)

@@ -1,0 +1,243 @@
+"""What the soft receiver took of a packet, and its decoding: all frames equalised and decoded together."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from heliograph.receive.assumptions import Assumption, ReadPacket, open_words, read_packet
+from heliograph.receive.decode.codeword import Decoding
+from heliograph.receive.decode.gain_and_noise import GainAndNoise
+from heliograph.receive.decode.iterate import decode_iteratively
+from heliograph.receive.decode.observed import DecodedPacket
+from heliograph.receive.decode.soft_combining import SharedBuffer, SoftBuffer
+from heliograph.receive.equalise.led_gains import LedGains
+from heliograph.receive.equalise.threads import one_thread
+from heliograph.receive.events import DecodeEvent, Observer, ignore
+from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
+from heliograph.receive.packets import Packet, Words
+from heliograph.receive.plain.led_by_led import read_led_by_led
+from heliograph.receive.reader_protocol import Decoded
+from heliograph.receive.settings import Feedback
+from heliograph.receive.track.kept_pairs import KeptPairs
+from heliograph.receive.track.pose_refinement import ObservedPacket
+from heliograph.signal.formats import Format, check_mode
+from heliograph.signal.packet import PacketFormat
+
+
+class Lesson(NamedTuple):
+    """What a decoded packet teaches.
+
+    Attributes
+    ----------
+    led_gains
+        Gains of the LEDs; None where nothing was known of them before.
+    proven
+        Whether the equaliser has decoded a codeword of the array since it was found.
+    """
+
+    led_gains: LedGains | None
+    proven: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SoftReading:
+    """How the soft receiver decodes an array's packets.
+
+    Attributes
+    ----------
+    buffer
+        What was seen of its codewords before; None adds nothing.
+    options
+        Algorithm of the channel decoder, and its most iterations.
+    feedback
+        What the equaliser gets back from the decoder.
+    led_by_led
+        Whether a packet is read LED by LED first.
+    """
+
+    buffer: SharedBuffer | None
+    options: Decoding
+    feedback: Feedback
+    led_by_led: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """Light of the array with all LEDs on in gray levels, as the last pair showed it.
+
+    Attributes
+    ----------
+    gain
+        Of a difference.
+    full_scale
+        Largest that the sensor can show.
+    sum_gain
+        Of the sum of a pair of data in step.
+    """
+
+    gain: float = 0.0
+    full_scale: float = math.inf
+    sum_gain: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class TakenPairs:
+    """All that was taken of a packet; see `TakenPacket`.
+
+    Attributes
+    ----------
+    identity
+        Number of the array, 0 to 29.
+    form
+        Format of the packet.
+    reading
+        How it is decoded.
+    mode
+        Number of the format that its header signals.
+    data
+        What was kept of its pairs.
+    light
+        Light of the array.
+    led_gains
+        Gains of its LEDs; None where nothing is known of them.
+    proven
+        Whether the equaliser has decoded a codeword of it since it was found: its pose and gains are then right.
+    late_s
+        Seconds by which the data's light comes after the middle of an exposure.
+    even
+        The header out of step, its frames combined to one pair; None in step.
+    decided_noise
+        Variance of a pixel inside the array by decided data, in squared gray levels; None where there are inverses.
+    """
+
+    identity: int
+    form: PacketFormat
+    reading: SoftReading
+    mode: int
+    data: KeptPairs
+    light: Light
+    led_gains: LedGains | None
+    proven: bool
+    late_s: float
+    even: Cutout | None
+    decided_noise: float | None
+
+    @property
+    def format(self) -> Format:
+        """The packet's format, as far as its header has shown it."""
+        return self.form.format
+
+    def renumbered(self, place: int) -> "TakenPairs":
+        """The same with the pairs from one on moved to the next number; see `TakenPacket`."""
+        data = self.data.renumbered(place, self.form.settings.data_pairs)
+        return replace(self, data=data, reading=replace(self.reading, buffer=None))
+
+    @one_thread()
+    def decode(self, observe: Observer, /) -> Decoded:
+        """Codewords by layer, of all pairs kept; see `TakenPacket`."""
+        check_mode(self.mode)
+        buffer, first = self.reading.buffer, Assumption(self._gains(), self._cutouts())
+        shown, new = self._led_by_led(first), self.led_gains is not None and not self.proven
+        if shown is not None and not open_words(shown) and not new:
+            return Decoded(shown, lesson=Lesson(self._brightness_learnt(first, shown), self.proven))
+        earlier = None if buffer is None else buffer.content
+
+        def read(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
+            return self._decode(assumed, earlier, shown if assumed is first else self._led_by_led(assumed), observe)
+
+        # of an array just found the equaliser must show by itself that its pose is right
+        reading = read_packet(first, read if not new else lambda assumed: self._decode(assumed, earlier, None, observe))
+        misled = new and shown is not None and reading.lacks(shown)
+        if misled:
+            reading = reading.or_rather(read_packet(first, read))
+        if buffer is not None and reading.decoded.buffer is not None:
+            buffer.keep(reading.decoded.buffer)
+        proven = self.proven or (new and not misled and reading.open < sum(map(len, reading.words.values())))
+        cutouts = None if reading.assumed.cutouts is first.cutouts else tuple(reading.assumed.cutouts)
+        return Decoded(reading.words, misled, Lesson(self._learnt(reading), proven), cutouts)
+
+    def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:
+        """The packet with the cut-outs of its pairs; see `TakenPacket`."""
+        cutouts = tuple(self._cutouts()) if decoded.cutouts is None else decoded.cutouts
+        return DecodeEvent(self.identity, packet, cutouts=cutouts)
+
+    def _led_by_led(self, assumed: Assumption) -> Words | None:
+        """What the LEDs' positions alone tell; None where they are not asked, or tell nothing."""
+        reading = self.reading
+        if not reading.led_by_led or reading.feedback == "none":
+            return None
+        # behind a post the scale of these LLRs is wrong; max-log heeds their proportions alone
+        options = replace(reading.options, algorithm="max-log")
+        return read_led_by_led(self._with_lone(assumed), self.form, self.identity, options)
+
+    def _decode(
+        self, assumed: Assumption, earlier: SoftBuffer | None, known: Words | None, observe: Observer
+    ) -> DecodedPacket[ObservedPacket]:
+        """Decode what is not known yet of all that was kept; `earlier` is what was seen of its codewords before."""
+        reading, light, noise = self.reading, self.light, self._noise(assumed)
+        observed = ObservedPacket.of(self._with_lone(assumed), noise, self.form, assumed.led_gains)
+        channel = GainAndNoise(min(light.gain, light.full_scale), noise.lit, light.full_scale)
+        return decode_iteratively(
+            observed, channel, self.form, self.identity, reading.options, earlier, reading.feedback, observe, known
+        )
+
+    def _with_lone(self, assumed: Assumption) -> list[Cutout | None]:
+        """All cut-outs, those of frames included whose other half is lost."""
+        cutouts, gain, values = [*assumed.cutouts], self.light.sum_gain, assumed.led_gains.values
+        for place, lone in self.data.lone_cutouts(self.late_s, gain, values).items():
+            cutouts[place] = lone
+        return cutouts
+
+    def _noise(self, assumed: Assumption) -> Noise:
+        """Noise of the cut-outs."""
+        seen = [cutout for cutout in assumed.cutouts if cutout is not None]
+        if self.decided_noise is not None:
+            return Noise(self.decided_noise, noise_beside(seen, self._side))
+        # what hides a part of the array is uneven too
+        whole = [cutout for cutout in seen if cutout.in_sight is None]
+        gain, values, even = self.light.gain, assumed.led_gains.values, self.even
+        noise = measure_noise(whole if len(whole) > 1 else seen, gain, self._side, values)
+        if even is None or not any(cutout.combination for cutout in seen):
+            return noise
+        # of pairs out of step the sum is uneven, but not that of a header
+        return Noise(min(measure_noise([even], gain, self._side, values).lit, noise.lit), noise.dark)
+
+    def _learnt(self, reading: ReadPacket) -> LedGains | None:
+        """Gains of the LEDs after a packet was read."""
+        led_gains = reading.assumed.led_gains
+        if self.led_gains is None or (not reading.open and led_gains.brightness.settled):
+            return self.led_gains
+        return _learnt_from(reading.decoded, led_gains)
+
+    def _brightness_learnt(self, assumed: Assumption, shown: Words) -> LedGains | None:
+        """Gains with the brightness of LEDs that a packet showed by themselves, unless that is known."""
+        if self.led_gains is None or self.led_gains.brightness.learnt:
+            return self.led_gains
+        # only these pairs are learnt from
+        stride = assumed.led_gains.brightness.stride
+        kept = [
+            None if k % stride or cutout is None or cutout.apart else cutout for k, cutout in enumerate(assumed.cutouts)
+        ]
+        if all(cutout is None for cutout in kept):
+            return self.led_gains
+        decoded = self._decode(replace(assumed, cutouts=kept), None, shown, ignore)
+        return _learnt_from(decoded, assumed.led_gains, stride=1)
+
+    def _gains(self) -> LedGains:
+        return self.led_gains or LedGains.sound(self._side)
+
+    def _cutouts(self) -> list[Cutout | None]:
+        """One per pair, in the single mode one per pattern; None where the array was not seen."""
+        return self.data.in_order(self.form.layers["high"].pairs)
+
+    @property
+    def _side(self) -> int:
+        return self.form.settings.side
+
+
+def _learnt_from(decoded: DecodedPacket[ObservedPacket], led_gains: LedGains, stride: int | None = None) -> LedGains:
+    """Gains of the LEDs with what a decoded packet shows of their brightness."""
+    channel = decoded.channel
+    learnt = decoded.observed.learnt(decoded.mean, decoded.variance, channel.gain, channel.noise, stride)
+    return replace(led_gains, brightness=learnt)
