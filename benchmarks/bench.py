@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable
 
-from heliograph.sweeps.executors import THREAD_LIMITS, limit_threads
+from heliograph.base.workers import THREAD_LIMITS, limit_threads
 
 os.environ.update(THREAD_LIMITS)  # before NumPy is imported: a worker has one core
 

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from heliograph.sweeps.executors import THREAD_LIMITS, limit_threads
+from heliograph.base.workers import THREAD_LIMITS, limit_threads
 
 os.environ.update(THREAD_LIMITS)  # before NumPy is imported: algebra in one thread
 

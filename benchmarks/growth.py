@@ -22,11 +22,11 @@ import cv2
 import numpy as np
 
 from benchmarks.near import DATA_PAIRS, receive
+from heliograph.base.workers import limit_threads
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import simulate
 from heliograph.measure.bench import block_settings, random_messages
 from heliograph.receive import Packet
-from heliograph.sweeps.executors import limit_threads
 from heliograph.sweeps.sweep import sweep
 
 RUNS = 3

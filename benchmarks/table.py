@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from heliograph.sweeps.executors import THREAD_LIMITS, limit_threads
+from heliograph.base.workers import THREAD_LIMITS, limit_threads
 
 os.environ.update(THREAD_LIMITS)  # before NumPy is imported: one core, and no threads that wait for each other
 

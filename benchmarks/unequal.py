@@ -11,7 +11,7 @@ import argparse
 import os
 from collections.abc import Sequence
 
-from heliograph.sweeps.executors import THREAD_LIMITS, limit_threads
+from heliograph.base.workers import THREAD_LIMITS, limit_threads
 
 os.environ.update(THREAD_LIMITS)  # before NumPy is imported: one core
 

@@ -6,8 +6,9 @@ import numba
 import pytest
 
 from heliograph.base.errors import HeliographError
+from heliograph.base.workers import THREAD_LIMITS, limit_threads
 from heliograph.experiments.result import Context
-from heliograph.sweeps.executors import THREAD_LIMITS, each, limit_threads
+from heliograph.sweeps.executors import each
 
 
 def end(code: int) -> int:

@@ -195,8 +195,9 @@ def timing_loss() -> None:
 
 def _context(workers: int | None, progress: Callable[[float], None] = lambda _: None) -> "Context":
     """Workers as asked for; `progress` gets the fraction done."""
+    from heliograph.base.workers import limit_threads
     from heliograph.experiments.result import Context
-    from heliograph.sweeps.executors import cores, fewer_workers, limit_threads
+    from heliograph.sweeps.executors import cores, fewer_workers
 
     if fewer := fewer_workers(workers):
         console.complain(fewer)

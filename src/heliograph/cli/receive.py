@@ -18,6 +18,9 @@ from heliograph.cli.news import News, Told
 LONG_READING_S = 2.0
 """Seconds of reading from which on a faster container is worth a word. Chosen."""
 
+LONG_FRAMES = 4000
+"""Frames of a film from which on another process decodes its packets. Chosen: it takes two seconds to begin."""
+
 if TYPE_CHECKING:
     from heliograph.link.film import FrameProgress
     from heliograph.link.settings import LinkSettings
@@ -71,15 +74,15 @@ def run_receive(
             check_truth(source, known, signal)
         if departure:
             console.complain(departure)
-        aloud = not as_json and not told.follow
+        aloud, reading = not as_json and not told.follow, _on_all_cores(settings, source)
         with (
             Folder(output) as folder,
             News(told) as news,
-            watched(source, live, signal, settings.receive, aloud) as watch,
+            watched(source, live, signal, reading.receive, aloud) as watch,
         ):
             began = time.perf_counter()
             with console.progress("receiving", watch.frame_count) as advance:
-                ending = read_film(watch, signal, _on_all_cores(settings), reception, (folder, news), advance)
+                ending = read_film(watch, signal, reading, reception, (folder, news), advance)
             report = {**reception.report(time.perf_counter() - began), "reading_seconds": source.read_s}
             try:
                 # what a camera shows is gone
@@ -142,12 +145,15 @@ def read_film(
     return None
 
 
-def _on_all_cores(settings: "LinkSettings") -> "LinkSettings":
-    """Settings by which packets are decoded beside the frames that follow, where there is a core for it."""
+def _on_all_cores(settings: "LinkSettings", source: "FilmReader") -> "LinkSettings":
+    """Settings by which packets are decoded beside the frames that follow, where there is a core and reason for it."""
+    from heliograph.media.live.reader import live_of
     from heliograph.receive.registry import RECEIVERS
 
     receive = settings.receive
-    if receive.decode.beside is not None or (os.cpu_count() or 1) < 2 or not RECEIVERS.is_built_in(receive.receiver):
+    asked = receive.decode.beside is not None or not RECEIVERS.is_built_in(receive.receiver)
+    long = live_of(source) is not None or (source.frame_count or 0) >= LONG_FRAMES
+    if asked or not long or (os.cpu_count() or 1) < 2:
         return settings
     return replace(settings, receive=replace(receive, decode=replace(receive.decode, beside=True)))
 

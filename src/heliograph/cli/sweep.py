@@ -28,7 +28,8 @@ def run_sweep(
     as_json: bool,
 ) -> None:
     """Count errors over a grid of settings; whatever ends it, what was counted before is kept and shown."""
-    from heliograph.sweeps.executors import THREAD_LIMITS, fewer_workers
+    from heliograph.base.workers import THREAD_LIMITS
+    from heliograph.sweeps.executors import fewer_workers
 
     os.environ.update(THREAD_LIMITS)  # NumPy is not imported yet
     from heliograph.sweeps.plan import plan

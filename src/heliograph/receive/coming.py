@@ -1,20 +1,19 @@
 """Packets that are decoded, at once or in a process beside the frames that follow."""
 
 import logging
-import signal
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
-from multiprocessing import get_context
 from typing import Protocol, TypeVar
 
-import cv2
 import numpy as np
 
 from heliograph.base.errors import HeliographError
+from heliograph.base.registry import Part, registered
+from heliograph.base.workers import worker_environment, worker_processes
 from heliograph.receive.decode.codeword import unread
 from heliograph.receive.events import Event, Observer
 from heliograph.receive.lost_pair import decode_renumbered
@@ -73,7 +72,7 @@ class Work:
     identity
         Number of the array, 0 to 29.
     signal
-        The light's signal.
+        Settings of the light's signal.
     lacks_pair
         Whether a pair of it is lost, nobody knows which.
     """
@@ -147,23 +146,19 @@ def decoders(beside: bool) -> Decoders:
 
 def _submitted(work: Callable[[], Result]) -> Future[Result]:
     """Hand work to the process, or to another one where that has ended."""
-    try:
-        return _process().submit(work)
-    except BrokenProcessPool:
-        _process.cache_clear()
-        return _process().submit(work)
+    with worker_environment():
+        try:
+            return _process(registered()).submit(work)
+        except BrokenProcessPool:
+            _process.cache_clear()
+            return _process(registered()).submit(work)
 
 
 @lru_cache(maxsize=1)
-def _process() -> ProcessPoolExecutor:
+def _process(_parts: tuple[Part, ...]) -> ProcessPoolExecutor:
+    """The process that decodes, which knows some registered parts."""
     # one process: what is seen of codewords again is kept there, in the packets' order
-    return ProcessPoolExecutor(1, get_context("spawn"), _begin)
-
-
-def _begin() -> None:
-    """Leave Ctrl-C to the process that takes the frames, and the other core to it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    cv2.setNumThreads(1)
+    return worker_processes(1)
 
 
 def _loaded() -> None:

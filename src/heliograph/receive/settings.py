@@ -141,7 +141,7 @@ class DecodeSettings:
     beside
         Whether packets are decoded in a process of their own, while the next frames are searched and followed on
         another core. The packets are the same; a receiver hands each out with the first frame after it is decoded. If
-        it is left out, the command ``receive`` does so where there are two cores, and nothing else does.
+        it is left out, the command ``receive`` does so for live cameras and long films, and nothing else does.
     """
 
     algorithm: Literal["max-log", "log-map"] | None = None

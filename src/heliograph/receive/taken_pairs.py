@@ -69,7 +69,7 @@ class Light:
     Attributes
     ----------
     gain
-        Of a difference.
+        That of a difference of a pair.
     full_scale
         Largest that the sensor can show.
     sum_gain

@@ -5,28 +5,19 @@ and sets its thread limits before NumPy is there.
 """
 
 import contextlib
-import multiprocessing
 import os
 import re
-import signal
-import sys
-import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.registry import Part, register_again, registered
+from heliograph.base.workers import limit_threads, worker_environment, worker_processes
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
-
-_LIBRARIES = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM", "NUMEXPR_NUM")
-"""Not Numba: once its threads run, it fails where its variable of the environment has changed."""
-
-THREAD_LIMITS = {f"{name}_THREADS": "1" for name in _LIBRARIES}
-"""Environment of a worker: a core each, and no threads of libraries beside it."""
 
 CONNECT_S = 10.0
 """How long to wait for a scheduler."""
@@ -211,7 +202,7 @@ class Pool:
             The job's only argument; it can be pickled.
         """
         try:
-            with _worker_environment():
+            with worker_environment():
                 return self._executor.submit(job, work)
         except BrokenProcessPool as error:
             future: Future[Result] = Future()
@@ -233,8 +224,7 @@ class Pool:
             process.join()
 
     def _start(self) -> Executor:
-        context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self.slots, mp_context=context, initializer=begin_worker, initargs=(registered(),))
+        return worker_processes(self.slots)
 
 
 class Cluster:
@@ -303,58 +293,8 @@ class Cluster:
         self._client.close()  # type: ignore[no-untyped-call]  # dask has no types
 
 
-@contextlib.contextmanager
-def _worker_environment() -> Iterator[None]:
-    """What a process started within inherits: thread limits, and that Ctrl-C waits until it can leave it alone."""
-    before = {name: os.environ.get(name) for name in THREAD_LIMITS}
-    os.environ.update(THREAD_LIMITS)
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
-    try:
-        yield
-    finally:
-        if mask is not None:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def begin_worker(parts: tuple[Part, ...] = ()) -> None:
-    """Begin a worker process: leave Ctrl-C to the parent, end with it however it ends, and know its own parts.
-
-    Parameters
-    ----------
-    parts
-        Parts that the parent registered, as of `heliograph.base.registry.registered`.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    limit_threads()
-    register_again(parts)
-
-
-def limit_threads() -> None:
-    """One thread for this process: by its environment where NumPy is not imported yet, by calls for the rest."""
-    if "numpy" not in sys.modules:
-        os.environ.update(THREAD_LIMITS)
-    import cv2
-    import numba
-
-    cv2.setNumThreads(1)
-    numba.set_num_threads(1)
-
-
 def _limited(parts: tuple[Part, ...], job: Callable[[Work], Result], work: Work) -> Result:
     """Do a job in a worker that others set up."""
     limit_threads()
     register_again(parts)
     return job(work)
-
-
-def _end_with(parent: Any) -> None:
-    parent.join()
-    os._exit(1)

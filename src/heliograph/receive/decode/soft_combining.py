@@ -238,6 +238,11 @@ class SharedBuffer:
     """Hands a buffer on from reader to reader of an array, also to those of the array lost and found again.
 
     Another process that it is handed to has a content of its own, which stays there from packet to packet.
+
+    Parameters
+    ----------
+    name
+        What tells it from others in another process; None for a new name.
     """
 
     def __init__(self, name: str | None = None) -> None:

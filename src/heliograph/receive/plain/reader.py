@@ -189,7 +189,7 @@ class TakenLuminances:
             sums=renumbered(self.sums, place, pairs),
         )
 
-    def decode(self, _observe: Observer, /) -> Decoded:
+    def decode(self, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
         """Codewords by layer; see `TakenPacket`."""
         luminances, seen = self.luminances.copy(), self.seen.copy()
         for place, lone in self.lone.items():
