@@ -1,11 +1,12 @@
 """Whole frames of the paper's drive, 80 m to 25 m, from memory: `python -m benchmarks.drive FILM [--seconds 6.6]`.
 
-FILM is simulated where it does not exist: `heliograph simulate FILM --preset paper --seed 3`. Its frames take 3.5 GB.
+FILM is simulated where it does not exist; the frames of the whole drive take 3.5 GB. Another link is given by
+`--preset` and `--set`, another rate at which frames come by `--rate`.
 
 First each receiver reads the drive on one core, everything included but the loading of machine code: medians of three
 runs of processor time a frame, beside an inverse of 256 x 256 float32 and a Gaussian blur of the frame in the same run.
-Then the frames come at the camera's rate, and packets are decoded beside following: a packet's delay is from the time
-at which its last frame came to its bytes, and a frame waits where the receiver is not done with those before it.
+Then the frames come at a camera's rate, and packets are decoded beside following or not. A packet's delay is from the
+time at which its last frame came to its bytes; a frame waits where the receiver is not done with those before it.
 """
 
 import argparse
@@ -35,9 +36,8 @@ WARM_FRAMES = 330
 """Frames read before time is taken: three packets, so that all machine code is loaded."""
 
 
-def film(path: Path, seconds: float) -> list[Frame]:
+def film(path: Path, settings: LinkSettings, seconds: float) -> list[Frame]:
     """The drive's frames, those of the first seconds."""
-    settings = load_settings("paper")
     if not path.exists():
         camera = settings.channel.camera
         with create_film(
@@ -49,10 +49,9 @@ def film(path: Path, seconds: float) -> list[Frame]:
         return [frame for frame in source if frame.time_s < seconds]
 
 
-def link(receiver: str, beside: bool) -> LinkSettings:
-    settings = load_settings("paper", None, [f"receive.receiver={receiver}"])
+def link(settings: LinkSettings, receiver: str, beside: bool) -> LinkSettings:
     decode = replace(settings.receive.decode, beside=beside)
-    return replace(settings, receive=replace(settings.receive, decode=decode))
+    return replace(settings, receive=replace(settings.receive, receiver=receiver, decode=decode))
 
 
 def read(settings: LinkSettings, frames: Sequence[Frame]) -> list[Packet]:
@@ -76,11 +75,11 @@ def right(packets: Sequence[Packet]) -> str:
     return ", ".join(f"{name} {counts[name]}" for name in ("high", "middle", "low"))
 
 
-def on_one_core(frames: Sequence[Frame]) -> None:
+def on_one_core(frames: Sequence[Frame], base: LinkSettings) -> None:
     matrix = np.random.default_rng(0).standard_normal((256, 512)).astype(np.float32)
     gram, image = matrix @ matrix.T, frames[0].pixels
     for receiver in ("soft", "plain"):
-        settings, times, yard = link(receiver, False), [], []
+        settings, times, yard = link(base, receiver, False), [], []
         read(settings, frames[:WARM_FRAMES])
         packets: list[Packet] = []
         for _ in range(RUNS):
@@ -97,14 +96,17 @@ def on_one_core(frames: Sequence[Frame]) -> None:
         )
 
 
-def at_the_cameras_rate(frames: Sequence[Frame], receiver: str, beside: bool) -> None:
-    settings = link(receiver, beside)
+def as_they_come(frames: Sequence[Frame], settings: LinkSettings, rate_hz: float) -> None:
+    receiver, processes = (
+        settings.receive.receiver,
+        "two processes" if settings.receive.decode.beside else "one process",
+    )
     read(settings, frames[:WARM_FRAMES])
     one, delays, waits = make_receiver(settings.signal, settings.receive), list[float](), list[float]()
     gc.collect()
     gc.freeze()
     start, first = time.perf_counter() + 0.01, frames[0]
-    due = [start + frame.time_s - first.time_s for frame in frames]
+    due = [start + (frame.index - first.index) / rate_hz for frame in frames]
     for frame, at in zip(frames, due, strict=True):
         late = time.perf_counter() - at
         if late < 0:
@@ -116,7 +118,7 @@ def at_the_cameras_rate(frames: Sequence[Frame], receiver: str, beside: bool) ->
         delays.append(time.perf_counter() - due[packet.last_frame - first.index])
     wait, delay = np.array(waits) * 1e3, np.array(delays) * 1e3
     print(
-        f"{receiver:6} at the camera's rate, {'two threads' if beside else 'one thread'}: delay in ms of {len(delay)} "
+        f"{receiver:6} at {rate_hz:g} frames/s, {processes}: delay in ms of {len(delay)} "
         f"packets {np.median(delay):.0f} in the middle, 90 % {np.quantile(delay, 0.9):.0f}, most {delay.max():.0f}; "
         f"frames waiting: 99 % {np.quantile(wait, 0.99):.0f}, most {wait.max():.0f}"
     )
@@ -126,14 +128,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("film", type=Path)
     parser.add_argument("--seconds", type=float, default=6.6)
+    parser.add_argument("--preset", default="paper")
+    parser.add_argument("--set", action="append", dest="changes", metavar="KEY=VALUE")
+    parser.add_argument("--rate", type=float, default=1000.0, help="frames a second")
     asked = parser.parse_args()
     limit_threads()
     cv2.setNumThreads(1)
-    frames = film(asked.film, asked.seconds)
-    on_one_core(frames)
+    settings = load_settings(asked.preset, None, asked.changes)
+    frames = film(asked.film, settings, asked.seconds)
+    on_one_core(frames, settings)
     for receiver in ("soft", "plain"):
         for beside in (True, False):
-            at_the_cameras_rate(frames, receiver, beside)
+            as_they_come(frames, link(settings, receiver, beside), asked.rate)
 
 
 if __name__ == "__main__":

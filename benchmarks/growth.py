@@ -75,7 +75,7 @@ def sizes() -> list[Case]:
 def arrays() -> list[Case]:
     """More and more arrays side by side; with none the array is dark."""
     cases = []
-    for count in (0, 1, 2, 4, 8, 16):
+    for count in (0, 1, 2, 4, 6, 8, 16):
         places = [f"{{x_m={APART_M * (k - (count - 1) / 2):.2f}, y_m=0}}" for k in range(count)]
         identities = ",".join(map(str, range(count)))
         lit = (f"transmit.identities=[{identities}]", f"channel.arrays=[{','.join(places)}]")
