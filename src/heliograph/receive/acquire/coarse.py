@@ -235,19 +235,15 @@ def busy_blocks(
     -------
     (blocks down, blocks across).
     """
-    left, least = means.copy(), PART_LIT * min_contrast * frame.full_scale
-    for pose in taken:
-        _blank(left, pose, side, frame.origin)
+    from heliograph.receive.acquire import kernels
+
+    left, least = np.empty_like(means), PART_LIT * min_contrast * frame.full_scale
+    spans = np.array([_spans(pose, side, frame.origin) for pose in taken], np.int64).reshape(-1, 4)
+    # mostly nothing is busy, and then no median is needed
+    middle = kernels.middle_of_busy(means, spans, BLANK, BUSY, least, left)
     if everywhere:
         return np.asarray(left != BLANK)
-    most = float(left.max(initial=0.0))
-    if most <= least:
-        return np.zeros(means.shape, bool)
-    # those blanked come first, and the median is that of the others
-    blanked = np.count_nonzero(left == BLANK) if taken else 0
-    middle = blanked + (left.size - blanked) // 2
-    # mostly nothing is busy, and then no median is needed: half of the blocks have more than most / BUSY
-    if np.count_nonzero(left < most / BUSY) <= middle:
+    if middle < 0:
         return np.zeros(means.shape, bool)
     # a large array lights all of the frame through the windscreen: its own blocks say nothing of that
     median = float(np.partition(left, middle, axis=None)[middle])
@@ -350,10 +346,9 @@ def _span(busy: NDArray[np.bool_], reach: int) -> tuple[int, int]:
     return max(int(places[0]) - reach, 0), min(int(places[-1]) + 1 + reach, busy.size)
 
 
-def _blank(left: NDArray[np.float32], pose: Pose, side: int, origin: tuple[int, int]) -> None:
-    """Set the means of an array that is followed to `BLANK`."""
+def _spans(pose: Pose, side: int, origin: tuple[int, int]) -> tuple[int, int, int, int]:
+    """First row and column of the blocks of an array that is followed, and those after its last."""
     x0, y0, width, height = window_around(pose, side, BLOCK_PX)
     top, first = y0 - origin[1], x0 - origin[0]
-    rows = slice(max(0, top // BLOCK_PX), max(0, (top + height) // BLOCK_PX + 1))
-    columns = slice(max(0, first // BLOCK_PX), max(0, (first + width) // BLOCK_PX + 1))
-    left[rows, columns] = BLANK
+    ends = (top + height) // BLOCK_PX + 1, (first + width) // BLOCK_PX + 1
+    return max(0, top // BLOCK_PX), max(0, first // BLOCK_PX), max(0, ends[0]), max(0, ends[1])

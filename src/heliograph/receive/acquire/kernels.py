@@ -99,6 +99,53 @@ def integer_means(f0, f1, f2, f3, weights, scale, out):
 
 
 @compiled()
+def middle_of_busy(means, spans, blank, busy, least, left):
+    """Blank the blocks of arrays that are followed, and tell whether the others may be busy.
+
+    Parameters
+    ----------
+    means
+        (blocks down, blocks across) float32 mean changes, at least 0.
+    spans
+        (arrays, 4) int64: first row and column of each array's blocks, and those after its last, at least 0.
+    blank
+        What stands for a blanked block, below 0.
+    busy
+        Busy is what has more than so many times the median.
+    least
+        Least change of a busy block.
+    left
+        (blocks down, blocks across) float32, overwritten: the means, those of the arrays blanked.
+
+    Returns
+    -------
+    Number of the block, sorted by its change, that has the median of those not blanked; -1 where none can be busy.
+    """
+    rows, columns = means.shape
+    for i in range(rows):
+        for j in range(columns):
+            left[i, j] = means[i, j]
+    for k in range(spans.shape[0]):
+        for i in range(spans[k, 0], min(spans[k, 2], rows)):
+            for j in range(spans[k, 1], min(spans[k, 3], columns)):
+                left[i, j] = blank
+    most, blanked = np.float32(0.0), 0
+    for i in range(rows):
+        for j in range(columns):
+            most = max(most, left[i, j])
+            blanked += left[i, j] == blank
+    # those blanked come first
+    middle, below = blanked + (rows * columns - blanked) // 2, 0
+    if most <= least:
+        return -1
+    for i in range(rows):
+        for j in range(columns):
+            below += left[i, j] < most / np.float32(busy)
+    # half of the blocks have more than most / busy, so none has more than busy times the median
+    return middle if below > middle else -1
+
+
+@compiled()
 def _corner(integral, y, x):
     """Integral image between its grid points."""
     i, j = int(y), int(x)
