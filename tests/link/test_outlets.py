@@ -14,6 +14,7 @@ from heliograph.link.outlets import MOST_DATAGRAM, open_outlet
 pytest.importorskip("websockets")
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
+from websockets.sync.server import ServerConnection
 from websockets.typing import Origin
 
 ROW = {"event": "lost", "id": 3, "time_s": 1.5}
@@ -69,6 +70,24 @@ def test_all_clients_get_all_rows_and_the_last_ones() -> None:
                 client.recv(5)
     with pytest.raises(OSError, match="refused"):
         connect(outlet.address)
+
+
+def test_what_waits_is_sent_before_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    send = ServerConnection.send
+
+    def slow(self: ServerConnection, text: str) -> None:
+        time.sleep(0.02)
+        send(self, text)
+
+    monkeypatch.setattr(ServerConnection, "send", slow)
+    outlet = open_outlet("ws://127.0.0.1:0")
+    assert isinstance(outlet, outlets.WebSocket)
+    with connect(outlet.address) as client:
+        _attended(outlet, 1)
+        for number in range(20):
+            outlet.send({**ROW, "id": number})
+        outlet.close()
+        assert [json.loads(client.recv(5))["id"] for _ in range(20)] == list(range(20))
 
 
 def test_a_slow_client_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:

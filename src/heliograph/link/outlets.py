@@ -141,6 +141,7 @@ class WebSocket:
 
         self._waiting: dict[ServerConnection, queue.Queue[str | None]] = {}
         self._lock = threading.Lock()
+        self._all_gone = threading.Condition(self._lock)
         self._server: Server = serve(self._attend, host, port, compression=None, origins=[None, OWN_PAGES])
         port = self._server.socket.getsockname()[1]
         self.address = f"ws://{f'[{host}]' if ':' in host else host}:{port}"
@@ -167,6 +168,8 @@ class WebSocket:
         for waiting in attended:
             with contextlib.suppress(queue.Full):
                 waiting.put(None, timeout=LAST_WORDS_S)
+        with self._lock:  # shutting down would cut off what is still being sent
+            self._all_gone.wait_for(lambda: not self._waiting, LAST_WORDS_S)
         ended = threading.Thread(target=self._server.shutdown, daemon=True)
         ended.start()
         ended.join(LAST_WORDS_S)
@@ -184,6 +187,7 @@ class WebSocket:
                 client.send(text)
         with self._lock:
             self._waiting.pop(client, None)
+            self._all_gone.notify_all()
 
 
 def _web_socket(parts: SplitResult, port: int) -> WebSocket:
