@@ -114,13 +114,31 @@ def test_it_ends_after_its_duration(call: Call, film: Path) -> None:
     assert 1 <= report["frames"] <= 210
 
 
-def test_where_no_array_is_seen_it_says_what_tells_why(call: Call, tmp_path: Path) -> None:
-    with create_film(tmp_path / "dark.h5", width=64, height=48, rate_hz=1000) as made:
+@pytest.fixture
+def dark(tmp_path: Path) -> Path:
+    """A film without an array, in a folder of its own."""
+    path = tmp_path / "films" / "dark.h5"
+    path.parent.mkdir()
+    with create_film(path, width=64, height=48, rate_hz=1000) as made:
         for number in range(120):
             made.write(Frame(number, number / 1000, np.full((48, 64), 20 + number % 2, np.uint8)))
-    run = received(call, tmp_path / "dark.h5")
+    return path
+
+
+def test_where_no_array_is_seen_it_says_what_tells_why(call: Call, dark: Path) -> None:
+    run = received(call, dark)
     assert run.returncode == 3
-    assert f"'heliograph probe camera:played:{tmp_path / 'dark.h5'}' tells what the camera shows" in run.stdout
+    assert f"'heliograph probe camera:played:{dark}' tells what the camera shows" in run.stdout
+
+
+def test_the_last_seconds_are_kept_where_no_array_is_ever_found(call: Call, dark: Path) -> None:
+    run = received(call, dark, "--record", "kept.h5", "--record-s", "0.1005")
+    assert run.returncode == 3
+    with open_film("kept.h5") as kept:
+        assert [frame.index for frame in kept] == list(range(19, 120))
+    assert run.stdout.endswith("the last 101 frames are kept in kept.h5\n")
+    assert "'heliograph probe kept.h5' tells what the camera shows" in run.stdout
+    assert call("probe", "kept.h5").returncode == 3
 
 
 def test_nothing_is_recorded_where_all_was_read(call: Call, film: Path, tmp_path: Path) -> None:

@@ -166,7 +166,8 @@ def receive(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="HDF5 film of the last seconds of a live camera in which an array was lost or a packet not read.",
+            help="HDF5 film of the last seconds of a live camera in which an array was lost or a packet not read, "
+            "or of its end where nothing was read.",
             show_default=False,
         ),
     ] = None,

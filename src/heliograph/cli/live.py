@@ -64,7 +64,7 @@ class Watch:
     def __init__(self, source: "FilmReader", live: "LiveReader | None", recorder: "Recorder | None", aloud: bool):
         self.path, self.frame_count = source.path, source.frame_count
         self._source, self._live, self._recorder, self._aloud = source, live, recorder, aloud
-        self._read = self._found = False
+        self._read = False
 
     @property
     def is_live(self) -> bool:
@@ -84,10 +84,9 @@ class Watch:
             raise MediaError(f"{self.path} gave no frame: see that its trigger is off or has pulses, and its exposure")
 
     def observe(self, event: Any) -> None:
-        """Take note of arrays that are found or lost."""
-        from heliograph.receive.events import DetectEvent, LostEvent
+        """Take note of arrays that are lost."""
+        from heliograph.receive.events import LostEvent
 
-        self._found |= isinstance(event, DetectEvent)
         if isinstance(event, LostEvent):
             self._failed()
 
@@ -105,11 +104,16 @@ class Watch:
                 f"{_shown(message.data)}"
             )
 
+    @property
+    def recorded(self) -> Path | None:
+        """The film of what failed; None where there is none."""
+        return self._recorder.path if self._recorder is not None and self._recorder.written else None
+
     def finish(self) -> dict[str, Any]:
         """Write what is to be recorded; return what became of a camera's frames, empty of a recording."""
         if self._live is None:
             return {}
-        if self._found and not self._read:
+        if not self._read:
             self._failed()
         if self._recorder is not None:
             self._recorder.close()
@@ -124,7 +128,9 @@ class Watch:
         if counts is not None:
             console.say(_counted(counts))
         if self._recorder is not None and self._recorder.written:
-            console.say(f"what failed is in the last {self._recorder.written} frames of {self._recorder.path}")
+            kept = f"the last {self._recorder.written} frames"
+            path = self._recorder.path
+            console.say(f"what failed is in {kept} of {path}" if self._read else f"{kept} are kept in {path}")
 
     def _failed(self) -> None:
         if self._recorder is not None:

@@ -99,7 +99,8 @@ def run_receive(
         _show(report, reception, folder)
         _show_why(why, film)
         if watch.is_live and not found_array(report):
-            console.say_prose(f"'heliograph probe {film}' tells what the camera shows, and why no array is read")
+            seen_by = watch.recorded or film
+            console.say_prose(f"'heliograph probe {seen_by}' tells what the camera shows, and why no array is read")
         watch.show()
         if not watch.is_live:
             _show_reading(source, report)
