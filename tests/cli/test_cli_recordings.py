@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runs import Run, called, failed, heliograph, lasting, succeeded
-from made_recordings import write_kinds
+from made_recordings import write_kinds, write_mraw
 
 from heliograph.media import open_film
 
@@ -67,6 +67,20 @@ def test_the_same_words_are_read_of_each_kind(
     assert [packet["status"] for packet in packets] == [packet["status"] for packet in known]
     if kind != "cine":  # the camera's stamps are rounded to 1 ns
         assert packets == known
+
+
+def test_a_camera_that_saved_each_tenth_frame_is_read_at_the_rate_of_those(
+    shots: Path, tmp_path: Path, call: Call
+) -> None:
+    with open_film(shots / "a.h5") as film:
+        levels = np.stack([frame.pixels for frame in film])
+    known, messages = read(call, shots / "a.h5", tmp_path / "known")
+    right = write_mraw(tmp_path / "right.mraw", levels, 8, 8, rate=10_000, step=10)
+    assert read(call, right, tmp_path / "got") == (known, messages)
+    # a header of half that rate: what probe advises is what reads it
+    wrong = write_mraw(tmp_path / "wrong.mraw", levels, 8, 8, rate=5000, step=10)
+    assert "--fps 1000\n" in call("probe", wrong, "--preset", "static").stdout
+    assert read(call, wrong, tmp_path / "again", "--fps", "1000") == (known, messages)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -49,10 +49,15 @@ def test_an_odd_number_of_packed_levels(tmp_path: Path) -> None:
         assert np.array_equal(next(iter(film)).pixels, levels[0])
 
 
-def test_frames_that_were_not_saved_are_gaps(tmp_path: Path) -> None:
-    with open_film(write_mraw(tmp_path / "a.mraw", noise(3, 4, 4, 8), 8, 8, step=10)) as film:
+def test_the_rate_is_that_of_the_frames_that_were_saved(tmp_path: Path) -> None:
+    made = write_mraw(tmp_path / "a.mraw", noise(3, 4, 4, 8), 8, 8, rate=10_000.0, step=10)
+    with open_film(made) as film:
         assert film.rate_hz == 1000
-        assert [(frame.index, frame.time_s) for frame in film] == [(0, 0.0), (10, 0.01), (20, 0.02)]
+        assert [(frame.index, frame.time_s) for frame in film] == [(0, 0.0), (1, 0.001), (2, 0.002)]
+        assert (film.metadata["rate"], film.metadata["step"]) == ("10000", "10")
+    # what is said is of the frames in the file, too
+    with open_film(made, rate_hz=500) as film:
+        assert [(frame.index, frame.time_s) for frame in film] == [(0, 0.0), (1, 0.002), (2, 0.004)]
 
 
 def test_the_rate_that_is_said_wins_over_the_header(tmp_path: Path) -> None:
@@ -165,8 +170,8 @@ def test_capital_suffixes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "size", "bits", "rate", "indices"), [
     ("ball_12bit.mraw", (384, 384), 12, 30_000, range(15)),
     ("ball_12bit.cihx", (384, 384), 12, 30_000, range(15)),
-    ("beam.mraw", (1024, 80), 12, 50_000, range(0, 10_000, 2500)),
-    ("data_showcase.cih", (640, 40), 8, 15_000, range(0, 7500, 100)),
+    ("beam.mraw", (1024, 80), 12, 20, range(4)),
+    ("data_showcase.cih", (640, 40), 8, 150, range(75)),
 ])  # fmt: skip
 def test_recordings_of_real_cameras(
     data: Path, name: str, size: tuple[int, int], bits: int, rate: float, indices: range

@@ -63,7 +63,7 @@ def open_film(
     recording                                what is named                rate and times
     ======================================== ============================ =================================
     HDF5 of `create_film`                    .h5, .hdf5                   the file's
-    Photron                                  .mraw, .cih or .cihx         record rate of the header
+    Photron                                  .mraw, .cih or .cihx         header: record rate over step
     Phantom                                  .cine                        the camera's rate and stamps
     TIFF, a page for each frame              .tif, .tiff                  ``rate_hz``
     PNG, TIFF or JPEG for each frame         folder, or ``img%04d.png``   ``rate_hz``

@@ -53,7 +53,7 @@ _PLACES = {
 }
 """Where a header has each value: the name of its line in .cih, in small letters, and its path in .cihx."""
 
-_NOTES = ("camera", "date", "time", "shutter", "comment", "step")
+_NOTES = ("camera", "date", "time", "shutter", "comment", "rate", "step")
 """Values that become metadata of the film."""
 
 
@@ -92,6 +92,11 @@ class PhotronHeader:
     notes: Mapping[str, str]
 
     @property
+    def saved_hz(self) -> float:
+        """Frames per second that are in the file; 0 where the header does not say."""
+        return self.record_hz / self.step
+
+    @property
     def frame_bytes(self) -> int:
         """Bytes of a frame in the file."""
         pixels = self.width * self.height
@@ -101,8 +106,8 @@ class PhotronHeader:
 class PhotronReader(NumberedReader):
     """A Photron recording; see `FilmReader`.
 
-    The frame of number k is taken at ``k / record rate``. Where only each so many-th frame was saved, the numbers of
-    the others are left out, as those of lost frames are.
+    Its rate is that of the frames that were saved: the record rate over the save step. To the light a camera that takes
+    10,000 frames a second and keeps each tenth is one of 1000; what it did not keep is not lost.
 
     Parameters
     ----------
@@ -122,7 +127,7 @@ class PhotronReader(NumberedReader):
         super().__init__(frames, reading.rate_hz)
         self._header = read_header(header)
         self.width, self.height, self.bits = self._header.width, self._header.height, self._header.bits
-        self.claimed_hz = camera_rate(header, reading.rate_hz, self._header.record_hz)
+        self.claimed_hz = camera_rate(header, reading.rate_hz, self._header.saved_hz)
         self.frame_count = expected_frames(frames, self._header.frames, self._header.frame_bytes)
         self.metadata = dict(self._header.notes)
         _check_length(frames, header, self._header)
@@ -131,7 +136,7 @@ class PhotronReader(NumberedReader):
         head = self._header
         places = (count * head.frame_bytes for count in range(head.frames))
         for count, data in enumerate(blocks(self.path, places, head.frame_bytes)):
-            yield count * head.step, _levels(data, head)
+            yield count, _levels(data, head)
 
 
 def read_header(path: Path) -> PhotronHeader:
