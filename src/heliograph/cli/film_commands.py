@@ -254,6 +254,8 @@ def probe(
     binning: Bin = 1,
     rotate: Rotate = 0,
     channel: Channel = "luma",
+    corners: Corners = None,
+    region: Region = None,
     camera: CameraOption = None,
     preset: options.Preset = "paper",
     settings: options.SettingsFile = None,
@@ -268,6 +270,7 @@ def probe(
 
     seen = options.FilmOptions(fps, crop, binning, rotate, channel)
     changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
+    changes += options.place_changes(corners, region)
     run_probe(film, seen, camera, frames, output, preset, settings, changes, as_json)
 
 

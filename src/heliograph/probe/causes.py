@@ -15,7 +15,8 @@ from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
 
 Kind = Literal[
     "array", "other rate", "other side", "other packets", "too small", "too large", "too dim", "saturated",
-    "out of focus", "moving", "cut", "hidden", "out of step", "search", "lamp", "no header", "unread", "moves",
+    "out of focus", "moving", "cut", "hidden", "out of step", "search", "elsewhere",
+    "turned", "lamp", "no header", "unread", "moves",
     "slow camera", "lost frames", "repeated frames", "overexposed", "dark", "other bits", "short", "still",
 ]  # fmt: skip
 """What is the matter, in a word or two; "array" where nothing is."""

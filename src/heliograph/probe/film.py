@@ -22,7 +22,8 @@ from heliograph.probe.noise import NoiseFound, NoiseWatch
 from heliograph.probe.reading import Asked
 from heliograph.probe.region_causes import region_causes
 from heliograph.probe.regions import Region, regions_of
-from heliograph.probe.trials import what_reads
+from heliograph.probe.trials import other_packets, what_reads
+from heliograph.probe.turned import what_reads_turned
 from heliograph.receive import Packet, ReceiveSettings, make_receiver
 from heliograph.receive.events import DetectEvent
 from heliograph.receive.image.window import Window
@@ -274,6 +275,9 @@ def _looked_into(
     if header is not None:
         whole = not region.at_border and region.saturated < 0.5 and region.speed_px < 1
         found = what_reads(frames, asked, rate, header, _noise_of(region, noise, quiet, header.fit.gain), whole)
+    if found is None and rate is not None and not region.at_border and region.speed_px < 1:
+        form = other_packets(header, asked.signal, rate.frames) if header is not None else {}
+        found = what_reads_turned(frames, asked, rate, (region.x, region.y), form)
     lamp = lamp_period(region.brightness)
     return RegionSeen(region, rate, lamp, part, header, found, None)
 

@@ -8,6 +8,7 @@ from heliograph.probe.causes import Cause, RegionSeen
 from heliograph.probe.light import LightRate
 from heliograph.probe.reading import SLACK, Asked
 from heliograph.probe.trials import BLURRED, BLURRED_PX, SURE_HEADER, Found, options
+from heliograph.probe.turned import LEAST_TURN_DEG
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
 
@@ -60,8 +61,7 @@ def _proven(seen: RegionSeen, found: Found, asked: Asked, full_scale: int) -> Se
     """Causes by the settings with which it is read."""
     signal, receive = found.changes.get("signal", {}), found.changes.get("receive", {})
     detect, out = receive.get("detect", {}), list[Cause]()
-    header, all_options = seen.header, " ".join(options(found.changes))
-    assert header is not None  # nothing is tried without one
+    all_options = " ".join(options(found.changes))
     with_all = f"read once {all_options} is given" if all_options else "read then"
     if found.retimed and seen.rate is not None:
         out.append(_other_rate(seen.rate, asked, proven=True))
@@ -74,6 +74,10 @@ def _proven(seen: RegionSeen, found: Found, asked: Asked, full_scale: int) -> Se
         pairs = f"{signal['header_pairs']} pairs of header and {signal['data_pairs']} of data"
         say = f"--set signal.header_pairs={signal['header_pairs']} --set signal.data_pairs={signal['data_pairs']}"
         out.append(Cause("other packets", f"packets have {pairs}, not {mine}", (f"say so: {say}",), True))
+    if detect.get("corners"):
+        out.append(_turned(detect["corners"], found, asked))
+    elif "region" in detect:
+        out.append(_elsewhere(detect["region"], asked))
     if "min_side_px" in detect:
         out.append(_too_small(seen, asked, found))
     if "max_side_px" in detect:
@@ -255,6 +259,27 @@ def _out_of_focus(seen: RegionSeen, blur_px: float | None) -> Cause:
     if blur_px is not None:
         advice.append(f"or begin with that blur: --set receive.calibration.blur_px={blur_px:g}")
     return Cause("out of focus", why, tuple(advice), blur_px is not None)
+
+
+def _turned(corners: Sequence[float], found: Found, asked: Asked) -> Cause:
+    """That an array is turned or seen from a side, beyond what is looked for without its corners."""
+    turn = np.degrees(np.mean([one.fit.pose.roll for one in found.reading.detections] or [0.0]))
+    how = f"it is turned by {abs(turn):.0f} degrees" if abs(turn) >= LEAST_TURN_DEG else "it is seen from a side"
+    say = ",".join(f"{n:g}" for n in corners) + (", without --region" if asked.settings.detect.region else "")
+    return Cause(
+        "turned", f"{how}, and arrays are looked for upright or in quarter turns unless their corners are given",
+        (f"say where its corners are: --corners {say}", "or turn the camera, or the array, until it is upright"), True,
+    )  # fmt: skip
+
+
+def _elsewhere(region: Sequence[int], asked: Asked) -> Cause:
+    """That an array lies beside the place that was given."""
+    detect = asked.settings.detect
+    given, name = (detect.region, "region") if detect.region else (detect.corners, "corners")
+    return Cause(
+        "elsewhere", f"it is not where it was to be looked for, --{name} {','.join(f'{n:g}' for n in given)}",
+        (f"leave out --{name}, or say where it is: --region {','.join(map(str, region))}",), True,
+    )  # fmt: skip
 
 
 def _soft_alone(seen: RegionSeen, found: Found, asked: Asked) -> Cause:

@@ -115,10 +115,11 @@ def what_reads(
     sharp = pose.blur <= max(BLURRED * pose.pitch, BLURRED_PX)
     sides = [one for one in SIDES if one != asked.signal.side and size / one > LEAST_PITCH_PX]
     sides = sides if whole and sure and sharp else []
-    for side in (asked.signal.side, *sides):
+    for place, side in itertools.product(_places(frames, asked.settings), (asked.signal.side, *sides)):
         changed = form if side == asked.signal.side else {**form, "side": side}
-        for receiver in _receivers(asked.settings, frames_a_pattern):
+        for receiver in receivers_tried(asked.settings, frames_a_pattern):
             changes = {"signal": changed, "receive": needed(asked.settings, receiver, header, size, full)}
+            changes = merge(changes, {"receive": {"detect": place}} if place else {})
             tried = asked.changed(merge(changes, {"receive": {"detect": narrowed(size)}}))
             if _hopeless(header, receiver, noise, tried.signal):
                 continue
@@ -127,6 +128,14 @@ def what_reads(
                 good = [one for one in reading.packets if one.status in READ]
                 return Found(reading, changes, other, clock_of(good, some, tried.signal))
     return None
+
+
+def _places(frames: Sequence[Frame], asked: ReceiveSettings) -> list[dict[str, Any]]:
+    """Where an array is looked for, as settings: where it was asked for; then, if a place was, where the region is."""
+    if not (asked.detect.corners or asked.detect.region):
+        return [{}]
+    rows, columns = frames[0].pixels.shape
+    return [{}, {"corners": (), "region": (*frames[0].origin, columns, rows)}]
 
 
 def retimed(frames: Sequence[Frame], rate: LightRate, signal: SignalSettings) -> list[Frame]:
@@ -243,8 +252,16 @@ def needed(
     return out
 
 
-def _receivers(asked: ReceiveSettings, frames_a_pattern: float) -> list[str]:
-    """Receivers that are tried: the plain one reads one frame a pattern alone."""
+def receivers_tried(asked: ReceiveSettings, frames_a_pattern: float) -> list[str]:
+    """Receivers that are tried: the plain one reads one frame a pattern alone.
+
+    Parameters
+    ----------
+    asked
+        Settings that were asked for.
+    frames_a_pattern
+        Frames that a pattern lasts.
+    """
     stepped = abs(frames_a_pattern - 1) < STEP_TOLERANCE and asked.receiver != "soft"
     return ["plain", "soft"] if stepped else ["soft"]
 
@@ -260,7 +277,15 @@ def options(changes: Mapping[str, Any]) -> tuple[str, ...]:
     receive = dict(changes.get("receive", {}))
     receiver = receive.pop("receiver", None)
     flat = [*_flat("signal", changes.get("signal", {})), *_flat("receive", receive)]
-    return (*((f"--receiver {receiver}",) if receiver else ()), *(f"--set {key}={value:g}" for key, value in flat))
+    given = [f"--receiver {receiver}"] if receiver else []
+    return (*given, *filter(None, (_option(key, value) for key, value in flat)))
+
+
+def _option(key: str, value: Any) -> str:
+    """An option that sets a value; nothing for a place that is taken back."""
+    if not isinstance(value, tuple):
+        return f"--set {key}={value:g}"
+    return f"--{key.rpartition('.')[2]} {','.join(f'{n:g}' for n in value)}" if value else ""
 
 
 def _flat(name: str, tree: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
