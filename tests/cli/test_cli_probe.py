@@ -59,8 +59,7 @@ def test_a_film_that_is_not_read_is_told_why_and_what_to_change(films: Path, run
 
 
 def test_what_is_advised_helps(films: Path, run: Command) -> None:
-    out = told_nothing(run("probe", films / "mislabelled.h5"))
-    assert "--fps 1000" in out
+    assert "--fps 1000" in run("probe", films / "mislabelled.h5").stdout
     assert "array 0: upright" in succeeded(run("probe", films / "mislabelled.h5", "--fps", "1000"))
 
 
@@ -81,8 +80,9 @@ def test_receive_says_in_short_why_it_found_nothing(films: Path, run: Command, t
     assert json.loads(told_nothing(run("receive", films / "cut.h5", "--json")))["probe"]["advice"]
 
 
-def test_receive_says_more_of_a_film_that_its_receiver_refuses(films: Path, run: Command) -> None:
-    told = run("receive", films / "mislabelled.h5")
+@pytest.mark.parametrize("command", ["receive", "probe"])
+def test_a_film_that_its_receiver_refuses_is_told_more_and_is_an_error(films: Path, run: Command, command: str) -> None:
+    told = run(command, films / "mislabelled.h5")
     assert "the plain receiver needs one frame a pattern" in failed(told)
     assert "--fps 1000" in told.stdout
 

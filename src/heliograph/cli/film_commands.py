@@ -264,7 +264,8 @@ def probe(
 ) -> None:
     """Tell what a film shows: its frames, light and noise, what blinks, why that is or is no array, what to change.
 
-    The exit status is 0 where an array is read with the settings as they are, and 3 where none is.
+    The exit status is 0 where an array is read with the settings as they are, 3 where none is, and 1 where the film
+    breaks off, or the receiver refuses its rate.
     """
     from heliograph.cli.probe import run_probe
 

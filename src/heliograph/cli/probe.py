@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from heliograph.base.errors import HeliographError
 from heliograph.base.files import clear_write_errors
 from heliograph.cli import console, options
 
@@ -77,6 +78,8 @@ def run_probe(
         sys.exit(console.INTERRUPTED)
     if found.broken is not None:
         raise found.broken
+    if found.error:
+        raise HeliographError(found.error)
     sys.exit(0 if found.read else console.NO_ARRAY)
 
 
@@ -97,7 +100,7 @@ def why_unread(
 
     Of a long film some stretches are looked at, spread over it.
     """
-    from heliograph.base.errors import HeliographError, MediaError
+    from heliograph.base.errors import MediaError
     from heliograph.link.film import silent
     from heliograph.probe import probe_film
     from heliograph.probe.activity import MOST_FRAMES

@@ -136,6 +136,12 @@ def test_one_stamp_is_no_rate(late_s: float) -> None:
     assert timed(frames, clock) == frames
 
 
+def test_a_number_that_was_rounded_the_other_way_is_no_rate() -> None:
+    """Frames at 0.5, 1.5, 2.5 ms ... have the numbers 0, 2, 3 ... once 0.5 was rounded down."""
+    frames = stamped([(k + 0.5) * 1e-3 for k in range(20)], [0, *range(2, 21)])
+    assert timed(frames, SteppedClock(1e-3)) == frames
+
+
 def test_a_short_film_is_judged_at_its_end() -> None:
     clock = SteppedClock(1e-3)
     timed(stamped([0.0, 2e-3, 4e-3]), clock)

@@ -82,7 +82,7 @@ class SteppedClock:
     def __init__(self, pattern_period_s: float):
         self.period_s = pattern_period_s
         self._last: Frame | None = None
-        self._gaps: list[float] = []
+        self._gaps: list[tuple[float, int]] = []
 
     def push(self, frame: Frame) -> Iterator[Frame]:
         """Check and pass on the next frame; see `FrameClock`.
@@ -96,7 +96,7 @@ class SteppedClock:
             if _copied(self._last, frame):
                 return
             _check_order(self._last, frame, by_index=True)
-            self._gaps.append((frame.time_s - self._last.time_s) / (frame.index - self._last.index))
+            self._gaps.append((frame.time_s - self._last.time_s, frame.index - self._last.index))
             if len(self._gaps) == FIRST_FRAMES:
                 self._check_rate()
         self._last = frame
@@ -115,10 +115,12 @@ class SteppedClock:
 
     def _check_rate(self) -> None:
         """Compare the rate of the last frames with the light's; a late stamp or a missing frame says nothing of it."""
-        gaps, self._gaps = np.array(self._gaps), []
-        if not gaps.size:
+        taken, self._gaps = np.array(self._gaps), []
+        if not taken.size:
             return
-        steps = np.maximum(np.round(gaps / frame_period(gaps)), 1)
+        gaps, numbers = taken.T
+        # a number that was rounded up after one that was rounded down skips one: times alone count steps
+        steps = np.maximum(np.round(gaps / frame_period(gaps / numbers)), 1)
         period_s = float(gaps.sum() / steps.sum())
         if abs(period_s - self.period_s) > STEP_TOLERANCE * self.period_s:
             # the soft receiver, too, needs a frame a pattern
