@@ -119,6 +119,7 @@ def test_pages_of_other_machines_do_not_listen() -> None:
         ("tcp://127.0.0.1:5000", SettingsError, "udp://HOST:PORT or ws"),
         ("udp://127.0.0.1", SettingsError, "udp://HOST:PORT or ws"),
         ("udp://127.0.0.1:70000", SettingsError, "udp://HOST:PORT or ws"),
+        ("udp://127.0.0.1:0", SettingsError, "port 0, at which nobody listens"),
         ("nonsense", SettingsError, "udp://HOST:PORT or ws"),
         ("ws://0.0.0.0:5000", SettingsError, "this machine alone"),
         ("udp://no.such.host.invalid:5000", MediaError, "cannot send to udp://no.such"),

@@ -56,6 +56,7 @@ def test_rows_come_in_order_with_distance_speed_and_messages() -> None:
     assert messages["middle"]["text"] == "left lane closed"
     words = [sentence(row) for row in rows]
     assert "array 0 found 30" in words[0]
+    assert "px/s in the image, upright" in words[0]
     assert any("message 0 of the middle layer is whole, 16 bytes" in one for one in words)
     assert "nearing at" in sentence(packets[-1])
 
@@ -66,7 +67,11 @@ def test_an_array_that_goes_dark_is_lost() -> None:
     lost = [row for row in rows if row["event"] == "lost"]
     assert len(lost) == 1
     assert lost[0]["distance_m"] < 30
+    assert lost[0]["orientation"] == "upright"
+    assert lost[0]["approach_m_s"] is None
     assert "array 0 lost, last seen" in sentence(lost[0])
+    words = sentence({**lost[0], "approach_m_s": 8.34})
+    assert words.endswith(f"last seen {lost[0]['distance_m']:.1f} m away, nearing at 30 km/h, upright")
 
 
 def test_speed_is_a_slope() -> None:

@@ -81,6 +81,8 @@ def open_outlet(address: str) -> Outlet:
         port = None
     if parts.scheme not in ("udp", "ws") or not parts.hostname or port is None or parts.path not in ("", "/"):
         raise SettingsError(f"{shown(address)} is no address to send to: write {FORMS}")
+    if parts.scheme == "udp" and port == 0:
+        raise SettingsError(f"{shown(address)} names port 0, at which nobody listens: name a port from 1 to 65535")
     try:
         return Datagrams(parts.hostname, port) if parts.scheme == "udp" else _web_socket(parts, port)
     except OSError as error:

@@ -40,6 +40,7 @@ class Journal:
     def __init__(self, calibration: CalibrationSettings, tell: Callable[[Row], None]):
         self._calibration, self._tell = calibration, tell
         self._ways: dict[int, deque[tuple[float, float]]] = {}
+        self._orientations: dict[int, str] = {}
 
     def observe(self, event: object) -> None:
         """Take an event of the receiver; arrays found and lost are told.
@@ -50,11 +51,14 @@ class Journal:
             Any event of the receiver; those of its inner stages are passed over.
         """
         if isinstance(event, DetectEvent):
+            self._orientations[event.detection.identity] = str(event.detection.orientation)
             self._tell(self._found(event.detection, event.frames))
         elif isinstance(event, LostEvent):
             way = self._ways.pop(event.identity, None)
             last = {"distance_m": round(way[-1][1], 3)} if way else {}
-            self._tell({"event": "lost", "id": event.identity, "time_s": round(event.time_s, 6), **last})
+            row = {"event": "lost", "id": event.identity, "time_s": round(event.time_s, 6), **last}
+            seen_as = self._orientations.get(event.identity, "upright")
+            self._tell({**row, "orientation": seen_as, "approach_m_s": approach(way or ())})
 
     def read(self, packet: Packet, messages: Sequence[Message]) -> None:
         """Tell a packet, and the messages that it completes.
@@ -68,6 +72,7 @@ class Journal:
         """
         way = self._ways.setdefault(packet.identity, deque(maxlen=SPEED_PACKETS))
         way.append((packet.start_time_s, packet.distance_m))
+        self._orientations[packet.identity] = str(packet.orientation)
         self._tell({"event": "packet", **packet_row(packet), "approach_m_s": approach(way)})
         for message in messages:
             self._tell(message_row(message))
@@ -82,6 +87,7 @@ class Journal:
             "y": round(detection.fit.pose.y, 3),
             "distance_m": round(self._distance_m(detection.fit.pose), 3),
             "orientation": str(detection.orientation),
+            "drift_px_s": [round(speed, 1) for speed in detection.drift],
             "score": round(detection.score, 3),
         }
 
@@ -138,19 +144,25 @@ def sentence(row: Row) -> str:
         What happened, as a `Journal` tells it; the end of a film is no such row.
     """
     array = f"array {row['id']}"
-    if row["event"] == "found":
-        way = "" if row["orientation"] == "upright" else f", {row['orientation']}"
-        return f"{row['time_s']:.3f} s: {array} found {row['distance_m']:.1f} m away{way}"
-    if row["event"] == "lost":
-        last = f", last seen {row['distance_m']:.1f} m away" if "distance_m" in row else ", no packet of it was read"
-        return f"{row['time_s']:.3f} s: {array} lost{last}"
     if row["event"] == "message":
         return f"{array}: message {row['stream']} of the {row['layer']} layer is whole, {row['bytes']} bytes"
+    when = f"{row['time_s']:.3f} s: {array}"
+    if row["event"] == "found":
+        drift = float(np.hypot(*row["drift_px_s"]))
+        moves = f"moving by {drift:.0f} px/s in the image"
+        return f"{when} found {row['distance_m']:.1f} m away, {moves}, {row['orientation']}"
+    if row["event"] == "lost":
+        if "distance_m" not in row:
+            return f"{when} lost, no packet of it was read, {row['orientation']}"
+        return f"{when} lost, last seen {row['distance_m']:.1f} m away{_moves(row)}, {row['orientation']}"
     words = ", ".join(
         f"{name} {sum(word['status'] == 'ok' for word in words)} of {len(words)}"
         for name, words in row["layers"].items()
     )
-    way = "" if row["orientation"] == "upright" else f", {row['orientation']}"
+    return f"{when} read: {words}; {row['distance_m']:.1f} m away{_moves(row)}, {row['orientation']}"
+
+
+def _moves(row: Row) -> str:
+    """How fast an array comes nearer, in words; nothing where too few packets tell."""
     speed = row["approach_m_s"]
-    moves = "" if speed is None else f", {'nearing' if speed >= 0 else 'receding'} at {abs(speed) * 3.6:.0f} km/h"
-    return f"{row['time_s']:.3f} s: {array} read: {words}; {row['distance_m']:.1f} m away{moves}{way}"
+    return "" if speed is None else f", {'nearing' if speed >= 0 else 'receding'} at {abs(speed) * 3.6:.0f} km/h"
