@@ -64,7 +64,9 @@ def test_a_reception_is_followed_by_lines_datagrams_and_words(film: Path, tmp_pa
     (high,) = (row for row in rows if row["event"] == "message" and row["layer"] == "high")
     assert base64.b64decode(high["data"]) == HIGH
     assert rows[-1]["arrays"][0]["packets"] == 4
-    assert re.search(r"^0\.000 s: array 0 found (49|50)\.\d m away$", out.stderr, re.M)
+    assert re.search(
+        r"^0\.000 s: array 0 found (49|50)\.\d m away, moving by \d+ px/s in the image, upright$", out.stderr, re.M
+    )
     assert "message 0 of the high layer is whole, 7 bytes" in out.stderr
 
 
@@ -238,6 +240,14 @@ def test_budget_says_what_spoils_a_link(call: Call) -> None:
     text = succeeded(call("budget", "--set", "signal.side=8", "--set", "channel.distance_m=30", "--candela", "9"))
     assert "note: the array saturates" in text
     assert "reads to" not in text
+
+
+def test_a_note_that_distances_share_is_said_once(call: Call) -> None:
+    aside = ("--set", "signal.side=8", "--set", "channel.arrays.0.x_m=9", "--vary", "channel.distance_m=20,30,40")
+    notes = [line for line in succeeded(call("budget", *aside, "--candela", "9")).splitlines() if "not in the" in line]
+    assert len(notes) == 1
+    assert notes[0].startswith("note: at 20 m the array is not in the picture")
+    assert notes[0].endswith("(and alike at 2 more)")
 
 
 def test_presets_are_listed_and_printed(tmp_path: Path, call: Call) -> None:

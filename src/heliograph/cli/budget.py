@@ -1,6 +1,7 @@
 """heliograph budget."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -26,6 +27,9 @@ AT_REST = {"channel": {"speed_m_s": 0.0, "speed_profile": []}}
 
 LEDS_LOOKED_AT = 16
 """LEDs whose own flicker is measured, along the array's diagonal."""
+
+NUMBER = re.compile(r"[-+]?\d[\d.e+-]*")
+"""A number within a note."""
 
 FLICKER_S = 1.0
 """Time of light whose flicker is measured, rounded up to whole packets; 1 Hz of bandwidth."""
@@ -74,7 +78,7 @@ def run_budget(
     _say_light(budgets, made)
     for text in dict.fromkeys(line for flicker in flickers for line in _flicker_lines(flicker)):
         console.say_prose(text)
-    for text in dict.fromkeys(note for budget in budgets for note in budget.notes):
+    for text in _notes(budgets):
         console.say_prose(f"note: {text}")
 
 
@@ -150,6 +154,17 @@ def _say_light(budgets: "Sequence[Budget]", made: Any) -> None:
         f"light: {', '.join(lit)} an LED, f/{light.f_number:g}, {light.efficiency:g} electrons a photon, "
         f"{light.wavelength_nm:g} nm"
     )
+
+
+def _notes(budgets: "Sequence[Budget]") -> list[str]:
+    """Notes of all points; of those that differ by numbers alone, as by the distance, the first."""
+    alike: dict[str, dict[str, None]] = {}
+    for note in (note for budget in budgets for note in budget.notes):
+        alike.setdefault(NUMBER.sub("", note), {})[note] = None
+    return [
+        next(iter(notes)) + (f" (and alike at {len(notes) - 1} more)" if len(notes) > 1 else "")
+        for notes in alike.values()
+    ]
 
 
 def _flicker_lines(flicker: "Mapping[str, tuple[Flicker, float]]") -> list[str]:
