@@ -13,6 +13,7 @@ from properties import examples
 
 from heliograph.base.errors import MediaError
 from heliograph.media import open_slots
+from heliograph.media.slot_table import write_table
 from heliograph.media.slots import HEAD, SUFFIXES, SlotForm, file_size, write_slots
 from heliograph.signal import pwm
 
@@ -167,7 +168,7 @@ def test_rows_of_another_order_are_damage(tmp_path: Path) -> None:
     ("what", "says"),
     [
         (None, "text or a pathlib.Path, not NoneType"),
-        ("a.mkv", "end in one of .bits, .hub75, .shift, .h, not '.mkv'"),
+        ("a.mkv", "end in one of .bits, .hub75, .shift, .h, .csv, not '.mkv'"),
         ("none.bits", "there is no file"),
         (".", "end in one of"),
     ],
@@ -203,3 +204,35 @@ def test_memory_does_not_grow_with_the_length(kind: str, tmp_path: Path) -> None
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < peaks[0] + 100_000
+
+
+@given(side=st.integers(1, 8).map(lambda n: 4 * n), count=st.integers(2, 9), slots=st.booleans())
+@examples(20)
+def test_a_table_of_text_is_read_as_it_was_written(
+    side: int, count: int, slots: bool, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path, most = tmp_path_factory.mktemp("table") / "a.csv", 1 if slots else 4
+    sent = np.random.default_rng(count).integers(0, most + 1, (count, side, side), np.uint8)
+    write_table(path, sent, side, 2.5e-4, slots)
+    read = open_slots(path)
+    assert read.form == SlotForm(side, 4 if slots else 1, 250_000, count)
+    assert np.array_equal(list(read), sent)
+    levels = sent[: count // 4 * 4].reshape(-1, 4, side, side).sum(1) if slots else sent
+    assert np.array_equal(np.array(list(read.levels())).reshape(levels.shape), levels)
+
+
+TABLE = "slot_s," + ",".join(f"led_{u}_{v}" for u in range(4) for v in range(4)) + "\n"
+
+
+@pytest.mark.parametrize(("text", "says"), [
+    ("", "is no .csv file of LED patterns"),
+    ("t,a\n0,1\n1,2\n", "is no .csv file of LED patterns"),
+    (TABLE + "0," + "1," * 15 + "1\n", "is no .csv file of LED patterns"),  # one line tells no period
+    (TABLE + "0," + "1," * 15 + "1\n0.001," + "1," * 9, "line 3 of .*a.csv is cut or damaged"),
+    (TABLE + "0," + "1," * 15 + "1\n0.001," + "1," * 15 + "2\n", "line 3 of .*a.csv is cut or damaged"),
+    (TABLE + "0," + "1," * 15 + "1\n" + ("0.001," + "1," * 15 + "1\n") * 2, "line 4 of .*a.csv is late or early"),
+])  # fmt: skip
+def test_a_table_that_is_none_or_damaged_is_one_line(text: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(MediaError, match=says):
+        list(open_slots(tmp_path / "a.csv"))

@@ -64,6 +64,7 @@ def _least_bytes(output: Path, count: int, side: int) -> int:
 
 def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], period: float, top: int) -> None:
     from heliograph.media.film import FILM_SUFFIXES
+    from heliograph.media.slot_table import write_table
     from heliograph.media.slots import SUFFIXES
 
     kind = output.suffix.lower()
@@ -72,7 +73,7 @@ def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int,
             _write_npy(partial, patterns, size)
     elif kind == ".csv":
         with whole_file(output) as partial:
-            _write_csv(partial, patterns, size, period)
+            write_table(partial, patterns, size[1], period, slots=top == 1)
     elif kind in FILM_SUFFIXES:
         _write_film(output, patterns, size[1], period, top)
     else:
@@ -88,15 +89,6 @@ def _write_npy(path: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[in
         np.lib.format.write_array_header_1_0(file, header)
         for pattern in patterns:
             file.write(pattern.tobytes())
-
-
-def _write_csv(path: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], period: float) -> None:
-    """A line per pattern: time in s, then the LEDs row by row."""
-    side = size[1]
-    with path.open("w", encoding="ascii") as file:
-        file.write("time_s," + ",".join(f"led_{u}_{v}" for u in range(side) for v in range(side)) + "\n")
-        for index, pattern in enumerate(patterns):
-            file.write(f"{index * period:.9g}," + ",".join(map(str, pattern.ravel().tolist())) + "\n")
 
 
 def _write_film(path: Path, patterns: Iterator[NDArray[np.uint8]], side: int, period: float, top: int) -> None:

@@ -15,12 +15,16 @@ from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, shown
 from heliograph.base.files import whole_file
-from heliograph.media import c_header
+from heliograph.media import c_header, slot_table
 from heliograph.media.slot_layouts import LAYOUTS, Layout, Slot
+from heliograph.signal import pwm
 
 C_HEADER = ".h"
 SUFFIXES = (*LAYOUTS, C_HEADER)
 """Suffixes of the files that drivers take."""
+
+READ = (*SUFFIXES, slot_table.SUFFIX)
+"""Suffixes of the files that are read: a table of text, too."""
 
 HEAD = struct.Struct("<8sHHIQII")
 """Start of a binary file."""
@@ -140,7 +144,8 @@ def write_slots(path: Path, slots: Iterable[NDArray[np.uint8]], form: SlotForm) 
 class SlotFile:
     """LED patterns in a file that a driver takes; made by `open_slots`.
 
-    Iterating gives each slot as (n, n) uint8, 1 for an LED that is on, as often as it is done.
+    Iterating gives each slot as (n, n) uint8, 1 for an LED that is on, as often as it is done. A table of levels has
+    one slot a pattern, with levels of 0 to 4.
 
     Parameters
     ----------
@@ -163,6 +168,9 @@ class SlotFile:
 
     def __iter__(self) -> Iterator[Slot]:
         """Yield the slots in the order of time; a MediaError where the file is cut or damaged, after the whole ones."""
+        if self.path.suffix.lower() == slot_table.SUFFIX:
+            yield from self._lines()
+            return
         layout, count, number = _layout(self.path.suffix.lower()), self.form.count, 0
         try:
             for data in self._slots(layout):
@@ -189,6 +197,13 @@ class SlotFile:
                 yield total
                 total, held = np.zeros_like(total), 0
 
+    def _lines(self) -> Iterator[Slot]:
+        form = self.form
+        try:
+            yield from slot_table.rows(self.path, form.side, form.slots_per_pattern > 1, form.slot_ns * 1e-9)
+        except OSError as error:
+            raise error if isinstance(error, MediaError) else _unreadable(self.path, error) from None
+
     def _slots(self, layout: Layout) -> Iterator[bytes]:
         size = layout.size(self.form.side)
         if self.path.suffix.lower() == C_HEADER:
@@ -202,7 +217,7 @@ class SlotFile:
 
 
 def open_slots(path: str | os.PathLike[str]) -> SlotFile:
-    """Open LED patterns that `heliograph transmit` wrote for a driver: .bits, .hub75, .shift or a C header.
+    """Open LED patterns that `heliograph transmit` wrote for a driver: .bits, .hub75, .shift, a C header, or .csv.
 
     Parameters
     ----------
@@ -218,10 +233,14 @@ def open_slots(path: str | os.PathLike[str]) -> SlotFile:
     if not isinstance(path, (str, os.PathLike)):
         raise MediaError(f"the path of slots is text or a pathlib.Path, not {shown(path)}")
     file = Path(path)
-    layout = _layout(file.suffix.lower())
+    if file.suffix.lower() not in READ:
+        raise MediaError(f"slots are in files that end in one of {', '.join(READ)}, not {shown(file.suffix.lower())}")
     try:
         if not file.is_file():
             raise MediaError(f"there is no file {file}: check the name")
+        if file.suffix.lower() == slot_table.SUFFIX:
+            return SlotFile(file, _read_table(file))
+        layout = _layout(file.suffix.lower())
         form, size = _read_c(file) if file.suffix.lower() == C_HEADER else _read_head(file, layout)
     except OSError as error:
         raise error if isinstance(error, MediaError) else _unreadable(file, error) from None
@@ -265,6 +284,16 @@ def _read_c(path: Path) -> tuple[SlotForm, int]:
     except (ValueError, KeyError):
         raise _foreign(path) from None
     return SlotForm(*values), size
+
+
+def _read_table(path: Path) -> SlotForm:
+    try:
+        side, slots, period_s, count = slot_table.read_head(path)
+        if side not in SIDES:
+            raise ValueError
+    except ValueError:
+        raise _foreign(path) from None
+    return SlotForm.of(side, pwm.SLOTS if slots else 1, period_s, count)
 
 
 def _longer(path: Path, count: int) -> MediaError:
