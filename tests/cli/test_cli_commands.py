@@ -70,6 +70,17 @@ def test_a_reception_is_followed_by_lines_datagrams_and_words(film: Path, tmp_pa
     assert "message 0 of the high layer is whole, 7 bytes" in out.stderr
 
 
+def test_messages_of_a_film_are_shown_as_they_are_read(tmp_path: Path, call: Call) -> None:
+    """Text as text, whatever else as its first bytes; nothing of it reaches a terminal as it is."""
+    coloured, long = b"brake \x1b[31m", "x" * 100
+    sent = ("--high", f"text:{coloured.decode()}", "--middle", f"text:{long}")
+    succeeded(call("simulate", "a.h5", *lasting(0.42), *sent))
+    said = succeeded(call("receive", "a.h5", "--preset", "static")).splitlines()
+    assert said[0] == f"array 0, high, message 0: 11 bytes, {coloured.hex()}"
+    assert f"array 0, middle, message 0: 100 bytes, '{'x' * 57}...'" in said
+    assert not any("message 0" in line for line in call("receive", "a.h5", "--preset", "static", "--json").stdout)
+
+
 def test_a_text_or_standard_input_is_sent(tmp_path: Path) -> None:
     """What looks like the name of a file is one, unless it is said to be a text."""
     (tmp_path / "words").write_bytes(b"of a file")
@@ -86,7 +97,7 @@ def test_a_text_or_standard_input_is_sent(tmp_path: Path) -> None:
 
 def test_receive_writes_messages_packets_and_summary(film: Path, tmp_path: Path) -> None:
     out = succeeded(heliograph("receive", film, "--receiver", "plain", "--output", "out", cwd=tmp_path))
-    assert out.startswith("400 frames in ")
+    assert "400 frames in " in out
     assert re.search(r"array 0: 4 packets, frames 0 to 399, (49\.\d|50\.\d) m to (49\.\d|50\.\d) m away\n", out)
     assert "message out/array-0-high-0.bin" in out
     assert names(tmp_path / "out") == [

@@ -97,8 +97,8 @@ class Watch:
             self._failed()
 
     def message(self, message: "Message") -> None:
-        """Show a message of a live camera."""
-        if self._live is not None and self._aloud:
+        """Show a message as it comes."""
+        if self._aloud:
             console.say(
                 f"array {message.identity}, {message.layer}, message {message.stream}: {len(message.data)} bytes, "
                 f"{_shown(message.data)}"
