@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runs import Run, called, failed, heliograph, lasting, names, succeeded
-from made_recordings import write_pictures
+from made_recordings import write_pictures, write_tiff
 
 from heliograph.cli.options import FilmOptions
-from heliograph.cli.receive_many import FilmWork
+from heliograph.cli.receive_many import FilmWork, films_of, is_many
 
 pytestmark = pytest.mark.slow
 
@@ -73,6 +73,25 @@ def test_a_folder_of_films_is_received_and_resumed(
     assert not any(row.get("kept") for row in other.values())
 
 
+def test_stacks_and_folders_of_pictures_are_films_of_a_folder(tmp_path: Path) -> None:
+    levels = np.zeros((3, 8, 8), np.uint8)
+    shots = write_pictures(tmp_path / "shots", levels)
+    assert films_of([shots]) == ([shots], [])
+    assert not is_many([shots])
+    assert is_many([tmp_path])  # a folder of a folder of pictures
+    assert films_of([tmp_path]) == ([shots], [])
+    stacks = [write_tiff(tmp_path / name, levels) for name in ("b.tif", "c.tiff")]
+    assert films_of([tmp_path]) == ([*stacks, shots], [])
+    (tmp_path / "notes").mkdir()
+    write_pictures(tmp_path, levels[:1], "loose%d.png")
+    films, (left_out,) = films_of([tmp_path])
+    assert films == [*stacks, shots]
+    assert "1 picture and 1 folder beside the films left out" in left_out
+    # single pages are the frames of one film
+    pages = write_pictures(tmp_path / "pages", levels, "page%d.tif")
+    assert films_of([pages]) == ([pages], [])
+
+
 RESULTS = ["array-0-high-0.bin", "packets.jsonl", "summary.json"]
 
 
@@ -88,6 +107,8 @@ def test_workers_read_films_side_by_side(film: Path, tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         (("a.h5", "b.h5", "--follow"), "take one film"),
+        (("a.h5", "camera:genicam"), "camera:genicam is a live camera: receive it by itself"),
+        (("camera:genicam", "--workers", "1"), "is a live camera: receive it by itself"),
         (("a.h5", "b/a.h5", "--output", "out"), "several films have the name a.h5"),
         (("a.h5", "b.h5", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"), "not both"),
         (("a.h5", "b.h5", "--set", "receive.receiver=nobody"), "nobody"),

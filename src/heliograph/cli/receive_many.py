@@ -78,20 +78,41 @@ def _files_of(film: Path) -> list[Path]:
     return sorted(film.parent.glob(f"{glob.escape(film.stem)}.*")) if headed else [film]
 
 
-def films_of(given: Sequence[Path]) -> list[Path]:
-    """The films named: files as they are, of a folder of films its films in the order of their names.
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """What a folder of films holds.
+
+    Attributes
+    ----------
+    films
+        Its films in the order of their names: files, TIFF stacks, and folders of pictures.
+    left_out
+        What is left out of it, in words; empty for nothing.
+    """
+
+    films: tuple[Path, ...]
+    left_out: str
+
+
+def films_of(given: Sequence[Path]) -> tuple[list[Path], list[str]]:
+    """The films named, and what is left out of folders: files as they are, of a folder of films its films.
 
     Parameters
     ----------
     given
         Files, folders of pictures, patterns of pictures, and folders of films.
     """
-    return [film for path in given for film in (_films_in(path) or [path])]
+    films, left_out = list[Path](), list[str]()
+    for path in given:
+        found = _looked_into(path)
+        films += found.films or [path]
+        left_out += [found.left_out] if found.left_out else []
+    return films, left_out
 
 
 def is_many(given: Sequence[Path]) -> bool:
     """Whether what is named is more than one film, or a folder of films."""
-    return len(given) > 1 or any(_films_in(path) for path in given)
+    return len(given) > 1 or any(_looked_into(path).films for path in given)
 
 
 def run_many(
@@ -108,11 +129,17 @@ def run_many(
     Workers are given by their number, None for one a core, or by the address of a Dask scheduler.
     """
     from heliograph.cli.probe import found_array
+    from heliograph.media.live.reader import is_camera
     from heliograph.sweeps.executors import fewer_workers, open_workers
 
     options.settings_from(preset, file, list(assignments))  # what is wrong with them is said once
-    works = [FilmWork(str(film), seen, preset, file, tuple(assignments), output) for film in films_of(given)]
+    if cameras := [film for film in given if is_camera(film)]:
+        raise MediaError(f"{cameras[0]} is a live camera: receive it by itself, without --workers and --scheduler")
+    films, left_out = films_of(given)
+    works = [FilmWork(str(film), seen, preset, file, tuple(assignments), output) for film in films]
     _check_names(works)
+    for text in left_out:
+        console.complain(text)
     workers, scheduler = crew_of
     if fewer := fewer_workers(workers):
         console.complain(fewer)
@@ -185,14 +212,37 @@ def receive_one(work: FilmWork) -> dict[str, Any]:
         return report
 
 
-def _films_in(path: Path) -> list[Path]:
-    """Films of a folder; none of a folder of pictures, which is a film itself."""
+def _looked_into(path: Path) -> Folder:
+    """What a folder of films holds; no films of a folder of pictures, which is a film itself, and of what is none."""
+    from heliograph.media import tiff
+    from heliograph.media.images import PICTURE_SUFFIXES
+
     if not path.is_dir():
-        return []
+        return Folder((), "")
     try:
-        return sorted(one for one in path.iterdir() if one.suffix.lower() in FILMS and not one.name.startswith("."))
+        held = sorted(one for one in path.iterdir() if not one.name.startswith("."))
+        folders = [one for one in held if one.is_dir()]
+        pictured = [one for one in folders if any(each.suffix.lower() in PICTURE_SUFFIXES for each in one.iterdir())]
     except OSError as error:
         raise MediaError(f"cannot read {path}: {error.strerror}") from None
+    files = [one for one in held if one.suffix.lower() in FILMS and one not in folders]
+    pictures = [one for one in held if one.suffix.lower() in PICTURE_SUFFIXES and one not in folders]
+    tiffs = [one for one in pictures if one.suffix.lower() in tiff.SUFFIXES]
+    # stacks are all of them or none: a folder of a thousand pages is not opened page by page
+    stacks = tiffs if tiffs and tiff.is_stack(tiffs[0]) else []
+    films = (*files, *stacks, *(() if pictures and not files and not stacks else pictured))
+    if not films:
+        return Folder((), "")
+    loose, others = len(pictures) - len(stacks), len(folders) - len(pictured)
+    left = [
+        f"{count} {what}{'' if count == 1 else 's'}"
+        for count, what in ((loose, "picture"), (others, "folder"))
+        if count
+    ]
+    why = (
+        f"{path}: {' and '.join(left)} beside the films left out; give each recording's pictures a folder of their own"
+    )
+    return Folder(tuple(sorted(films)), why if left else "")
 
 
 def _check_names(works: Iterable[FilmWork]) -> None:

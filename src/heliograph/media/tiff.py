@@ -28,6 +28,21 @@ _MOST_DECODED = (1 << 31) - 1
 """Most bytes of a file that OpenCV decodes from memory."""
 
 
+def is_stack(path: Path) -> bool:
+    """Return whether a TIFF file has more than one page, and so is a film of its own; False of a damaged one.
+
+    Parameters
+    ----------
+    path
+        An existing file.
+    """
+    try:
+        with opened_stack(path) as stack:
+            return (stack.count() or 0) > 1
+    except MediaError:
+        return False
+
+
 class TiffReader(NumberedReader):
     """A TIFF stack; see `FilmReader`. It has no clock, so the rate is needed.
 
