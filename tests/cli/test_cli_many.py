@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import Run, called, failed, heliograph, lasting, names, succeeded
+from cli_runs import Run, called, failed, grown, heliograph, interrupted, lasting, names, succeeded
 from made_recordings import write_pictures, write_tiff
 
 from heliograph.cli.options import FilmOptions
@@ -101,6 +101,39 @@ def test_workers_read_films_side_by_side(film: Path, tmp_path: Path) -> None:
     assert len(rows(run)) == 2
     assert {len(row["arrays"]) for row in rows(run).values()} == {1}  # type: ignore[arg-type]
     assert succeeded(run).count("\n") == 2
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_films_are_received_on_a_cluster(
+    film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(film, "b.h5")
+    Path("c.mkv").write_bytes(b"no film")
+    line: list[str | Path] = ["receive", film, "b.h5", "c.mkv", "--receiver", "plain", "--output", "out", "--scheduler"]
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
+        run = called(*line, cluster.scheduler_address, capfd=capfd, monkeypatch=monkeypatch)
+    assert run.returncode == 1
+    assert "1 of 3 films could not be read to the end" in run.stderr
+    found = rows(run)
+    assert [len(found[name]["arrays"]) for name in (str(film), "b.h5")] == [1, 1]  # type: ignore[arg-type]
+    assert "not a video" in str(found["c.mkv"]["error"])
+    assert names(tmp_path / "out") == [f"{name}/{file}" for name in ("a.h5", "b.h5") for file in RESULTS]
+
+
+def test_ctrl_c_keeps_the_films_that_are_done(film: Path, tmp_path: Path) -> None:
+    shutil.copy(film, tmp_path / "a.h5")
+    succeeded(heliograph("simulate", "long.h5", *lasting(3), "--high", "red light", cwd=tmp_path))
+    line = ("receive", "a.h5", "long.h5", "--workers", "1", "--receiver", "plain", "--output", "out")
+    run = interrupted(*line, cwd=tmp_path, when=grown(tmp_path, "out/long.h5/.*partial*"))
+    assert "interrupted after 1 of 2 films; the same command goes on" in failed(run, 130)
+    assert list(rows(run)) == ["a.h5"]
+    assert names(tmp_path / "out" / "a.h5") == RESULTS
+    # what was done is not done again, what was broken off is
+    again = rows(heliograph(*line, cwd=tmp_path))
+    assert [again[name].get("kept") for name in ("a.h5", "long.h5")] == [True, None]
+    assert again["long.h5"]["frames"] == 3000
 
 
 @pytest.mark.parametrize(
