@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import pytest
-from faulty_films import FAULTY, RIGHT, KeptFilm, blinking_square
+from faulty_films import FAULTY, RIGHT, SMALL, KeptFilm, blinking_square, kept, link
 
 from heliograph.base.config import from_mapping
 from heliograph.probe import Findings, probe_film
+from heliograph.probe.words import array_lines, would_be_lines
 from heliograph.receive import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
@@ -95,6 +96,7 @@ def test_a_right_film_is_read(name: str) -> None:
     assert array.failed == {"high": 0, "middle": 0, "low": 0}
     assert array.clock is not None
     assert array.clock.phase == pytest.approx(0, abs=0.03)
+    assert array.exposure is None  # in step frames show the same part of each pattern
     assert found.regions[0].array == array
     assert found.rate is not None
     assert found.rate.frames == pytest.approx(1, abs=3e-3)
@@ -145,3 +147,33 @@ def test_a_turned_array_beside_the_place_that_was_given_is_told_its_corners() ->
     (cause,) = probed(FAULTY["turned"](), detect={"region": (0, 0, 40, 40)}).regions[0].causes
     assert (cause.kind, cause.proven) == ("turned", True)
     assert cause.advice[0].endswith(", without --region")
+
+
+def test_what_a_region_would_be_as_an_array_is_told() -> None:
+    """Its pixels, blur and clock, and how far its layers would be read."""
+    (seen,) = probed(FAULTY["out of step"]()).regions
+    assert seen.would_be is not None
+    assert seen.would_be.pitch_px == pytest.approx(1.1667, rel=0.01)
+    assert seen.would_be.blur_px == pytest.approx(0.51, abs=0.05)
+    assert seen.would_be.clock is not None
+    assert abs(seen.would_be.clock.phase) == pytest.approx(0.5, abs=0.03)
+    assert {one.receiver: one.distance_m["high"] > 80 for one in seen.would_be.reach} == {"plain": True, "soft": True}
+    (line, clock, *_) = would_be_lines(seen)
+    assert "1.16 px from LED to LED" in line
+    assert "0.50 of a pattern" in clock
+
+
+@pytest.mark.parametrize("exposure", [0.3, 0.6])
+def test_the_exposure_is_told_by_the_light_of_a_camera_out_of_step(exposure: float) -> None:
+    camera = {**SMALL["camera"], "fps": 1300.0, "exposure_s": exposure / 1300}
+    (array,) = probed(kept(link(camera=camera)), receiver="soft").arrays
+    assert array.exposure is not None
+    assert array.exposure[0] <= exposure <= array.exposure[1]
+    assert array.exposure[1] - array.exposure[0] < 0.15
+    assert any("exposure by the light: 0." in line for line in array_lines(array))
+
+
+def test_a_short_exposure_out_of_step_is_read_by_soft() -> None:
+    camera = {**SMALL["camera"], "fps": 1300.0, "exposure_s": 0.5 / 1300}
+    (seen,) = probed(kept(link(camera=camera))).regions
+    assert (seen.causes[0].kind, seen.causes[0].proven) == ("out of step", True)

@@ -34,7 +34,7 @@ def is_stack(path: Path) -> bool:
     Parameters
     ----------
     path
-        An existing file.
+        An existing file, of which the directories of pages are read, and no levels.
     """
     try:
         with opened_stack(path) as stack:

@@ -17,6 +17,7 @@ from heliograph.probe.regions import Region
 from heliograph.receive import Packet
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.observe.noise import Noise, measure_noise
+from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
 
 MOST_PLACES = 20_000
 """Most packets whose places are kept, the last ones: those of half an hour of the reference link."""
@@ -59,6 +60,9 @@ class ArraySeen:
         Variances of a difference of two frames in squared gray levels; None where they are not told, as of near arrays.
     reach
         How far layers are expected to be read, by receiver; none where noise is not told.
+    exposure
+        Exposures between which the light puts the camera's, as parts of the frame period; None where all frames show
+        the same part of a pattern, as in step, which does not tell it.
     """
 
     identity: int
@@ -79,6 +83,7 @@ class ArraySeen:
     clock: Clock | None = None
     noise: Noise | None = None
     reach: tuple[Reach, ...] = ()
+    exposure: tuple[float, float] | None = None
 
 
 class ArrayWatch:
@@ -197,7 +202,9 @@ def looked_into(array: ArraySeen, frames: Sequence[Frame], asked: Asked) -> Arra
         # its header shows less of its light
         gain = float(np.median(reading.gains[array.identity]))
     noise = _noise(reading, own[-1], gain, soft.signal.side)
-    seen = replace(array, contrast=gain / frames[0].full_scale, clock=clock, noise=noise)
+    seen = replace(
+        array, contrast=gain / frames[0].full_scale, clock=clock, noise=noise, exposure=_exposure(reading, array, asked)
+    )
     if noise is None:
         return seen
     reach = reaches(
@@ -205,6 +212,15 @@ def looked_into(array: ArraySeen, frames: Sequence[Frame], asked: Asked) -> Arra
         asked.settings.detect.min_side_px,
     )  # fmt: skip
     return replace(seen, reach=reach)
+
+
+def _exposure(reading: Reading, array: ArraySeen, asked: Asked) -> tuple[float, float] | None:
+    """Exposure in frame periods; None where frames begin at the same places of patterns over and over."""
+    count = asked.frames_a_pattern
+    if array.identity not in reading.exposures or abs(count - round(count)) < STEP_TOLERANCE:
+        return None
+    low, high = reading.exposures[array.identity]
+    return low * count, high * count
 
 
 def _noise(reading: Reading, packet: Packet, gain: float, side: int) -> Noise | None:

@@ -4,10 +4,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from heliograph.probe.arrays import ArraySeen
+from heliograph.probe.clock import Clock
 from heliograph.probe.frames import FrameTimes
 from heliograph.probe.headers import HeaderSeen
 from heliograph.probe.levels import Levels
 from heliograph.probe.light import LightRate
+from heliograph.probe.reach import Reach
 from heliograph.probe.reading import Asked
 from heliograph.probe.regions import Region
 from heliograph.probe.trials import SURE_HEADER, Found
@@ -56,6 +58,31 @@ class Cause:
     proven: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class ArrayLike:
+    """A region as the array that it would be.
+
+    Attributes
+    ----------
+    pitch_px
+        Pixels from LED to LED.
+    blur_px
+        Blur of an LED, as a standard deviation in px.
+    contrast
+        Light with all LEDs on, over full scale.
+    clock
+        The light's clock in the camera's; None where no packet was read.
+    reach
+        How far layers are expected to be read, by receiver; none where levels are lost, or the model holds no more.
+    """
+
+    pitch_px: float
+    blur_px: float
+    contrast: float
+    clock: Clock | None
+    reach: tuple[Reach, ...]
+
+
 @dataclass(frozen=True)
 class RegionSeen:
     """A region, and all that is known of it.
@@ -78,6 +105,8 @@ class RegionSeen:
         The array, where it is one that is read.
     causes
         What is the matter, the first of them first.
+    would_be
+        The array that it would be; None where it is read as one, or shows too little of a header.
     """
 
     region: Region
@@ -88,6 +117,7 @@ class RegionSeen:
     found: Found | None
     array: ArraySeen | None
     causes: tuple[Cause, ...] = ()
+    would_be: ArrayLike | None = None
 
     @property
     def header_like(self) -> HeaderSeen | None:

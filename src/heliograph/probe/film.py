@@ -13,14 +13,15 @@ from heliograph.base.frames import Frame
 from heliograph.link.film import FrameProgress, silent
 from heliograph.probe.activity import Stretch, Stretches
 from heliograph.probe.arrays import ArraySeen, ArrayWatch, looked_into
-from heliograph.probe.causes import Cause, RegionSeen, film_causes, still
+from heliograph.probe.causes import ArrayLike, Cause, RegionSeen, film_causes, still
 from heliograph.probe.frames import FrameTimes, FrameWatch
 from heliograph.probe.headers import header_seen
 from heliograph.probe.levels import Levels, LevelWatch
 from heliograph.probe.light import LightRate, lamp_period, light_rate, pattern_part
 from heliograph.probe.noise import NoiseFound, NoiseWatch
+from heliograph.probe.reach import Reach, reaches
 from heliograph.probe.reading import Asked
-from heliograph.probe.region_causes import region_causes
+from heliograph.probe.region_causes import SATURATED, region_causes
 from heliograph.probe.regions import Region, regions_of
 from heliograph.probe.trials import other_packets, what_reads
 from heliograph.probe.turned import what_reads_turned
@@ -279,7 +280,28 @@ def _looked_into(
         form = other_packets(header, asked.signal, rate.frames) if header is not None else {}
         found = what_reads_turned(frames, asked, rate, (region.x, region.y), form)
     lamp = lamp_period(region.brightness)
-    return RegionSeen(region, rate, lamp, part, header, found, None)
+    seen = RegionSeen(region, rate, lamp, part, header, found, None)
+    return replace(seen, would_be=_would_be(seen, asked, noise, quiet, frames[0].full_scale))
+
+
+def _would_be(
+    seen: RegionSeen, asked: Asked, noise: NoiseFound, quiet: float, full_scale: int
+) -> ArrayLike | None:  # fmt: skip
+    """A region as the array that it would be, by the packet read of it once settings are changed, or by its header."""
+    signal, known, found = asked.signal, asked.settings.calibration, seen.found
+    if found is not None and found.reading.detections:
+        fit, signal = found.reading.detections[0].fit, found.reading.signal
+    elif seen.header_like is not None:
+        fit = seen.header_like.fit
+    else:
+        return None
+    pose, clock = fit.pose, found.clock if found is not None else None
+    reach: tuple[Reach, ...] = ()
+    if seen.region.saturated <= SATURATED and signal.header == "m_sequence":
+        distance_m = known.focal_m * known.pitch_m / (pose.frontal_pitch * known.pixel_m)
+        light = _noise_of(seen.region, noise, quiet, fit.gain)
+        reach = reaches(pose, fit.gain, light, distance_m, signal, asked.settings.detect.min_side_px)
+    return ArrayLike(pose.pitch, pose.blur, fit.gain / full_scale, clock, reach)
 
 
 def _part(frame: Frame, window: Window) -> Frame:

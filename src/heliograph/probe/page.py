@@ -6,7 +6,7 @@ from heliograph.experiments.report import Report
 from heliograph.probe import pictures
 from heliograph.probe.causes import RegionSeen, counted
 from heliograph.probe.film import Findings
-from heliograph.probe.words import array_lines, cause_words, lines, noise_words, place
+from heliograph.probe.words import array_lines, cause_words, lines, noise_words, place, would_be_lines
 from heliograph.signal.settings import LAYERS
 
 
@@ -78,6 +78,8 @@ def _regions(page: Report, found: Findings) -> None:
         page.heading(f"Region {number}: {seen.causes[0].kind if seen.causes else ''}")
         for cause in seen.causes:
             page.text(cause_words(cause))
+        for line in would_be_lines(seen):
+            page.text(f"{line.strip()}.", note=True)
         caption = f"Region {number}, {place(seen)}. Two frames, what alternates, their sum; below, its brightness."
         page.figure(pictures.region_picture(stretch, seen), caption)
 

@@ -82,6 +82,8 @@ class Reading:
         Gray levels of the array with all LEDs on, by identity, as pairs of patterns were followed.
     error
         Why it ended early; empty where it did not.
+    exposures
+        Exposures in T_b between which the light puts it, by identity.
     """
 
     signal: SignalSettings
@@ -91,6 +93,7 @@ class Reading:
     cutouts: tuple[Cutout, ...] = ()
     gains: Mapping[int, Sequence[float]] = field(default_factory=dict)
     error: str = ""
+    exposures: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def read(self) -> bool:
@@ -112,12 +115,15 @@ def read(frames: Sequence[Frame], signal: SignalSettings, settings: ReceiveSetti
     """
     detections, packets, cutouts, error = list[Detection](), list[Packet](), list[Cutout](), ""
     gains: dict[int, list[float]] = defaultdict(list)
+    exposures = dict[int, tuple[float, float]]()
 
     def watch(event: Any) -> None:
         if isinstance(event, DetectEvent):
             detections.append(event.detection)
         if isinstance(event, DecodeEvent):
             cutouts.extend(one for one in event.cutouts if one is not None)
+            if event.exposure_range is not None:
+                exposures[event.identity] = event.exposure_range
         if isinstance(event, TrackEvent):
             gains[event.identity].append(event.tracked.track.gain)
 
@@ -128,7 +134,8 @@ def read(frames: Sequence[Frame], signal: SignalSettings, settings: ReceiveSetti
         packets += receiver.finish()
     except HeliographError as problem:
         error = str(problem)
-    return Reading(signal, settings, tuple(detections), tuple(filter(is_packet, packets)), tuple(cutouts), gains, error)
+    seen = tuple(filter(is_packet, packets))
+    return Reading(signal, settings, tuple(detections), seen, tuple(cutouts), gains, error, exposures)
 
 
 def narrowed(size_px: float) -> dict[str, Any]:

@@ -115,8 +115,11 @@ def what_reads(
     sharp = pose.blur <= max(BLURRED * pose.pitch, BLURRED_PX)
     sides = [one for one in SIDES if one != asked.signal.side and size / one > LEAST_PITCH_PX]
     sides = sides if whole and sure and sharp else []
-    for place, side in itertools.product(_places(frames, asked.settings), (asked.signal.side, *sides)):
-        changed = form if side == asked.signal.side else {**form, "side": side}
+    # a frame of each pattern may miss a pair of a header: packets as long as the settings' are first taken for those
+    as_long = bool(form) and round(header.period / frames_a_pattern) == asked.signal.packet_patterns
+    forms = [{}, form] if as_long else [form]
+    kinds = [*forms, *({**form, "side": side} for side in sides)]
+    for place, changed in itertools.product(_places(frames, asked.settings), kinds):
         for receiver in receivers_tried(asked.settings, frames_a_pattern):
             changes = {"signal": changed, "receive": needed(asked.settings, receiver, header, size, full)}
             changes = merge(changes, {"receive": {"detect": place}} if place else {})

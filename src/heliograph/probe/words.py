@@ -6,6 +6,7 @@ from typing import Any
 
 from heliograph.probe.arrays import ArraySeen
 from heliograph.probe.causes import Cause, RegionSeen, counted
+from heliograph.probe.clock import Clock
 from heliograph.probe.film import Findings
 from heliograph.probe.noise import NoiseFound
 from heliograph.probe.reach import Reach
@@ -41,6 +42,7 @@ def lines(found: Findings) -> Iterator[str]:
         yield from array_lines(array)
     for number, seen in enumerate(found.regions, 1):
         yield f"region {number}: {place(seen)}"
+        yield from would_be_lines(seen)
         for cause in seen.causes:
             yield f"  {cause_words(cause)}"
     if found.regions_in_all > len(found.regions):
@@ -139,7 +141,12 @@ def array_lines(array: ArraySeen) -> Iterator[str]:
     read = (f"{name} {array.ok[name]} of {array.ok[name] + array.failed[name]}" for name in array.ok)
     yield f"  codewords read: {', '.join(read)}"
     if array.clock is not None:
-        yield f"  {clock_words(array)}"
+        yield f"  {clock_words(array.clock)}"
+    if array.exposure is not None:
+        low, high = array.exposure
+        yield f"  exposure by the light: {low:.2f} to {high:.2f} of a frame period"
+    elif array.clock is not None:
+        yield "  exposure by the light: not told, as frames show the same parts of patterns"
     if array.noise is not None:
         lit, beside = (0.5 * array.noise.lit) ** 0.5, (0.5 * array.noise.dark) ** 0.5
         yield f"  noise of a pixel: {lit:.2f} gray levels within, {beside:.2f} beside it"
@@ -147,16 +154,35 @@ def array_lines(array: ArraySeen) -> Iterator[str]:
         yield f"  {reach.receiver} expected to read {reach_words(reach)} (an estimate by light, noise and blur)"
 
 
-def clock_words(array: ArraySeen) -> str:
+def would_be_lines(seen: RegionSeen) -> Iterator[str]:
+    """A region that is not read as the array that it would be, line by line; nothing where it shows too little.
+
+    Parameters
+    ----------
+    seen
+        A region, and all that is known of it.
+    """
+    array = seen.would_be
+    if array is None:
+        return
+    yield (
+        f"  as an array: {array.pitch_px:.2f} px from LED to LED, contrast {array.contrast:.2f}, blur "
+        f"{array.blur_px:.2f} px"
+    )
+    if array.clock is not None:
+        yield f"  {clock_words(array.clock)}"
+    for reach in array.reach:
+        yield f"  {reach.receiver} would read {reach_words(reach)} (an estimate by light, noise and blur)"
+
+
+def clock_words(clock: Clock) -> str:
     """The light's clock in a sentence.
 
     Parameters
     ----------
-    array
-        An array whose clock is told.
+    clock
+        The light's clock in the camera's.
     """
-    clock = array.clock
-    assert clock is not None
     text = f"patterns begin {clock.phase:+.2f} of a pattern after frames"
     if clock.rate_ppm is None:
         return f"{text}; the light's rate is not told"
@@ -271,11 +297,16 @@ def _array(array: ArraySeen) -> dict[str, Any]:
             "rate_error_ppm": _round(clock.rate_error_ppm),
         },
         "noise": None if noise is None else {"lit": _round(noise.lit), "dark": _round(noise.dark)},
-        "expected_m": {
-            one.receiver: {name: _round(d) if isfinite(d) else None for name, d in one.distance_m.items()}
-            for one in array.reach
-        },
+        "exposure_frames": None if array.exposure is None else [*map(_round, array.exposure)],
+        "expected_m": _expected(array.reach),
     }  # fmt: skip
+
+
+def _expected(reaches: tuple[Reach, ...]) -> dict[str, Any]:
+    return {
+        one.receiver: {name: _round(d) if isfinite(d) else None for name, d in one.distance_m.items()}
+        for one in reaches
+    }
 
 
 def _region(seen: RegionSeen) -> dict[str, Any]:
@@ -292,6 +323,11 @@ def _region(seen: RegionSeen) -> dict[str, Any]:
             "score": _round(header.score), "size_px": _round(header.size_px), "blur_px": _round(header.fit.pose.blur),
             "pairs": header.pairs, "period_frames": header.period,
             "may_be": [{"id": number, "orientation": str(seen_as)} for number, seen_as in header.hypotheses],
+        },
+        "would_be": None if seen.would_be is None else {
+            **{name: _round(getattr(seen.would_be, name)) for name in ("pitch_px", "blur_px", "contrast")},
+            "phase_patterns": None if seen.would_be.clock is None else _round(seen.would_be.clock.phase),
+            "expected_m": _expected(seen.would_be.reach),
         },
         "array": None if seen.array is None else seen.array.identity,
         "reads_with": None if seen.found is None else [*options(seen.found.changes)],

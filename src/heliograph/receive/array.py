@@ -331,7 +331,7 @@ class ArrayReceiver:
     def _coming(self, seen: Packet, lacks_pair: bool) -> ComingPacket:
         taken = self._reader.taken()
         work = self._decoders.submit(Work(taken, self.identity, self._signal, lacks_pair))
-        return ComingPacket(seen, taken, work, self._observe)
+        return ComingPacket(seen, taken, work, self._observe, self._pairing.exposure_range)
 
     def _take_over(self) -> None:
         """Take over what the packet before has taught, if it was decoded while this one was seen."""

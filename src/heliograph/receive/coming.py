@@ -179,10 +179,20 @@ class ComingPacket:
         What decoding makes of it.
     observe
         Gets the events of decoding, in the thread that asks for the packet.
+    exposure_range
+        Exposures in T_b between which headers so far put the camera's; None where nothing is known of it.
     """
 
-    def __init__(self, seen: Packet, taken: TakenPacket, work: Future[DecodedPacket], observe: Observer):
+    def __init__(
+        self,
+        seen: Packet,
+        taken: TakenPacket,
+        work: Future[DecodedPacket],
+        observe: Observer,
+        exposure_range: tuple[float, float] | None,
+    ):
         self._seen, self._taken, self._work, self._observe = seen, taken, work, observe
+        self._exposure_range = exposure_range
         self._packet: Packet | None = None
 
     @property
@@ -219,8 +229,9 @@ class ComingPacket:
                 format=taken.format,
                 reason=self._reason(result.failure),
             )
-            for event in (*result.events, taken.shown(self._packet, result.decoded)):
+            for event in result.events:
                 self._observe(event)
+            self._observe(replace(taken.shown(self._packet, result.decoded), exposure_range=self._exposure_range))
         return self._packet
 
     def _result(self) -> DecodedPacket:

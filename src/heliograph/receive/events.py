@@ -103,12 +103,15 @@ class DecodeEvent:
         (pairs, n, n) from which the plain receiver decoded it; None of the soft receiver.
     cutouts
         Cut-outs of its pairs, from which the soft receiver decoded it, None for pairs not seen; empty of the plain one.
+    exposure_range
+        Exposures in T_b between which headers so far put the camera's; None of the plain receiver.
     """
 
     identity: int
     packet: Packet
     luminances: NDArray[np.float64] | None = None
     cutouts: tuple[Cutout | None, ...] = ()
+    exposure_range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -122,6 +122,11 @@ class ClockedPairing:
         place = 2 * (self._next - 1)
         return self._clock.time_s(place) - place * self._signal.pattern_period_s
 
+    @property
+    def exposure_range(self) -> tuple[float, float] | None:
+        """See `Pairing`."""
+        return None if self._clock is None else self._clock.exposure_range
+
     def push(self, frame: Frame) -> Iterator[int]:
         """Take the next frame; yield the numbers of the pairs that can be read by now; see `Pairing`."""
         self._frames.append(frame)

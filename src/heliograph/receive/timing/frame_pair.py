@@ -161,6 +161,10 @@ class Pairing(Protocol):
     def origin_s(self) -> float:
         """Start in seconds of pair 0 by the last pair read, patterns taken to be T_b long since."""
 
+    @property
+    def exposure_range(self) -> tuple[float, float] | None:
+        """Exposures in T_b between which headers put it; None where none was measured, or it makes no difference."""
+
     def push(self, frame: Frame) -> Iterator[int]:
         """Take the next frame; yield the numbers of the pairs that can be read by now.
 

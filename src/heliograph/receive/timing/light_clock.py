@@ -46,6 +46,9 @@ Exposures of any length about the middle of a pattern, or about its end, give th
 Among these the prior prefers the longest. Both are small against the evidence of one header, which is hundreds.
 """
 
+LIKELY = 1.92
+"""Log likelihood below the largest within which an exposure is told: 95 % of the time the true one is (chi-square)."""
+
 GIVEN_UP = 40.0
 """Log odds against an exposure from which on the grid leaves it out: its weight is below 1e-17."""
 
@@ -125,8 +128,9 @@ class LightClock:
         self._pattern = 0
         self._covariance = np.diag([0.0, RATE**2])
         self._measured = False
-        longest = min(period_s / signal.pattern_period_s, 1.0)
+        self._longest = longest = min(period_s / signal.pattern_period_s, 1.0)
         self._exposures = longest * np.linspace(1 / EXPOSURES, 1.0, EXPOSURES)
+        self._exposure_s = exposure_s
         if exposure_s is not None:
             self._exposures = np.array([min(exposure_s / signal.pattern_period_s, longest)])
         self._evidence = LONGER * self._exposures / longest
@@ -148,6 +152,15 @@ class LightClock:
         """Exposure in T_b, the mean over its posterior."""
         chance = np.exp(self._evidence - self._evidence.max())
         return float(chance @ self._exposures / chance.sum())
+
+    @property
+    def exposure_range(self) -> tuple[float, float]:
+        """Exposures in T_b between which the light puts it, 95 % of the time, without what is expected beforehand."""
+        whole = self._exposures > (1 - 0.5 / EXPOSURES) * self._longest
+        likely = self._evidence - LONGER * self._exposures / self._longest - WHOLE_PERIOD * whole
+        told = self._exposures[likely >= likely.max() - LIKELY]
+        half_step = 0.5 * self._longest / EXPOSURES if self._exposure_s is None else 0.0
+        return float(told[0]) - half_step, min(float(told[-1]) + half_step, self._longest)
 
     def time_s(self, pattern: float) -> float:
         """Start of a pattern in seconds, by the camera's clock.

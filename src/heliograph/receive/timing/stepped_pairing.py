@@ -41,6 +41,10 @@ class SteppedPairing:
         """See `Pairing`."""
         return self._origin_s
 
+    @property
+    def exposure_range(self) -> None:
+        """None: a frame is taken to show one pattern, whatever its exposure; see `Pairing`."""
+
     def push(self, frame: Frame) -> Iterator[int]:
         """Take the next frame; yield the numbers of the pairs that can be read by now; see `Pairing`."""
         self._now_s = max(self._now_s, frame.time_s)
