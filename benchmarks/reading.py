@@ -1,12 +1,13 @@
 """What reading a film costs by its kind, alone and in a reception: python -m benchmarks.reading.
 
-Films of one array at rest 60 m away, 1024 x 512, 8 bits, one after the other in each run. A cold film's pages are given
+Films of one array at rest 60 m away, 1024 x 512, 8 bits or where it is said more, one after the other in each run. A cold film's pages are given
 back to the system first, where that takes such advice.
 """
 
 import argparse
 import os
 import statistics
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -25,6 +26,9 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.media import create_film, open_film
 from heliograph.receive import make_receiver
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
+from made_recordings import write_cine, write_mraw
 
 RATE_HZ = 1000.0
 
@@ -50,11 +54,18 @@ def written(folder: Path, frames: list[Frame]) -> dict[str, Path]:
     np.save(folder / "a.npy", np.stack(levels))
     assert cv2.imwritemulti(str(folder / "a.tif"), levels, [cv2.IMWRITE_TIFF_COMPRESSION, 1])
     assert cv2.imwritemulti(str(folder / "b.tif"), levels)
+    stack = np.stack(levels)
+    write_mraw(folder / "a.mraw", stack, 8, 8)
+    write_mraw(folder / "b.mraw", stack.astype(np.uint16) << 4, 12, 12)
+    write_cine(folder / "a.cine", levels, 8, 8)
+    write_cine(folder / "b.cine", [one.astype(np.uint16) << 2 for one in levels], 10, 10)
     for suffix in ("png", "jpg"):
         (folder / suffix).mkdir()
         for number, picture in enumerate(levels):
             assert cv2.imwrite(str(folder / suffix / f"{number:04d}.{suffix}"), picture)
     return paths | {
+        "Photron .mraw, 8 bits": folder / "a.mraw", "Photron .mraw, 12 bits packed": folder / "b.mraw",
+        "Phantom .cine, 8 bits": folder / "a.cine", "Phantom .cine, 10 bits packed": folder / "b.cine",
         ".npy": folder / "a.npy", "TIFF, not packed": folder / "a.tif", "TIFF, packed by LZW": folder / "b.tif",
         "folder of PNG": folder / "png", "folder of JPEG": folder / "jpg",
     }  # fmt: skip
@@ -124,11 +135,11 @@ def main() -> None:
                 for what, work in works.items():
                     taken.setdefault((kind, what), []).append(cost(work, path))
         heads = "".join(f" {what + ' cpu':>14s} {'wall':>7s}" for what in works)
-        print(f"{'ms a frame':22s}{heads}")
+        print(f"{'ms a frame':30s}{heads}")
         for kind in paths:
             medians = [statistics.median(one[k] for one in taken[kind, what]) for what in works for k in (0, 1)]
             cells = "".join(f" {cpu:14.2f} {wall:7.2f}" for cpu, wall in zip(medians[::2], medians[1::2], strict=True))
-            print(f"{kind:22s}{cells}", flush=True)
+            print(f"{kind:30s}{cells}", flush=True)
 
 
 if __name__ == "__main__":
