@@ -7,6 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+# before NumPy is imported: two processes of tests whose algebra has two threads each wait for one another, and the
+# matrices are too small to share. Those that test what becomes of more threads ask for them
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from sybil import Example, Sybil
 from sybil.parsers import myst, rest
 
