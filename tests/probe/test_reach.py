@@ -1,12 +1,16 @@
 """How far layers are read: known limits of the information in symbols, and the order of what is expected."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from threadpoolctl import threadpool_info, threadpool_limits
 
+from heliograph.probe import reach
 from heliograph.probe.reach import information_of, reaches
+from heliograph.receive.equalise.lmmse import Estimate, equalise
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.observe.noise import Noise
 from heliograph.signal.settings import SignalSettings
@@ -52,6 +56,21 @@ def test_of_a_dim_array_soft_reads_farther_than_plain() -> None:
     plain, soft = reaches(NEAR, 8.0, Noise(1.3, 2.8), 50.0, SignalSettings(), smallest_px=3.0)
     for layer in ("high", "middle", "low"):
         assert soft.distance_m[layer] >= 0.95 * plain.distance_m[layer]
+
+
+def test_its_algebra_runs_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two threads took twenty times as long beside another process."""
+    threads: list[int] = []
+
+    def counting(*given: Any) -> Estimate:
+        threads.extend(info["num_threads"] for info in threadpool_info() if info["user_api"] == "blas")
+        return equalise(*given)
+
+    monkeypatch.setattr(reach, "equalise", counting)
+    with threadpool_limits(limits=2, user_api="blas"):
+        reaches(NEAR, 8.0, Noise(1.3, 2.8), 50.0, SignalSettings(), smallest_px=3.0)
+    assert threads
+    assert set(threads) == {1}
 
 
 def test_large_arrays_and_other_modulations_are_not_told() -> None:

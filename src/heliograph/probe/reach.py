@@ -15,6 +15,7 @@ import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.equalise.lmmse import equalise
+from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image import kernels as image_kernels
 from heliograph.receive.image.footprint import to_grid
 from heliograph.receive.image.pose import Pose
@@ -71,6 +72,7 @@ class Reach:
     found_m: float
 
 
+@one_thread()  # its matrices are as small as a receiver's
 def reaches(
     pose: Pose, gain: float, noise: Noise, distance_m: float, signal: SignalSettings, smallest_px: float | None = None
 ) -> tuple[Reach, ...]:
