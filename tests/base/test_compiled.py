@@ -1,12 +1,14 @@
 """Machine code that is kept: renewed when any part of it changes, and not missed where it cannot be kept."""
 
 import ast
+import gc
 import os
 import pty
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import heliograph
@@ -112,8 +114,9 @@ def test_a_folder_of_the_users_choice_is_taken(small: Path, tmp_path: Path) -> N
 def test_on_a_terminal_compiling_is_told_once_and_not_counted(small: Path) -> None:
     code = "import time, small.loops as m; from heliograph.base.compile_time import clock; m.total(2.0)\n"
     code += "a, b = time.monotonic(), clock(); m.total(2)\n"
-    code += "c, d = time.monotonic() - a, clock() - b; assert 0 <= d < 0.5 * c, (c, d)"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(small.parent), str(ROOT.parent)])}
+    code += "c, d = time.monotonic() - a, clock() - b; assert 0 <= d < c - 0.005, (c, d)"
+    environment = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
+    environment |= {"PYTHONPATH": os.pathsep.join([str(small.parent), str(ROOT.parent)])}
     said: list[str] = []
     for _ in range(2):
         ours, theirs = pty.openpty()
@@ -128,6 +131,32 @@ def test_on_a_terminal_compiling_is_told_once_and_not_counted(small: Path) -> No
     assert said[0].count("\n") == 1
     assert said[0].startswith("compiling for this computer")
     assert said[1] == ""
+
+
+@pytest.mark.slow
+def test_what_other_kernels_alone_call_refuses_python_and_is_kept_with_them(small: Path) -> None:
+    """Such a function has no way in from Python; without the refusal the process would end."""
+    loops = (
+        (small / "loops.py")
+        .read_text()
+        .replace("total(x)", "total(x):\n    return _inner(x)\n\n@compiled()\ndef _inner(x)")
+    )
+    (small / "loops.py").write_text(loops)
+    code = CALL + "\ntry: m._inner(2.0)\nexcept TypeError as error: print('compiled functions alone' in str(error))"
+    assert called(small, code=code) == ["9.0", "0", "True", "True"]
+    assert called(small, code=code) == ["9.0", "1", "True", "True"]
+
+
+def test_garbage_is_collected_again_once_it_is_compiled() -> None:
+    from heliograph.receive.image.median import median
+
+    assert gc.isenabled()
+    assert median(np.array([3.0, 1.0, 2.0])) == 2.0
+    assert gc.isenabled()
+    gc.disable()
+    median(np.array([3.0, 1.0], dtype=np.float32))
+    assert not gc.isenabled(), "as it was"
+    gc.enable()
 
 
 def test_the_clock_stands_still_while_it_compiles() -> None:

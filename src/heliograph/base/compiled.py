@@ -7,6 +7,7 @@ libraries, and the processor.
 """
 
 import contextlib
+import gc
 import hashlib
 import os
 import pickle
@@ -54,20 +55,41 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     Parameters
     ----------
     options
-        Options of `numba.njit`; the function does not hold Python's lock, so other threads go on.
+        Options of `numba.njit`; the function does not hold Python's lock, so other threads go on. Unless it is said
+        otherwise, numbers divided by 0 are infinite, as in NumPy.
 
     Returns
     -------
     A decorator for a function of a module that can be imported. Where its machine code cannot be kept, because no
-    folder can be written or its source is not there, it is compiled in each process anew.
+    folder can be written or its source is not there, it is compiled in each process anew. A function whose name
+    begins with an underscore is for other compiled ones alone: called from Python it raises a TypeError.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher = njit(nogil=True, **options)(function)
+        inner = function.__name__.startswith("_")
+        dispatcher = njit(nogil=True, **{**_LEAST_WORK, "no_cpython_wrapper": inner, **options})(function)
         dispatcher._cache = _Kept(function)  # what `enable_caching` does with Numba's own
+        if inner:
+            _close(dispatcher)
         return dispatcher
 
     return decorate
+
+
+_LEAST_WORK = {"no_cfunc_wrapper": True, "error_model": "numpy"}
+"""What saves a fifth of the time of compiling, with `_close`: no second way into each function, for C, and no error for
+each division by 0."""
+
+
+def _close(dispatcher: Any) -> None:
+    """Let no call from Python into a function that has no way in: it would end the process."""
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise TypeError(f"{dispatcher.__name__} is for compiled functions alone; call one that calls it")
+
+    # Python's calls look for machine code among what was inserted, and where there is none ask for it to be compiled
+    dispatcher._insert = lambda *_: None
+    dispatcher._compile_for_args = refuse
 
 
 class _Kept:
@@ -239,13 +261,26 @@ def _clear(place: Path, module: str) -> None:
 
 
 class _Watch(event.Listener):
-    """Stops the clock of `compile_time` while Numba compiles."""
+    """Stops the clock of `compile_time` while Numba compiles, and the collection of garbage.
+
+    Numba keeps most of the million objects that it makes: to look through them takes a twelfth of the time.
+    """
+
+    def __init__(self) -> None:
+        self._depth, self._collects = 0, False
 
     def on_start(self, _: Any) -> None:
         compile_time.begin()
+        if not self._depth:
+            self._collects = gc.isenabled()
+            gc.disable()
+        self._depth += 1
 
     def on_end(self, _: Any) -> None:
         compile_time.end()
+        self._depth -= 1
+        if not self._depth and self._collects:
+            gc.enable()
 
 
 event.register("numba:compile", _Watch())

@@ -120,7 +120,7 @@ def _poisson(mean: float, key: np.uint64, column: int) -> int:
 
 
 @compiled(error_model="numpy")
-def _read_out(
+def fill_levels(
     out: NDArray[Any],
     light: NDArray[np.float32],
     corner: tuple[int, int],
@@ -132,7 +132,19 @@ def _read_out(
     offset: np.float32,
     top: np.float32,
 ) -> None:
-    """The kernel of `read_out`."""
+    """Do the work of `read_out`.
+
+    Parameters
+    ----------
+    out
+        (h, w) uint8 or uint16 gray levels, overwritten.
+    light, corner, seed, frame
+        Light, corner and numbers, as of `read_out`.
+    well, dark
+        Full well and dark noise in electrons.
+    gain, offset, top
+        Gray levels an electron, of black, and of full scale.
+    """
     height, width = light.shape
     zero, half, sixth = np.float32(0), np.float32(0.5), np.float32(1 / 6)
     variance = dark * dark
@@ -195,5 +207,5 @@ def read_out(
         raise ValueError(f"light is (h, w) float32, not {light.shape} {light.dtype}")
     out: Pixels = np.empty(light.shape, np.uint8 if sensor.bits == 8 else np.uint16)
     scales = (sensor.full_well_e, sensor.dark_noise_e, sensor.gain_dn_per_e, sensor.offset_dn, sensor.full_scale)
-    _read_out(out, light, corner, np.uint64(seed), frame, *map(np.float32, scales))
+    fill_levels(out, light, corner, np.uint64(seed), frame, *map(np.float32, scales))
     return out
