@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,8 +133,9 @@ class Lit:
         # a piece of length T and centroid c has the moments T, T c and T (c^2 + T^2 / 12)
         length = self.end_s - self.start_s
         centre = (self.start_s + self.end_s - start_s - end_s) / 2
-        rows = np.stack([length, length * centre, length * (centre**2 + length**2 / 12)])
-        sums = np.tensordot(rows, self.on, 1)
+        rows = np.empty((3, len(length)))
+        rows[0], rows[1], rows[2] = length, length * centre, length * (centre**2 + length**2 / 12)
+        sums = (rows @ self.on.reshape(len(length), -1)).reshape(3, *self.on.shape[1:])
         total = np.maximum(sums[0], _NO_LIGHT_S)
         late = sums[1] / total
         return sums[0] / (end_s - start_s), late, np.maximum(sums[2] / total - late**2, 0)
@@ -208,7 +210,13 @@ class Faults:
         on
             (k, n, n) bool, LEDs that the patterns light in each of k pieces of an exposure.
         """
-        return np.asarray((((on & ~self.dead) | self.stuck) & ~self.hidden) * self.gains)
+        return np.where(on, *self._light)
+
+    @cached_property
+    def _light(self) -> tuple[Floats, Floats]:
+        """Light of each LED where a pattern lights it, and where none does, (n, n)."""
+        seen = ~self.hidden
+        return ((~self.dead | self.stuck) & seen) * self.gains, (self.stuck & seen) * self.gains
 
     def cut(self, begin_s: float, end_s: float) -> Iterator[tuple[float, float]]:
         """Yield the parts of a time for which the array is not off.
@@ -287,6 +295,10 @@ class Lighting:
         if not pieces:
             return None
         begins, ends, numbers, phases, patterns = zip(*pieces, strict=True)
-        rank = np.argsort(np.asarray(self.slot_order))[list(phases)]
-        on = self.faults.visible(np.stack(patterns) > rank[:, None, None])
+        on = self.faults.visible(np.array(patterns) > self._rank[list(phases), None, None])
         return Lit(np.array(begins), np.array(ends), on, tuple(dict.fromkeys(numbers)))
+
+    @cached_property
+    def _rank(self) -> NDArray[np.intp]:
+        """Level above which each slot is lit, (4,)."""
+        return np.argsort(np.asarray(self.slot_order))

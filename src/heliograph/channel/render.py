@@ -1,7 +1,9 @@
 """Light on the sensor in one exposure: background, panels, and LEDs along their motion."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +14,7 @@ from heliograph.channel.exposure import Lit
 from heliograph.channel.optics import add_leds, cover, disc_cubature, normal_table
 from heliograph.channel.parts import POINT_SPREADS
 from heliograph.channel.psf import PointSpread
-from heliograph.channel.settings import MOST_MOTION_PX, ChannelSettings
+from heliograph.channel.settings import MOST_MOTION_PX, CameraSettings, ChannelSettings
 from heliograph.channel.truth import ArrayTruth
 from heliograph.channel.views import ArrayView, FilmScene, FrameBlock, PanelView, panel_view
 
@@ -167,10 +169,7 @@ def add_array(
     radius = emitter.diameter_m / 2
     shape = (emitter.pitch_m, radius, emitter.lobe_order)
     light, late, spread = moments
-    psf: PointSpread = POINT_SPREADS[camera.psf](camera)
-    for fraction, (dx, dy), sigma in zip(psf.fraction, psf.shift_px, psf.sigma_px.tolist(), strict=True):
-        # the Gaussian's place beside the point moves the image: (x + dx, y + dy, 1) Z
-        shift = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]])
+    for fraction, shift, sigma in _gaussians(POINT_SPREADS[camera.psf], camera):
         resolution = radius * camera.focal_px / one[2, 2] / sigma
         steps = math.ceil(_STEPS_PER_OCTAVE * math.log2(resolution))
         points, rest = disc_cubature(2.0 ** (steps / _STEPS_PER_OCTAVE))
@@ -178,8 +177,8 @@ def add_array(
         add_leds(
             canvas.light,
             canvas.corner,
-            shift @ one,
-            shift @ drift,
+            one if shift is None else shift @ one,
+            drift if shift is None else shift @ drift,
             eye,
             part,
             shape,
@@ -188,6 +187,19 @@ def add_array(
             rest,
             normal_table(),
         )
+
+
+@lru_cache(maxsize=16)  # one of a film is asked for in each frame
+def _gaussians(
+    make: Callable[[CameraSettings], PointSpread], camera: CameraSettings
+) -> tuple[tuple[float, Floats | None, float], ...]:
+    """Light, shift and width in px of the Gaussians of a point-spread function; None for no shift."""
+    psf, parts = make(camera), []
+    for fraction, (dx, dy), sigma in zip(psf.fraction.tolist(), psf.shift_px, psf.sigma_px.tolist(), strict=True):
+        # the Gaussian's place beside the point moves the image: (x + dx, y + dy, 1) Z
+        shift = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]])
+        parts.append((fraction, shift if dx or dy else None, sigma))
+    return tuple(parts)
 
 
 def _truth(view: ArrayView, k: int, lit: Lit | None) -> ArrayTruth:
