@@ -16,7 +16,7 @@ from heliograph.signal.code import Algorithm
 from heliograph.signal.turbo import DecoderOptions, TurboCode, reference
 from heliograph.signal.turbo.decoder import decode_blocks
 from heliograph.signal.turbo.encoder import encode_constituent, encode_mother
-from heliograph.signal.turbo.options import Stop
+from heliograph.signal.turbo.options import MOST_INPUT, PER_LLR, Stop
 from heliograph.signal.turbo.qpp import interleaver
 
 ALGORITHMS: list[Algorithm] = ["max-log", "log-map"]
@@ -95,6 +95,44 @@ def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64],
     assert np.array_equal(fast.iterations, slow.iterations)
     assert np.array_equal(fast.stopped, slow.stopped)
     assert np.std(fast.llr - slow.llr) < 0.2 * atol
+
+
+@pytest.mark.parametrize(("k", "amplitude"), [(40, 1.0), (528, 1.0), (528, 40.0)])
+@pytest.mark.slow
+def test_whole_numbers_are_those_of_the_reference(k: int, amplitude: float) -> None:
+    """In 16 bit nothing overflows, however strong the LLRs: the very same numbers; 35 blocks fill a tile and a bit."""
+    code, rng = TurboCode(k=k), np.random.default_rng(6)
+    llr = amplitude * (2 - 4.0 * code.encode(rng.integers(0, 2, (35, k))) + 4 * rng.normal(size=(35, code.length)))
+    llr[0], llr[1] = 1e4 * np.sign(llr[0]), -1e4  # contradictory, and the same everywhere
+    whole = np.clip(np.rint(llr.astype(np.float32) * PER_LLR), -MOST_INPUT, MOST_INPUT).astype(np.float64)
+    options = DecoderOptions(iterations=4, stop="none", metrics="int16")
+    fast = code.decode(llr, iterations=4, stop="none", metrics="int16")
+    slow = reference.decode_whole(whole, interleaver(k), options)
+    assert np.array_equal(fast.llr * PER_LLR, slow)
+    assert np.array_equal(fast.extrinsic * PER_LLR, slow - whole[:, : 3 * k : 3])
+    assert np.array_equal(fast.bits, slow < 0)
+
+
+@pytest.mark.slow
+def test_whole_numbers_stop_early_and_make_as_many_blocks_wrong() -> None:
+    """At 0.8 dB 640 blocks with the same noise; over 20,480 it was 256 to 257."""
+    code = TurboCode(k=1024)
+    bits, llr = noisy(code, 640, 0.8, 7)
+    one, other = code.decode(llr), code.decode(llr, metrics="int16")
+    wrong, as_many = ((found.bits != bits).any(axis=1).sum() for found in (one, other))
+    assert abs(int(wrong) - int(as_many)) <= 4
+    assert other.iterations.mean() == pytest.approx(one.iterations.mean(), rel=0.02)
+    assert other.stopped.mean() == pytest.approx(one.stopped.mean(), abs=0.02)
+
+
+def test_whole_numbers_are_for_max_log_and_information_bits_alone() -> None:
+    llr = np.ones((1, 132))
+    with pytest.raises(SettingsError, match="max-log"):
+        TurboCode(k=40).decode(llr, algorithm="log-map", metrics="int16")
+    with pytest.raises(SettingsError, match="coded_output"):
+        TurboCode(k=40).decode(llr, coded_output=True, metrics="int16")
+    with pytest.raises(SettingsError, match="float32, int16"):
+        DecoderOptions(metrics="int8")  # type: ignore[arg-type]
 
 
 def test_correction_of_log_map() -> None:

@@ -10,7 +10,7 @@ from heliograph.base.errors import SettingsError
 from heliograph.signal.code import Algorithm, Check
 from heliograph.signal.turbo import decoder
 from heliograph.signal.turbo.encoder import TERMINATION, encode_mother
-from heliograph.signal.turbo.options import LLR_LIMIT, DecoderOptions, Stop, TurboResult
+from heliograph.signal.turbo.options import LLR_LIMIT, DecoderOptions, Metrics, Stop, TurboResult
 from heliograph.signal.turbo.qpp import coefficients, interleaver
 from heliograph.signal.turbo.rate_match import STREAMS, selection
 
@@ -120,6 +120,7 @@ class TurboCode:
         check: Check | None = None,
         a_priori: ArrayLike | None = None,
         coded_output: bool = False,
+        metrics: Metrics = "float32",
     ) -> TurboResult:
         """Decode blocks.
 
@@ -141,6 +142,8 @@ class TurboCode:
             LLRs of the information bits known beforehand, clipped in the same way.
         coded_output : bool
             Whether to compute `coded_llr` and `coded_extrinsic`; costs one more iteration.
+        metrics : {"float32", "int16"}
+            See `DecoderOptions`; "int16" has no `coded_output`.
 
         Returns
         -------
@@ -152,10 +155,13 @@ class TurboCode:
         ValueError
             A shape is wrong, an LLR is NaN, or `check` returns something else.
         SettingsError
-            An option is unknown or out of range, or `check` and `stop` do not go together.
+            An option is unknown or out of range, or `check` and `stop` do not go together, or `coded_output` and
+            `metrics`.
         """
         stop = stop or ("agreement" if check is None else "crc")
-        options = DecoderOptions(algorithm=algorithm, iterations=iterations, scale=scale, stop=stop)
+        options = DecoderOptions(algorithm=algorithm, iterations=iterations, scale=scale, stop=stop, metrics=metrics)
+        if coded_output and metrics == "int16":
+            raise SettingsError('coded_output needs metrics="float32"')
         if (check is None) == (stop == "crc"):
             raise SettingsError(f'check goes with stop="crc" and only with it; stop is "{stop}" and check is {check}')
         received = self._llrs("llr", llr, self.length)

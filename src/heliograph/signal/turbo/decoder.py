@@ -1,13 +1,14 @@
 """Drive a kernel: pack blocks into tiles, stop those that are done, keep the others together."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.signal.code import Check
 from heliograph.signal.turbo.encoder import TERMINATION
-from heliograph.signal.turbo.options import LLR_LIMIT, DecoderOptions, TurboResult
+from heliograph.signal.turbo.options import LLR_LIMIT, PER_LLR, DecoderOptions, TurboResult
 
 _CHUNK_BITS = 2**17
 """Information bits decoded at once; their tiles take about 3 MB. Chosen: half and twice the value, here and in the two
@@ -96,14 +97,14 @@ class _Run:
         self, llr: Floats32, positions: Indices, order: Indices, options: DecoderOptions, a_priori: Floats32 | None
     ) -> None:
         # imported at the first decoding: Numba takes half a second
-        from heliograph.signal.turbo import kernel, single, tiles
+        from heliograph.signal.turbo import kernel, short, single, tiles
 
-        few = len(llr) <= _FEW_BLOCKS
-        self.kernel, self.tiles = (single if few else kernel), tiles
-        self.width = 1 if few else tiles.LANES
+        self.in_short, few = options.metrics == "int16", len(llr) <= _FEW_BLOCKS
+        self.kernel, self.tiles = (short if self.in_short else single if few else kernel), tiles
+        self.width = short.LANES if self.in_short else 1 if few else tiles.LANES
         # copies, since Numba would compile a second kernel for the read-only originals
         self.order, self.positions, self.options = order.copy(), positions.copy(), options
-        self.scale = np.float32(options.factor)
+        self.scale: Any = short.factor_of(options.factor) if self.in_short else np.float32(options.factor)
         self.exact = None if options.algorithm == "max-log" else True
         blocks, k = len(llr), len(order)
         self.blocks = np.arange(blocks)
@@ -112,7 +113,9 @@ class _Run:
         self.tiles.pack(llr, self.positions, self.mother)
         if a_priori is not None:
             self.tiles.pack(a_priori, 3 * np.arange(k), self.mother)
-        self.passed = self.tiles.zeros(blocks, k, self.width)
+        if self.in_short:  # punctured bits are 0 in it too, and repeated ones were added up
+            self.mother = short.quantised(self.mother)
+        self.passed = self.tiles.zeros(blocks, k, self.width, self.mother.dtype)
         self.work = self.kernel.working_memory(k)
         self._make_outputs()
 
@@ -161,6 +164,9 @@ class _Run:
         result.iterations[blocks] = iteration
         result.stopped[blocks] = met[lanes]
         self.tiles.collect(self.app_2, self.mother, lanes, blocks, result.llr, result.extrinsic, result.bits)
+        if self.in_short:
+            result.llr[blocks] /= PER_LLR
+            result.extrinsic[blocks] /= PER_LLR
         if result.coded_llr is not None:
             result.coded_llr[blocks] = self._coded(lanes)
 
@@ -183,8 +189,8 @@ class _Run:
         self.blocks, self.alive = self.blocks[lanes], np.ones(len(lanes), dtype=np.bool_)
         self._make_outputs()
 
-    def _moved(self, source: Floats32, lanes: Indices) -> Floats32:
-        target: Floats32 = self.tiles.zeros(len(lanes), source.shape[1], self.width)
+    def _moved(self, source: NDArray[Any], lanes: Indices) -> NDArray[Any]:
+        target: NDArray[Any] = self.tiles.zeros(len(lanes), source.shape[1], self.width, source.dtype)
         self.tiles.move(source, lanes, target)
         return target
 

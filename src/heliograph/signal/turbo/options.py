@@ -13,15 +13,29 @@ from heliograph.signal.code import Algorithm
 Stop = Literal["none", "agreement", "crc"]
 """When a block stops before its last iteration."""
 
+Metrics = Literal["float32", "int16"]
+"""Numbers in which a decoder adds up its paths."""
+
 LLR_LIMIT = 1e4
 """Magnitude to which input LLRs are clipped: far above that of any channel, and small enough that float32 resolves
 0.001 beside it (2^-10 at 1e4)."""
+
+PER_LLR = 16
+"""Whole numbers to 1 of an LLR, where metrics are int16. Of 10,240 blocks of K = 1024 at 0.5 dB, with the same noise,
+8 left 1664 wrong, 16 left 1651, 24 left 1645, and float32 1613; of 20,480 at 0.8 dB 268, 256, 255 and 257."""
+
+MOST_INPUT, MOST_EXTRINSIC = 400, 600
+"""Largest input and extrinsic LLR in these numbers, 25 and 37.5: metrics stay within 16 bit by a fifth."""
+
+FACTOR_BITS = 16
+"""Binary places of their factor on extrinsic LLRs."""
 
 _DEFAULT_SCALE: dict[str, float] = {"max-log": 0.7, "log-map": 1.0}
 """Default factor on extrinsic LLRs. Log-MAP needs none. For max-log, which overrates them, 0.7 left 3384 of 20,480
 blocks of K = 1024 at 0.5 dB in error, the usual 0.75 left 3500 (docs/decisions.md)."""
 
 _STOPS = ("none", "agreement", "crc")
+_METRICS = ("float32", "int16")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,23 +54,31 @@ class DecoderOptions:
     stop : {"none", "agreement", "crc"}
         When a block stops early: never; when both half iterations decide all bits alike; when the caller's check finds
         the decisions right.
+    metrics : {"float32", "int16"}
+        "int16" is for max-log alone. It decodes 64 blocks in 0.6 of the time, with input LLRs in steps of 1/16
+        up to 25; one takes as long as 32.
 
     Raises
     ------
     SettingsError
-        A setting is unknown or out of range.
+        A setting is unknown or out of range, or "int16" goes with log-MAP.
     """
 
     algorithm: Algorithm = "max-log"
     iterations: int = 8
     scale: float | None = None
     stop: Stop = "agreement"
+    metrics: Metrics = "float32"
 
     def __post_init__(self) -> None:
         if self.algorithm not in _DEFAULT_SCALE:
             raise SettingsError(f"algorithm must be one of {', '.join(_DEFAULT_SCALE)}, not {self.algorithm!r}")
         if self.stop not in _STOPS:
             raise SettingsError(f"stop must be one of {', '.join(_STOPS)}, not {self.stop!r}")
+        if self.metrics not in _METRICS:
+            raise SettingsError(f"metrics must be one of {', '.join(_METRICS)}, not {self.metrics!r}")
+        if self.metrics == "int16" and self.algorithm != "max-log":
+            raise SettingsError('metrics="int16" goes with algorithm="max-log" alone: choose one or the other')
         if self.iterations < 1:
             raise SettingsError(f"iterations must be at least 1, not {self.iterations}")
         if self.scale is not None and not 0 < self.scale <= 1:

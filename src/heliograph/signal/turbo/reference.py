@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.signal.code import Algorithm, Check
-from heliograph.signal.turbo.options import DecoderOptions
+from heliograph.signal.turbo.options import FACTOR_BITS, MOST_EXTRINSIC, DecoderOptions
 
 G0 = np.array([1, 0, 1, 1])
 """Feedback of the constituent code, 1 + D^2 + D^3 (TS 36.212, section 5.1.3.2.1)."""
@@ -211,6 +211,35 @@ def decode(
             break
     mother = _mother_posterior(llr_nat, extrinsic_nat, info_nat, inputs, orders, options)
     return ReferenceResult(llr_nat, mother, iterations, stopped)
+
+
+def decode_whole(mother: Floats, order: NDArray[np.int64], options: DecoderOptions) -> Floats:
+    """Decode in whole numbers, as `short` does; in double precision they are exact.
+
+    Parameters
+    ----------
+    mother : ndarray of float64, shape (B, 3 K + 12)
+        Whole numbers: LLRs times `short.PER_LLR`, clipped to `short.MOST_INPUT`.
+    order : ndarray of int, shape (K,)
+        Interleaver, ``x_itl = x_nat[order]``.
+    options : DecoderOptions
+        Iterations and scale; the algorithm is max-log, and all iterations are done.
+
+    Returns
+    -------
+    ndarray of float64, shape (B, K)
+        A-posteriori LLRs of the information bits, whole numbers of the same unit.
+    """
+    k = len(order)
+    info, extrinsic, llr = mother[:, : 3 * k : 3], np.zeros((len(mother), k)), np.empty((len(mother), k))
+    tails = mother[:, 3 * k : 3 * k + TAIL_BITS], mother[:, 3 * k + TAIL_BITS :]
+    factor = round(options.factor * 2**FACTOR_BITS)
+    for _ in range(options.iterations):
+        for code, half_order in enumerate((np.arange(k), order)):
+            lu = info + extrinsic
+            llr[:, half_order] = siso(lu[:, half_order], mother[:, code + 1 : 3 * k : 3], tails[code], "max-log").info
+            extrinsic = np.floor((llr - lu) * factor / 2**FACTOR_BITS + 0.5).clip(-MOST_EXTRINSIC, MOST_EXTRINSIC)
+    return llr
 
 
 def _may_stop(halves: list[Floats], options: DecoderOptions, check: Check | None) -> NDArray[np.bool_]:

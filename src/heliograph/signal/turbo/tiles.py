@@ -1,13 +1,14 @@
-"""Move blocks into and out of the kernels' tiles: float32 of shape (tiles, rows, L), one block a lane.
+"""Move blocks into and out of the kernels' tiles: arrays of shape (tiles, rows, L), one block a lane.
 
-L is 16 for `kernel` and 1 for `single`. Written for Numba like these, and imported with them at the first decoding.
-``B`` is the number of blocks, ``lanes`` a number tile * L + lane for each block in question.
+L is 16 for `kernel`, 1 for `single` and 32 for `short`, whose tiles are int16; the others are float32. Written for
+Numba like these, and imported with them at the first decoding. ``B`` is the number of blocks, ``lanes`` a number
+tile * L + lane for each block in question.
 """
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from heliograph.base.compiled import compiled
 from heliograph.signal.turbo.options import LLR_LIMIT
@@ -24,7 +25,7 @@ decoding was the same within its noise."""
 _compile = compiled(error_model="numpy")
 
 
-def zeros(blocks: int, rows: int, width: int) -> NDArray[np.float32]:
+def zeros(blocks: int, rows: int, width: int, dtype: DTypeLike = np.float32) -> NDArray[Any]:
     """Return zeroed tiles.
 
     Parameters
@@ -35,12 +36,14 @@ def zeros(blocks: int, rows: int, width: int) -> NDArray[np.float32]:
         Values of each block: K for information bits, 3 K + 12 for a mother codeword.
     width
         Lanes of a tile, L.
+    dtype
+        Type of the values, float32 or int16.
 
     Returns
     -------
-    (ceil(B / L), rows, L) float32.
+    (ceil(B / L), rows, L) array.
     """
-    return np.zeros((-(-blocks // width), rows, width), dtype=np.float32)
+    return np.zeros((-(-blocks // width), rows, width), dtype)
 
 
 @_compile
