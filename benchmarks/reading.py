@@ -1,7 +1,7 @@
 """What reading a film costs by its kind, alone and in a reception: python -m benchmarks.reading.
 
-Films of one array at rest 60 m away, 1024 x 512, 8 bits or where it is said more, one after the other in each run. A cold film's pages are given
-back to the system first, where that takes such advice.
+Films of one array at rest 60 m away, 1024 x 512, 8 bits or where it is said more, one after the other in each run.
+A cold film's pages are given back to the system first, where that takes such advice.
 """
 
 import argparse
