@@ -56,7 +56,7 @@ class StreamReceiver:
         self._orientation: Orientation | None = None
         self._started = False
         self._last: Frame | None = None
-        self._coming: deque[ComingPacket] = deque()
+        self._coming: deque[ComingPacket | LostEvent] = deque()
 
     @property
     def candidates_fitted(self) -> int:
@@ -79,10 +79,8 @@ class StreamReceiver:
         check_next(frame, self._last)
         self._last = frame
         for timed in self._parts.clock.push(frame):
-            self._coming.extend(self._take(timed))
-        # in the order in which they were seen
-        while self._coming and self._coming[0].done:
-            yield self._coming.popleft().packet()
+            self._await(self._take(timed))
+        yield from self._known()
 
     def finish(self) -> Iterator[Packet]:
         """End of the film: yield the packets in progress of which enough was seen."""
@@ -90,12 +88,29 @@ class StreamReceiver:
 
     def _finish(self) -> Iterator[Packet]:
         for timed in self._parts.clock.flush():
-            self._coming.extend(self._take(timed))
+            self._await(self._take(timed))
         for array in self._arrays:
-            self._coming.extend(array.flush())
+            self._await(array.flush())
         self._arrays = []
+        yield from self._known(wait=True)
+
+    def _await(self, packets: Iterator[ComingPacket]) -> None:
+        """Keep packets that were seen, each in its place among the losses of arrays."""
+        for packet in packets:
+            self._coming.append(packet)
+
+    def _known(self, wait: bool = False) -> Iterator[Packet]:
+        """Packets decoded by now, or all, in the order in which they were seen; an array's loss comes after them."""
         while self._coming:
-            yield self._coming.popleft().packet()
+            first = self._coming[0]
+            if isinstance(first, LostEvent):
+                self._coming.popleft()
+                self._observe(first)
+            elif wait or first.done:
+                self._coming.popleft()
+                yield first.packet()
+            else:
+                return
 
     def _take(self, frame: Frame) -> Iterator[ComingPacket]:
         """Take a frame whose time is known."""
@@ -136,6 +151,7 @@ class StreamReceiver:
     def _take_up(self, detection: Detection) -> Iterator[ComingPacket]:
         """Begin to follow an array, its header's frames first."""
         recent = tuple(self._parts.search.recent)
+        self._tell_losses()
         self._observe(DetectEvent(detection, recent))
         settled = self._orientation is not None
         array = OrientedReceivers([self._parts.follow(one) for one in detection.hypotheses], settled)
@@ -158,5 +174,11 @@ class StreamReceiver:
             self._forget(array)
 
     def _forget(self, array: OrientedReceivers) -> None:
-        self._observe(LostEvent(array.leading.identity, array.leading.time_s))
+        self._coming.append(LostEvent(array.leading.identity, array.leading.time_s))
         self._arrays.remove(array)
+
+    def _tell_losses(self) -> None:
+        """Tell losses that wait for packets: the same array may be found again before these are decoded."""
+        for loss in [one for one in self._coming if isinstance(one, LostEvent)]:
+            self._coming.remove(loss)
+            self._observe(loss)
