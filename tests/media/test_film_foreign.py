@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from heliograph.base.errors import MediaError
 from heliograph.media import open_film, planes
 
 
@@ -113,3 +114,35 @@ def test_a_film_without_our_record(tmp_path: Path) -> None:
         assert film.frame_count == 7
         assert [f.index for f in film] == list(range(7))
         assert "major_brand" in film.metadata
+
+
+def coded(path: Path, kind: str, codec: str, pixel_format: str) -> None:
+    """Write seven pictures, brighter and brighter, without a container."""
+    with av.open(str(path), "w", format=kind) as container:
+        stream = container.add_stream(codec, rate=1000)
+        stream.width, stream.height, stream.pix_fmt = 64, 64, pixel_format
+        for number in range(7):
+            picture = av.VideoFrame.from_ndarray(np.full((64, 64), 30 * number + 20, np.uint8), "gray")
+            container.mux(stream.encode(picture.reformat(format=pixel_format)))
+        container.mux(stream.encode())
+
+
+def test_raw_h264_has_the_rate_of_its_stream(tmp_path: Path) -> None:
+    """FFmpeg makes stamps up, 25 a second; pictures are coded in another order than they are shown."""
+    coded(tmp_path / "a.h264", "h264", "libx264", "yuv420p")
+    for given, rate in ((None, 1000), (500, 500)):
+        with open_film(tmp_path / "a.h264", rate_hz=given) as film:
+            assert (film.claimed_hz, film.rate_hz) == (1000, rate)
+            frames = list(film)
+        assert [frame.index for frame in frames] == list(range(7))
+        assert [frame.time_s for frame in frames] == pytest.approx(np.arange(7) / rate)
+        levels = [float(frame.pixels.mean()) for frame in frames]
+        assert levels == sorted(levels)
+
+
+def test_pictures_alone_of_no_rate_need_one(tmp_path: Path) -> None:
+    coded(tmp_path / "a.mjpeg", "mjpeg", "mjpeg", "yuvj420p")
+    with pytest.raises(MediaError, match="has no clock: say how many frames a second the camera took, by --fps"):
+        open_film(tmp_path / "a.mjpeg")
+    with open_film(tmp_path / "a.mjpeg", rate_hz=500) as film:
+        assert [frame.time_s for frame in film] == pytest.approx(np.arange(7) / 500)

@@ -13,6 +13,7 @@ from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame, Pixels
 from heliograph.media import planes, whole
 from heliograph.media.display import Orientation, orientation
+from heliograph.media.numbered import camera_rate
 from heliograph.media.reader import FilmReader, checked_size, checked_time
 from heliograph.media.reading import Reading
 from heliograph.media.record import from_tags, restored_time
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 DECODER_THREADS = 2
 """Threads of a decoder: the cores of the machine that films were measured on. Chosen: a frame takes the same time of
 processors with 1 to 4 threads, of pictures or of parts of one: 13.4 to 14.1 ms with FFV1, 6.1 to 6.9 ms with H.264."""
+
+_NO_TIMESTAMPS = 0x80
+"""Flag of FFmpeg's formats that hold coded pictures alone, such as .h264: their stamps are made up, 25 a second."""
 
 _TEXT_FORMATS = ("tty", "lrc", "srt", "ass", "webvtt")
 """Formats as which FFmpeg opens text files, as films of letters on a terminal."""
@@ -65,9 +69,13 @@ class VideoReader(FilmReader):
             self.width, self.height = stream.codec_context.width, stream.codec_context.height
             self.faster = ("HDF5",) if stream.codec_context.name == "h264" else ("HDF5", "lossless H.264")
             self.metadata = self._record.metadata if self._record else _tags(container)
-            self.claimed_hz = self._record.rate_hz if self._record else _rate(stream)
+            self._stamped = not int(container.format.flags) & _NO_TIMESTAMPS
+            if self._stamped:
+                self.claimed_hz = self._record.rate_hz if self._record else _rate(stream)
+            else:  # a stream of coded pictures alone, of which some say their rate
+                self.claimed_hz = camera_rate(path, reading.rate_hz, float(stream.codec_context.framerate or 0))
             self.bits = self._record.bits if self._record else _bits(stream)
-            self.frame_count = _frame_count(container, self.claimed_hz)
+            self.frame_count = _frame_count(container, self.claimed_hz) if self._stamped else None
             checked_size(path, self.width, self.height)
             self._way_up = Orientation() if self._record else _way_up(container)
             self.width, self.height = self._way_up.size(self.width, self.height)
@@ -159,7 +167,7 @@ class VideoReader(FilmReader):
         broken: MediaError | None = None
         try:
             for picture in self._pictures(container):
-                if picture.pts is None or picture.time_base is None:
+                if not self._stamped or picture.pts is None or picture.time_base is None:
                     stamp_s += 1 / self.claimed_hz
                 else:
                     stamp_s = float(picture.pts * picture.time_base)
