@@ -178,14 +178,35 @@ def test_wrong_options(call: Call, film: Path, tmp_path: Path, options: tuple[st
 
 @pytest.mark.parametrize("option", [("--camera", "gain=3"), ("--duration", "3"), ("--record", "kept.h5")])
 def test_options_of_cameras_are_not_for_recordings(call: Call, film: Path, option: tuple[str, str]) -> None:
-    assert "are for a live camera, such as camera:aravis" in failed(call("receive", film, *option))
+    assert f"{option[0]} is for a live camera, such as camera:aravis" in failed(call("receive", film, *option))
+    both = call("convert", film, "again.h5", "--camera", "gain=3", "--duration", "3")
+    assert "--camera and --duration are for a live camera" in failed(both)
 
 
 def test_a_cameras_film_can_be_converted(call: Call, film: Path, tmp_path: Path) -> None:
-    succeeded(call("convert", f"camera:played:{film}", "taken.h5", "--crop", "0,0,80,60"))
+    lost = ("--camera", "Lost=40")
+    says = succeeded(call("convert", f"camera:played:{film}", "taken.h5", "--crop", "0,0,80,60", *lost))
+    assert says == (
+        "taken.h5: 319 frames\ncamera: 319 frames, 1000.0 a second by the camera's clock; 1 lost on the way\n"
+    )
     with open_film(tmp_path / "taken.h5") as taken:
-        assert len(list(taken)) == 320
+        assert [frame.index for frame in taken] == [k for k in range(320) if k != 40]
         assert (taken.width, taken.height) == (80, 60)
+
+
+def test_recording_a_camera_ends_after_its_duration(call: Call, film: Path) -> None:
+    endless = ("--camera", "Times=0", "--camera", "Speed=200")
+    says = succeeded(call("convert", f"camera:played:{film}", "taken.h5", *endless, "--duration", "1"))
+    assert 1 <= int(says.removeprefix("taken.h5: ").partition(" ")[0]) <= 210
+
+
+def test_recording_a_camera_ends_by_ctrl_c(film: Path, tmp_path: Path) -> None:
+    command = ("--load", PLAYED, "convert", f"camera:played:{film}", "taken.h5",
+               "--camera", "Times=0", "--camera", "Speed=300")  # fmt: skip
+    says = succeeded(interrupted(*command, cwd=tmp_path, when=grown(tmp_path, ".*taken*", 300_000)))
+    assert says.splitlines()[1].startswith("camera: ")
+    with open_film(tmp_path / "taken.h5") as taken:
+        assert f"taken.h5: {taken.frame_count} frames\n" in says
 
 
 def test_cameras_are_listed_and_what_is_missing_is_said(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:

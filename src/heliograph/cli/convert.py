@@ -4,18 +4,25 @@ import sys
 from pathlib import Path
 
 from heliograph.cli import console, options
+from heliograph.cli.live import LiveOptions, attend, ended_by_ctrl_c, show_counts
 
 
-def run_convert(film: Path, output: Path, seen: options.FilmOptions, codec: str | None, crf: float | None) -> None:
-    """Write a film as another kind."""
+def run_convert(
+    film: Path, output: Path, seen: options.FilmOptions, live: LiveOptions, codec: str | None, crf: float | None
+) -> None:
+    """Write a film as another kind; Ctrl-C ends that of a live camera."""
     from heliograph.media import convert_film, open_film
     from heliograph.media.convert import keeps_levels
+    from heliograph.media.live.reader import live_of
 
     options.refuse_to_replace(output, (film,))
     written = 0
-    with open_film(film, **seen.keywords()) as source:
+    with open_film(film, **seen.keywords(), **live.keywords(film)) as source:
+        camera = live_of(source)
+        if camera is not None:
+            attend(camera)
         try:
-            with console.progress("converting", source.frame_count) as advance:
+            with console.progress("converting", source.frame_count) as advance, ended_by_ctrl_c(camera):
 
                 def note(frames: int) -> None:
                     nonlocal written
@@ -29,3 +36,4 @@ def run_convert(film: Path, output: Path, seen: options.FilmOptions, codec: str 
             sys.exit(console.INTERRUPTED)
     exact = "" if keeps_levels(output, codec, crf) else "; its gray levels are not quite those of the source"
     console.say(f"{output}: {count} frames{exact}")
+    show_counts(camera)

@@ -8,7 +8,10 @@ import typer
 from heliograph.base.errors import MediaError
 from heliograph.cli import options
 
-READ = "Video, .h5, .mraw, .cine, TIFF stack, .npy, folder of pictures, or their names such as img%04d.png."
+READ = (
+    "Video, .h5, .mraw, .cine, TIFF stack, .npy, folder of pictures, or their names such as img%04d.png. Or a live "
+    "camera, camera:KIND:ADDRESS."
+)
 """Films that are read, for the help."""
 
 High = Annotated[str | None, options.message_option("high")]
@@ -78,6 +81,9 @@ CameraOption = Annotated[
         "queue_s, reconnect, or a feature by the camera's own name, such as BlackLevel; may be repeated.",
     ),
 ]
+Duration = Annotated[
+    float | None, typer.Option(metavar="S", help="Seconds after which a live camera is left.", show_default=False)
+]
 Receiver = Annotated[
     str | None,
     typer.Option(
@@ -135,9 +141,7 @@ def transmit(
 
 
 def receive(
-    films: Annotated[
-        list[Path], typer.Argument(metavar="FILM...", help=f"{READ} Or a live camera, camera:KIND:ADDRESS.")
-    ],
+    films: Annotated[list[Path], typer.Argument(metavar="FILM...", help=READ)],
     receiver: Receiver = None,
     output: Annotated[
         Path | None,
@@ -158,10 +162,7 @@ def receive(
     settings: options.SettingsFile = None,
     assignments: options.Assignments = None,
     camera: CameraOption = None,
-    duration: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Seconds after which a live camera is left.", show_default=False),
-    ] = None,
+    duration: Duration = None,
     record: Annotated[
         Path | None,
         typer.Option(
@@ -231,7 +232,7 @@ def cameras(camera: CameraOption = None, as_json: options.Json = False) -> None:
 
 
 def probe(
-    film: Annotated[Path, typer.Argument(metavar="FILM", help=f"{READ} Or a live camera, camera:KIND:ADDRESS.")],
+    film: Annotated[Path, typer.Argument(metavar="FILM", help=READ)],
     receiver: Receiver = None,
     frames: Annotated[
         int | None,
@@ -288,11 +289,18 @@ def convert(
         float | None,
         typer.Option(help="Quality of lossy H.264, 0 to 51; without it every gray level is kept.", show_default=False),
     ] = None,
+    camera: CameraOption = None,
+    duration: Duration = None,
 ) -> None:
-    """Write a film as another kind, with its gray levels and times; .h5 is the fastest to read."""
-    from heliograph.cli.convert import run_convert
+    """Write a film as another kind, with its gray levels and times; .h5 is the fastest to read.
 
-    run_convert(film, output, options.FilmOptions(fps, crop, binning, rotate, channel), codec, crf)
+    A live camera is recorded until Ctrl-C, or for --duration S.
+    """
+    from heliograph.cli.convert import run_convert
+    from heliograph.cli.live import LiveOptions
+
+    seen, live = options.FilmOptions(fps, crop, binning, rotate, channel), LiveOptions(camera, duration)
+    run_convert(film, output, seen, live, codec, crf)
 
 
 def demo(

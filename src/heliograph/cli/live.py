@@ -31,19 +31,20 @@ class LiveOptions:
 
     camera: list[str] | None
     duration: float | None
-    record: Path | None
-    record_s: float
+    record: Path | None = None
+    record_s: float = 0.0
 
     def keywords(self, film: Path) -> dict[str, Any]:
         """Return them as `open_film` takes them; a MediaError where they are given with a recording."""
         from heliograph.media.live.reader import is_camera
 
-        given = [*(self.camera or ()), *([f"duration_s={self.duration}"] if self.duration is not None else ())]
-        if (given or self.record is not None) and not is_camera(film):
-            raise MediaError(
-                f"--camera, --duration and --record are for a live camera, such as camera:aravis, not {film}"
-            )
-        return {"camera": given}
+        options = {"--camera": self.camera or None, "--duration": self.duration, "--record": self.record}
+        given = [name for name, value in options.items() if value is not None]
+        if given and not is_camera(film):
+            are = "is" if len(given) == 1 else "are"
+            raise MediaError(f"{' and '.join(given)} {are} for a live camera, such as camera:aravis, not {film}")
+        duration = [] if self.duration is None else [f"duration_s={self.duration}"]
+        return {"camera": [*(self.camera or ()), *duration]}
 
 
 class Watch:
@@ -124,9 +125,7 @@ class Watch:
 
     def show(self) -> None:
         """Say what became of a camera's frames."""
-        counts = self._live.counts if self._live is not None else None
-        if counts is not None:
-            console.say(_counted(counts))
+        show_counts(self._live)
         if self._recorder is not None and self._recorder.written:
             kept = f"the last {self._recorder.written} frames"
             path = self._recorder.path
@@ -151,22 +150,30 @@ def watched(
     if live is None:
         yield Watch(source, None, None, aloud)
         return
-    for text in live.form.departures:
-        console.complain(f"{source.path}: {text}")
-    live.say = console.complain
+    attend(live)
     recorder = None
     if options.record is not None:
         recorder = Recorder(options.record, options.record_s, source, signal_note(light))
         if recorder.seconds < options.record_s:
             console.complain(f"{options.record} keeps {recorder.seconds:.1f} s: more would not find room in memory")
     warm_up(light, receiver, source.bits)
-    with _ended_by_ctrl_c(live):
+    with ended_by_ctrl_c(live):
         yield Watch(source, live, recorder, aloud)
 
 
+def attend(live: "LiveReader") -> None:
+    """Say what a camera made of its settings, and when it is lost or back."""
+    for text in live.form.departures:
+        console.complain(f"{live.path}: {text}")
+    live.say = console.complain
+
+
 @contextlib.contextmanager
-def _ended_by_ctrl_c(live: "LiveReader") -> Iterator[None]:
-    """Let the first Ctrl-C end the film, and the second one break off."""
+def ended_by_ctrl_c(live: "LiveReader | None") -> Iterator[None]:
+    """Let the first Ctrl-C end a camera's film, and the second one break off; a recording's it breaks off at once."""
+    if live is None:
+        yield
+        return
     kinds = (signal.SIGINT, signal.SIGTERM)
     before = {kind: signal.getsignal(kind) for kind in kinds}
 
@@ -182,6 +189,12 @@ def _ended_by_ctrl_c(live: "LiveReader") -> Iterator[None]:
     finally:
         for kind in kinds:
             signal.signal(kind, before[kind])
+
+
+def show_counts(live: "LiveReader | None") -> None:
+    """Say what became of a camera's frames."""
+    if live is not None and live.counts is not None:
+        console.say(_counted(live.counts))
 
 
 def _counted(counts: "CameraCounts") -> str:
