@@ -190,7 +190,7 @@ def test_transmit_writes_patterns_as_numbers(tmp_path: Path, call: Call) -> None
     assert (levels.shape, levels.dtype, levels.max()) == ((200, 16, 16), np.uint8, 4)
     assert (levels[0::2] + levels[1::2] == 4).all(), "each pattern is followed by its inverse"
     out = succeeded(call("transmit", "a.csv", "--packets", "2", "--identity", "9", "--slots"))
-    assert out == "a.csv: 800 patterns of 0.25 ms, 0.2 s\n"
+    assert out == "a.csv: 800 slots of 0.25 ms, 0.2 s\n"
     table = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)
     assert np.array_equal(table[:, 1:], np.reshape(list(heliograph_package.open_slots(tmp_path / "a.csv")), (800, -1)))
     assert table[:, 0] == pytest.approx(np.arange(800) * 0.25e-3)

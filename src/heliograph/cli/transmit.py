@@ -53,7 +53,9 @@ def run_transmit(
             write_slots(output, _counted(patterns, advance), form)
         else:
             _write(output, _counted(patterns, advance), (count, settings.signal.side), period, brightest)
-    console.say(f"{output}: {count} {'slots' if driver else 'patterns'} of {period * 1e3:g} ms, {count * period:g} s")
+    console.say(
+        f"{output}: {count} {'slots' if brightest == 1 else 'patterns'} of {period * 1e3:g} ms, {count * period:g} s"
+    )
 
 
 def _least_bytes(output: Path, count: int, side: int) -> int:
