@@ -1,6 +1,8 @@
 """A simulated light, served by Aravis' fake GigE Vision camera, received live: a real protocol from end to end."""
 
 import json
+import os
+import re
 import signal
 import subprocess
 import sys
@@ -23,7 +25,8 @@ from heliograph.media.live.reader import LiveReader
 
 pytestmark = pytest.mark.slow
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "fake_camera.py"
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "fake_camera.py"
 NAME = "camera:aravis:Aravis-Fake-GV01"
 RATE, PAIRS, SIDE = 50, 12, 128
 """Frames and patterns a second, pairs of data in a packet, pixels a side: 28 patterns a packet."""
@@ -36,13 +39,18 @@ CAMERA: dict[str, object] = {"rate_hz": RATE, "region": f"0,0,{SIDE},{SIDE}", "e
 Served = subprocess.Popen[str]
 
 
-@contextmanager
-def served(*options: str) -> Iterator[Served]:
-    """The camera in a process of its own, once it answers."""
+def aravis_or_skip() -> None:
+    """Skip the test where the library is not there."""
     try:
         aravis()
     except MediaError as error:
         pytest.skip(str(error))
+
+
+@contextmanager
+def served(*options: str) -> Iterator[Served]:
+    """The camera in a process of its own, once it answers."""
+    aravis_or_skip()
     command = [sys.executable, str(EXAMPLE), "--rate", str(RATE), "--data-pairs", str(PAIRS), "--side", str(SIDE),
                "--packets", "2", "--text", TEXT, *options]  # fmt: skip
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
@@ -203,3 +211,42 @@ class TestLossy:
         assert report["frames"] == counts["frames"]
         assert (tmp_path / "out" / "array-0-high-0.bin").read_bytes() == TEXT.encode()
         assert report["arrays"][0]["layers"]["high"]["ok"] >= 1
+
+
+BLOCK = re.compile(r"^```(sh|text)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+NUMBER = re.compile(r"[0-9.]*[0-9]")
+BESIDE = "----- the next block"
+
+
+def walk() -> list[tuple[str, str]]:
+    """Commands of the walk of docs/cameras.md that are typed here, block by block, each with what is to be printed."""
+    page = (ROOT / "docs" / "cameras.md").read_text()
+    section = page.partition("## From a fresh clone\n")[2].partition("\n## ")[0]
+    blocks = BLOCK.findall(section)
+    shown = [(text, blocks[k + 1][1]) for k, (kind, text) in enumerate(blocks[:-1])
+             if kind == "sh" and blocks[k + 1][0] == "text"]  # fmt: skip
+    assert len(shown) == sum(kind == "text" for kind, _ in blocks), "each text shows what a command before it prints"
+    return shown
+
+
+def test_the_walk_of_the_page_on_cameras_prints_what_it_says(tmp_path: Path) -> None:
+    aravis_or_skip()
+    pytest.importorskip("genicam", reason="the walk needs 'pip install harvesters'")
+    if any(Path("/dev").glob("video*")):
+        pytest.skip("a webcam is here, which the walk does not show")
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    blocks = walk()
+    typed = "".join(f"{commands}echo '{BESIDE}'\n" for commands, _ in blocks)
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    environment = {name: text for name, text in os.environ.items() if name != "GENICAM_GENTL64_PATH"} | {"PATH": path}
+    with (tmp_path / "printed").open("w+") as printed:
+        subprocess.run(["bash", "-c", f"trap 'kill $!' EXIT\n{typed}"], cwd=tmp_path, env=environment, stdout=printed,
+                       stderr=subprocess.STDOUT, timeout=300, check=False)  # fmt: skip
+        printed.seek(0)
+        parts = printed.read().split(f"{BESIDE}\n")
+    for (commands, shown), part in zip(blocks, parts, strict=False):
+        lines = [NUMBER.sub("#", line) for line in part.splitlines()]
+        for line in shown.splitlines():
+            alike = NUMBER.sub("#", line.partition(";")[0])  # what was lost is never the same
+            assert any(one.startswith(alike) for one in lines), f"{commands}\ndoes not print\n{line}\nbut\n{part}"
+    assert len(parts) == len(blocks) + 1
