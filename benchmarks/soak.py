@@ -10,7 +10,7 @@ drive, which is left out, both arrays are off: the next drive begins elsewhere.
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.poles import MARGIN_PX, Post
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import Messages, simulate
+from heliograph.link.simulate import simulate
 from heliograph.measure.bench import random_messages
 from heliograph.receive import Packet, Receiver, make_receiver
 from heliograph.signal.settings import LAYERS
@@ -55,7 +55,7 @@ class Drive:
 
     settings: LinkSettings
     posts: tuple[Post, ...]
-    messages: list[Messages]
+    messages: list[Mapping[str, Sequence[bytes]]]
     seed: int
 
     def frames(self) -> Iterator[Frame]:

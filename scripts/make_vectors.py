@@ -8,6 +8,7 @@ hexadecimal; a pattern is a list of rows, top row first, each a string of levels
 
 import hashlib
 import json
+import zlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.signal import haar, pwm
-from heliograph.signal.block import Block, pack, whitening
+from heliograph.signal.block import Block, pack, symbol_bytes, whitening
 from heliograph.signal.formats import Format, format_of, words
+from heliograph.signal.fountain.cauchy import CauchyEncoder
+from heliograph.signal.fountain.files import FileCarousel, SentFile
 from heliograph.signal.header import IDENTITIES, header_cells, header_levels, identity, signalling_levels
 from heliograph.signal.m_sequence import m_sequence
 from heliograph.signal.packet import PacketFormat
@@ -124,6 +127,28 @@ def block_vector() -> Vector:
             case(Block("middle", 29, 255, 65535, (1 << 24) - 1, bytes(range(20))), 256),
             case(Block("low", 7, 0, 0, 0, b""), 1024),
         ],
+    }
+
+
+def files_vector() -> Vector:
+    file = SentFile("map.txt", b"Heliograph sends whole files.")
+    encoder = CauchyEncoder(file.packed, 8)
+    room = symbol_bytes(336)
+    blocks = FileCarousel(7, "low", [file], room)
+
+    def case(number: int) -> Vector:
+        return {"number": number, "symbol": encoder.symbol(number).hex()}
+
+    return {
+        "about": "A file by the Cauchy code: name, content, both as they are sent, symbols of 8 bytes by number, and "
+        "blocks of K = 336 information bits whose symbols have as many bytes as find room.",
+        "name": file.name,
+        "content": file.data.hex(),
+        "sent": file.packed.hex(),
+        "size": 8,
+        "check": f"{zlib.crc32(file.packed):08x}",
+        "symbols": [case(number) for number in (0, encoder.count - 1, encoder.count, 6, 300, 65535)],
+        "blocks": [to_hex(pack(blocks.block(number, room, room), 336)) for number in range(4)],
     }
 
 
@@ -283,6 +308,7 @@ def vectors() -> dict[str, str]:
         "header": header_vector(),
         "formats": formats_vector(),
         "block": block_vector(),
+        "files": files_vector(),
         "turbo": turbo_vector(),
         "whitening": whitening_vector(),
         "interleaver": interleaver_vector(),

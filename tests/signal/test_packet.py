@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from heliograph.base.errors import SettingsError
-from heliograph.signal.block import Block, pack, unpack
+from heliograph.signal.block import AnyBlock, Block, pack, unpack
 from heliograph.signal.header import header_levels
 from heliograph.signal.packet import LayerFormat, PacketFormat, with_inverses
 from heliograph.signal.pwm import waveform
@@ -42,7 +42,7 @@ def random_blocks(form: PacketFormat, identity: int, seed: int = 1) -> dict[str,
     return {name: [block(layer, i) for i in range(layer.codewords)] for name, layer in form.layers.items()}
 
 
-def read(form: PacketFormat, patterns: NDArray[Any], gain: float = 1.0) -> dict[str, list[Block | None]]:
+def read(form: PacketFormat, patterns: NDArray[Any], gain: float = 1.0) -> dict[str, list[AnyBlock | None]]:
     """Blocks of a packet's patterns without noise: data pairs' differences, Haar, places, turbo decoder."""
     data = patterns[2 * form.settings.header_pairs :].astype(float)
     soft = form.split(form.soft_data(gain * (data[0::2] - data[1::2])))

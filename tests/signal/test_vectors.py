@@ -120,6 +120,48 @@ def block(layer: str, identity: int, stream: int, sequence: int, length: int, pa
     return body + bytes([crc >> 24, crc >> 16 & 255, crc >> 8 & 255, crc & 255])
 
 
+def product(a: int, b: int) -> int:
+    """Section 8.1: of elements of GF(2^16)."""
+    out = 0
+    for bit in range(16):
+        out ^= a * (b >> bit & 1)
+        a = a << 1 ^ (0x1100B if a >> 15 else 0)
+    return out
+
+
+def reciprocal(a: int) -> int:
+    """The power 2^16 - 2 of an element."""
+    out, square = 1, a
+    for _ in range(15):
+        square = product(square, square)
+        out = product(out, square)
+    return out
+
+
+def symbol(sent: bytes, size: int, number: int) -> bytes:
+    """Section 8.1, code 0."""
+    k = -(-len(sent) // size)
+    sent = sent.ljust(k * size, b"\0")
+    if number < k:
+        return sent[number * size : (number + 1) * size]
+    made = b""
+    for place in range(0, size, 2):
+        y = 0
+        for j in range(k):
+            y ^= product(int.from_bytes(sent[j * size + place : j * size + place + 2], "big"), reciprocal(number ^ j))
+        made += bytes([y >> 8, y & 255])
+    return made
+
+
+def file_block(sent: bytes, number: int, size: int, k: int) -> bytes:
+    """Section 7.1, of array 7's low layer."""
+    head = bytes([16 + 4 + 2, 7, 0]) + number.to_bytes(3, "big") + len(sent).to_bytes(3, "big")
+    body = head + size.to_bytes(2, "big") + crc32(sent).to_bytes(4, "big")
+    body += b"".join(symbol(sent, size, number + i) for i in range((k // 8 - 19) // size))
+    body += bytes(k // 8 - 4 - len(body))
+    return body + crc32(body).to_bytes(4, "big")
+
+
 def bits_of(data: bytes) -> list[int]:
     return [byte >> 7 - i & 1 for byte in data for i in range(8)]
 
@@ -364,6 +406,16 @@ def test_packets_that_name_their_format(name: str, count: int) -> None:
         assert ["/".join(text_rows(pattern)) for pattern in patterns[: len(sent["patterns"])]] == sent["patterns"]
         levels = bytes(level for pattern in patterns for row in pattern for level in row)
         assert hashlib.sha256(levels).hexdigest() == sent["sha256"]
+
+
+def test_files() -> None:
+    vector = load("files")
+    name, content = vector["name"].encode(), bytes.fromhex(vector["content"])
+    sent = bytes([len(name)]) + name + content
+    assert (sent.hex(), f"{crc32(sent):08x}") == (vector["sent"], vector["check"])
+    for case in vector["symbols"]:
+        assert symbol(sent, vector["size"], case["number"]).hex() == case["symbol"]
+    assert [file_block(sent, number, 22, 336).hex() for number in range(4)] == vector["blocks"]
 
 
 def test_block() -> None:

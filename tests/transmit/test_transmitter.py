@@ -7,9 +7,10 @@ import pytest
 
 from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
+from heliograph.signal.block import Block
 from heliograph.signal.formats import Format
 from heliograph.signal.header import header_levels, signalling_levels
-from heliograph.signal.message import Message, Reassembler
+from heliograph.signal.message import Message, Reassembler, Updates
 from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
 from heliograph.transmit import TimedPattern, TransmitSettings, Transmitter
 
@@ -19,6 +20,10 @@ MESSAGES = {"high": [b"stop line in 40 m", b"red, 12 s left"], "low": [bytes(ran
 
 def patterns(count: int, settings: SignalSettings = SMALL, identity: int = 0) -> list[TimedPattern]:
     return list(islice(Transmitter(settings, identity, MESSAGES).patterns(), count))
+
+
+def segments(sender: Transmitter, packet: int, layer: str) -> list[Block]:
+    return [block for block in sender.blocks(packet)[layer] if isinstance(block, Block)]
 
 
 def test_endless_and_on_time() -> None:
@@ -74,7 +79,7 @@ def test_blocks_bring_the_messages_from_any_packet_on() -> None:
     sender = Transmitter(settings, 3, MESSAGES)
     for start in (0, 1, 1000):
         reassembler = Reassembler()
-        blocks = [b for p in range(start, start + 80) for layer in LAYERS for b in sender.blocks(p)[layer]]
+        blocks = [b for p in range(start, start + 80) for layer in LAYERS for b in segments(sender, p, layer)]
         found = {m for m in map(reassembler.add, blocks) if m is not None}
         sent = {Message(3, layer, i, data) for layer in MESSAGES for i, data in enumerate(MESSAGES[layer])}
         assert found == sent
@@ -84,7 +89,7 @@ def test_segments_go_on_from_packet_to_packet() -> None:
     """Codeword c of packet p carries segment (p W + c) mod S."""
     sender = Transmitter(SMALL, 3, {"middle": [bytes(range(40)), b"next"]})
     room, words = (sender.format.layers["middle"].payload_bytes, sender.format.layers["middle"].codewords)
-    sent = [block for packet in range(60) for block in sender.blocks(packet)["middle"]]
+    sent = [block for packet in range(60) for block in segments(sender, packet, "middle")]
     count = -(-40 // room) + -(-4 // room)
     assert words == 2
     assert len({(b.stream, b.sequence) for b in sent}) == count
@@ -94,7 +99,7 @@ def test_segments_go_on_from_packet_to_packet() -> None:
 
 def test_a_layer_without_messages_is_idle() -> None:
     for packet in (0, 9):
-        blocks = Transmitter(SMALL, 3, MESSAGES).blocks(packet)["middle"]
+        blocks = segments(Transmitter(SMALL, 3, MESSAGES), packet, "middle")
         assert [(b.length, b.stream, b.payload) for b in blocks] == [(0, 0, b"")] * 2
 
 
@@ -114,7 +119,7 @@ def test_every_size_of_block_brings_the_messages() -> None:
     by_size: dict[int, list[int]] = {}
     for packet in range(40):
         room = sender.format_of(packet).layers["low"].payload_bytes
-        by_size.setdefault(room, []).extend(b.sequence for b in sender.blocks(packet)["low"])
+        by_size.setdefault(room, []).extend(b.sequence for b in segments(sender, packet, "low"))
     assert len(by_size) == 3
     for room, found in by_size.items():
         count = -(-256 // room)
@@ -138,3 +143,28 @@ def test_settings() -> None:
     for wrong in (-1, 30):
         with pytest.raises(SettingsError, match="identities"):
             from_mapping(TransmitSettings, {"identities": [wrong]})
+
+
+def test_a_message_that_changes_has_a_stream_number_for_each_content() -> None:
+    """The content of a packet is the newest at its beginning; other messages keep their numbers."""
+    times = [(0.1 * k, f"red, {30 - k} s left".encode()) for k in range(600)]
+    sender = Transmitter(SMALL, 3, {"high": [b"stop line in 40 m", Updates(tuple(times))]})
+    room, reassembler = sender.format.layers["high"].payload_bytes, Reassembler()
+    assert room < 17
+    newest = {}
+    for packet in range(700):
+        for block in segments(sender, packet, "high"):
+            message = reassembler.add(block, room)
+            if message is not None and message.stream:
+                newest[packet] = message
+    for packet, message in newest.items():
+        number = int((packet * SMALL.packet_s + 1e-7) / 0.1)
+        assert message.stream == 1 + number % 255
+        assert message.data == times[number][1]
+    assert len(newest) == len({m.data for m in newest.values()}) > 250
+
+
+@pytest.mark.parametrize("contents", [(), ((1.0, b"b"), (0.0, b"a")), ((0.0, "text"),)])
+def test_updates_without_order_are_refused(contents: tuple[tuple[float, bytes], ...]) -> None:
+    with pytest.raises(SettingsError, match="in order"):
+        Transmitter(SMALL, 3, {"high": [Updates(contents)]})

@@ -17,6 +17,20 @@ READ = (
 High = Annotated[str | None, options.message_option("high")]
 Middle = Annotated[str | None, options.message_option("middle")]
 Low = Annotated[str | None, options.message_option("low")]
+FileOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--file",
+        metavar="PATH",
+        show_default=False,
+        help="File that the layers without a message send: any of its symbols that are enough give it back; may be "
+        "repeated.",
+    ),
+]
+FileCode = Annotated[
+    str,
+    typer.Option("--file-code", help="Code of --file: cauchy, read everywhere, or raptorq, for megabytes."),
+]
 Codec = Annotated[
     str | None, typer.Option(help="Codec of the film: ffv1, h264 or mjpeg; chosen by the suffix if left out.")
 ]
@@ -105,6 +119,8 @@ def simulate(
     high: High = None,
     middle: Middle = None,
     low: Low = None,
+    file: FileOption = None,
+    file_code: FileCode = "cauchy",
     codec: Codec = None,
     crf: Annotated[float | None, typer.Option(help="Quality of lossy H.264, 0 to 51.")] = None,
     lossless: Annotated[bool, typer.Option(help="Store H.264 without loss.")] = False,
@@ -112,7 +128,8 @@ def simulate(
     """Film a drive past the arrays, and write its truth beside it."""
     from heliograph.cli.simulate import run_simulate
 
-    run_simulate(film, preset, settings, assignments, seed, background, imu, (high, middle, low),
+    run_simulate(film, preset, settings, assignments, seed, background, imu,
+                 options.Sent(high, middle, low, tuple(file or ()), file_code),
                  {"codec": codec, "crf": crf, "lossless": lossless})  # fmt: skip
 
 
@@ -133,11 +150,14 @@ def transmit(
     high: High = None,
     middle: Middle = None,
     low: Low = None,
+    file: FileOption = None,
+    file_code: FileCode = "cauchy",
 ) -> None:
     """Write the LED patterns of a transmission."""
     from heliograph.cli.transmit import run_transmit
 
-    run_transmit(output, packets, identity, slots, preset, settings, assignments, (high, middle, low))
+    sent = options.Sent(high, middle, low, tuple(file or ()), file_code)
+    run_transmit(output, packets, identity, slots, preset, settings, assignments, sent)
 
 
 def receive(
@@ -146,6 +166,16 @@ def receive(
     output: Annotated[
         Path | None,
         typer.Option("--output", metavar="DIR", help="Folder for the messages and the packet log.", show_default=False),
+    ] = None,
+    files: Annotated[
+        Path | None,
+        typer.Option(
+            "--files",
+            metavar="DIR",
+            show_default=False,
+            help="Folder for files that were sent whole; what lacks symbols goes on there with the next film. If left "
+            "out: the folder 'files' in that of --output.",
+        ),
     ] = None,
     truth: Annotated[
         Path | None,
@@ -217,11 +247,11 @@ def receive(
             raise MediaError(
                 "--truth, --follow, --send, --verbose and cameras' options take one film: receive the films one by one"
             )
-        run_many(films, seen, preset, settings, changes, output, (workers, scheduler))
+        run_many(films, seen, preset, settings, changes, output, (workers, scheduler), files)
         return
     live = LiveOptions(camera, duration, record, record_s)
     told = Told(follow, verbose, tuple(send or ()))
-    run_receive(films[0], seen, output, truth, preset, settings, changes, as_json, told, live)
+    run_receive(films[0], seen, output, truth, preset, settings, changes, as_json, told, live, files)
 
 
 def cameras(camera: CameraOption = None, as_json: options.Json = False) -> None:

@@ -17,10 +17,12 @@ from heliograph.base.errors import MediaError, SettingsError, shown
 from heliograph.base.files import read_bounded
 from heliograph.base.toml_text import parse_assignment, parse_toml
 from heliograph.cli import console
+from heliograph.signal.settings import LAYERS
 
 if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings
     from heliograph.link.simulate import Messages
+    from heliograph.signal.fountain.files import SentFile
 
 STDIN, TEXT = "-", "text:"
 """What is given for standard input, and what comes before a text that looks like the name of a file."""
@@ -189,17 +191,78 @@ def varied(texts: list[str] | None) -> dict[str, list[Any]]:
     return vary
 
 
-def read_messages(settings: "LinkSettings", high: str | None, middle: str | None, low: str | None) -> "list[Messages]":
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """What is sent: options of the command, as they were given.
+
+    Attributes
+    ----------
+    high, middle, low
+        What each layer sends, as `message_of` takes it; None for nothing.
+    files
+        Files that the layers send which have nothing else.
+    code
+        Code that makes their symbols.
+    """
+
+    high: str | None = None
+    middle: str | None = None
+    low: str | None = None
+    files: tuple[Path, ...] = ()
+    code: str = "cauchy"
+
+    @property
+    def inputs(self) -> tuple[str | Path | None, ...]:
+        """What may be the names of files that are read."""
+        return (self.high, self.middle, self.low, *self.files)
+
+
+def read_messages(settings: "LinkSettings", sent: Sent) -> "list[Messages]":
     """What each array sends: what is given, a text of our own where nothing is given at all."""
     from heliograph.link.simulate import default_messages
 
+    high, middle, low = sent.high, sent.middle, sent.low
     given = {layer: what for layer, what in (("high", high), ("middle", middle), ("low", low)) if what is not None}
-    if not given:
+    files = [file_of(path, sent.code) for path in sent.files]
+    if not given and not files:
         return default_messages(settings)
+    if files and len(given) == len(LAYERS):
+        raise MediaError("--file is sent by layers that have no message: leave out --high, --middle or --low")
     if list(given.values()).count(STDIN) > 1:
         raise MediaError("standard input can be sent in one layer only: give - once")
-    content: Messages = {layer: [message_of(layer, what)] for layer, what in given.items()}
+    content: Messages = {
+        layer: [message_of(layer, given[layer])] if layer in given else files
+        for layer in LAYERS if layer in given or files
+    }  # fmt: skip
     return [content for _ in settings.transmit.identities]
+
+
+def file_of(path: Path, code: str) -> "SentFile":
+    """A file to be sent by its symbols, under its own name.
+
+    Parameters
+    ----------
+    path
+        The file.
+    code
+        Code that makes its symbols.
+
+    Raises
+    ------
+    MediaError
+        It cannot be read, is longer than any that can be sent, or the code is unknown.
+    """
+    from heliograph.signal.block import MAX_MESSAGE
+    from heliograph.signal.fountain.codes import CODES
+    from heliograph.signal.fountain.files import SentFile
+
+    known = {name: name for name in CODES}
+    if code not in known:
+        raise MediaError(f"--file-code is one of {', '.join(known)}, not {shown(code)}")
+    try:
+        return SentFile(path.name, read_bounded(path, MAX_MESSAGE, "send less, or cut it up"), known[code])
+    except OSError as error:
+        raise MediaError(f"cannot read {path}: {error.strerror}") from None
 
 
 def message_of(layer: str, given: str) -> bytes:

@@ -12,11 +12,15 @@ from typing import IO, TYPE_CHECKING, Any
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.cli import console, options
+from heliograph.cli.files import Files
 from heliograph.cli.live import LiveOptions, Watch, watched
 from heliograph.cli.news import News, Told
 
 LONG_READING_S = 2.0
 """Seconds of reading from which on a faster container is worth a word. Chosen."""
+
+FILES = "files"
+"""Folder of whole files in that of all results, where none is named."""
 
 LONG_FRAMES = 4000
 """Frames of a film from which on another process decodes its packets. Chosen: it takes two seconds to begin."""
@@ -44,6 +48,7 @@ def run_receive(
     as_json: bool,
     told: Told,
     live: LiveOptions,
+    files: Path | None = None,
 ) -> None:
     """Read a film; whatever ends it, what was decoded before is kept and shown. Where nothing was, it is said why.
 
@@ -66,6 +71,8 @@ def run_receive(
         raise MediaError("the truth is that of the whole film: leave out --crop, --bin and --rotate, or --truth")
     known = open_truth(truth) if truth else None
     reception = Reception(known)
+    kept = Files(files or (output / FILES if output else None), aloud=not as_json and not told.follow)
+    kept.begin(reception.files)
     # its images are small: a second thread would only wait, and take a core
     cv2.setNumThreads(1)
     with open_film(film, **seen.keywords(), **live.keywords(film)) as source:
@@ -82,14 +89,14 @@ def run_receive(
         ):
             began = time.perf_counter()
             with console.progress("receiving", watch.frame_count) as advance:
-                ending = read_film(watch, signal, reading, reception, (folder, news), advance)
+                ending = read_film(watch, signal, reading, reception, (folder, news, kept), advance)
             report = {**reception.report(time.perf_counter() - began), "reading_seconds": source.read_s}
             try:
                 # what a camera shows is gone
                 why = None if watch.is_live else why_unread(source, signal, settings, report, ending)
             except KeyboardInterrupt as error:
                 why, ending = None, error
-            ending = finish_folder(folder, report, watch) or ending
+            ending = finish_folder(folder, report, watch) or kept.finish(reception.files) or ending
             news.tell({"event": "end", **report})
     if told.follow:
         pass  # its last line has the report
@@ -118,7 +125,7 @@ def read_film(
     signal: "SignalSettings",
     settings: "LinkSettings",
     reception: "Reception",
-    told: tuple["Folder", News],
+    told: tuple["Folder", News, Files],
     advance: "FrameProgress | None" = None,
 ) -> BaseException | None:
     """Read the film to its end, or until something ends it: that is returned."""
@@ -126,7 +133,7 @@ def read_film(
     from heliograph.measure.journal import Journal
     from heliograph.measure.reception import receive_film
 
-    folder, news = told
+    folder, news, files = told
     journal = Journal(settings.receive.calibration, news.tell)
 
     def observe(event: Any) -> None:
@@ -136,11 +143,13 @@ def read_film(
     try:
         for packet, messages in receive_film(watch, signal, settings, reception, observe, advance or silent):
             folder.log(packet_row(packet))
-            journal.read(packet, messages)
+            journal.read(packet, messages, reception.progress)
             watch.packet(packet)
             for message in messages:
                 folder.message(message)
                 watch.message(message)
+            for progress in reception.progress:
+                files.took(progress)
     except (HeliographError, OSError, MemoryError, KeyboardInterrupt) as error:
         return error
     return None

@@ -15,6 +15,7 @@ from typing import Any
 from heliograph import __version__
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.cli import console, options
+from heliograph.cli.files import Files, join
 
 FILMS = (
     ".mkv",
@@ -47,6 +48,7 @@ class FilmWork:
     file: Path | None
     assignments: tuple[str, ...]
     output: Path | None
+    files: Path | None = None
 
     @property
     def folder(self) -> Path | None:
@@ -123,6 +125,7 @@ def run_many(
     assignments: Sequence[str],
     output: Path | None,
     crew_of: tuple[int | None, str | None],
+    files: Path | None = None,
 ) -> None:
     """Receive films, several at a time; a film that cannot be read stops no other.
 
@@ -136,7 +139,7 @@ def run_many(
     if cameras := [film for film in given if is_camera(film)]:
         raise MediaError(f"{cameras[0]} is a live camera: receive it by itself, without --workers and --scheduler")
     films, left_out = films_of(given)
-    works = [FilmWork(str(film), seen, preset, file, tuple(assignments), output) for film in films]
+    works = [FilmWork(str(film), seen, preset, file, tuple(assignments), output, files) for film in films]
     _check_names(works)
     for text in left_out:
         console.complain(text)
@@ -158,6 +161,8 @@ def run_many(
             again = "the same command goes on" if works[0].output else "with --output the same command would go on"
             console.complain(f"interrupted after {len(rows)} of {len(works)} films; {again}")
             sys.exit(console.INTERRUPTED)
+    for path in join(files) if files else ():
+        console.complain(f"{path} is whole, of several films")
     broken = sum("error" in row for row in rows.values())
     if broken:
         raise MediaError(f"{broken} of {len(works)} films could not be read to the end; their lines say why")
@@ -182,7 +187,7 @@ def receive_one(work: FilmWork) -> dict[str, Any]:
     from heliograph.cli.live import Watch
     from heliograph.cli.news import News, Told
     from heliograph.cli.probe import why_unread
-    from heliograph.cli.receive import Folder, finish_folder, read_film
+    from heliograph.cli.receive import FILES, Folder, finish_folder, read_film
     from heliograph.link.notes import signal_of
     from heliograph.measure.reception import Reception
     from heliograph.media import open_film
@@ -193,17 +198,20 @@ def receive_one(work: FilmWork) -> dict[str, Any]:
         base = options.settings_from(work.preset, None, None)
         changes = options.signal_changes(work.file, list(work.assignments))
         reception, began, made_of = Reception(), time.perf_counter(), work.made_of()
+        kept = Files(work.files or (work.folder / FILES if work.folder else None), aloud=False)
+        kept.begin(reception.files)
         with open_film(work.film, **work.seen.keywords()) as source:
             signal, _ = signal_of(source, base.signal, changes)
             with Folder(work.folder) as folder, News(Told()) as news:
                 watch = Watch(source, None, None, aloud=False)
-                ending = read_film(watch, signal, settings, reception, (folder, news))
+                ending = read_film(watch, signal, settings, reception, (folder, news, kept))
                 report = {"film": work.film, **reception.report(time.perf_counter() - began)}
                 report["messages"] = folder.messages
                 why_unread(source, signal, settings, report, ending, quiet=True)
                 if ending is not None:
                     report["error"] = _line(ending)
                 ending = finish_folder(folder, {**report, "made_of": made_of}, watch) or ending
+                ending = kept.finish(reception.files) or ending
         if isinstance(ending, KeyboardInterrupt):
             raise ending
     except (HeliographError, OSError, MemoryError) as error:

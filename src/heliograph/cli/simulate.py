@@ -20,7 +20,7 @@ def run_simulate(
     seed: int,
     background: Path | None,
     imu: Path | None,
-    sent: tuple[str | None, str | None, str | None],
+    sent: options.Sent,
     codec: dict[str, Any],
 ) -> None:
     """Simulate a drive into a film."""
@@ -28,9 +28,9 @@ def run_simulate(
     from heliograph.link.truth import truth_path
 
     for written_file in (film, truth_path(film)):
-        options.refuse_to_replace(written_file, (*sent, background, imu, file))
+        options.refuse_to_replace(written_file, (*sent.inputs, background, imu, file))
     settings, recordings = scene_from(preset, file, assignments, background, imu)
-    messages = options.read_messages(settings, *sent)
+    messages = options.read_messages(settings, sent)
     written = 0
     try:
         with console.progress("simulating", frames_of(settings)) as advance:

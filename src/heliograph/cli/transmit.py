@@ -27,18 +27,18 @@ def run_transmit(
     preset: str,
     file: Path | None,
     assignments: list[str] | None,
-    sent: tuple[str | None, str | None, str | None],
+    sent: options.Sent,
 ) -> None:
     """Write the patterns of a transmission: levels, or on and off by slot, as drivers take them."""
     from heliograph.link.simulate import transmitters
     from heliograph.media.slots import SUFFIXES, SlotForm, file_size, write_slots
     from heliograph.signal import pwm
 
-    options.refuse_to_replace(output, (*sent, file))
+    options.refuse_to_replace(output, (*sent.inputs, file))
     # one array speaks, however many the preset's scene has
     changes = [*(assignments or ()), "channel.arrays=[{}]", f"transmit.identities=[{identity}]"]
     settings = options.settings_from(preset, file, changes)
-    (sender,) = transmitters(settings, options.read_messages(settings, *sent))
+    (sender,) = transmitters(settings, options.read_messages(settings, sent))
     count = packets * settings.signal.packet_patterns
     patterns: Iterator[NDArray[np.uint8]] = islice(sender.levels(), count)
     period, brightest = settings.signal.pattern_period_s, pwm.SLOTS

@@ -78,7 +78,9 @@ def write_planned(path: Path, film: PlannedFilm, progress: Callable[[int], None]
                 shown.add({"levels": pattern})
             shown.finish()
             for layer, parts in messages[k].items():
-                levels[f"messages/{layer}"] = np.frombuffer(b"".join(parts), np.uint8)
+                levels[f"messages/{layer}"] = np.frombuffer(
+                    b"".join(part for part in parts if isinstance(part, bytes)), np.uint8
+                )
         camera = settings.channel.camera
         file.attrs.update(
             rate_hz=camera.fps,

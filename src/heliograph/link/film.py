@@ -17,6 +17,7 @@ from heliograph.link.truth import TruthWriter, truth_path
 from heliograph.media import create_film
 from heliograph.media.hdf5 import SUFFIXES as HDF5_SUFFIXES
 from heliograph.receive import Packet, Receiver
+from heliograph.signal.block import AnyBlock, FileBlock
 from heliograph.signal.settings import SignalSettings
 
 FrameProgress = Callable[[int], None]
@@ -196,9 +197,16 @@ def packet_row(packet: Packet) -> Mapping[str, Any]:
         "layers": {
             name: [
                 {"status": w.status, "iterations": w.iterations, "margin": round(w.margin, 2)}
-                | ({"stream": w.block.stream, "sequence": w.block.sequence} if w.block else {})
+                | (_place(w.block) if w.block else {})
                 for w in words
             ]
             for name, words in packet.layers.items()
         },
     }
+
+
+def _place(block: AnyBlock) -> dict[str, Any]:
+    """What a block is part of: a message, or a file."""
+    if isinstance(block, FileBlock):
+        return {"file": f"{block.check:08x}", "symbol": block.number}
+    return {"stream": block.stream, "sequence": block.sequence}

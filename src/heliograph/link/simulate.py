@@ -10,10 +10,10 @@ from heliograph.base.errors import SettingsError, shown
 from heliograph.base.frames import Frame
 from heliograph.channel import Footage, ImuTrace, Truth, film
 from heliograph.link.settings import LinkSettings
-from heliograph.transmit import Transmitter
+from heliograph.transmit import Content, Transmitter
 
-Messages = Mapping[str, Sequence[bytes]]
-"""Messages by layer."""
+Messages = Mapping[str, Sequence[Content]]
+"""Messages by layer: bytes, `Updates` that change, a `SentFile`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import IO, Any
 
@@ -28,9 +29,12 @@ from heliograph.channel import NoiseModel, Truth
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages
 from heliograph.signal.block import MAX_MESSAGE
+from heliograph.signal.fountain.codes import CODES
+from heliograph.signal.fountain.files import SentFile
 from heliograph.signal.header import IDENTITIES
-from heliograph.signal.message import MAX_MESSAGES
+from heliograph.signal.message import MAX_MESSAGES, Updates
 from heliograph.signal.settings import LAYERS
+from heliograph.transmit import Content
 
 MOST_ABOUT = 1 << 24
 """Most bytes of the text about a film: its settings and the names of its messages take 700 kB at most."""
@@ -156,7 +160,7 @@ class TruthWriter:
         }
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
             archive.writestr("about.json", json.dumps(about))
-            for name, data in zip(_flat(names), _contents(self._messages), strict=True):
+            for name, data in _contents(self._messages):
                 archive.writestr(name, data)
             with archive.open("frames.npy", "w", force_zip64=True) as out:
                 header = {"descr": np.lib.format.dtype_to_descr(self._type), "fortran_order": False}
@@ -257,7 +261,7 @@ def open_truth(path: Path) -> TruthFile:
         raise MediaError(f"there is no truth file {path}; 'heliograph simulate' writes it beside the film")
     with _broken_is_clear(path), zipfile.ZipFile(path) as archive:
         about = json.loads(_read(archive, "about.json", MOST_ABOUT))
-        messages = [{n: [_read(archive, i, MAX_MESSAGE) for i in m[n][: MAX_MESSAGES + 1]] for n in LAYERS}
+        messages = [{n: [_content(archive, i) for i in m[n][: MAX_MESSAGES + 1]] for n in LAYERS}
                     for m in about["messages"][: IDENTITIES + 1]]  # fmt: skip
         settings = from_mapping(LinkSettings, about["settings"])
         arrays = len(settings.channel.arrays)
@@ -341,18 +345,48 @@ def _ends(patterns: Sequence[int]) -> tuple[int, int]:
     return (patterns[0], patterns[-1]) if patterns else (-1, -1)
 
 
-def _names(messages: Sequence[Messages]) -> list[dict[str, list[str]]]:
+def _names(messages: Sequence[Messages]) -> list[dict[str, list[Any]]]:
+    """What stands for each message: the name of its bytes; of a file its own name too; of updates their times."""
     return [
-        {name: [f"messages/{k}/{name}/{i}" for i in range(len(by_layer.get(name, ())))] for name in LAYERS}
+        {name: [_name(_place(k, name, i), one) for i, one in enumerate(by_layer.get(name, ()))] for name in LAYERS}
         for k, by_layer in enumerate(messages)
     ]
 
 
-def _flat(names: list[dict[str, list[str]]]) -> list[str]:
-    return [name for by_layer in names for layer in LAYERS for name in by_layer[layer]]
+def _place(array: int, layer: str, message: int) -> str:
+    return f"messages/{array}/{layer}/{message}"
 
 
-def _contents(messages: Sequence[Messages]) -> Iterator[bytes]:
-    for by_layer in messages:
+def _name(place: str, content: Content) -> Any:
+    if isinstance(content, SentFile):
+        return {"file": place, "name": content.name, "code": content.code}
+    if isinstance(content, Updates):
+        return {"updates": place, "times_s": [time_s for time_s, _ in content.contents],
+                "lengths": [len(data) for _, data in content.contents]}  # fmt: skip
+    return place
+
+
+def _contents(messages: Sequence[Messages]) -> Iterator[tuple[str, bytes]]:
+    for k, by_layer in enumerate(messages):
         for layer in LAYERS:
-            yield from by_layer.get(layer, ())
+            for i, one in enumerate(by_layer.get(layer, ())):
+                yield _place(k, layer, i), _bytes_of(one)
+
+
+def _bytes_of(content: Content) -> bytes:
+    if isinstance(content, SentFile):
+        return content.data
+    return b"".join(data for _, data in content.contents) if isinstance(content, Updates) else content
+
+
+def _content(archive: zipfile.ZipFile, named: Any) -> Content:
+    """A message by what stands for it."""
+    if isinstance(named, str):
+        return _read(archive, named, MAX_MESSAGE)
+    if "file" in named:
+        if named["code"] not in CODES:
+            raise HeliographError(f"it names a code {named['code']!r:.40}")
+        return SentFile(str(named["name"]), _read(archive, named["file"], MAX_MESSAGE), named["code"])
+    data, ends = _read(archive, named["updates"], MOST_ABOUT), list(accumulate(map(int, named["lengths"])))
+    parts = [data[start:end] for start, end in zip([0, *ends], ends, strict=False)]
+    return Updates(tuple(zip(map(float, named["times_s"]), parts, strict=True)))

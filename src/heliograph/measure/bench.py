@@ -6,14 +6,14 @@ whole frames, noise included.
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from heliograph.link.film import frames_of
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Messages, Recordings
+from heliograph.link.simulate import Recordings
 from heliograph.measure.counts import BlockCounts, pooled
 from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import ArrayTally, Reception, receive_film
@@ -138,7 +138,7 @@ def stands_still(settings: LinkSettings) -> bool:
     )
 
 
-def random_messages(settings: LinkSettings, seed: int) -> list[Messages]:
+def random_messages(settings: LinkSettings, seed: int) -> list[Mapping[str, Sequence[bytes]]]:
     """Random bytes by array and layer, enough that no codeword of the film is sent twice.
 
     Parameters

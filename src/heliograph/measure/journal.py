@@ -14,10 +14,11 @@ from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.events import DetectEvent, LostEvent
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.settings import CalibrationSettings
+from heliograph.signal.fountain.files import FileProgress
 from heliograph.signal.message import Message
 
 Row = Mapping[str, Any]
-"""What happened, as plain values; its `event` is "found", "packet", "message" or "lost"."""
+"""What happened, as plain values; its `event` is "found", "packet", "message", "file" or "lost"."""
 
 SPEED_PACKETS = 8
 """Most packets over which a speed is averaged: 0.8 s of the reference link. Chosen."""
@@ -60,8 +61,8 @@ class Journal:
             seen_as = self._orientations.get(event.identity, "upright")
             self._tell({**row, "orientation": seen_as, "approach_m_s": approach(way or ())})
 
-    def read(self, packet: Packet, messages: Sequence[Message]) -> None:
-        """Tell a packet, and the messages that it completes.
+    def read(self, packet: Packet, messages: Sequence[Message], files: Sequence[FileProgress] = ()) -> None:
+        """Tell a packet, the messages that it completes, and how far files have come with it.
 
         Parameters
         ----------
@@ -69,6 +70,8 @@ class Journal:
             A packet, all of it read or a part; packets of an array come in the order of time.
         messages
             The messages of which it brought the last segment, in any order; there may be none.
+        files
+            What is there of each file of which it brought symbols.
         """
         way = self._ways.setdefault(packet.identity, deque(maxlen=SPEED_PACKETS))
         way.append((packet.start_time_s, packet.distance_m))
@@ -76,6 +79,8 @@ class Journal:
         self._tell({"event": "packet", **packet_row(packet), "approach_m_s": approach(way)})
         for message in messages:
             self._tell(message_row(message))
+        for progress in files:
+            self._tell(file_row(progress, packet.identity))
 
     def _found(self, detection: Detection, frames: Sequence[Frame]) -> Row:
         return {
@@ -135,6 +140,28 @@ def message_row(message: Message) -> Row:
         return row
 
 
+def file_row(progress: FileProgress, identity: int) -> Row:
+    """What is there of a file, as plain values; its content in Base64 where it is whole.
+
+    Parameters
+    ----------
+    progress
+        What is there of it after a packet.
+    identity
+        Number of the array that sent the packet, 0 to 29.
+    """
+    key, whole = progress.key, progress.whole
+    row: dict[str, Any] = {
+        "event": "file", "id": identity, "file": str(key), "bytes": key.length, "symbols": progress.had,
+        "needed": key.count, "whole": whole is not None,
+    }  # fmt: skip
+    if progress.reason:
+        row["reason"] = progress.reason
+    if whole is not None:
+        row |= {"name": whole.name, "bytes": len(whole.data), "data": b64encode(whole.data).decode("ascii")}
+    return row
+
+
 def sentence(row: Row) -> str:
     """A row in words, for people.
 
@@ -146,6 +173,8 @@ def sentence(row: Row) -> str:
     array = f"array {row['id']}"
     if row["event"] == "message":
         return f"{array}: message {row['stream']} of the {row['layer']} layer is whole, {row['bytes']} bytes"
+    if row["event"] == "file":
+        return f"{array}: {file_words(row)}"
     when = f"{row['time_s']:.3f} s: {array}"
     if row["event"] == "found":
         drift = float(np.hypot(*row["drift_px_s"]))
@@ -160,6 +189,20 @@ def sentence(row: Row) -> str:
         for name, words in row["layers"].items()
     )
     return f"{when} read: {words}; {row['distance_m']:.1f} m away{_moves(row)}, {row['orientation']}"
+
+
+def file_words(row: Row) -> str:
+    """How far a file has come, in words.
+
+    Parameters
+    ----------
+    row
+        A row of `file_row`.
+    """
+    if row["whole"]:
+        return f"file {row['file']} is whole: {row['name']!r}, {row['bytes']} bytes"
+    part = f"file {row['file']}: {row['symbols']} of {row['needed']} symbols, {row['bytes']} bytes in all"
+    return f"{part}; {row['reason']}" if "reason" in row else part
 
 
 def _moves(row: Row) -> str:

@@ -15,7 +15,8 @@ from heliograph.receive import Codeword, Packet, make_receiver
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.events import DetectEvent
 from heliograph.receive.receivers import AnyObserver
-from heliograph.signal.block import payload_bytes
+from heliograph.signal.block import FileBlock, payload_bytes
+from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress
 from heliograph.signal.message import Message, Reassembler
 from heliograph.signal.settings import LAYERS, SignalSettings
 
@@ -100,6 +101,8 @@ class Reception:
     ----------
     truth
         Truth of the film; None where it is not known.
+    files
+        Symbols of files from passages before; None begins without any.
 
     Attributes
     ----------
@@ -111,15 +114,24 @@ class Reception:
         Times the receiver took something for an array.
     errors
         Errors against the truth; None where it is not known.
+    files
+        Symbols of files that are not whole.
+    progress
+        What is there of each file of which the newest packet brought symbols.
+    file_rows
+        What is there of each file as plain values.
     """
 
-    def __init__(self, truth: TruthSource | None = None):
+    def __init__(self, truth: TruthSource | None = None, files: FileGatherer | None = None):
         self.arrays: dict[int, ArrayTally] = {}
         self.frames = 0
         self.detections = 0
         self.errors = ErrorCounter(truth.settings, truth.messages) if truth else None
         self._truths = truth.frames() if truth else None
         self._reassembler = Reassembler()
+        self.files = files or FileGatherer()
+        self.progress: tuple[FileProgress, ...] = ()
+        self.file_rows: dict[FileKey, dict[str, Any]] = {}
 
     def saw(self, index: int) -> None:
         """Take the number of a frame; the truth moves on with it.
@@ -158,6 +170,7 @@ class Reception:
         packet
             What the receiver hands out; it is left out where it is no packet, see `is_packet`.
         """
+        self.progress = ()
         if not is_packet(packet):
             return
         if self.errors is not None:
@@ -166,6 +179,18 @@ class Reception:
         self.arrays.setdefault(packet.identity, new).add(packet)
         for words in packet.layers.values():
             yield from _completed(self._reassembler, words)
+        self.progress = tuple(self._gathered(packet))
+
+    def _gathered(self, packet: Packet) -> Iterator[FileProgress]:
+        """What is there of each file of which a packet has new symbols."""
+        blocks = (word.block for words in packet.layers.values() for word in words)
+        found = [self.files.add(block) for block in blocks if isinstance(block, FileBlock)]
+        for one in {one.key: one for one in found if one is not None}.values():
+            self.file_rows[one.key] = {
+                "file": str(one.key), "bytes": one.key.length, "symbols": one.had, "needed": one.key.count,
+                "whole": one.whole is not None,
+            }  # fmt: skip
+            yield one
 
     def unfinished(self) -> list[tuple[int, str, int, int, int]]:
         """Messages that lack segments: (identity, layer, stream, bytes received, bytes in all)."""
@@ -185,6 +210,7 @@ class Reception:
             "frames_per_second": round(self.frames / max(seconds, 1e-9), 1),
             "detections": self.detections,
             "arrays": [_plain(identity, tally) for identity, tally in sorted(self.arrays.items())],
+            "files": list(self.file_rows.values()),
         }
         if self.errors is not None:
             out["errors"] = self.errors.report()

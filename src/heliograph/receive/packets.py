@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.image.orientation import UPRIGHT, Orientation
 from heliograph.receive.image.pose import Pose
-from heliograph.signal.block import Block
+from heliograph.signal.block import AnyBlock
 from heliograph.signal.formats import AGREED, Format
 
 Status = Literal["ok", "partial", "crc_fail", "no_header", "no_array"]
@@ -26,7 +26,7 @@ class Codeword:
     status
         "ok" (CRC right), "crc_fail", or "mismatch" (CRC right, but of another array or layer: not to be used).
     block
-        Its content where the status is "ok", else None.
+        Its content where the status is "ok", else None: a segment of a message, or symbols of a file.
     bits
         (K,) uint8 information bits as decided, right or not.
     raw
@@ -38,7 +38,7 @@ class Codeword:
     """
 
     status: Literal["ok", "crc_fail", "mismatch"]
-    block: Block | None
+    block: AnyBlock | None
     bits: NDArray[np.uint8]
     raw: NDArray[np.uint8]
     iterations: int

@@ -1,5 +1,7 @@
 """Information blocks, one for each codeword: header, payload, CRC-32 (section 7); whitening of codewords (section 10).
 
+A block of a message:
+
     byte 0      version (upper 4 bits), layer 0 high, 1 middle, 2 low (lower 4 bits)
     byte 1      identity of the array
     byte 2      stream: number of the message in its layer
@@ -8,10 +10,20 @@
     ...         payload, filled with zeros in the last segment
     last 4      CRC-32 (IEEE 802.3) of all bytes before
 
+A block of a file has 4 added to its layer, and other fields (section 7.1):
+
+    byte 2        code: 0 Cauchy, 1 RaptorQ
+    bytes 3-5     number of its first symbol
+    bytes 6-8     bytes of the file
+    bytes 9-10    bytes of a symbol
+    bytes 11-14   CRC-32 of the file
+    ...           as many symbols as find room, then zeros
+
 Numbers are big-endian; the most significant bit of a byte comes first.
 """
 
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -32,6 +44,12 @@ CRC_BYTES = 4
 
 MIN_BITS = 8 * (HEADER_BYTES + CRC_BYTES + 1)
 """Fewest information bits of a block: they hold one byte of payload."""
+
+FILE_HEADER_BYTES = 15
+"""Bytes before the symbols of a file (section 7.1)."""
+
+FILE_LAYERS = 4
+"""Added to the layer's number in a block of a file (section 7.1)."""
 
 MAX_MESSAGE = (1 << 24) - 1
 """Longest message in bytes: the field for the length has three bytes."""
@@ -86,6 +104,60 @@ class Block:
     payload: bytes
 
 
+@dataclass(frozen=True, slots=True)
+class FileBlock:
+    """Symbols of a file, as one codeword carries them (section 7.1).
+
+    Attributes
+    ----------
+    layer
+        "high", "middle" or "low".
+    identity
+        Number of the array, 0 to 255 (a transmitter uses 0 to 29).
+    code
+        Number of the code that makes symbols of the file: 0 Cauchy, 1 RaptorQ.
+    number
+        Number of the first symbol, 0 to 2**24 - 1.
+    length
+        Bytes of the whole file with its name, 1 to 2**24 - 1.
+    size
+        Bytes of a symbol, 1 to 65535.
+    check
+        CRC-32 of the whole file with its name.
+    payload
+        The symbols one after the other: a multiple of `size` bytes, at least one.
+    """
+
+    layer: str
+    identity: int
+    code: int
+    number: int
+    length: int
+    size: int
+    check: int
+    payload: bytes
+
+    def symbols(self) -> Iterator[tuple[int, bytes]]:
+        """Yield each symbol's number and bytes."""
+        for place in range(0, len(self.payload), self.size):
+            yield self.number + place // self.size, self.payload[place : place + self.size]
+
+
+AnyBlock = Block | FileBlock
+"""What a codeword carries."""
+
+
+def symbol_bytes(k: int) -> int:
+    """Return the bytes that a block has for symbols of a file; below 1 where it is too small for any.
+
+    Parameters
+    ----------
+    k
+        Information bits of the block, a multiple of 8.
+    """
+    return k // 8 - FILE_HEADER_BYTES - CRC_BYTES
+
+
 def payload_bytes(k: int) -> int:
     """Return the bytes of payload in a block.
 
@@ -104,7 +176,7 @@ def payload_bytes(k: int) -> int:
     return k // 8 - HEADER_BYTES - CRC_BYTES
 
 
-def pack(block: Block, k: int) -> NDArray[np.uint8]:
+def pack(block: AnyBlock, k: int) -> NDArray[np.uint8]:
     """Return the information bits of a block (section 7).
 
     Parameters
@@ -123,21 +195,35 @@ def pack(block: Block, k: int) -> NDArray[np.uint8]:
     ValueError
         `k` is no block's size, the payload does not fit, or a field is out of its range.
     """
-    room = payload_bytes(k)
+    room = payload_bytes(k) if isinstance(block, Block) else symbol_bytes(k)
     if len(block.payload) > room:
         raise ValueError(f"a block of {k} bits holds {room} bytes of payload, not {len(block.payload)}")
     _check_fields(block)
-    head = bytes([VERSION << 4 | LAYERS.index(block.layer), block.identity, block.stream])
-    head += block.sequence.to_bytes(2) + block.length.to_bytes(3)
-    body = head + block.payload.ljust(room, b"\0")
+    body = _head(block) + block.payload.ljust(room, b"\0")
     return np.unpackbits(np.frombuffer(body + zlib.crc32(body).to_bytes(4), dtype=np.uint8))
 
 
-def _check_fields(block: Block) -> None:
+def _head(block: AnyBlock) -> bytes:
+    layer = LAYERS.index(block.layer)
+    if isinstance(block, Block):
+        head = bytes([VERSION << 4 | layer, block.identity, block.stream])
+        return head + block.sequence.to_bytes(2) + block.length.to_bytes(3)
+    head = bytes([VERSION << 4 | FILE_LAYERS + layer, block.identity, block.code]) + block.number.to_bytes(3)
+    return head + block.length.to_bytes(3) + block.size.to_bytes(2) + block.check.to_bytes(4)
+
+
+_MESSAGE_FIELDS = {"identity": _MAX_BYTE, "stream": _MAX_BYTE, "sequence": MAX_SEGMENTS - 1, "length": MAX_MESSAGE}
+_FILE_FIELDS = {
+    "identity": _MAX_BYTE, "code": _MAX_BYTE, "number": MAX_MESSAGE, "length": MAX_MESSAGE, "size": MAX_SEGMENTS - 1,
+    "check": (1 << 32) - 1,
+}  # fmt: skip
+"""Largest value of each field."""
+
+
+def _check_fields(block: AnyBlock) -> None:
     if block.layer not in LAYERS:
         raise ValueError(f"layers are {', '.join(LAYERS)}, not {block.layer}")
-    largest = {"identity": _MAX_BYTE, "stream": _MAX_BYTE, "sequence": MAX_SEGMENTS - 1, "length": MAX_MESSAGE}
-    for name, most in largest.items():
+    for name, most in (_MESSAGE_FIELDS if isinstance(block, Block) else _FILE_FIELDS).items():
         if not 0 <= getattr(block, name) <= most:
             raise ValueError(f"a block's {name} is 0 to {most}, not {getattr(block, name)}")
 
@@ -156,8 +242,8 @@ def check(bits: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return np.array(good, dtype=bool).reshape(data.shape[:-1])
 
 
-def unpack(bits: NDArray[np.uint8]) -> Block | None:
-    """Read a block from its information bits; None where the CRC, the version or the layer is wrong.
+def unpack(bits: NDArray[np.uint8]) -> AnyBlock | None:
+    """Read a block from its information bits; None where the CRC, the version, the layer or a file's field is wrong.
 
     Parameters
     ----------
@@ -166,11 +252,25 @@ def unpack(bits: NDArray[np.uint8]) -> Block | None:
     """
     data = np.packbits(bits).tobytes()
     version, layer = data[0] >> 4, data[0] & 15
-    if not check(bits) or version != VERSION or layer >= len(LAYERS):
+    if not check(bits) or version != VERSION:
+        return None
+    if FILE_LAYERS <= layer < FILE_LAYERS + len(LAYERS):
+        return _file_block(data)
+    if layer >= len(LAYERS):
         return None
     sequence, length = int.from_bytes(data[3:5]), int.from_bytes(data[5:8])
     payload = data[HEADER_BYTES:-CRC_BYTES][: max(0, length - sequence * payload_bytes(len(bits)))]
     return Block(LAYERS[layer], data[1], data[2], sequence, length, payload)
+
+
+def _file_block(data: bytes) -> FileBlock | None:
+    """A file's symbols; None where the fields cannot be."""
+    number, length, size = int.from_bytes(data[3:6]), int.from_bytes(data[6:9]), int.from_bytes(data[9:11])
+    room = data[FILE_HEADER_BYTES:-CRC_BYTES]
+    if not length or not 0 < size <= len(room):
+        return None
+    payload = room[: len(room) // size * size]
+    return FileBlock(LAYERS[data[0] & 3], data[1], data[2], number, length, size, int.from_bytes(data[11:15]), payload)
 
 
 @lru_cache(maxsize=1)

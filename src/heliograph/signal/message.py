@@ -1,10 +1,12 @@
 """Cut messages into blocks, and put messages together from blocks in any order of arrival (section 8)."""
 
 import zlib
-from collections.abc import Sequence
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 
-from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS, Block
+from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS, AnyBlock, Block, FileBlock
 
 MAX_MESSAGES = 256
 """Messages of a layer: the field for the stream has one byte (section 7)."""
@@ -60,6 +62,30 @@ def segments(message: Message, room: int) -> list[Block]:
     return [Block(*who, i, len(message.data), message.data[s : s + room]) for i, s in enumerate(starts)]
 
 
+@dataclass(frozen=True, slots=True)
+class Updates:
+    """A message whose content changes while it is sent, each content under a stream number of its own.
+
+    Attributes
+    ----------
+    contents
+        Time from which on each content is sent, in s from the start of the transmission, and its bytes; in the order
+        of time, at least one. The first is sent from the start, whatever its time.
+    """
+
+    contents: tuple[tuple[float, bytes], ...]
+
+    def at(self, time_s: float) -> int:
+        """Return the number of the content that is sent at a time.
+
+        Parameters
+        ----------
+        time_s
+            Time from the start of the transmission in s.
+        """
+        return max(0, bisect_right(self.contents, time_s, key=itemgetter(0)) - 1)
+
+
 class Carousel:
     """Send all segments of a layer's messages, again and again; idle blocks where there is no message (section 8).
 
@@ -70,7 +96,7 @@ class Carousel:
     layer
         "high", "middle" or "low".
     messages
-        At most 256; message i is sent as stream i.
+        At most 256; message i is sent as stream i. Those that change share the numbers that are left.
     room
         Bytes of payload in a block, at least 1.
 
@@ -80,21 +106,46 @@ class Carousel:
         There are more than 256 messages, or one is too long for `segments`.
     """
 
-    def __init__(self, identity: int, layer: str, messages: Sequence[bytes], room: int):
+    def __init__(self, identity: int, layer: str, messages: Sequence[bytes | Updates], room: int):
         if len(messages) > MAX_MESSAGES:
             raise ValueError(f"a layer carries at most {MAX_MESSAGES} messages, not {len(messages)}")
-        parts = [segments(Message(identity, layer, i, data), room) for i, data in enumerate(messages or [b""])]
-        self._blocks = [block for blocks in parts for block in blocks]
+        self._who, self._room = (identity, layer), room
+        fixed = [data for data in messages if not isinstance(data, Updates)]
+        self._updates = [data for data in messages if isinstance(data, Updates)]
+        self._streams = (MAX_MESSAGES - len(fixed)) // max(1, len(self._updates))
+        self._first = len(fixed)
+        idle = [] if messages else [b""]
+        self._fixed = [block for i, data in enumerate(fixed or idle) for block in self._cut(i, data)]
+        for update in self._updates:
+            self._cut(0, max((data for _, data in update.contents), key=len))
+        self._now: tuple[list[int], list[Block]] = ([], [])
 
-    def block(self, number: int) -> Block:
+    def block(self, number: int, time_s: float = 0.0) -> Block:
         """Return a block of the transmission.
 
         Parameters
         ----------
         number
             Number of the block in its layer, from 0 at the start of the transmission.
+        time_s
+            Time at which its packet begins, from there in s; it matters for messages that change.
         """
-        return self._blocks[number % len(self._blocks)]
+        if not self._updates:
+            return self._fixed[number % len(self._fixed)]
+        which = [update.at(time_s) for update in self._updates]
+        if which != self._now[0]:
+            self._now = (which, [*self._fixed, *self._changing(which)])
+        blocks = self._now[1]
+        return blocks[number % len(blocks)]
+
+    def _changing(self, which: Sequence[int]) -> Iterator[Block]:
+        for place, (update, one) in enumerate(zip(self._updates, which, strict=True)):
+            stream = self._first + place * self._streams + one % self._streams
+            yield from self._cut(stream, update.contents[one][1])
+
+    def _cut(self, stream: int, data: bytes) -> list[Block]:
+        identity, layer = self._who
+        return segments(Message(identity, layer, stream, data), self._room)
 
 
 @dataclass(slots=True)
@@ -139,17 +190,19 @@ class Reassembler:
     _open: dict[_Key, _Assembly] = field(default_factory=dict)
     _done: dict[tuple[int, str, int], _Done] = field(default_factory=dict)
 
-    def add(self, block: Block, room: int = 0) -> Message | None:
+    def add(self, block: AnyBlock, room: int = 0) -> Message | None:
         """Take a block; return the message that it completes, or None where it completes none or a known one.
 
         Parameters
         ----------
         block
-            A block whose CRC was right.
+            A block whose CRC was right; one of a file is passed over.
         room
             Bytes of payload in a block of its codeword. Where packets differ in their rates, a message is cut for
             each size, and segments of one size do not fit those of another.
         """
+        if isinstance(block, FileBlock):
+            return None
         who = (block.identity, block.layer, block.stream)
         key = (*who, room)
         if not block.length or not block.payload or self._had(key, block):

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from heliograph.base.errors import SettingsError
 from heliograph.signal import haar, ook, pwm
-from heliograph.signal.block import MIN_BITS, Block, pack, payload_bytes, whitening
+from heliograph.signal.block import MIN_BITS, AnyBlock, pack, payload_bytes, whitening
 from heliograph.signal.code import CODES, Code, CodeFamily
 from heliograph.signal.formats import AGREED, Format
 from heliograph.signal.header import all_on_levels, header_levels, signalling_levels
@@ -65,7 +65,7 @@ class LayerFormat:
         pair = j % self.pairs
         return pair * self.symbols + (j // self.pairs + SYMBOL_STEP * pair) % self.symbols
 
-    def encode(self, blocks: Sequence[Block]) -> NDArray[np.uint8]:
+    def encode(self, blocks: Sequence[AnyBlock]) -> NDArray[np.uint8]:
         """Return the layer's bits 0 and 1 of a packet, (pairs, symbols) uint8.
 
         Parameters
@@ -157,7 +157,7 @@ class PacketFormat:
         """Whether the packet is of the single mode: no inverses follow the data patterns."""
         return self.format.mode == "single"
 
-    def data_patterns(self, blocks: Mapping[str, Sequence[Block]], ahead: int = 0) -> NDArray[np.uint8]:
+    def data_patterns(self, blocks: Mapping[str, Sequence[AnyBlock]], ahead: int = 0) -> NDArray[np.uint8]:
         """Return the data patterns of a packet without the inverted ones.
 
         Parameters
@@ -178,7 +178,7 @@ class PacketFormat:
         d = self.join(np.concatenate(symbols, axis=1))
         return haar.encode(d) if self.settings.modulation == "haar" else ook.encode(d)
 
-    def patterns(self, identity: int, blocks: Mapping[str, Sequence[Block]], ahead: int = 0) -> NDArray[np.uint8]:
+    def patterns(self, identity: int, blocks: Mapping[str, Sequence[AnyBlock]], ahead: int = 0) -> NDArray[np.uint8]:
         """Return all patterns of a packet in the order of time.
 
         Parameters

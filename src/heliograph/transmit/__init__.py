@@ -1,5 +1,5 @@
 """The transmitter: messages -> timed LED patterns."""
 
-from heliograph.transmit.transmitter import TimedPattern, TransmitSettings, Transmitter
+from heliograph.transmit.transmitter import Content, TimedPattern, TransmitSettings, Transmitter
 
-__all__ = ["TimedPattern", "TransmitSettings", "Transmitter"]
+__all__ = ["Content", "TimedPattern", "TransmitSettings", "Transmitter"]

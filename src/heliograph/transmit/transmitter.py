@@ -13,14 +13,19 @@ from pydantic.dataclasses import dataclass as checked
 
 from heliograph.base.config import CONFIG, clear_errors
 from heliograph.base.errors import SettingsError, shown
-from heliograph.signal.block import Block
+from heliograph.signal.block import AnyBlock, FileBlock, symbol_bytes
 from heliograph.signal.formats import AGREED, Format
+from heliograph.signal.fountain.cauchy import NUMBERS
+from heliograph.signal.fountain.files import FileCarousel, SentFile
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.header import identity as identity_of
-from heliograph.signal.message import Carousel
-from heliograph.signal.packet import PacketFormat
+from heliograph.signal.message import Carousel, Updates
+from heliograph.signal.packet import LayerFormat, PacketFormat
 from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import LAYERS, SignalSettings, check_signal
+
+Content = bytes | Updates | SentFile
+"""What a layer may send."""
 
 
 @clear_errors
@@ -78,7 +83,8 @@ class Transmitter:
         Number of the array, 0 to 29.
     messages
         Messages by layer ("high", "middle", "low"), at most 256 a layer, repeated as a carousel; a layer without any
-        sends idle blocks.
+        sends idle blocks. A message is bytes, or `Updates` that change while they are sent. A `SentFile` is sent by
+        symbols, of which any that are enough give it back; a layer with messages too sends both in turns.
     formats
         Formats of the packets, used in turn; empty for data pairs at the agreed rates.
 
@@ -100,7 +106,7 @@ class Transmitter:
         self,
         settings: SignalSettings,
         identity: int,
-        messages: Mapping[str, Sequence[bytes]],
+        messages: Mapping[str, Sequence[Content]],
         formats: Sequence[Format] = (),
     ):
         check_signal(settings)
@@ -119,12 +125,25 @@ class Transmitter:
             for form in self.formats
             for name, layer in form.layers.items()
         }
+        self._files = {name: self._file_carousel(name, listed) for name, listed in messages.items() if _files(listed)}
+        self._mixed = {name for name in self._files if len(_files(messages[name])) < len(messages[name])}
 
-    def _carousel(self, name: str, messages: Sequence[bytes], room: int) -> Carousel:
+    def _carousel(self, name: str, messages: Sequence[Content], room: int) -> Carousel:
+        contents = [
+            one if isinstance(one, Updates) else bytes(one) for one in messages if not isinstance(one, SentFile)
+        ]
         try:
-            return Carousel(self.identity, name, [bytes(data) for data in messages], room)
+            return Carousel(self.identity, name, contents, room)
         except ValueError as error:
             raise SettingsError(f"array {self.identity}: {error}; send less, or cut it up") from None
+
+    def _file_carousel(self, name: str, messages: Sequence[Content]) -> FileCarousel:
+        room = min(symbol_bytes(form.layers[name].code.k) for form in self.formats)
+        first = LAYERS.index(name) * (NUMBERS // len(LAYERS))
+        try:
+            return FileCarousel(self.identity, name, _files(messages), room, first)
+        except ValueError as error:
+            raise SettingsError(f"array {self.identity}, {name} layer: {error}; send less, or raise N_d") from None
 
     @property
     def format(self) -> PacketFormat:
@@ -141,7 +160,7 @@ class Transmitter:
         """
         return self.formats[packet % len(self.formats)]
 
-    def blocks(self, packet: int) -> dict[str, list[Block]]:
+    def blocks(self, packet: int) -> dict[str, list[AnyBlock]]:
         """Return the blocks in a packet by layer, one per codeword.
 
         Parameters
@@ -150,16 +169,30 @@ class Transmitter:
             Number of the packet, from 0 at the start of the transmission.
         """
         return {
-            name: [
-                self._carousels[name, layer.payload_bytes].block(self._sent_before(packet, name) + i)
-                for i in range(layer.codewords)
-            ]
+            name: [self._block(packet, name, layer, i) for i in range(layer.codewords)]
             for name, layer in self.format_of(packet).layers.items()
         }
 
-    def _sent_before(self, packet: int, name: str) -> int:
-        """Count the codewords of a layer sent before packet number `packet` whose blocks are as large as its own."""
-        size = self.format_of(packet).layers[name].payload_bytes
+    def _block(self, packet: int, name: str, layer: LayerFormat, codeword: int) -> AnyBlock:
+        """A layer's block; of messages and files each has every second one."""
+        number = self._sent_before(packet, name, layer.payload_bytes) + codeword
+        mixed = name in self._mixed
+        if name in self._files and (not mixed or number % 2):
+            return self._file_block(packet, name, layer, codeword)
+        # a content that is to begin with a packet must not fall behind it by rounding
+        time_s = packet * self.format.settings.packet_s + 1e-7
+        return self._carousels[name, layer.payload_bytes].block(number // 2 if mixed else number, time_s)
+
+    def _file_block(self, packet: int, name: str, layer: LayerFormat, codeword: int) -> FileBlock:
+        turns = 2 if name in self._mixed else 1
+        rooms = {form.layers[name].code.k: form.layers[name].payload_bytes for form in self.formats}
+        # blocks of other sizes went before, each size in its own turns
+        number = sum(self._sent_before(packet, name, size) // turns for k, size in rooms.items() if k != layer.code.k)
+        number += (self._sent_before(packet, name, layer.payload_bytes) + codeword) // turns
+        return self._files[name].block(number, symbol_bytes(max(rooms)), symbol_bytes(layer.code.k))
+
+    def _sent_before(self, packet: int, name: str, size: int) -> int:
+        """Count the codewords of a layer sent before packet number `packet` whose blocks have `size` bytes."""
         layers = [form.layers[name] for form in self.formats]
         counts = [layer.codewords if layer.payload_bytes == size else 0 for layer in layers]
         cycles, place = divmod(packet, len(counts))
@@ -206,7 +239,19 @@ def _check_messages(messages: Any) -> None:
         if isinstance(listed, (str, bytes, bytearray)) or not isinstance(listed, Sequence):
             raise SettingsError(f"the {name} layer has a list of messages, not {type(listed).__name__}; write [b'...']")
         for data in listed:
-            if not isinstance(data, (bytes, bytearray, memoryview)):
+            if isinstance(data, Updates):
+                _check_updates(name, data)
+            elif not isinstance(data, (bytes, bytearray, memoryview, SentFile)):
                 raise SettingsError(
                     f"a message of the {name} layer is bytes, not {type(data).__name__}; text.encode() makes them"
                 )
+
+
+def _check_updates(name: str, data: Updates) -> None:
+    times = [time_s for time_s, _ in data.contents]
+    if not times or times != sorted(times) or not all(isinstance(one, bytes) for _, one in data.contents):
+        raise SettingsError(f"updates of the {name} layer are times in s, in order, each with bytes, at least one")
+
+
+def _files(messages: Sequence[Content]) -> list[SentFile]:
+    return [one for one in messages if isinstance(one, SentFile)]

@@ -9,7 +9,7 @@ from scenes import levels, link
 
 from heliograph.link.simulate import default_messages, transmitters
 from heliograph.receive.decode.codeword import ERASED, Decoding, decode_packet, soft_to_llr
-from heliograph.signal.block import Block
+from heliograph.signal.block import AnyBlock
 from heliograph.signal.code import Algorithm
 from heliograph.signal.haar import inverse_transform
 from heliograph.signal.packet import PacketFormat
@@ -22,7 +22,7 @@ ALL = np.ones(48, dtype=bool)
 
 
 @cache
-def sent() -> tuple[PacketFormat, dict[str, list[Block]], Floats]:
+def sent() -> tuple[PacketFormat, dict[str, list[AnyBlock]], Floats]:
     """A packet's format, blocks and luminances x' = level - 2 of identity 0."""
     settings = link()
     stream = levels(settings)

@@ -35,7 +35,7 @@ from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredH
 from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
-from heliograph.signal.block import Block
+from heliograph.signal.block import AnyBlock
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
 
@@ -392,7 +392,7 @@ def _frames(link: LinkSettings, messages: Sequence[Messages], seed: int, truths:
         yield frame
 
 
-def _wrong(name: str, packets: Sequence[Packet], blocks: Sequence[Block]) -> Count:
+def _wrong(name: str, packets: Sequence[Packet], blocks: Sequence[AnyBlock]) -> Count:
     right = [word.block for packet in packets for word in packet.layers[name] if word.block is not None]
     return Count(len(blocks), sum(block not in right for block in blocks))
 

@@ -1,0 +1,92 @@
+"""Files from the air while a film is received: how far they have come, and where they are written."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from heliograph.base.errors import MediaError
+from heliograph.cli import console
+
+if TYPE_CHECKING:
+    from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress
+
+STEP = 0.1
+"""Fraction of a file after which its progress is said again. Chosen."""
+
+
+class Files:
+    """Says how far files have come, and writes whole ones.
+
+    Parameters
+    ----------
+    folder
+        Where they go; None writes none.
+    aloud
+        Whether progress is said as it comes.
+    """
+
+    def __init__(self, folder: Path | None, aloud: bool):
+        from heliograph.link.file_store import FileStore
+
+        self.store: FileStore | None = FileStore(folder) if folder is not None else None
+        self._aloud = aloud
+        self._said: dict[FileKey, float] = {}
+        self._complained: set[tuple[FileKey, str]] = set()
+
+    def begin(self, files: "FileGatherer") -> None:
+        """Go on with what earlier passages left."""
+        for progress in self.store.begin(files) if self.store else ():
+            if self._aloud and progress.whole is None:
+                console.say(f"{_words(progress)}, from before")
+            self.took(progress)
+
+    def took(self, progress: "FileProgress") -> None:
+        """Say what is there of a file, and write it where it is whole."""
+        key = progress.key
+        if progress.reason and (key, progress.reason) not in self._complained:
+            self._complained.add((key, progress.reason))
+            console.complain(f"file {key}: {progress.reason}")
+        part = progress.had / key.count
+        if progress.whole is not None:
+            self._whole(progress)
+        elif self._aloud and part >= self._said.get(key, 0.0):
+            self._said[key] = part + STEP
+            console.say(_words(progress))
+
+    def finish(self, files: "FileGatherer") -> MediaError | None:
+        """Keep what is there of others for the next passage; a failure is returned: results are still to be shown."""
+        try:
+            if self.store:
+                self.store.finish(files)
+        except MediaError as error:
+            return error
+        return None
+
+    def _whole(self, progress: "FileProgress") -> None:
+        from heliograph.link.file_store import safe_name
+
+        assert progress.whole is not None
+        name, size = safe_name(progress.whole.name), len(progress.whole.data)
+        if self.store:
+            path = self.store.keep(progress.whole, progress.key)
+            if self._aloud:
+                console.say(f"file {progress.key} is whole: {path}, {size} bytes")
+        elif self._aloud:
+            console.say(f"file {progress.key} is whole: {name}, {size} bytes; --files DIR writes it")
+
+
+def _words(progress: "FileProgress") -> str:
+    key = progress.key
+    return f"file {key}: {progress.had} of {key.count} symbols ({100 * progress.had // key.count} %)"
+
+
+def join(folder: Path) -> list[Path]:
+    """Put together what several films have left of files in a folder; return those that are whole now."""
+    from heliograph.link.file_store import FileStore
+    from heliograph.signal.fountain.files import FileGatherer
+
+    store, files = FileStore(folder), FileGatherer()
+    for progress in list(store.begin(files)):
+        if progress.whole is not None:
+            store.keep(progress.whole, progress.key)
+    store.finish(files)
+    return store.written

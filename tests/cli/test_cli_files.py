@@ -1,0 +1,110 @@
+"""Files sent by symbols: simulated, received, joined over two films, and written under names that do no harm."""
+
+import json
+import random
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runs import Run, called, lasting, succeeded
+
+from heliograph.link.file_store import FileStore, safe_name
+from heliograph.link.truth import open_truth, truth_path
+from heliograph.signal.fountain.cauchy import CauchyEncoder
+from heliograph.signal.fountain.files import FileGatherer, FileKey, SentFile, WholeFile
+
+Call = Callable[..., Run]
+
+
+@pytest.fixture
+def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: called(*arguments, capfd=capfd, monkeypatch=monkeypatch)
+
+
+PICTURE = random.Random(1).randbytes(1500)
+
+
+@pytest.mark.slow
+def test_a_file_is_joined_of_two_films(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "map.png").write_bytes(PICTURE)
+    for number, start_s in enumerate((0.0, -0.3)):
+        changes = ("--set", f"channel.arrays.0.start_s={start_s}", "--file", "map.png", "--high", "brake")
+        succeeded(call("simulate", f"{number}.h5", *lasting(0.32), *changes))
+    truth = open_truth(truth_path(tmp_path / "0.h5"))
+    assert truth.messages[0]["low"] == [SentFile("map.png", PICTURE)]
+    said = succeeded(call("receive", "0.h5", "--preset", "static", "--files", "got"))
+    assert re.search(r"^file [0-9a-f]{8}: 3 of 14 symbols \(21 %\)$", said, re.M)
+    assert [path.suffix for path in (tmp_path / "got").iterdir()] == [".npz"]
+    said = succeeded(call("receive", "1.h5", "--preset", "static", "--files", "got", "--follow"))
+    rows = [json.loads(line) for line in said.splitlines()]
+    files = [row for row in rows if row["event"] == "file"]
+    assert files[0]["symbols"] == 12
+    assert (files[-1]["whole"], files[-1]["name"]) == (True, "map.png")
+    assert [(path.name, path.read_bytes()) for path in (tmp_path / "got").iterdir()] == [("map.png", PICTURE)]
+    (tmp_path / "got/map.png").unlink()
+    together = call("receive", "0.h5", "1.h5", "--preset", "static", "--files", "got", "--workers", "1")
+    assert together.returncode == 0
+    assert (tmp_path / "got/map.png").read_bytes() == PICTURE
+
+
+def test_transmit_refuses_a_file_that_no_layer_has_room_for(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "a").write_bytes(b"1")
+    layers = ("--high", "a b", "--middle", "c d", "--low", "e f")
+    for given, word in (
+        (("--file", "a", *layers), "leave out"),
+        (("--file", "gone"), "cannot read gone"),
+        (("--file", "a", "--file-code", "magic"), "cauchy, raptorq"),
+    ):
+        run = call("transmit", "a.npy", "--packets", "1", *given)
+        assert run.returncode == 1
+        assert word in run.stderr
+        assert run.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("sent", "kept"),
+    [
+        ("map.png", "map.png"),
+        ("../../etc/passwd", "passwd"),
+        ("C:\\Windows\\system32\\a.dll", "a.dll"),
+        ("/", "file"),
+        ("", "file"),
+        ("..", "file"),
+        (".bashrc", "bashrc"),
+        ("a\0b\x1b[31m.txt", "ab_31m.txt"),
+        ("con.txt", "file-con.txt"),
+        ("Stra\u00dfe 7.jpg", "Stra_e_7.jpg"),
+        ("x" * 300 + ".jpeg", "x" * 68 + ".jpeg"),
+    ],
+)
+def test_a_name_from_the_air_is_no_path(sent: str, kept: str) -> None:
+    assert safe_name(sent) == kept
+
+
+def test_a_file_never_replaces_another(tmp_path: Path) -> None:
+    store, key = FileStore(tmp_path / "new"), FileKey(1, 2, 2, 0)
+    (tmp_path / "outside").write_bytes(b"mine")
+    written = [store.keep(WholeFile("../outside", data), key).name for data in (b"1", b"2", b"1")]
+    assert written == ["outside", "outside-2", "outside"]
+    (tmp_path / "new/link").symlink_to(tmp_path / "outside")
+    assert store.keep(WholeFile("link", b"3"), key).name == "link-2"
+    assert (tmp_path / "outside").read_bytes() == b"mine"
+
+
+def test_broken_symbols_of_an_earlier_passage_are_passed_over(tmp_path: Path) -> None:
+    files, data = FileGatherer(), b"\x01a" + bytes(range(200))
+    encoder, key = CauchyEncoder(data, 8), FileKey(0, len(data), 8, 0)
+    files.take(key, {n: encoder.symbol(n) for n in range(5)})
+    FileStore(tmp_path).finish(files)
+    (part,) = tmp_path.glob(".part-*")
+    whole, rng = part.read_bytes(), np.random.default_rng(1)
+    for number in range(60):
+        broken = bytearray(whole)
+        broken[int(rng.integers(len(whole)))] ^= 1 + int(rng.integers(255))
+        (tmp_path / f".part-00000000-{number}.npz").write_bytes(broken[: int(rng.integers(len(whole)))])
+    (tmp_path / ".part-00000000-x.npz").write_bytes(b"none")
+    again = FileGatherer()
+    assert [one.had for one in FileStore(tmp_path).begin(again)][-1:] == [5]
