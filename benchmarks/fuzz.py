@@ -35,6 +35,8 @@ from heliograph.link.settings import load_settings
 from heliograph.link.truth import open_truth
 from heliograph.media.record import FilmRecord
 from heliograph.media.slots import SUFFIXES, SlotForm, open_slots, write_slots
+from heliograph.road.countdown import Countdown
+from heliograph.road.read import road_values, road_words
 from heliograph.signal.block import Block, pack, payload_bytes, unpack
 from heliograph.signal.message import Reassembler
 from heliograph.sweeps.vary import grid, parse_vary
@@ -147,6 +149,14 @@ def read_block(data: bytes, _: Path) -> object:
     return block and Reassembler().add(block, payload_bytes(bits.size))
 
 
+def read_road(data: bytes, _: Path) -> object:
+    values = road_values(data)
+    if values is None:
+        return None
+    Countdown().take(values, 1.0)
+    return road_words(values)
+
+
 def seeds(folder: Path) -> Seeds:
     """Parsers by name, each with what it reads well."""
     small = ["channel.camera.width=64", "channel.camera.height=32", "channel.duration_s=0.02"]
@@ -176,8 +186,15 @@ def seeds(folder: Path) -> Seeds:
         "record": (read_record, [record.dumps().encode()]),
         "note": (read_note, [note.encode()]),
         "block": (read_block, [np.packbits(block).tobytes()[:-4]]),
+        "road": (read_road, [bytes.fromhex(one) for one in ROAD]),
     }
 
+
+ROAD = (
+    "01040000000700180003810000003e875300000104340269026900",
+    "01040000000700180003810000354300bb8010011434003c003c226001e002300230008515000b400b4918005a00780078",
+)
+"""Two SPATEMs, of one light and of two, each with its next phase in the second."""
 
 SHARES = {"settings": 0.02, "film.mp4": 0.04, "film.mkv": 0.04, "film.nut": 0.04, "film.avi": 0.04, "truth": 0.04,
           "film.h5": 0.12, "trace": 0.04}  # fmt: skip

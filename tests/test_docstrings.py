@@ -17,6 +17,7 @@ HELD = (
     "media",
     "receive",
     "panel",
+    "road",
     "link",
     "measure",
     "sweeps",

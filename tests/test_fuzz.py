@@ -26,7 +26,21 @@ VIDEOS = ["film.h5", "film.mkv", "film.nut", "film.mp4", "film.avi", "film.y4m"]
 CAMERAS = ["film.cine", "film.cih", "film.cihx"]
 PICTURES = ["film.tif", "film.npy", "film.png", "film.jpg", "shots.png", "shots.jpg", "shots.tif"]
 SLOTS = [f"slots{suffix}" for suffix in SUFFIXES]
-NAMES = [*VIDEOS, *CAMERAS, *PICTURES, *SLOTS, "truth", "trace", "settings", "set", "record", "note", "block", "vary"]
+NAMES = [
+    *VIDEOS,
+    *CAMERAS,
+    *PICTURES,
+    *SLOTS,
+    "truth",
+    "trace",
+    "settings",
+    "set",
+    "record",
+    "note",
+    "block",
+    "road",
+    "vary",
+]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -15,6 +15,8 @@ from heliograph.link.truth import open_truth, truth_path
 from heliograph.signal.fountain.cauchy import CauchyEncoder
 from heliograph.signal.fountain.files import FileGatherer, FileKey, SentFile, WholeFile
 
+EXAMPLE = Path(__file__).parents[2] / "examples" / "junction.toml"
+
 Call = Callable[..., Run]
 
 
@@ -108,3 +110,33 @@ def test_broken_symbols_of_an_earlier_passage_are_passed_over(tmp_path: Path) ->
     (tmp_path / ".part-00000000-x.npz").write_bytes(b"none")
     again = FileGatherer()
     assert [one.had for one in FileStore(tmp_path).begin(again)][-1:] == [5]
+
+
+@pytest.mark.slow
+def test_a_junction_is_sent_and_counted_down(tmp_path: Path, call: Call) -> None:
+    pytest.importorskip("pycrate_asn1dir", reason="needs the extra its: pip install 'heliograph[its]'")
+    sent = ("--junction", str(EXAMPLE), "--set", "channel.arrays.0.start_s=-0.9")
+    succeeded(call("simulate", "a.h5", *lasting(0.42), *sent))
+    said = succeeded(call("receive", "a.h5", "--preset", "static"))
+    assert "49 bytes, SPATEM of junction 7: group 1 red, 12.0 s left, group 2 green, 9.0 s left" in said
+    assert "49 bytes, SPATEM of junction 7: group 1 red, 11.0 s left, group 2 green, 8.0 s left" in said
+    assert "MAPEM of junction 7 (Harbour Road): 9 lanes" in said
+    followed = call("receive", "a.h5", "--preset", "static", "--follow", "--verbose")
+    rows = [json.loads(line) for line in followed.stdout.splitlines()]
+    left = [row["junctions"][0]["groups"][0]["left_s"] for row in rows if row["event"] == "lights"]
+    # 0.9 s after its stamp the first message gives what the second one corrects
+    assert left == [12.0, 11.0, 10.9, 10.8]
+    assert "tells of junction 7: group 1 red, 10.9 s left" in followed.stderr
+
+
+def test_a_junction_that_is_wrong_is_one_line(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "a.toml").write_text("id = 7\ngroup = 1\n")
+    for given, word in (
+        (("--junction", "a.toml"), "a.toml: "),
+        (("--junction", "none.toml"), "cannot read the settings none.toml"),
+        (("--junction", str(EXAMPLE), "--high", "a b"), "leave out --high"),
+    ):
+        run = call("transmit", "a.npy", "--packets", "1", *given)
+        assert run.returncode == 1
+        assert word in run.stderr
+        assert run.stderr.count("\n") == 1

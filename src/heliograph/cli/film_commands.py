@@ -31,6 +31,15 @@ FileCode = Annotated[
     str,
     typer.Option("--file-code", help="Code of --file: cauchy, read everywhere, or raptorq, for megabytes."),
 ]
+JunctionOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--junction",
+        metavar="TOML",
+        show_default=False,
+        help="Junction whose lights the high layer tells of, as SPATEM, and whose lanes the middle one, as MAPEM.",
+    ),
+]
 Codec = Annotated[
     str | None, typer.Option(help="Codec of the film: ffv1, h264 or mjpeg; chosen by the suffix if left out.")
 ]
@@ -121,6 +130,7 @@ def simulate(
     low: Low = None,
     file: FileOption = None,
     file_code: FileCode = "cauchy",
+    junction: JunctionOption = None,
     codec: Codec = None,
     crf: Annotated[float | None, typer.Option(help="Quality of lossy H.264, 0 to 51.")] = None,
     lossless: Annotated[bool, typer.Option(help="Store H.264 without loss.")] = False,
@@ -129,7 +139,7 @@ def simulate(
     from heliograph.cli.simulate import run_simulate
 
     run_simulate(film, preset, settings, assignments, seed, background, imu,
-                 options.Sent(high, middle, low, tuple(file or ()), file_code),
+                 options.Sent(high, middle, low, tuple(file or ()), file_code, junction),
                  {"codec": codec, "crf": crf, "lossless": lossless})  # fmt: skip
 
 
@@ -152,11 +162,12 @@ def transmit(
     low: Low = None,
     file: FileOption = None,
     file_code: FileCode = "cauchy",
+    junction: JunctionOption = None,
 ) -> None:
     """Write the LED patterns of a transmission."""
     from heliograph.cli.transmit import run_transmit
 
-    sent = options.Sent(high, middle, low, tuple(file or ()), file_code)
+    sent = options.Sent(high, middle, low, tuple(file or ()), file_code, junction)
     run_transmit(output, packets, identity, slots, preset, settings, assignments, sent)
 
 

@@ -99,10 +99,13 @@ class Watch:
 
     def message(self, message: "Message") -> None:
         """Show a message as it comes."""
+        from heliograph.road.read import road_values, road_words
+
         if self._aloud:
+            road = road_values(message.data)
             console.say(
                 f"array {message.identity}, {message.layer}, message {message.stream}: {len(message.data)} bytes, "
-                f"{_shown(message.data)}"
+                f"{_shown(message.data) if road is None else road_words(road)}"
             )
 
     @property

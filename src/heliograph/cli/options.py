@@ -203,6 +203,8 @@ class Sent:
         Files that the layers send which have nothing else.
     code
         Code that makes their symbols.
+    junction
+        Junction of which the high and the middle layer tell.
     """
 
     high: str | None = None
@@ -210,31 +212,64 @@ class Sent:
     low: str | None = None
     files: tuple[Path, ...] = ()
     code: str = "cauchy"
+    junction: Path | None = None
 
     @property
     def inputs(self) -> tuple[str | Path | None, ...]:
         """What may be the names of files that are read."""
-        return (self.high, self.middle, self.low, *self.files)
+        return (self.high, self.middle, self.low, *self.files, self.junction)
 
 
-def read_messages(settings: "LinkSettings", sent: Sent) -> "list[Messages]":
-    """What each array sends: what is given, a text of our own where nothing is given at all."""
+def read_messages(settings: "LinkSettings", sent: Sent, seconds: float) -> "list[Messages]":
+    """What each array sends for some seconds: what is given, a text of our own where nothing is given at all."""
     from heliograph.link.simulate import default_messages
 
     high, middle, low = sent.high, sent.middle, sent.low
     given = {layer: what for layer, what in (("high", high), ("middle", middle), ("low", low)) if what is not None}
     files = [file_of(path, sent.code) for path in sent.files]
-    if not given and not files:
+    road = road_messages(sent, seconds) if sent.junction is not None else {}
+    if not given and not files and not road:
         return default_messages(settings)
-    if files and len(given) == len(LAYERS):
+    if files and len({*given, *road}) == len(LAYERS):
         raise MediaError("--file is sent by layers that have no message: leave out --high, --middle or --low")
     if list(given.values()).count(STDIN) > 1:
         raise MediaError("standard input can be sent in one layer only: give - once")
     content: Messages = {
-        layer: [message_of(layer, given[layer])] if layer in given else files
-        for layer in LAYERS if layer in given or files
+        layer: road[layer] if layer in road else [message_of(layer, given[layer])] if layer in given else files
+        for layer in LAYERS if layer in road or layer in given or files
     }  # fmt: skip
     return [content for _ in settings.transmit.identities]
+
+
+def road_messages(sent: Sent, seconds: float) -> "Messages":
+    """What the lights of a junction show, again and again in the high layer, and its map in the middle one.
+
+    Parameters
+    ----------
+    sent
+        What is sent; its junction is a TOML file.
+    seconds
+        How long it is sent.
+
+    Raises
+    ------
+    HeliographError
+        The file cannot be read or is wrong, a layer has something else to send, or `pycrate` is not installed.
+    """
+    from heliograph.base.config import from_mapping
+    from heliograph.road.encode import mapem, updates
+    from heliograph.road.junction import Junction
+    from heliograph.signal.message import Updates
+
+    assert sent.junction is not None
+    if sent.high is not None or sent.middle is not None:
+        raise MediaError("--junction takes the high and the middle layer: leave out --high and --middle")
+    tree = read_toml(sent.junction)
+    try:
+        junction = from_mapping(Junction, tree)
+    except SettingsError as error:
+        raise SettingsError(f"{sent.junction}: {error}") from None
+    return {"high": [Updates(updates(junction, seconds))], "middle": [mapem(junction)]}
 
 
 def file_of(path: Path, code: str) -> "SentFile":

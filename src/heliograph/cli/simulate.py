@@ -24,13 +24,13 @@ def run_simulate(
     codec: dict[str, Any],
 ) -> None:
     """Simulate a drive into a film."""
-    from heliograph.link.film import frames_of, write_film
+    from heliograph.link.film import frames_of, sent_s, write_film
     from heliograph.link.truth import truth_path
 
     for written_file in (film, truth_path(film)):
         options.refuse_to_replace(written_file, (*sent.inputs, background, imu, file))
     settings, recordings = scene_from(preset, file, assignments, background, imu)
-    messages = options.read_messages(settings, sent)
+    messages = options.read_messages(settings, sent, sent_s(settings))
     written = 0
     try:
         with console.progress("simulating", frames_of(settings)) as advance:

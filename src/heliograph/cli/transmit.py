@@ -38,7 +38,8 @@ def run_transmit(
     # one array speaks, however many the preset's scene has
     changes = [*(assignments or ()), "channel.arrays=[{}]", f"transmit.identities=[{identity}]"]
     settings = options.settings_from(preset, file, changes)
-    (sender,) = transmitters(settings, options.read_messages(settings, sent))
+    seconds = packets * settings.signal.packet_s
+    (sender,) = transmitters(settings, options.read_messages(settings, sent, seconds))
     count = packets * settings.signal.packet_patterns
     patterns: Iterator[NDArray[np.uint8]] = islice(sender.levels(), count)
     period, brightest = settings.signal.pattern_period_s, pwm.SLOTS

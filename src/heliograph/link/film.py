@@ -121,6 +121,19 @@ def frames_of(settings: LinkSettings) -> int:
     return frame_count(settings.channel)
 
 
+def sent_s(settings: LinkSettings) -> float:
+    """How long an array sends at most until the last frame of a simulation, in s.
+
+    Parameters
+    ----------
+    settings
+        The link, of which the channel's part is used.
+    """
+    channel = settings.channel
+    first = min((array.start_s for array in channel.arrays), default=0.0)
+    return channel.camera.start_s - first + frames_of(settings) * channel.camera.frame_period_s
+
+
 def read_packets(film: FrameSource, signal: SignalSettings, receiver: Receiver) -> Iterator[Packet]:
     """Packets of a film, each as soon as it is read.
 

@@ -1,7 +1,7 @@
 """What happens in a reception as it happens, in rows of plain values: arrays found and lost, packets, messages."""
 
 from base64 import b64encode
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -14,11 +14,13 @@ from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.events import DetectEvent, LostEvent
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.settings import CalibrationSettings
+from heliograph.road.countdown import Countdown
+from heliograph.road.read import group_words, road_values, road_words
 from heliograph.signal.fountain.files import FileProgress
 from heliograph.signal.message import Message
 
 Row = Mapping[str, Any]
-"""What happened, as plain values; its `event` is "found", "packet", "message", "file" or "lost"."""
+"""What happened, as plain values; its `event` is "found", "packet", "message", "lights", "file" or "lost"."""
 
 SPEED_PACKETS = 8
 """Most packets over which a speed is averaged: 0.8 s of the reference link. Chosen."""
@@ -42,6 +44,7 @@ class Journal:
         self._calibration, self._tell = calibration, tell
         self._ways: dict[int, deque[tuple[float, float]]] = {}
         self._orientations: dict[int, str] = {}
+        self._lights: dict[int, Countdown] = defaultdict(Countdown)
 
     def observe(self, event: object) -> None:
         """Take an event of the receiver; arrays found and lost are told.
@@ -78,7 +81,14 @@ class Journal:
         self._orientations[packet.identity] = str(packet.orientation)
         self._tell({"event": "packet", **packet_row(packet), "approach_m_s": approach(way)})
         for message in messages:
-            self._tell(message_row(message))
+            row = message_row(message)
+            self._tell(row)
+            if "road" in row:
+                self._lights[packet.identity].take(row["road"], packet.start_time_s)
+        lights = self._lights[packet.identity].at(packet.start_time_s)
+        if lights:
+            when = round(packet.start_time_s, 6)
+            self._tell({"event": "lights", "id": packet.identity, "time_s": when, "junctions": lights})
         for progress in files:
             self._tell(file_row(progress, packet.identity))
 
@@ -119,7 +129,7 @@ def approach(way: Sequence[tuple[float, float]]) -> float | None:
 
 
 def message_row(message: Message) -> Row:
-    """A message as plain values: its bytes in Base64, and as text where they are UTF-8.
+    """A message as plain values: its bytes in Base64, as text where they are UTF-8, what it says of the road.
 
     Parameters
     ----------
@@ -134,6 +144,9 @@ def message_row(message: Message) -> Row:
         "bytes": len(message.data),
         "data": b64encode(message.data).decode("ascii"),
     }
+    road = road_values(message.data)
+    if road is not None:
+        return {**row, "road": road}
     try:
         return {**row, "text": message.data.decode("utf-8")}
     except UnicodeDecodeError:
@@ -172,10 +185,15 @@ def sentence(row: Row) -> str:
     """
     array = f"array {row['id']}"
     if row["event"] == "message":
-        return f"{array}: message {row['stream']} of the {row['layer']} layer is whole, {row['bytes']} bytes"
+        said = f"; {road_words(row['road'])}" if "road" in row else ""
+        return f"{array}: message {row['stream']} of the {row['layer']} layer is whole, {row['bytes']} bytes{said}"
     if row["event"] == "file":
         return f"{array}: {file_words(row)}"
     when = f"{row['time_s']:.3f} s: {array}"
+    if row["event"] == "lights":
+        return f"{when} tells of " + "; ".join(
+            f"junction {one['id']}: {', '.join(map(group_words, one['groups']))}" for one in row["junctions"]
+        )
     if row["event"] == "found":
         drift = float(np.hypot(*row["drift_px_s"]))
         moves = f"moving by {drift:.0f} px/s in the image"

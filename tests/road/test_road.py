@@ -1,0 +1,156 @@
+"""SPATEM and MAPEM: written, read, counted down, and damaged."""
+
+import random
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from heliograph.base.config import from_mapping
+from heliograph.base.errors import SettingsError
+from heliograph.road.countdown import Countdown
+from heliograph.road.encode import mapem, spatem, updates
+from heliograph.road.junction import Junction, example
+from heliograph.road.read import road_values, road_words
+
+pytest.importorskip("pycrate_asn1dir", reason="needs the extra its: pip install 'heliograph[its]'")
+
+JUNCTION = from_mapping(Junction, example())
+EXAMPLE = Path(__file__).parents[2] / "examples" / "junction.toml"
+
+
+def lights(data: bytes) -> list[tuple[int, str, float | None]]:
+    values = road_values(data)
+    assert values is not None
+    return [(g["group"], g["phase"], g["left_s"]) for one in values["junctions"] for g in one["groups"]]
+
+
+def test_a_spatem_of_one_light_has_27_bytes() -> None:
+    plain = {"id": 7, "station": 7, "groups": [{"group": 1, "phases": [{"phase": "red", "seconds": 20}]}]}
+    junction = from_mapping(Junction, plain)
+    # this one tells of the next phase too
+    assert len(spatem(junction, 0.0)) == 34
+    values = road_values(bytes.fromhex("01040000000700180003810000003e875300000104340269026900"))
+    assert values is not None
+    light = {"group": 1, "phase": "red", "end_s": 123.4, "left_s": 1293.4, "then": []}
+    assert values["junctions"] == [{"id": 7, "stamp_s": 2430.0, "groups": [light]}]
+
+
+def test_lights_and_lanes_come_back() -> None:
+    assert lights(spatem(JUNCTION, 3.0)) == [(1, "red", 9.0), (2, "green", 6.0)]
+    assert lights(spatem(JUNCTION, 12.5)) == [(1, "red-yellow", 1.5), (2, "red", 20.5)]
+    # the cycle of 35 s begins again
+    assert lights(spatem(JUNCTION, 36.0)) == [(1, "red", 11.0), (2, "green", 8.0)]
+    map_ = road_values(mapem(JUNCTION))
+    assert map_ is not None
+    (one,) = map_["junctions"]
+    assert (one["id"], one["name"], one["lane_width_m"]) == (7, "Harbour Road", 3.25)
+    assert (one["latitude"], one["longitude"]) == (pytest.approx(35.155), pytest.approx(136.966))
+    assert len(one["lanes"]) == 9
+    assert one["lanes"][0] == {
+        "lane": 1, "kind": "vehicle", "towards": True, "away": False, "points_m": [(1.7, -10.0), (1.7, -60.0)],
+        "groups": [1], "to": [4],
+    }  # fmt: skip
+    assert road_words(map_) == "MAPEM of junction 7 (Harbour Road): 9 lanes"
+
+
+def test_the_file_of_the_examples_is_the_example() -> None:
+    assert from_mapping(Junction, tomllib.loads(EXAMPLE.read_text())) == JUNCTION
+
+
+def test_points_of_all_distances_come_back_to_the_centimetre() -> None:
+    rng = random.Random(4)
+    for far in (2, 8, 18, 38, 78, 300):
+        points = tuple((round(rng.uniform(-far, far), 2) / 2, round(rng.uniform(-far, far), 2) / 2) for _ in range(9))
+        lane = replace(JUNCTION.lanes[1], points_m=points)
+        values = road_values(mapem(replace(JUNCTION, lanes=(JUNCTION.lanes[1], replace(lane, lane=3)))))
+        assert values is not None
+        for (x, y), (east, north) in zip(values["junctions"][0]["lanes"][1]["points_m"], points, strict=True):
+            assert (x, y) == (pytest.approx(east, abs=0.0051), pytest.approx(north, abs=0.0051))
+
+
+def test_a_light_is_counted_down_between_messages_and_into_the_next_phase() -> None:
+    """The camera's clock begins anywhere, packets come late after their stamp, some are lost, an hour ends."""
+    junction = replace(JUNCTION, begins=JUNCTION.begins.replace(minute=59, second=50))
+    sent, down, ahead = updates(junction, 20.0), Countdown(), 1234.5
+    assert len(sent) == 20
+    for packet in range(2, 200):
+        time_s = packet * 0.1
+        if packet % 3 == 0 or 60 < packet < 90:
+            continue
+        stamped = [data for start, data in sent if start <= time_s + 1e-9][-1]
+        values = road_values(stamped)
+        assert values is not None
+        down.take(values, time_s + ahead)
+        if packet > 20:
+            (one,) = down.at(time_s + ahead)
+            group = one["groups"][0]
+            ((phase, end_s),) = junction.groups[0].following(time_s, 1)
+            if min(abs(time_s - end) for end in (12.0, 14.0)) > 0.3:
+                assert group["phase"] == phase
+                assert group["left_s"] == pytest.approx(end_s - time_s, abs=0.21)
+    assert down.at(ahead + 31.0) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"groups": []}, "groups"),
+        ({"id": 70000}, "id"),
+        ({"name": "Stra\u00dfe"}, "name"),
+        ({"groups": [{"group": 1, "phases": [{"phase": "blue", "seconds": 1}]}]}, "phase"),
+        ({"lanes": [{"lane": 1, "points_m": [[0, 0], [1, 1]], "group": 9, "to": [1]}]}, "group 9"),
+        ({"lanes": [{"lane": 1, "points_m": [[0, 0], [1, 1]], "to": [4]}]}, "lane 4"),
+    ],
+)
+def test_a_wrong_junction_is_one_clear_line(change: dict[str, Any], word: str) -> None:
+    with pytest.raises(SettingsError, match=word) as raised:
+        from_mapping(Junction, {**example(), **change})
+    assert "\n" not in str(raised.value)
+
+
+def test_a_message_that_is_none_of_the_road_is_left_alone() -> None:
+    for data in (b"", b"\x01", b"brake", bytes(40), b"\x01\x02" + bytes(40), b"\x03\x04" + bytes(40)):
+        assert road_values(data) is None
+
+
+def test_damaged_messages_give_a_line() -> None:
+    """Cut, turned bits, random bytes behind a right header: 3000 of them; what still reads says so in words."""
+    rng, seen = random.Random(6), set()
+    whole = [spatem(JUNCTION, 1.0), mapem(JUNCTION)]
+    for _ in range(3000):
+        data = bytearray(rng.choice(whole))
+        for _ in range(rng.randrange(4)):
+            data[rng.randrange(6, len(data))] ^= 1 << rng.randrange(8)
+        if rng.random() < 0.3:
+            del data[rng.randrange(6, len(data)) :]
+        if rng.random() < 0.3:
+            data[6:] = rng.randbytes(rng.randrange(60))
+        values = road_values(bytes(data))
+        seen.add(values is not None and "reason" in values)
+        if values is not None:
+            words = road_words(values)
+            assert "\n" not in words
+            assert len(words) < 6000
+            Countdown().take(values, 1.0)
+    assert seen == {True, False}
+    long = road_values(whole[0] + bytes(9000))
+    assert long is not None
+    assert "more than 8192" in long["reason"]
+
+
+def test_without_the_package_a_message_is_named_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    from heliograph.road import codec
+
+    data = spatem(JUNCTION, 0.0)
+    codec._type.cache_clear()
+    monkeypatch.setitem(sys.modules, "pycrate_asn1dir", None)
+    values = road_values(data)
+    codec._type.cache_clear()
+    assert values is not None
+    assert values["kind"] == "SPATEM"
+    assert "heliograph[its]" in road_words(values)
