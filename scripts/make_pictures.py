@@ -1,4 +1,7 @@
-"""Make the README's picture: what the camera sees of a pattern, its inverse and their sum, by distance."""
+"""Make the README's picture: what the camera sees of a pattern, its inverse and their sum, by distance.
+
+The animation docs/pictures/drive.webp is that of `make demo`.
+"""
 
 from pathlib import Path
 

@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 
 from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
 from heliograph.experiments import plots
+from heliograph.experiments.demo.animation import cut_out_of
 from heliograph.experiments.demo.drive import Demonstration, demo_messages, run
 from heliograph.experiments.report import Report
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import Recordings
 from heliograph.measure.counts import LayerCounts
+from heliograph.receive import Pose
 
 pytestmark = pytest.mark.slow
 
@@ -24,7 +27,7 @@ SMALL = (
     "channel.speed_m_s=0", "channel.shake=none", "channel.camera.width=256", "channel.camera.height=96",
     "channel.arrays.0.x_m=0.8", "channel.arrays.0.y_m=0",
 )  # fmt: skip
-PNG = b"\x89PNG\r\n"
+PNG, WEBP = b"\x89PNG\r\n", b"RIFF"
 
 
 @contextlib.contextmanager
@@ -49,7 +52,8 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Demonstration]:
 def test_the_page_stands_alone(two: tuple[Path, Demonstration]) -> None:
     page = (two[0] / "report.html").read_text(encoding="utf-8")
     assert not re.search(r"https?:|<script|<link|@import|url\(", page)
-    assert all(source.startswith("data:image/png;base64,") for source in re.findall(r'src="([^"]*)"', page))
+    sources = re.findall(r'src="([^"]*)"', page)
+    assert all(one.startswith(("data:image/png;base64,", "data:image/webp;base64,")) for one in sources)
     assert page.startswith("<!doctype html>")
     assert page.rstrip().endswith("</html>")
 
@@ -58,7 +62,7 @@ def test_the_page_has_pictures_and_messages_of_both_arrays(two: tuple[Path, Demo
     page = (two[0] / "report.html").read_text(encoding="utf-8")
     pictures = [base64.b64decode(data) for data in re.findall(r"base64,([^\"]*)", page)]
     assert len(pictures) >= 6
-    assert all(picture.startswith(PNG) for picture in pictures)
+    assert all(picture.startswith((PNG, WEBP)) for picture in pictures)
     for identity in (0, 7):
         assert f"Array {identity}, high priority" in page
     assert page.count("Signal ahead: red for 12 s. Prepare to stop.") == 2
@@ -71,7 +75,7 @@ def test_the_messages_are_files_as_well(two: tuple[Path, Demonstration]) -> None
     folder, made = two
     sent = demo_messages(load_settings("two-arrays"))[0]
     for identity in (0, 7):
-        for layer, suffix in (("high", "txt"), ("middle", "txt"), ("low", "png")):
+        for layer, suffix in (("high", "txt"), ("middle", "txt"), ("low", "webp")):
             assert (folder / f"array-{identity}-{layer}-0.{suffix}").read_bytes() == sent[layer][0]
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]
     assert made.ending is None
@@ -122,5 +126,39 @@ def test_no_error_is_drawn_as_a_bound_of_three_by_n() -> None:
     layers = {"high": LayerCounts(bits=6000), "middle": LayerCounts(), "low": LayerCounts(bits=1000, bit_errors=10)}
     after = plots.errors_by_distance({50.0: layers}).axes[1]
     points = [(float(x), float(y)) for line in after.lines for x, y in np.array(line.get_xydata())]
-    assert (52.5, 3 / 6000) in points
-    assert (52.5, 0.01) in points
+    # each layer is drawn a little aside
+    assert (52.5 - plots.ASIDE_M, 3 / 6000) in points
+    assert (52.5 + plots.ASIDE_M, 0.01) in points
+
+
+def test_the_page_opens_with_what_moves_and_lists_its_sections(two: tuple[Path, Demonstration]) -> None:
+    page = (two[0] / "report.html").read_text(encoding="utf-8")
+    moving = (two[0] / "drive.webp").read_bytes()
+    assert moving[8:12] == b"WEBP"
+    assert b"ANMF" in moving
+    assert len(moving) < 1_000_000
+    assert page.index("data:image/webp") < page.index("data:image/png") < page.index("<table")
+    headings = re.findall(r"<h2 id=(part-\d+)>([^<]*)</h2>", page)
+    assert re.findall(r"<a href=#(part-\d+)>([^<]*)</a>", page) == headings
+    assert '<span class="badge good">taken for right, but not sent: 0</span>' in page
+
+
+def test_the_lights_are_counted_down_on_the_page(two: tuple[Path, Demonstration]) -> None:
+    pytest.importorskip("pycrate_asn1dir", reason="needs the extra its: pip install 'heliograph[its]'")
+    page = (two[0] / "report.html").read_text(encoding="utf-8")
+    assert "SPATEM of junction 7: group 1 red, 12.0 s left, group 2 green, 9.0 s left" in page
+    assert (two[0] / "array-0-high-1.spatem").exists()
+    assert (two[0] / "array-7-middle-1.mapem").exists()
+
+
+def test_a_cut_out_is_as_large_near_and_far_and_has_the_cameras_pixels() -> None:
+    pixels = np.zeros((100, 200), np.uint8)
+    pixels[40:56, 90:106] = 200
+    frame = Frame(0, 0.0, pixels)
+    near = cut_out_of(Pose(97.5, 47.5, 1.0, 0.0, 0.5), frame)
+    far = cut_out_of(Pose(97.5, 47.5, 2.0, 0.0, 0.5), frame)
+    assert near.shape == far.shape == (240, 240)
+    assert set(np.unique(near)) == {0, 200}
+    # 16 of 22 pitches, and half as wide
+    assert np.mean(near == 200) == pytest.approx((16 / 22) ** 2, rel=0.02)
+    assert np.mean(far == 200) == pytest.approx((8 / 22) ** 2, rel=0.05)

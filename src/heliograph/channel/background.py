@@ -14,6 +14,7 @@ from heliograph.channel.footage import Footage
 from heliograph.channel.parts import BACKGROUNDS
 from heliograph.channel.scene import CameraPose
 from heliograph.channel.settings import CameraSettings, ChannelSettings
+from heliograph.channel.street_view import draw_street
 
 SHAKE_MARGIN_PX = 64
 """Background kept beyond each side of the frame for the shake; further out its edge pixels are repeated. Chosen: in the
@@ -290,6 +291,34 @@ def drawn_background(scenery: Scenery) -> Painter:
     return _painter(lambda _: (scene, scene, 0.0), gain, settings.camera, scenery.size, SCENE_DEPTH_M)
 
 
+def street_background(scenery: Scenery) -> Painter:
+    """Return the painter of a street by day, in perspective, which moves with the camera.
+
+    Parameters
+    ----------
+    scenery
+        What the background is made for, as of `drawn_background`.
+    """
+    return _street(scenery, night=False)
+
+
+def night_background(scenery: Scenery) -> Painter:
+    """Return the painter of a street by night, in perspective, which moves with the camera.
+
+    Parameters
+    ----------
+    scenery
+        What the background is made for, as of `drawn_background`.
+    """
+    return _street(scenery, night=True)
+
+
+def _street(scenery: Scenery, night: bool) -> Painter:
+    scene, settings = draw_street(scenery.size, scenery.rng, night), scenery.settings
+    gain = settings.background.gain / _WHITE
+    return _painter(lambda _: (scene, scene, 0.0), gain, settings.camera, scenery.size, SCENE_DEPTH_M)
+
+
 def footage_background(scenery: Scenery) -> Painter:
     """Return the painter of recorded frames, which move with the camera's shake.
 
@@ -321,7 +350,7 @@ def background(settings: ChannelSettings, footage: Footage | None, rng: np.rando
     footage
         Recorded frames, for the kind "footage"; None where there are none.
     rng
-        Draws the scene of the kind "synthetic".
+        Draws the scene of the kinds "synthetic", "street" and "street-night".
 
     Raises
     ------

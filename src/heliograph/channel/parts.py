@@ -27,6 +27,8 @@ BACKGROUNDS: Registry[Callable[..., Any]] = Registry(
     {
         "flat": "heliograph.channel.background:flat_background",
         "synthetic": "heliograph.channel.background:drawn_background",
+        "street": "heliograph.channel.background:street_background",
+        "street-night": "heliograph.channel.background:night_background",
         "footage": "heliograph.channel.background:footage_background",
     },
 )

@@ -284,11 +284,12 @@ class BackgroundSettings:
     Attributes
     ----------
     kind
-        "flat", "synthetic" (sky, buildings, lamps) or "footage" (recorded frames); others may be registered.
+        "flat", "street" or "street-night" (a street in perspective), "synthetic" (sky, buildings and many lamps, which
+        disturb) or "footage" (recorded frames); others may be registered.
     level
         Light of a flat background in full scales, 0 to 4. A larger value adds shot noise beside the panel.
     gain
-        Light of white in a synthetic or recorded background in full scales, 0 to 4. A larger value makes the background
+        Light of white in a drawn or recorded background in full scales, 0 to 4. A larger value makes the background
         more disturbing.
     """
 

@@ -6,8 +6,16 @@ from pathlib import Path
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.files import clear_write_errors
-from heliograph.cli import console
+from heliograph.cli import console, options
 from heliograph.cli.simulate import scene_from
+
+
+def _with_street(preset: str, file: Path | None, assignments: list[str] | None) -> list[str]:
+    """Assignments by which there is a street behind the arrays, unless something is said of the background."""
+    said = options.laid_over(file, assignments).get("channel", {})
+    kind = "street-night" if preset == "night" else "street"
+    street = [] if isinstance(said, dict) and "background" in said else [f"channel.background.kind='{kind}'"]
+    return [*street, *(assignments or ())]
 
 
 def run_demo(
@@ -23,7 +31,7 @@ def run_demo(
     from heliograph.experiments.demo.drive import film_bytes, run
     from heliograph.link.film import frames_of
 
-    settings, recordings = scene_from(preset, file, assignments, background, imu)
+    settings, recordings = scene_from(preset, file, _with_street(preset, file, assignments), background, imu)
     new = not output.exists()
     with clear_write_errors(output):
         output.mkdir(parents=True, exist_ok=True)

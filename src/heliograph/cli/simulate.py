@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Any
 from heliograph.base.errors import SettingsError
 from heliograph.cli import console, options
 
+LARGE_BYTES, BYTES_PER_PIXEL = 2e8, 0.35
+"""Size of a film from which on it is told beforehand, chosen; bytes of a pixel of the paper's drive without loss."""
+
 if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings
     from heliograph.link.simulate import Recordings
@@ -31,6 +34,7 @@ def run_simulate(
         options.refuse_to_replace(written_file, (*sent.inputs, background, imu, file))
     settings, recordings = scene_from(preset, file, assignments, background, imu)
     messages = options.read_messages(settings, sent, sent_s(settings))
+    _announce(film, settings, codec)
     written = 0
     try:
         with console.progress("simulating", frames_of(settings)) as advance:
@@ -51,6 +55,17 @@ def run_simulate(
             f"array {array} is never whole in the picture, so no receiver reads it: move it by "
             f"channel.arrays.{array}.x_m and y_m, or film it from farther away"
         )
+
+
+def _announce(film: Path, settings: "LinkSettings", codec: dict[str, Any]) -> None:
+    """Say beforehand how large a film without loss becomes."""
+    from heliograph.link.film import frames_of
+
+    lossy = film.suffix.lower() == ".mp4" or codec["crf"] is not None or codec["codec"] in ("h264", "mjpeg")
+    camera = settings.channel.camera
+    size = frames_of(settings) * camera.width * camera.height * BYTES_PER_PIXEL
+    if size >= LARGE_BYTES and (codec["lossless"] or not lossy):
+        console.note(f"{film}: about {size / 1e9:.1f} GB without loss; as .mp4 it takes a fifth or less")
 
 
 def _never_seen(truth: Path) -> list[int]:

@@ -17,6 +17,9 @@ BLUE, ORANGE, GREEN, PINK, PURPLE = "#1b6ca8", "#d1741f", "#5b8c3a", "#b5446e", 
 VIOLET, RED = "#8e44ad", "#c0392b"
 BLACK, DARK_GRAY, GRAY, MIDDLE_GRAY = "#1d2126", "#4a5056", "#8a929b", "#9aa1a8"
 LIGHT_GRAY, PALE_GRAY = "#c9ced6", "#eef0f2"
+ASIDE_M = 0.7
+"""Distance in m by which layers are drawn beside each other."""
+
 MARK = "#ff6b35"
 """Colour that marks a place in an image."""
 
@@ -131,8 +134,11 @@ def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]]) -> Figur
     """
     figure = Figure(figsize=(12, 4.2))
     for axes, kind, title in zip(figure.subplots(1, 2), ("raw", "decoded_bits"), ("before", "after"), strict=True):
-        for name in LAYERS:
-            counts = [(start + BIN_M / 2, getattr(layers[name], kind)) for start, layers in bins.items()]
+        for k, name in enumerate(LAYERS):
+            # a little aside, so that no bar hides another
+            counts = [
+                (start + BIN_M / 2 + ASIDE_M * (k - 1), getattr(layers[name], kind)) for start, layers in bins.items()
+            ]
             _error_line(axes, [(z, c) for z, c in counts if c.trials], name)
         axes.set_yscale("log")
         axes.set_ylim(1e-5, 1)
@@ -150,7 +156,8 @@ def _error_line(axes: Axes, counts: Sequence[tuple[float, Count]], name: str) ->
     seen = [(z, c.rate, *c.interval()) for z, c in counts if c.errors]
     if seen:
         z, rate, low, high = np.array(seen).T
-        axes.errorbar(z, rate, (rate - low, high - rate), color=colour, marker="o", ms=4, lw=1.2, capsize=2, label=name)
+        bars = (rate - low, high - rate)
+        axes.errorbar(z, rate, bars, color=colour, marker="o", ms=5, lw=1.8, elinewidth=1.2, capsize=3, label=name)
     free = [(z, c.bound) for z, c in counts if not c.errors]
     if free:
         z, bound = np.array(free).T

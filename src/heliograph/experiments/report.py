@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,8 +20,18 @@ table { border-collapse: collapse; margin: 1rem 0; font-size: .88rem } .wide { o
 th, td { padding: .3rem .7rem; text-align: right }
 th, td { white-space: nowrap; border-bottom: 1px solid #e3e6ea } th { border-bottom: 2px solid #c9ced6 }
 .prose td, .prose th { white-space: normal; text-align: left; vertical-align: top }
+nav { columns: 18rem; margin: 1.2rem 0; font-size: .95rem } nav a { display: block; color: #1b6ca8 }
+.badge { border-radius: 1rem; padding: .1rem .6rem; font-size: .85rem; white-space: nowrap }
+.badge { color: #fff; background: #5a636e }
+.good { background: #2f7d3b } .bad { background: #b3261e } .count { margin-right: .5rem }
 th:first-child, td:first-child { text-align: left } pre { background: #f4f5f7; padding: .7rem; white-space: pre-wrap }
 """
+
+BADGES = {"holds": "badge good", "differs": "badge bad", "shown": "badge"}
+"""Classes of the style for the words that are set in colour."""
+
+FEWEST_LISTED = 3
+"""Fewest sections of a page that get a list of contents. Chosen."""
 
 
 class Report:
@@ -35,7 +45,8 @@ class Report:
 
     def __init__(self, title: str):
         self._title = title
-        self._parts = [f"<h1>{escape(title)}</h1>"]
+        self._parts: list[str] = []
+        self._headings: list[str] = []
 
     def heading(self, text: str) -> None:
         """Begin a section.
@@ -45,7 +56,8 @@ class Report:
         text
             Plain text of the section's heading.
         """
-        self._parts.append(f"<h2>{escape(text)}</h2>")
+        self._headings.append(text)
+        self._parts.append(f"<h2 id=part-{len(self._headings)}>{escape(text)}</h2>")
 
     def text(self, text: str, note: bool = False) -> None:
         """Add a paragraph.
@@ -58,6 +70,29 @@ class Report:
             Whether it is set small and gray.
         """
         self._parts.append(f"<p{' class=note' if note else ''}>{escape(text)}</p>")
+
+    def verdict(self, verdict: str, text: str) -> None:
+        """Add a paragraph that begins with a verdict in colour.
+
+        Parameters
+        ----------
+        verdict
+            A word, one of `BADGES`.
+        text
+            Plain text after it.
+        """
+        self._parts.append(f"<p>{_badge(verdict)} {escape(text)}</p>")
+
+    def badges(self, shown: Iterable[tuple[str, str]]) -> None:
+        """Add a line of words in colour.
+
+        Parameters
+        ----------
+        shown
+            For each a verdict, one of `BADGES`, which gives the colour, and its plain text.
+        """
+        parts = (f"<span class=count>{_badge(word, text)}</span>" for word, text in shown)
+        self._parts.append(f"<p>{' '.join(parts)}</p>")
 
     def code(self, text: str) -> None:
         """Add text in a fixed-width font, with its line breaks.
@@ -89,12 +124,13 @@ class Report:
         Parameters
         ----------
         png
-            Content of a PNG file.
+            Content of a PNG or WebP file; WebP may move.
         caption
             Plain text below it.
         """
+        kind = "webp" if png.startswith(b"RIFF") else "png"
         data = base64.b64encode(png).decode()
-        image = f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
+        image = f'<img alt="{escape(caption)}" src="data:image/{kind};base64,{data}">'
         self._parts.append(f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>")
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], prose: bool = False) -> None:
@@ -105,12 +141,12 @@ class Report:
         head
             Plain text above each column.
         rows
-            Plain text of the cells, row by row.
+            Plain text of the cells, row by row; a word of `BADGES` is set in colour.
         prose
             Whether the cells are text, whose lines may be broken.
         """
         top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-        body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+        body = "".join("<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row) + "</tr>" for row in rows)
         kind = " class=prose" if prose else ""
         self._parts.append(f"<div class=wide><table{kind}><tr>{top}</tr>{body}</table></div>")
 
@@ -126,4 +162,20 @@ class Report:
             f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{escape(self._title)}</title>"
         )
         page = f"<!doctype html><html lang=en><head>{head}<style>{STYLE}</style></head><body>"
-        write_whole(path, (page + "\n".join(self._parts) + "</body></html>\n").encode())
+        title = f"<h1>{escape(self._title)}</h1>\n{self._contents()}\n"
+        write_whole(path, (page + title + "\n".join(self._parts) + "</body></html>\n").encode())
+
+    def _contents(self) -> str:
+        """A list of the sections, where there are several."""
+        if len(self._headings) < FEWEST_LISTED:
+            return ""
+        links = (f"<a href=#part-{k}>{escape(text)}</a>" for k, text in enumerate(self._headings, 1))
+        return f"<nav aria-label=Contents>{''.join(links)}</nav>"
+
+
+def _badge(word: str, text: str = "") -> str:
+    return f'<span class="{BADGES.get(word, "badge")}">{escape(text or word)}</span>'
+
+
+def _cell(text: str) -> str:
+    return _badge(text) if text in BADGES else escape(text)

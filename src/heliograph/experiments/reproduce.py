@@ -2,6 +2,7 @@
 
 import io
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from difflib import get_close_matches
@@ -176,12 +177,14 @@ def write_report(path: Path, results: Sequence[ExperimentResult], context: Conte
     page.text(f"Simulated in the reference link; background: {scene}; shake: {motion}; seed {context.seed}.", note=True)
     if context.quick:
         page.text("A quick run: few trials, so the intervals are wide.")
-    page.heading("Claims and measurements")
+    found = Counter(str(finding.verdict) for result in results for finding in result.findings)
+    page.badges((word, f"{word}: {count}") for word, count in sorted(found.items()))
+    for result in results:
+        _add(page, result)
+    page.heading("All claims and measurements")
     page.table(
         ("", "claim", "measured", "verdict"), [row for result in results for row in _verdicts(result)], prose=True
     )
-    for result in results:
-        _add(page, result)
     page.write(path)
 
 
@@ -217,7 +220,7 @@ def _add(page: Report, result: ExperimentResult) -> None:
     page.heading(result.title)
     page.text(result.text)
     for finding in result.findings:
-        page.text(f"{finding.verdict}: {finding.claim} Measured: {finding.ours} {finding.why}".rstrip())
+        page.verdict(finding.verdict, f"{finding.claim} Measured: {finding.ours} {finding.why}".rstrip())
     for picture, caption in _drawn(result):
         page.picture(picture, caption)
     for table in result.tables:

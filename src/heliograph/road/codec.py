@@ -45,6 +45,15 @@ def kind_of(data: bytes) -> str | None:
     return NAMES.get(data[1])
 
 
+def is_there() -> bool:
+    """Whether the package `pycrate` is installed."""
+    try:
+        _type(SPATEM)
+    except SettingsError:
+        return False
+    return True
+
+
 def packed(message: int, station: int, content: Mapping[str, Any]) -> bytes:
     """Return a message as UPER.
 

@@ -1,6 +1,6 @@
 """The page of the demonstration: what the camera saw, what arrived, and how much of it was wrong."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.experiments import plots
+from heliograph.experiments.demo.animation import is_picture, pixels_of
+from heliograph.experiments.demo.junction_picture import junction_picture
 from heliograph.experiments.demo.recorder import TrackRecorder
 from heliograph.experiments.report import Report
 from heliograph.link.truth import TruthFile
@@ -15,6 +17,7 @@ from heliograph.measure.errors import BIN_M
 from heliograph.measure.reception import Reception
 from heliograph.receive import Pose
 from heliograph.receive.image.window import PlacedPixels, cut_out
+from heliograph.road.read import Values, road_values, road_words
 from heliograph.signal.message import Message
 from heliograph.signal.settings import LAYERS
 
@@ -25,7 +28,7 @@ CUT_PX = 64
 def write_page(
     path: Path,
     truth: TruthFile,
-    recorder: TrackRecorder,
+    shown: tuple[TrackRecorder, bytes],
     reception: Reception,
     counts: Mapping[str, Any],
     messages: Sequence[Message],
@@ -38,8 +41,8 @@ def write_page(
         Name of the HTML file to write.
     truth
         Truth of the film, with its settings.
-    recorder
-        The track of the first array.
+    shown
+        The track of the first array; the animation as WebP, empty for none.
     reception
         Counts of the reception.
     counts
@@ -52,7 +55,7 @@ def write_page(
     MediaError
         The file cannot be written.
     """
-    settings = truth.settings
+    settings, (recorder, moving) = truth.settings, shown
     page = Report("Heliograph: a drive past an LED array")
     channel = settings.channel
     side = settings.signal.side
@@ -62,9 +65,15 @@ def write_page(
         f"The film is simulated; the receiver gets its frames alone. {counts['frames']} frames were read at "
         f"{counts['frames_per_second']:.0f} frames/s."
     )
-    _show_messages(page, messages, reception)
+    page.badges(_badges(counts, reception))
+    if moving:
+        page.heading("The drive, as it was received")
+        caption = "Left: the array where it is tracked, packet by packet. Right: the picture that the low layer sends. "
+        page.picture(moving, f"{caption}Below: distance, codewords read of each layer, the lights counted down.")
     if recorder.cuts:
         _show_frames(page, recorder)
+    _show_messages(page, messages, reception)
+    if recorder.cuts:
         if recorder.identity in settings.transmit.identities:
             _show_track(page, truth, recorder)
         _show_cuts(page, recorder)
@@ -72,18 +81,51 @@ def write_page(
     page.write(path)
 
 
+def _badges(counts: Mapping[str, Any], reception: Reception) -> Iterator[tuple[str, str]]:
+    """Codewords read by array and layer, and false ones: green where all is well."""
+    for array in counts["arrays"]:
+        for name, one in array["layers"].items():
+            sent = one["ok"] + one["failed"]
+            word = "holds" if not one["failed"] else "shown"
+            yield word, f"array {array['id']}, {name}: {one['ok']} of {sent} codewords read"
+    if reception.errors is not None:
+        false = reception.errors.false_codewords
+        yield ("differs" if false else "holds"), f"taken for right, but not sent: {false}"
+
+
 def _show_messages(page: Report, messages: Sequence[Message], reception: Reception) -> None:
     page.heading("What arrived")
-    for message in messages:
+    rows = [(message, road_values(message.data)) for message in messages]
+    for identity in sorted({message.identity for message in messages}):
+        _show_road(page, identity, [values for message, values in rows if values and message.identity == identity])
+    pictures = sorted((len(one.data), one.identity) for one in messages if is_picture(one.data))
+    largest = {identity: size for size, identity in pictures}
+    for message, values in rows:
+        # of the same picture the best is shown
+        if values is not None or (is_picture(message.data) and len(message.data) < largest[message.identity]):
+            continue
         page.text(f"Array {message.identity}, {message.layer} priority, {len(message.data)} bytes:")
-        if message.data.startswith(b"\x89PNG"):
-            page.picture(message.data, "a picture, sent with low priority")
+        if is_picture(message.data) and pixels_of(message.data) is not None:
+            page.picture(message.data, "a camera's picture of the junction, sent with low priority")
         else:
             page.code(message.data.decode("utf-8", "replace"))
     for identity, layer, _, had, size in reception.unfinished():
         page.text(f"Array {identity}, {layer} priority: {had} of {size} bytes, not complete.", note=True)
     if not messages:
         page.text("No message is complete.")
+
+
+def _show_road(page: Report, identity: int, values: Sequence[Values]) -> None:
+    """The junction as its map has it, its lanes in the colours of its lights; and what was said of those."""
+    lights = [one for one in values if one["kind"] == "SPATEM"]
+    maps = [one for one in values if one["kind"] == "MAPEM" and one["junctions"]]
+    if maps:
+        groups = {g["group"]: g for one in lights[-1:] for j in one["junctions"] for g in j["groups"]}
+        caption = f"Array {identity}, middle priority: the junction's lanes, a MAPEM; lights as the last "
+        page.figure(junction_picture(maps[-1]["junctions"][0], groups), f"{caption}SPATEM told, with high priority.")
+    if lights:
+        page.text(f"Array {identity}, high priority, {len(lights)} SPATEMs, of which the first and the last:")
+        page.code("\n".join(road_words(one) for one in (lights[0], lights[-1])))
 
 
 def _show_frames(page: Report, recorder: TrackRecorder) -> None:

@@ -17,6 +17,9 @@ from heliograph.receive import Pose
 COLOURS = (plots.PINK, plots.ORANGE, plots.GREEN, plots.BLUE)
 """Colour of each variant."""
 
+DASHES = (":", "-.", "--", "-")
+"""Line of each variant, so that one shows where another lies over it."""
+
 
 def pictures(
     measured: DetectionTrials, alone: Mapping[float, Confusion], beside: Mapping[float, Confusion]
@@ -60,15 +63,23 @@ def _example(score: float, film: ClutterFilm, pose: Pose) -> Figure:
 
 
 def _roc(measured: DetectionTrials) -> Figure:
-    figure = Figure(figsize=(12, 4))
+    figure = Figure(figsize=(12, 5))
     for axes, distance in zip(figure.subplots(1, 3, sharey=True), DISTANCES, strict=True):
-        for variant, colour in zip(VARIANTS, COLOURS, strict=True):
+        for variant, colour, dashes in zip(VARIANTS, COLOURS, DASHES, strict=True):
             scores = measured.scores[variant.name]
             alarms, found = ablation.curve(scores.all_false(), scores.all_true(distance))
             least = 0.5 / scores.all_false().size
-            axes.step(1000 * np.maximum(alarms, least), found, where="post", color=colour, lw=1.6, label=variant.name)
+            axes.step(
+                1000 * np.maximum(alarms, least),
+                found,
+                where="post",
+                color=colour,
+                ls=dashes,
+                lw=2.4,
+                label=variant.name,
+            )
         count, false = measured.set_found(distance), max(measured.set_false().rate, least)
-        axes.plot(1000 * false, count.rate, "*", color=plots.BLACK, ms=11, label="receiver as set")
+        axes.plot(1000 * false, count.rate, "*", color=plots.BLACK, ms=15, label="receiver as set", clip_on=False)
         axes.set(
             xscale="log",
             xlim=(700 * least, 1000),
@@ -79,8 +90,9 @@ def _roc(measured: DetectionTrials) -> Figure:
         axes.xaxis.set_minor_formatter(NullFormatter())
         plots.tidy(axes)
     figure.axes[0].set_ylabel("fraction of arrays found")
-    figure.axes[-1].legend(frameon=False, fontsize=8, loc="lower right")
-    figure.tight_layout()
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.tight_layout(rect=(0, 0.08, 1, 1))
+    figure.legend(handles, labels, ncols=len(labels), frameon=False, loc="lower center")
     return figure
 
 

@@ -30,9 +30,9 @@ def pictures(
         Driving against static, by layer and bin of distance.
     """
     rates = (
-        "Bit error rate before and after the turbo code: static (lines), driving (open squares), on-off keying before "
-        "any code (gray). Layers are drawn half a metre aside. 95 % intervals; an arrow is a bound (3/n), no error met "
-        "in n bits before the code, in n packets after it."
+        "Bit error rate before and after the turbo code, by layer: static (lines), driving (open squares), on-off "
+        "keying before any code (gray). Both are drawn half a metre aside. 95 % intervals; an arrow is a bound (3/n), "
+        "no error met in n bits before the code, in n packets after it."
     )
     ratio = (
         "Raw errors driving over static at the same distances, 95 % over packets or drives; "
@@ -42,23 +42,26 @@ def pictures(
 
 
 def _rates_picture(static: CountsByDistance, driving: CountsByDistance, keyed: CountsByDistance) -> Figure:
-    figure = Figure(figsize=(12, 4.8))
-    for axes, kind, title in zip(figure.subplots(1, 2), ("raw", "decoded"), ("before", "after"), strict=True):
-        for k, name in enumerate(LAYERS):
+    """A column for each layer, a row before and one after the code."""
+    figure = Figure(figsize=(12, 7.4))
+    places = figure.subplots(2, len(LAYERS), sharex=True, sharey=True)
+    for row, (kind, title) in zip(places, (("raw", "before"), ("decoded", "after")), strict=True):
+        for axes, name in zip(row, LAYERS, strict=True):
             count = partial(_of, name, kind)
-            _draw(axes, static, count, LAYER_COLOURS[name], f"{name}, static", "-", 0.5 * (k - 1))
-            _draw(axes, driving, count, LAYER_COLOURS[name], f"{name}, driving", "none", 0.5 * (k - 1))
-        if kind == "raw":
-            _draw(axes, keyed, all_layers, plots.DARK_GRAY, "on-off keying, static", "--")
-        axes.set_title(f"{title} the turbo code", fontsize=10)
-        axes.set_yscale("log")
-        axes.set_ylim(1e-6, 1)
+            _draw(axes, static, count, LAYER_COLOURS[name], "static", "-", -0.5)
+            _draw(axes, driving, count, plots.BLACK, "driving", "none", 0.5)
+            if kind == "raw":
+                _draw(axes, keyed, all_layers, plots.GRAY, "on-off keying, static", "--")
+            axes.set(yscale="log", ylim=(1e-6, 1))
+            axes.set_title(f"{name}, {title} the turbo code", fontsize=11)
+            plots.tidy(axes)
+        row[0].set_ylabel("bit error rate")
+    for axes in places[1]:
         axes.set_xlabel("distance (m)")
-        axes.set_ylabel("bit error rate")
-        # where no curve is: errors come far off and, after the code, bounds lie high
-        axes.legend(frameon=False, fontsize=8, loc="upper left" if kind == "raw" else "lower left")
-        plots.tidy(axes)
-    figure.tight_layout()
+    handles, labels = places[0][0].get_legend_handles_labels()
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    if handles:
+        figure.legend(handles, labels, ncols=len(labels), frameon=False, loc="lower center")
     return figure
 
 
@@ -74,7 +77,7 @@ def _draw(
     counts = [(z + aside_m, count(layers)) for z, layers in sorted(sums.places.items())]
     met = [(z, c.rate, *c.interval()) for z, c in counts if c.errors]
     style: dict[str, Any] = {"color": colour, "ls": dashes, "lw": 1.2, "capsize": 2}
-    style |= {"marker": "s", "mfc": "none", "ms": 6} if dashes == "none" else {"marker": "o", "ms": 3}
+    style |= {"marker": "s", "mfc": "none", "ms": 6} if dashes == "none" else {"marker": "o", "ms": 4, "lw": 1.8}
     if met:
         z, rate, low, high = np.array(met).T
         axes.errorbar(z, rate, (rate - low, high - rate), label=label, **style)
