@@ -219,10 +219,10 @@ def _verdicts(result: ExperimentResult) -> list[tuple[str, str, str, str]]:
 def _add(page: Report, result: ExperimentResult) -> None:
     page.heading(result.title)
     page.text(result.text)
-    for finding in result.findings:
-        page.verdict(finding.verdict, f"{finding.claim} Measured: {finding.ours} {finding.why}".rstrip())
     for picture, caption in _drawn(result):
         page.picture(picture, caption)
+    for finding in result.findings:
+        page.verdict(finding.verdict, f"{finding.claim} Measured: {finding.ours} {finding.why}".rstrip())
     for table in result.tables:
         page.text(table.title)
         page.table(table.head, table.rows)

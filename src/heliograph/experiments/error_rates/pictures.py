@@ -16,6 +16,9 @@ from heliograph.measure.counts import Layers
 from heliograph.measure.statistics import Clustered, Count
 from heliograph.signal.settings import LAYERS
 
+LEAST_SHOWN = 1e-6
+"""Least bit error rate that is drawn; intervals may reach lower. Chosen."""
+
 
 def pictures(
     static: CountsByDistance, driving: CountsByDistance, keyed: CountsByDistance, found: Sequence[Comparison]
@@ -44,7 +47,7 @@ def pictures(
 def _rates_picture(static: CountsByDistance, driving: CountsByDistance, keyed: CountsByDistance) -> Figure:
     """A column for each layer, a row before and one after the code."""
     figure = Figure(figsize=(12, 7.4))
-    places = figure.subplots(2, len(LAYERS), sharex=True, sharey=True)
+    places = figure.subplots(2, len(LAYERS), sharex=True, sharey="row")
     for row, (kind, title) in zip(places, (("raw", "before"), ("decoded", "after")), strict=True):
         for axes, name in zip(row, LAYERS, strict=True):
             count = partial(_of, name, kind)
@@ -52,10 +55,11 @@ def _rates_picture(static: CountsByDistance, driving: CountsByDistance, keyed: C
             _draw(axes, driving, count, plots.BLACK, "driving", "none", 0.5)
             if kind == "raw":
                 _draw(axes, keyed, all_layers, plots.GRAY, "on-off keying, static", "--")
-            axes.set(yscale="log", ylim=(1e-6, 1))
+            axes.set_yscale("log")
             axes.set_title(f"{name}, {title} the turbo code", fontsize=11)
             plots.tidy(axes)
         row[0].set_ylabel("bit error rate")
+        row[0].set_ylim(max(row[0].get_ylim()[0], LEAST_SHOWN), 1.5)
     for axes in places[1]:
         axes.set_xlabel("distance (m)")
     handles, labels = places[0][0].get_legend_handles_labels()
