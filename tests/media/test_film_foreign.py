@@ -2,7 +2,7 @@
 
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import av
 import numpy as np
@@ -119,7 +119,7 @@ def test_a_film_without_our_record(tmp_path: Path) -> None:
 def coded(path: Path, kind: str, codec: str, pixel_format: str) -> None:
     """Write seven pictures, brighter and brighter, without a container."""
     with av.open(str(path), "w", format=kind) as container:
-        stream = container.add_stream(codec, rate=1000)
+        stream = cast("av.VideoStream", container.add_stream(codec, rate=1000))
         stream.width, stream.height, stream.pix_fmt = 64, 64, pixel_format
         for number in range(7):
             picture = av.VideoFrame.from_ndarray(np.full((64, 64), 30 * number + 20, np.uint8), "gray")
