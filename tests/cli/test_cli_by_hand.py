@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cli_runs import Run, called, failed, lasting, succeeded
 
@@ -16,6 +17,14 @@ TURNED = (*lasting(0.15), "--set", "channel.distance_m=40", "--set", "channel.ar
 def call(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
     monkeypatch.chdir(tmp_path)
     return lambda *arguments: called(*arguments, capfd=capfd, monkeypatch=monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def dark(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A film that is opened, and no more."""
+    path = tmp_path_factory.mktemp("dark") / "a.npy"
+    np.save(path, np.zeros((3, 120, 160), np.uint8))
+    return path
 
 
 def arrays(run: Run) -> list[int]:
@@ -56,13 +65,11 @@ def test_a_turned_array_is_read_by_its_corners(receiver: str, call: Call) -> Non
         (("--region", "1,2,1" + "0" * 400 + ",9"), "--region takes"),
     ],
 )
-def test_what_is_no_place_is_said_in_one_line(options: tuple[str, str], says: str, call: Call) -> None:
-    succeeded(call("simulate", "a.h5", *lasting(0.01)))
-    assert says in failed(call("receive", "a.h5", "--preset", "static", *options))
+def test_what_is_no_place_is_said_in_one_line(options: tuple[str, str], says: str, dark: Path, call: Call) -> None:
+    assert says in failed(call("receive", dark, "--fps", "1000", "--preset", "static", *options))
 
 
-def test_a_region_beyond_the_film_is_said_in_one_line(call: Call) -> None:
-    succeeded(call("simulate", "a.h5", *lasting(0.01)))
-    run = call("receive", "a.h5", "--preset", "static", "--region", "500,0,40,40")
+def test_a_region_beyond_the_film_is_said_in_one_line(dark: Path, call: Call) -> None:
+    run = call("receive", dark, "--fps", "1000", "--preset", "static", "--region", "500,0,40,40")
     assert run.returncode == 1
     assert run.stderr == "heliograph: the region 500,0,40,40 that was given lies beyond the frames, which are 160x120\n"

@@ -62,6 +62,17 @@ def test_noise_wiped_out_by_compression_is_not_told() -> None:
     assert found(lambda _: SLOPE, after=lambda _: np.rint(SLOPE)).untold == "wiped"
 
 
+def test_a_part_without_noise_does_not_weigh_as_if_it_were_exact() -> None:
+    def after(levels: Levels) -> Levels:
+        out = levels.copy()
+        out[:, 128:] = np.rint(SLOPE[:, 128:])  # a fifth of the picture, and of the gray levels
+        return out
+
+    noise = found(lambda _: SLOPE, after=after)
+    assert noise.untold == ""
+    assert noise.gain == pytest.approx(0.05, rel=0.06)
+
+
 def test_a_scene_that_moves_tells_nothing() -> None:
     rng = np.random.default_rng(5)
     coarse = [np.kron(rng.uniform(20, 200, (15, 20)), np.ones((8, 8))) for _ in range(33)]

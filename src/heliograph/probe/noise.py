@@ -240,8 +240,10 @@ def _groups(blocks: Floats, narrow: float) -> tuple[Floats, Floats]:
         quarter, half = np.quantile(group[:, 1], [QUIET, 0.5])
         if half / max(quarter, 1e-9) * QUARTER / HALF > UNEVEN:
             continue
-        quiet = group[group[:, 1] <= half]
         variance = quarter / QUARTER
+        if variance < ROUNDING / 2:  # wiped out at this level: it would weigh as if it were known exactly
+            continue
+        quiet = group[group[:, 1] <= half]
         points.append((float(np.median(quiet[:, 0])), float(variance)))
         # of a quarter of n variances with the spread 0.18, 1.36 * 0.18 / sqrt(n)
         errors.append(float(variance) * 0.25 / len(group) ** 0.5)
