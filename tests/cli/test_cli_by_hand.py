@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import Run, called, failed, lasting, succeeded
+from cli_runs import Run, called, failed, lasting, succeeded, within
 
 Call = Callable[..., Run]
 CORNERS = "78,43,96,58,81,76,63,61"
@@ -33,18 +33,27 @@ def arrays(run: Run) -> list[int]:
     return found
 
 
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("turned")
+    succeeded(within(folder, "simulate", "a.h5", *TURNED, "--high", "text:mind the gap"))
+    return folder / "a.h5"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("receiver", ["plain", "soft"])
-def test_a_turned_array_is_read_by_its_corners(receiver: str, call: Call) -> None:
-    succeeded(call("simulate", "a.h5", *TURNED, "--high", "text:mind the gap"))
-    read = ("receive", "a.h5", "--preset", "static", "--receiver", receiver, "--json", "--output", "out")
+def test_a_turned_array_is_read_by_its_corners(receiver: str, turned: Path, call: Call) -> None:
+    read = ("receive", turned, "--preset", "static", "--receiver", receiver, "--json", "--output", "out")
     assert arrays(call(*read)) == []
     assert arrays(call(*read, "--region", "50,30,60,60")) == []
     assert arrays(call(*read, "--corners", CORNERS)) == [0]
     assert Path("out", "array-0-high-0.bin").read_bytes() == b"mind the gap"
-    # several films, with a cut that moves what is seen
+
+
+@pytest.mark.slow
+def test_corners_count_from_a_cut_and_hold_for_several_films(turned: Path, call: Call) -> None:
     moved = ",".join(str(int(n) - (10, 5)[k % 2]) for k, n in enumerate(CORNERS.split(",")))
-    said = succeeded(call("receive", "a.h5", "--workers", "1", "--preset", "static", "--receiver", receiver,
+    said = succeeded(call("receive", turned, "--workers", "1", "--preset", "static",
                           "--crop", "10,5,140,110", "--corners", moved))  # fmt: skip
     assert [array["id"] for array in json.loads(said)["arrays"]] == [0]
 

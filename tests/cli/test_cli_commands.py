@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import COMMAND, Run, called, failed, heliograph, lasting, names, succeeded
+from cli_runs import COMMAND, Run, called, failed, heliograph, lasting, names, succeeded, within
 
 import heliograph as heliograph_package
 from heliograph.cli import console
@@ -42,8 +42,8 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("film")
     for name, data in (("high", HIGH), ("middle", MIDDLE), ("low", LOW)):
         (folder / name).write_bytes(data)
-    out = heliograph("simulate", "a.mkv", *lasting(0.4), "--high", "high", "--middle", "middle", "--low", "low",
-                     "--seed", "5", cwd=folder)  # fmt: skip
+    out = within(folder, "simulate", "a.mkv", *lasting(0.4), "--high", "high", "--middle", "middle", "--low", "low",
+                 "--seed", "5")  # fmt: skip
     assert succeeded(out) == "a.mkv: 400 frames; truth in a.mkv.truth.npz\n"
     assert names(folder) == ["a.mkv", "a.mkv.truth.npz", "high", "low", "middle"]
     return folder / "a.mkv"
@@ -81,12 +81,12 @@ def test_messages_of_a_film_are_shown_as_they_are_read(tmp_path: Path, call: Cal
     assert not any("message 0" in line for line in call("receive", "a.h5", "--preset", "static", "--json").stdout)
 
 
-def test_a_text_or_standard_input_is_sent(tmp_path: Path) -> None:
+def test_a_text_or_standard_input_is_sent(tmp_path: Path, call: Call) -> None:
     """What looks like the name of a file is one, unless it is said to be a text."""
     (tmp_path / "words").write_bytes(b"of a file")
     said = [("red light", b"red light"), ("text:a.txt", b"a.txt"), ("words", b"of a file")]
     for number, (given, _) in enumerate(said):
-        succeeded(heliograph("transmit", f"{number}.npy", "--high", given, "--packets", "1", cwd=tmp_path))
+        succeeded(call("transmit", f"{number}.npy", "--high", given, "--packets", "1"))
     piped = subprocess.run(
         [*COMMAND, "transmit", "3.npy", "--high", "-", "--packets", "1"], cwd=tmp_path, input=b"red light", check=False
     )
@@ -95,8 +95,8 @@ def test_a_text_or_standard_input_is_sent(tmp_path: Path) -> None:
         assert np.array_equal(np.load(tmp_path / f"{number}.npy"), heliograph_package.encode({"high": data})[:100])
 
 
-def test_receive_writes_messages_packets_and_summary(film: Path, tmp_path: Path) -> None:
-    out = succeeded(heliograph("receive", film, "--receiver", "plain", "--output", "out", cwd=tmp_path))
+def test_receive_writes_messages_packets_and_summary(film: Path, tmp_path: Path, call: Call) -> None:
+    out = succeeded(call("receive", film, "--receiver", "plain", "--output", "out"))
     assert "400 frames in " in out
     assert re.search(r"array 0: 4 packets, frames 0 to 399, (49\.\d|50\.\d) m to (49\.\d|50\.\d) m away\n", out)
     assert "message out/array-0-high-0.bin" in out
@@ -272,8 +272,8 @@ def test_presets_are_listed_and_printed(tmp_path: Path, call: Call) -> None:
     assert tree["channel"]["emitter"]["all_on"] == 0.2
 
 
-def test_demo_shows_what_arrived(tmp_path: Path) -> None:
-    out = succeeded(heliograph("demo", "--output", "d", *lasting(0.1), cwd=tmp_path))
+def test_demo_shows_what_arrived(tmp_path: Path, call: Call) -> None:
+    out = succeeded(call("demo", "--output", "d", *lasting(0.1)))
     assert out.splitlines()[0] == "d/drive.mp4: a film of 100 frames, about 1 MB"
     assert "array 0: 1 packets; codewords read: high 1/1" in out
     assert out.splitlines()[-1] == "look at d/report.html"
@@ -470,13 +470,13 @@ def test_a_sweep_shows_counts_and_intervals(call: Call) -> None:
     assert "1.0e+00 (4.7e-01 to 1.0e+00)" in lines[6]
 
 
-def test_a_printed_preset_says_what_each_setting_means_and_can_be_read_again(tmp_path: Path) -> None:
-    printed = succeeded(heliograph("presets", "two-arrays", cwd=tmp_path))
+def test_a_printed_preset_says_what_each_setting_means_and_can_be_read_again(tmp_path: Path, call: Call) -> None:
+    printed = succeeded(call("presets", "two-arrays"))
     settings = [line for line in printed.splitlines() if " =" in line]
     assert all("  # " in line for line in settings)
     assert "# min_side_px =" in printed  # left out, so no value
     (tmp_path / "two.toml").write_text(printed)
-    again = heliograph("sweep", "--settings", "two.toml", "--vary", "nothing=1", cwd=tmp_path)
+    again = call("sweep", "--settings", "two.toml", "--vary", "nothing=1")
     assert "unknown setting 'nothing'" in again.stderr
 
 

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
-from cli_runs import failed, grown, heliograph, interrupted, lasting, names, succeeded
+from cli_runs import failed, grown, interrupted, lasting, names, succeeded, within
 
 from heliograph.link.truth import open_truth
 from heliograph.media import open_film
@@ -30,7 +30,7 @@ def test_simulate_keeps_the_film_so_far(tmp_path: Path, by: signal.Signals) -> N
 @pytest.mark.slow
 def test_receive_shows_and_keeps_the_results_so_far(tmp_path: Path) -> None:
     (tmp_path / "high").write_bytes(b"first")
-    succeeded(heliograph("simulate", "a.mkv", *lasting(1.5), "--high", "high", cwd=tmp_path))
+    succeeded(within(tmp_path, "simulate", "a.mkv", *lasting(1.5), "--high", "high"))
     first = grown(tmp_path, "out/array-0-high-0.bin")
     run = interrupted("receive", "a.mkv", "--output", "out", "--json", cwd=tmp_path, when=first)
     assert "the results so far are above" in failed(run, INTERRUPTED)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_runs import Run, called, failed, heliograph, lasting, succeeded
+from cli_runs import Run, called, failed, lasting, succeeded, within
 from made_recordings import write_kinds, write_mraw
 
 from heliograph.media import open_film
@@ -31,8 +31,8 @@ def shots(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with one film in each kind."""
     folder = tmp_path_factory.mktemp("shots")
     (folder / "high").write_bytes(HIGH)
-    succeeded(heliograph("simulate", "a.h5", *lasting(0.3), "--seed", "4", "--high", "high", cwd=folder))
-    heliograph("receive", "a.h5", cwd=folder)  # where its loops are compiled it tells how long it takes
+    succeeded(within(folder, "simulate", "a.h5", *lasting(0.3), "--seed", "4", "--high", "high"))
+    within(folder, "receive", "a.h5")  # where its loops are compiled it tells how long it takes
     with open_film(folder / "a.h5") as film:
         levels, rate = np.stack([frame.pixels for frame in film]), film.rate_hz
     assert set(write_kinds(folder, levels, round(rate))) == set(KINDS)

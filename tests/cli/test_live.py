@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import Run, called, failed, grown, heliograph, interrupted, lasting, names, succeeded
+from cli_runs import Run, called, failed, grown, interrupted, lasting, names, succeeded, within
 
 from heliograph.base.frames import Frame
 from heliograph.media import create_film, open_film
@@ -31,8 +31,8 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three packets of a small camera, and a bit."""
     folder = tmp_path_factory.mktemp("film")
     (folder / "high").write_bytes(HIGH)
-    succeeded(heliograph("simulate", "a.h5", *lasting(0.32), "--seed", "4", "--high", "high", cwd=folder))
-    heliograph("receive", "a.h5", cwd=folder)  # where its loops are compiled it tells how long it takes
+    succeeded(within(folder, "simulate", "a.h5", *lasting(0.32), "--seed", "4", "--high", "high"))
+    within(folder, "receive", "a.h5")  # where its loops are compiled it tells how long it takes
     return folder / "a.h5"
 
 

@@ -1,5 +1,7 @@
 """Running the command as its users do, and what every run must keep to."""
 
+import contextlib
+import io
 import os
 import signal
 import subprocess
@@ -49,6 +51,26 @@ def called(*arguments: str | Path, capfd: pytest.CaptureFixture[str], monkeypatc
         os.environ.update(environment)
     out, err = capfd.readouterr()
     return subprocess.CompletedProcess(sys.argv, int(ended.value.code or 0), out, err)
+
+
+def within(folder: Path, *arguments: str | Path) -> Run:
+    """The same in a folder, for what the tests of a module share."""
+    from heliograph.cli.main import run
+
+    words = list(map(str, arguments))
+    out, err = io.StringIO(), io.StringIO()
+    before, environment = signal.getsignal(signal.SIGTERM), dict(os.environ)
+    try:
+        with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            patch.chdir(folder)
+            patch.setattr(sys, "argv", ["heliograph", *words])
+            with pytest.raises(SystemExit) as ended:
+                run()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        os.environ.clear()
+        os.environ.update(environment)
+    return subprocess.CompletedProcess(words, int(ended.value.code or 0), out.getvalue(), err.getvalue())
 
 
 def succeeded(run: Run) -> str:

@@ -23,7 +23,7 @@ from heliograph.probe.reach import Reach, reaches
 from heliograph.probe.reading import Asked
 from heliograph.probe.region_causes import SATURATED, region_causes
 from heliograph.probe.regions import Region, regions_of
-from heliograph.probe.trials import other_packets, what_reads
+from heliograph.probe.trials import SURE_HEADER, is_blurred, other_packets, what_reads
 from heliograph.probe.turned import what_reads_turned
 from heliograph.receive import Packet, ReceiveSettings, make_receiver
 from heliograph.receive.events import DetectEvent
@@ -276,7 +276,9 @@ def _looked_into(
     if header is not None:
         whole = not region.at_border and region.saturated < 0.5 and region.speed_px < 1
         found = what_reads(frames, asked, rate, header, _noise_of(region, noise, quiet, header.fit.gain), whole)
-    if found is None and rate is not None and not region.at_border and region.speed_px < 1:
+    # what a lens out of focus leaves of an outline is round: it shows no turn
+    round_one = header is not None and header.score >= SURE_HEADER and is_blurred(header.fit.pose)
+    if found is None and rate is not None and not region.at_border and region.speed_px < 1 and not round_one:
         form = other_packets(header, asked.signal, rate.frames) if header is not None else {}
         found = what_reads_turned(frames, asked, rate, (region.x, region.y), form)
     lamp = lamp_period(region.brightness)

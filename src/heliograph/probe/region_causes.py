@@ -7,7 +7,7 @@ import numpy as np
 from heliograph.probe.causes import Cause, RegionSeen
 from heliograph.probe.light import LightRate
 from heliograph.probe.reading import SLACK, Asked
-from heliograph.probe.trials import BLURRED, BLURRED_PX, SURE_HEADER, Found, options
+from heliograph.probe.trials import SURE_HEADER, Found, is_blurred, options
 from heliograph.probe.turned import LEAST_TURN_DEG
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
@@ -134,7 +134,7 @@ def _measured(seen: RegionSeen, asked: Asked, full_scale: int) -> Sequence[Cause
             "moving", f"it moves by {region.speed_px:.1f} px a frame, and is smeared by as much",
             ("expose shorter, film faster, follow it with the camera, or take a wider lens",),
         ))  # fmt: skip
-    if header and not _hidden(seen) and header.fit.pose.blur > max(BLURRED * header.fit.pose.pitch, BLURRED_PX):
+    if header and not _hidden(seen) and is_blurred(header.fit.pose):
         out.append(_out_of_focus(seen, None))
     return out
 

@@ -17,6 +17,7 @@ from heliograph.probe.light import LightRate
 from heliograph.probe.reach import MOST_SIDE, NEAR_PITCH_PX, layer_information
 from heliograph.probe.reading import READ, SLACK, Asked, Reading, narrowed, read
 from heliograph.receive import ReceiveSettings
+from heliograph.receive.image.pose import Pose
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
@@ -112,9 +113,8 @@ def what_reads(
     some = one_packet(seen, header, frames_a_pattern, asked.changed({"signal": form}).signal)
     size, full = header.fit.pose.pitch * asked.signal.side, frames[0].full_scale
     pose, sure = header.fit.pose, header.score >= SURE_HEADER
-    sharp = pose.blur <= max(BLURRED * pose.pitch, BLURRED_PX)
     sides = [one for one in SIDES if one != asked.signal.side and size / one > LEAST_PITCH_PX]
-    sides = sides if whole and sure and sharp else []
+    sides = sides if whole and sure and not is_blurred(pose) else []
     # a frame of each pattern may miss a pair of a header: packets as long as the settings' are first taken for those
     as_long = bool(form) and round(header.period / frames_a_pattern) == asked.signal.packet_patterns
     forms = [{}, form] if as_long else [form]
@@ -131,6 +131,17 @@ def what_reads(
                 good = [one for one in reading.packets if one.status in READ]
                 return Found(reading, changes, other, clock_of(good, some, tried.signal))
     return None
+
+
+def is_blurred(pose: Pose) -> bool:
+    """Whether a lens is out of focus.
+
+    Parameters
+    ----------
+    pose
+        That of a header, or of an array.
+    """
+    return pose.blur > max(BLURRED * pose.pitch, BLURRED_PX)
 
 
 def _places(frames: Sequence[Frame], asked: ReceiveSettings) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ changes: their power, over many pairs of random data, is that of the array with 
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.footprint import image_of
@@ -53,12 +54,9 @@ def realigned(cutouts: Sequence[Cutout | None], led_gains: Floats) -> tuple[list
 def _match(cutout: Cutout, led_gains: Floats) -> Floats:
     """Match of the difference's power and the array's, moved by (row, column) from -`MOST_PX` to `MOST_PX` px."""
     profile = image_of(cutout.shining(led_gains), cutout.middle, cutout.corner, cutout.shape) ** 2
-    power = cutout.difference**2
-    from scipy.signal import fftconvolve  # only now: it takes half a second to import, for statistics that nobody asks
-
-    whole = fftconvolve(power, profile[::-1, ::-1])
-    i, j = (n - 1 for n in cutout.shape)
-    return np.asarray(whole[i - MOST_PX : i + MOST_PX + 1, j - MOST_PX : j + MOST_PX + 1])
+    power = np.pad(np.asarray(cutout.difference, np.float64) ** 2, MOST_PX)
+    # so few moves need no Fourier transform, and none of SciPy's modules that have one: they take a second to import
+    return np.asarray(np.einsum("ijkl,kl->ij", sliding_window_view(power, profile.shape), profile))
 
 
 def _peak(match: Floats) -> Floats:
