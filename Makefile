@@ -1,15 +1,16 @@
-# make install | demo | test | test-quick | test-lowest | test-wheel | lint | docs | settings | bench | bench-all | vectors
+# make install | install-docs | demo | test | test-quick | test-lowest | test-wheel | lint | docs | settings | bench | bench-all | vectors
 # (PYTHON picks the interpreter that makes .venv)
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+DOCS_STAMP := .venv/.installed-docs
 LOWEST := .venv-lowest
 WHEEL := .wheel
 # the tests start many processes: each loads bytecode, wherever that may be written
 export PYTHONDONTWRITEBYTECODE :=
 export PYTHONPYCACHEPREFIX := $(CURDIR)/.venv/bytecode
 
-.PHONY: install demo test test-quick test-lowest test-wheel lint docs settings bench bench-all vectors clean
+.PHONY: install install-docs demo test test-quick test-lowest test-wheel lint docs settings bench bench-all vectors clean
 
 install: $(STAMP)
 
@@ -29,9 +30,14 @@ test: install
 test-quick: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" tests
 
-docs: install
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+docs: install-docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
+
+install-docs: $(DOCS_STAMP)
+
+$(DOCS_STAMP): $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@
 
 settings: install
 	$(BIN)/python scripts/make_settings.py

@@ -221,6 +221,8 @@ def _fitted(
         found = _afresh(image, grid.corners, shape)
     else:
         found = held._replace(score=-1.0)
+        if held.hessian is not None:  # with the blur and the power of the frame before, where little moved
+            found = fitted(image, held._replace(corners=starts[0] - moved), shape, FOLLOW_STEPS)
         for start in [*(one - moved for one in starts), grid.corners]:
             # what is as well explained as before is right
             if 1 - found.score > WORSE * (1 - held.score):
