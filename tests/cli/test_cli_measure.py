@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from cli_runs import SMALL, Run, called, failed, succeeded
 
-from heliograph.receive.equalise.threads import one_thread
+from heliograph.base.threads import one_thread
 
 Call = Callable[..., Run]
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from heliograph.base.threads import one_thread
 from heliograph.experiments.links import static_link
 from heliograph.experiments.result import Context
 from heliograph.experiments.systems import experiment, schemes, verdicts
@@ -13,7 +14,6 @@ from heliograph.experiments.systems.curves import CURVES, error_free_m, range_m
 from heliograph.experiments.systems.schemes import ENOUGH, SCHEMES, SIDE, BitCounts, count_bits
 from heliograph.link.settings import LinkSettings
 from heliograph.measure.statistics import Count
-from heliograph.receive.equalise.threads import one_thread
 
 
 @pytest.mark.parametrize("key", SCHEMES)

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from scenes import SIDE, pitch_at
 from slot_light import light_about_mean, observed
 
+from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import EqualiseEvent, decode_iteratively, ignore
 from heliograph.receive.decode.soft_combining import SharedBuffer
-from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image.reference import blur_matrix
 from heliograph.receive.observe.reference import pair_model, transform
 from heliograph.receive.observe.statistics import PairStatistics

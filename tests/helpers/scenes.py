@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from heliograph.base.frames import Frame
+from heliograph.base.threads import one_thread
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose
-from heliograph.receive.equalise.threads import one_thread
 from heliograph.signal.pwm import lit_slots
 
 Floats = NDArray[np.float64]

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scenes import SIDE, draw, pitch_at
 
+from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
-from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image.reference import blur_matrix
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.observe.noise import Noise

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from panel_films import PanelFilm, keystone, moving
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import heliograph
 from heliograph.measure.statistics import Count
+from heliograph.panel.lattice import Lattice
 
 ROWS, COLUMNS = 16, 20
 Colours = NDArray[np.uint8]
@@ -108,6 +110,27 @@ def test_a_panel_that_is_hidden_for_a_while_is_found_again() -> None:
     assert [place.score > 0.9 for place in places] == [k not in (4, 5) for k in range(10)]
     np.testing.assert_array_equal(places[5].corners, places[3].corners)
     assert off(places[9], film, 9) < 0.06
+
+
+def test_its_algebra_runs_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two threads took nine times as long beside other processes."""
+    threads: list[int] = []
+
+    def light(self: Lattice, images: Any) -> Any:
+        threads.extend(info["num_threads"] for info in threadpool_info() if info["user_api"] == "blas")
+        return known(self, images)
+
+    known = Lattice.light
+    monkeypatch.setattr(Lattice, "light", light)
+    with threadpool_limits(limits=2, user_api="blas"):
+        seen = frames(2)
+        place = heliograph.locate(seen[0], small().corners(0), rows=ROWS, columns=COLUMNS)
+        located = len(threads)
+        (second, _) = heliograph.follow(seen, place, ROWS, COLUMNS)
+        followed = len(threads)
+        heliograph.sample(seen[0], second, ROWS, COLUMNS, unblur=True)
+    assert 0 < located < followed < len(threads)
+    assert set(threads) == {1}
 
 
 def test_places_are_given_frame_by_frame() -> None:

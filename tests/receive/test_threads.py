@@ -8,8 +8,8 @@ import pytest
 from scenes import film, link
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from heliograph.base.threads import in_one_thread, one_thread
 from heliograph.receive import Packet, receive_frames
-from heliograph.receive.equalise.threads import in_one_thread, one_thread
 
 
 def blas_threads() -> int:

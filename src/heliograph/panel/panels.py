@@ -9,6 +9,7 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError, shown
+from heliograph.base.threads import in_one_thread, one_thread
 from heliograph.panel.lattice import FIRST_BLUR, Fitted, Lattice, Shape
 from heliograph.panel.lattice_fit import fitted
 from heliograph.panel.outline import SMOOTHING, SMOOTHING_PITCHES, Region, evidence, outlined, quadrilateral
@@ -105,7 +106,8 @@ def locate(
         start = _kept(outlined(shows, start - begin, widths) + begin, start)
     if shape is None:
         return Place(start + first.corner)
-    _, found = _fitted(first, [start], Fitted(start, nan, 1.0), shape, inf)
+    with one_thread():
+        _, found = _fitted(first, [start], Fitted(start, nan, 1.0), shape, inf)
     return Place(found.corners + first.corner, found.blur, found.score)
 
 
@@ -137,7 +139,7 @@ def follow(frames: Iterable[AnyFrame], place: Place, rows: int, columns: int) ->
         raise HeliographError(f"frames are an open film, or any iterable of frames, not {shown(frames)}")
     shape = _shape(rows, columns)
     assert shape is not None
-    return _followed(frames, _checked(place), shape)
+    return in_one_thread(_followed(frames, _checked(place), shape))
 
 
 def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool = False, leakage: Any = None) -> Floats:
@@ -221,8 +223,6 @@ def _fitted(
         found = _afresh(image, grid.corners, shape)
     else:
         found = held._replace(score=-1.0)
-        if held.hessian is not None:  # with the blur and the power of the frame before, where little moved
-            found = fitted(image, held._replace(corners=starts[0] - moved), shape, FOLLOW_STEPS)
         for start in [*(one - moved for one in starts), grid.corners]:
             # what is as well explained as before is right
             if 1 - found.score > WORSE * (1 - held.score):
@@ -242,8 +242,9 @@ def _unblurred(images: Levels, corners: Floats, blur: float, shape: Shape) -> Fl
             "the blur of the place is not known: locate(..., rows=, columns=) finds it, or give Place(corners, blur)"
         )
     mask = shape.mask(corners, (images.shape[1], images.shape[2]))
-    lattice = Lattice(shape, corners, blur, mask)
-    light, _ = lattice.light(images * mask)
+    with one_thread():
+        lattice = Lattice(shape, corners, blur, mask)
+        light, _ = lattice.light(images * mask)
     # the peak of a Gaussian of that light
     return light / (2 * np.pi * lattice.sigma**2)
 

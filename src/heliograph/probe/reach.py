@@ -14,8 +14,8 @@ from functools import cache, lru_cache
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
+from heliograph.base.threads import one_thread
 from heliograph.receive.equalise.lmmse import equalise
-from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image import kernels as image_kernels
 from heliograph.receive.image.footprint import to_grid
 from heliograph.receive.image.pose import Pose

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from heliograph.base.arrays import Floats
+from heliograph.base.threads import one_thread
 from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.acquire.header import header_score, header_weights
 from heliograph.receive.equalise.led_gains import LearntGains, LedGains
-from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.events import ExtractEvent, Observer
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout

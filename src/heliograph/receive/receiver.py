@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from heliograph.base.frames import Frame, check_next
+from heliograph.base.threads import in_one_thread
 from heliograph.receive.acquire.candidate import apart
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.coming import ComingPacket
-from heliograph.receive.equalise.threads import in_one_thread
 from heliograph.receive.events import DetectEvent, LostEvent, Observer
 from heliograph.receive.image.orientation import UPRIGHT, Orientation
 from heliograph.receive.oriented_receivers import OrientedReceivers

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from heliograph.base.threads import one_thread
 from heliograph.receive.assumptions import Assumption, ReadPacket, open_words, read_packet
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
@@ -11,7 +12,6 @@ from heliograph.receive.decode.iterate import decode_iteratively
 from heliograph.receive.decode.observed import DecodedPacket
 from heliograph.receive.decode.soft_combining import SharedBuffer, SoftBuffer
 from heliograph.receive.equalise.led_gains import LedGains
-from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.events import DecodeEvent, Observer, ignore
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside

@@ -25,6 +25,7 @@ from known_packets import (
 from numpy.typing import NDArray
 from scenes import SIDE, pitch_at
 
+from heliograph.base.threads import one_thread
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import ERASED
@@ -32,7 +33,6 @@ from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import EqualiseEvent
 from heliograph.receive.decode.soft_combining import SharedBuffer
 from heliograph.receive.equalise.lmmse import equalise
-from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image.reference import blur_matrix
 from heliograph.receive.observe.reference import pair_model
 from heliograph.receive.observe.statistics import PairStatistics

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scenes import SIDE
 from whole_pairs import GAIN, MOTIONS, SYMBOLS, WholePair, moving, pair_of, random_levels
 
+from heliograph.base.threads import one_thread
 from heliograph.receive.equalise import reference
 from heliograph.receive.equalise.lmmse import equalise, products
-from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import whiten
 

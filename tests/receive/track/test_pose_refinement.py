@@ -8,9 +8,9 @@ from known_packets import FORM, random_blocks, symbols_of
 from numpy.typing import NDArray
 from scenes import SIDE, draw, frame_of, pitch_at
 
+from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
 from heliograph.receive.equalise.led_gains import LedGains
-from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.timing.frame_pair import FramePair

@@ -10,6 +10,7 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
+from heliograph.base.threads import one_thread
 from heliograph.channel import ArrayTruth
 from heliograph.experiments.links import true_pose
 from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
@@ -24,7 +25,6 @@ from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import decode_iteratively
 from heliograph.receive.equalise.led_gains import LedGains
-from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.events import DecodeEvent, Observer, ignore
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
+from heliograph.base.threads import one_thread
 from heliograph.receive.equalise.lmmse import equalise, products
-from heliograph.receive.equalise.threads import one_thread
 from heliograph.receive.image import kernels as image_kernels
 from heliograph.receive.image.fit import Fit
 from heliograph.receive.image.footprint import to_grid

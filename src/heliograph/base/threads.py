@@ -1,4 +1,4 @@
-"""One thread for the receivers' algebra.
+"""One thread for the algebra of receivers and panels.
 
 A BLAS that shares matrices of 256 rows among threads is many times slower, and rounds otherwise than in one.
 """
