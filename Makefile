@@ -1,4 +1,5 @@
-# make install | install-docs | demo | test | test-quick | test-lowest | test-wheel | lint | docs | settings | bench | bench-all | vectors
+# make install | install-docs | demo | test | test-quick | test-lowest | test-wheel | lint | docs | settings | web | check-web |
+# bench | bench-all | vectors
 # (PYTHON picks the interpreter that makes .venv)
 PYTHON ?= python3
 BIN := .venv/bin
@@ -10,7 +11,7 @@ WHEEL := .wheel
 export PYTHONDONTWRITEBYTECODE :=
 export PYTHONPYCACHEPREFIX := $(CURDIR)/.venv/bytecode
 
-.PHONY: install install-docs demo test test-quick test-lowest test-wheel lint docs settings bench bench-all vectors clean
+.PHONY: install install-docs demo test test-quick test-lowest test-wheel lint docs settings web check-web bench bench-all vectors clean
 
 install: $(STAMP)
 
@@ -41,6 +42,19 @@ $(DOCS_STAMP): $(STAMP)
 
 settings: install
 	$(BIN)/python scripts/make_settings.py
+
+# the pages of `heliograph serve`, built into the package; this alone takes Node, 20.19 or newer
+web: web/node_modules/.installed
+	cd web && npm run --silent build
+
+web/node_modules/.installed: web/package-lock.json
+	cd web && npm ci --silent
+	touch $@
+
+# the built pages that are committed are those that a fresh build gives
+check-web: web
+	git diff --exit-code --stat -- src/heliograph/web/pages
+	test -z "$$(git status --porcelain -- src/heliograph/web/pages)"
 
 # in an environment of the lowest versions that pyproject.toml allows, which call much that is deprecated now
 test-lowest: $(LOWEST)/.installed

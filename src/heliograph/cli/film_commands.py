@@ -359,3 +359,41 @@ def demo(
     from heliograph.cli.demo import run_demo
 
     run_demo(output, seed, preset, settings, assignments, background, imu)
+
+
+def serve(
+    films: Annotated[
+        list[Path] | None, typer.Argument(metavar="[FILM]...", help=f"Films that page Watch offers. {READ}")
+    ] = None,
+    host: Annotated[
+        str,
+        typer.Option("--host", help="Address of this machine to wait at; 0.0.0.0 lets others come in, by a token."),
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port to wait at; 0 takes a free one.")] = 8000,
+    certificate: Annotated[
+        Path | None,
+        typer.Option(
+            "--certificate",
+            metavar="PEM",
+            show_default=False,
+            help="Certificate for HTTPS: browsers of other machines keep their camera from pages without.",
+        ),
+    ] = None,
+    key: Annotated[
+        Path | None, typer.Option("--key", metavar="PEM", show_default=False, help="Key of the certificate.")
+    ] = None,
+    browse: Annotated[bool, typer.Option("--open", help="Open the pages in this machine's browser.")] = False,
+    receiver: Receiver = None,
+    preset: options.Preset = "paper",
+    settings: options.SettingsFile = None,
+    assignments: options.Assignments = None,
+) -> None:
+    """Show pages in a browser: watch what the receiver does, transmit by a screen, receive by a phone's camera.
+
+    This machine alone reaches them, unless --host says otherwise: then an address with a token is printed, and its QR
+    code on a terminal. Films that a page uploads are kept until the server ends. Ctrl-C ends it.
+    """
+    from heliograph.cli.serve import run_serve
+
+    changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
+    run_serve(films or [], (host, port), certificate, key, browse, preset, settings, changes)

@@ -24,6 +24,7 @@ for _command in (
     film_commands.probe,
     film_commands.convert,
     film_commands.demo,
+    film_commands.serve,
     study_commands.sweep,
     study_commands.budget,
     study_commands.dataset,

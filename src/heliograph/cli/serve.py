@@ -1,0 +1,63 @@
+"""heliograph serve."""
+
+import contextlib
+import sys
+import webbrowser
+from pathlib import Path
+
+from heliograph.base.errors import MediaError, SettingsError
+from heliograph.cli import console, options
+
+
+def run_serve(
+    films: list[Path],
+    place: tuple[str, int],
+    certificate: Path | None,
+    key: Path | None,
+    browse: bool,
+    preset: str,
+    file: Path | None,
+    changes: list[str],
+) -> None:
+    """Serve the pages until Ctrl-C; other machines come in by a token, which is printed with a QR code."""
+    try:
+        from heliograph.web.app import create_app
+        from heliograph.web.limits import Limits
+        from heliograph.web.serve import Address, opened, run
+    except ImportError as error:
+        raise MediaError(f"the pages take the extra 'web' ({error.name}): pip install 'heliograph[web]'") from None
+    from heliograph.media.live.reader import is_camera
+
+    if (certificate is None) != (key is None):
+        raise SettingsError("HTTPS takes both --certificate and --key")
+    for film in films:
+        if not is_camera(film) and not film.exists():
+            raise MediaError(f"there is no file {film}: check the name")
+    settings = options.settings_from(preset, file, changes)
+    address, limits = Address(*place, certificate, key), Limits()
+    door = address.door()
+    with opened(address) as waiting:
+        url = address.url(waiting.getsockname()[1], door.token)
+        app = create_app(settings, [str(film) for film in films], door, limits)
+        say_where(url, own=address.is_own, secure=address.is_secure)
+        if browse:
+            webbrowser.open(url)
+        with contextlib.suppress(KeyboardInterrupt):  # the end that it was told to wait for
+            run(app, waiting, address, limits)
+    console.say("ended")
+
+
+def say_where(url: str, own: bool, secure: bool) -> None:
+    """Say what to open: on this machine alone, or on others, which get a QR code to film."""
+    console.say(f"Heliograph is at {url}  (Ctrl-C ends it)")
+    if own:
+        return
+    if sys.stdout.isatty():
+        import segno
+
+        segno.make(url, error="l").terminal(compact=True)
+    console.complain("whoever has this address may use this server: keep it to yourself")
+    if not secure:
+        console.complain(
+            "without --certificate and --key browsers keep their own camera from these pages; films are taken"
+        )

@@ -1,0 +1,5 @@
+"""The server's part of page *Receive*."""
+
+from fastapi import APIRouter
+
+router = APIRouter(prefix="/api/receive")

@@ -1,0 +1,88 @@
+"""What the pages of a server share: its settings, uploaded films, and places for those who receive."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import cast
+
+from starlette.requests import HTTPConnection
+
+from heliograph.base.errors import HeliographError
+from heliograph.link.settings import LinkSettings
+from heliograph.web.limits import Limits
+from heliograph.web.uploads import Uploads
+
+
+class BusyError(HeliographError):
+    """All places are taken; it says so, and what to do."""
+
+
+class Places:
+    """A number of places; who finds none is told to come again.
+
+    Parameters
+    ----------
+    most
+        How many there are.
+    what
+        What takes a place, in the plural, for the error.
+    """
+
+    def __init__(self, most: int, what: str):
+        self._most, self._what, self.taken = most, what, 0
+
+    @contextlib.contextmanager
+    def take(self) -> Iterator[None]:
+        """Take a place for as long as the block lasts; of the server's own thread alone.
+
+        Raises
+        ------
+        BusyError
+            All are taken.
+        """
+        if self.taken >= self._most:
+            raise BusyError(f"{self._most} {self._what} run already: end one of them, or try again later")
+        self.taken += 1
+        try:
+            yield
+        finally:
+            self.taken -= 1
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """What the pages share.
+
+    Attributes
+    ----------
+    settings
+        The link as the command's options have it; pages begin with it.
+    films
+        Films and cameras that were named where the server was started; a page asks for them by number.
+    limits
+        Sizes, times and numbers.
+    uploads
+        Films that were uploaded.
+    sessions
+        Places of those who receive.
+    """
+
+    settings: LinkSettings
+    films: tuple[str, ...]
+    limits: Limits
+    uploads: Uploads
+    sessions: Places = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sessions", Places(self.limits.sessions, "receptions"))
+
+
+def shared_of(connection: HTTPConnection) -> Shared:
+    """What the pages of the server share that a request or WebSocket came to.
+
+    Parameters
+    ----------
+    connection
+        The request or WebSocket; FastAPI fills it in where this is a dependency.
+    """
+    return cast(Shared, connection.app.state.shared)

@@ -1,0 +1,2 @@
+import "../common/style.css";
+import "../common/page";
