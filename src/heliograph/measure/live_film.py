@@ -28,7 +28,7 @@ class LiveFilm:
     recordings
         Real background and motion; None where there are none.
     margin_px
-        Only the arrays' surroundings are rendered, this many px wider than they are.
+        Only the arrays' surroundings are rendered, this many px wider than they are; None renders whole frames.
     """
 
     path = "the film"
@@ -39,7 +39,7 @@ class LiveFilm:
         messages: Sequence[Messages],
         seed: int,
         recordings: Recordings | None,
-        margin_px: int,
+        margin_px: int | None,
     ):
         self.settings = settings
         self.messages = messages

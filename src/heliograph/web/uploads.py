@@ -19,7 +19,7 @@ from heliograph.web.limits import MB, Limits
 
 SUFFIXES = {
     name: f".{name}"
-    for name in "mp4 mov mkv webm avi nut y4m h5 hdf5 cine tif tiff npy png jpg".split()
+    for name in ("mp4", "mov", "mkv", "webm", "avi", "nut", "y4m", "h5", "hdf5", "cine", "tif", "tiff", "npy", "png")
 }  # fmt: skip
 """What a film's name may end in on the disk, by what a browser says of its kind. All else is a video by its content."""
 

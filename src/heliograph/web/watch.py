@@ -1,5 +1,91 @@
-"""The server's part of page *Watch*."""
+"""The server's part of page *Watch*: what may be watched, the WebSocket that shows it, films of what failed."""
 
-from fastapi import APIRouter
+import contextlib
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, WebSocket, WebSocketDisconnect
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import FileResponse
+from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
+
+from heliograph.link.settings import PRESETS
+from heliograph.media.live.listing import cameras_there
+from heliograph.media.live.reader import is_camera
+from heliograph.media.live.settings import CameraSettings
+from heliograph.receive.registry import RECEIVERS
+from heliograph.web.security import PROTOCOL
+from heliograph.web.shared import BusyError, Shared, shared_of
+from heliograph.web.watching.session import BUSY, Session
 
 router = APIRouter(prefix="/api/watch")
+Ours = Annotated[Shared, Depends(shared_of)]
+
+
+def _bundles(connection: HTTPConnection) -> dict[str, Path]:
+    """Films of what failed that pages may fetch, by names of the server's own."""
+    state = connection.app.state
+    if not hasattr(state, "bundles"):
+        state.bundles = {}
+    bundles: dict[str, Path] = state.bundles
+    return bundles
+
+
+@router.get("/sources")
+async def sources(shared: Ours) -> dict[str, Any]:
+    """What may be watched: films named with the command, presets of drives; and the receivers.
+
+    Parameters
+    ----------
+    shared
+        What the pages share.
+    """
+    named = [film if is_camera(film) else Path(film).name for film in shared.films]
+    presets = [{"name": name, "text": text} for name, (text, _) in PRESETS.items()]
+    own = shared.settings.receive.receiver
+    return {"named": named, "presets": presets, "receivers": list(RECEIVERS.names()), "receiver": own}
+
+
+@router.get("/cameras")
+async def cameras() -> dict[str, Any]:
+    """The live cameras of this machine, and what is missing to see others."""
+    found, lacking = await run_in_threadpool(cameras_there, CameraSettings())
+    return {"cameras": found, "lacking": lacking}
+
+
+@router.websocket("")
+async def watch(socket: WebSocket) -> None:
+    """Show a reception to a page.
+
+    Parameters
+    ----------
+    socket
+        WebSocket of the page.
+    """
+    shared = shared_of(socket)
+    await socket.accept(PROTOCOL if PROTOCOL in socket.scope.get("subprotocols", ()) else None)
+    with contextlib.suppress(WebSocketDisconnect):
+        try:
+            with shared.sessions.take():
+                await Session(socket, shared, _bundles(socket)).attend()
+        except BusyError as error:
+            await socket.send_json({"event": "failed", "reason": str(error)})
+            await socket.close(BUSY, "all places are taken")
+
+
+@router.get("/bundles/{name}")
+async def bundle(name: str, kept: Annotated[dict[str, Path], Depends(_bundles)]) -> FileResponse:
+    """Give a film of what failed.
+
+    Parameters
+    ----------
+    name
+        What the server called it; it is looked up, and never part of a path.
+    kept
+        The films there are.
+    """
+    path = kept.get(name)
+    if path is None:
+        raise HTTPException(404, "that film is not here any more: save it again")
+    return FileResponse(path, media_type="application/x-hdf5", filename="failed.h5")

@@ -1,0 +1,143 @@
+"""What a packet's light was, as received, as equalised and as decided; its soft values by layer."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.arrays import TINY, Floats
+from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.packets import Words
+from heliograph.receive.plain.extract import at_leds
+from heliograph.signal import haar
+from heliograph.signal.packet import PacketFormat
+
+BARS = 31
+"""Bars of a histogram of soft values, the middle one about 0. Chosen."""
+
+
+def luminances_of(cutouts: tuple[Cutout | None, ...], side: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """Read cut-outs LED by LED.
+
+    Parameters
+    ----------
+    cutouts
+        Of a packet's pairs; None for those not seen.
+    side
+        LEDs in a row.
+
+    Returns
+    -------
+    (pairs, n, n) differences of pattern and inverse at each LED, times any gain, and (pairs,) which were seen.
+    """
+    out = np.zeros((len(cutouts), side, side))
+    for place, one in enumerate(cutouts):
+        if one is not None:
+            out[place] = at_leds(one.difference, one.corner, one.middle, side)
+    return out, np.array([one is not None for one in cutouts], dtype=bool)
+
+
+def soft_by_layer(form: PacketFormat, luminances: Floats) -> dict[str, Floats]:
+    """Soft values of the coded bits by layer, (codewords, E), positive for bit 0.
+
+    Parameters
+    ----------
+    form
+        Format of the packet.
+    luminances
+        (pairs, n, n) luminances x' = level - 2, times any gain.
+    """
+    soft = form.split(form.soft_data(luminances))
+    return {name: layer.deinterleave(soft[name]) for name, layer in form.layers.items()}
+
+
+def decided(form: PacketFormat, words: Words) -> Floats | None:
+    """Luminances x' = level - 2 of the patterns that a packet's decided bits make, right or not: (pairs, n, n).
+
+    None in the single mode, whose patterns depend on those before the packet.
+
+    Parameters
+    ----------
+    form
+        Format of the packet.
+    words
+        Its codewords by layer.
+    """
+    if form.single:
+        return None
+    soft = {
+        name: 1.0 - 2.0 * layer.code.encode(np.stack([word.bits for word in words[name]])).astype(np.float64)
+        for name, layer in form.layers.items()
+    }
+    return expected(form, soft)
+
+
+def expected(form: PacketFormat, bits: Mapping[str, Floats]) -> Floats:
+    """Luminances x' = level - 2 by the expected values of the coded bits: (pairs, n, n).
+
+    Parameters
+    ----------
+    form
+        Format of the packet.
+    bits
+        By layer (codewords, E) expected values, 1 for bit 0 and -1 for bit 1.
+    """
+    parts = [layer.interleave(bits[name] * (1.0 - 2.0 * layer.chips)) for name, layer in form.layers.items()]
+    symbols: Any = np.concatenate(parts, axis=1)  # of any real values
+    d = np.asarray(form.join(symbols), np.float64)
+    return haar.inverse_transform(d) if form.settings.modulation == "haar" else 2.0 * d
+
+
+def histograms(form: PacketFormat, soft: Mapping[str, Floats], words: Words) -> dict[str, Any]:
+    """Soft values by layer as histograms, as plain values.
+
+    Parameters
+    ----------
+    form
+        Format of the packet.
+    soft
+        By layer (codewords, E) soft values, positive for bit 0; 0 where nothing was received.
+    words
+        Its codewords, by which the bits that were sent are known where they are read.
+
+    Returns
+    -------
+    By layer `zeros` and `ones` (bits that were sent as 0 and 1, of codewords that are read), `open` (of others), each
+    `BARS` numbers; `scale`, the soft value at the outer edge of the last bar; `wrong` of `known`, the bits of read
+    codewords whose sign was wrong before decoding.
+    """
+    out = {}
+    for name, values in soft.items():
+        read = np.array([word.status == "ok" for word in words[name]])
+        sent = form.layers[name].code.encode(np.stack([word.bits for word in words[name]])).astype(bool)
+        scale = max(float(np.percentile(np.abs(values), 99)), TINY)
+        known, got = np.broadcast_to(read[:, None], values.shape), values != 0
+        out[name] = {
+            "scale": round(scale, 3),
+            "zeros": _bars(values[known & got & ~sent], scale),
+            "ones": _bars(values[known & got & sent], scale),
+            "open": _bars(values[~known & got], scale),
+            "known": int((known & got).sum()),
+            "wrong": int((known & got & ((values < 0) != sent)).sum()),
+        }
+    return out
+
+
+def _bars(values: Floats, scale: float) -> list[int]:
+    counts, _ = np.histogram(np.clip(values, -scale, scale), BARS, (-scale, scale))
+    return [int(one) for one in counts]
+
+
+def grey(levels: Floats, low: float, high: float) -> list[list[int]]:
+    """Levels as gray values 0 to 255, row by row.
+
+    Parameters
+    ----------
+    levels
+        (rows, columns) of any unit.
+    low, high
+        What is black, and what is white.
+    """
+    scaled = (levels - low) * (255.0 / max(high - low, TINY))
+    return [[int(one) for one in row] for row in np.clip(scaled, 0, 255)]

@@ -1,0 +1,256 @@
+"""A reception in a thread of its own: it takes frames through a gate, and tells what happens."""
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from heliograph.base.errors import HeliographError
+from heliograph.base.frames import Frame
+from heliograph.measure.errors import ErrorCounter
+from heliograph.measure.journal import Journal, Row
+from heliograph.measure.live_film import LiveFilm
+from heliograph.measure.reception import Reception, receive_film
+from heliograph.measure.statistics import clopper_pearson
+from heliograph.signal.settings import LAYERS
+from heliograph.web.shared import Shared
+from heliograph.web.watching.failures import Failures
+from heliograph.web.watching.gate import Gate
+from heliograph.web.watching.scene import Scene, Seen
+from heliograph.web.watching.sources import Asked, Source, opened
+from heliograph.web.watching.stages import SEARCH, Stages
+
+SCENE_S = 1 / 30
+"""Least time in s from one scene to the next: a screen shows few more."""
+
+STATE_S = 0.5
+"""Time in s from one row of counts to the next. Chosen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Teller:
+    """Who hears of a reception; called in its thread.
+
+    Attributes
+    ----------
+    tell
+        Gets rows of plain values, all of them in order.
+    show
+        Gets scenes, of which only the newest counts.
+    """
+
+    tell: Callable[[Row], None]
+    show: Callable[[Scene], None]
+
+
+class Run:
+    """A reception that is watched.
+
+    Parameters
+    ----------
+    asked
+        What is watched.
+    shared
+        Settings and films of the server.
+    teller
+        Who hears of it.
+    gate
+        Lets its frames through.
+
+    Attributes
+    ----------
+    gate
+        The same.
+    failures
+        Frames of packets that failed; None until the source is open.
+    """
+
+    def __init__(self, asked: Asked, shared: Shared, teller: Teller, gate: Gate):
+        self._asked, self._shared, self._teller, self.gate = asked, shared, teller, gate
+        self.failures: Failures | None = None
+        self._stages = Stages()
+        self._newest: Frame | None = None
+        self._began = self._shown = self._counted = time.monotonic()
+        self._thread = threading.Thread(target=self._main, name="watch", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End it before its next frame, and wait for that."""
+        self.gate.stop()
+        self._thread.join()
+        if self.failures is not None:
+            self.failures.close()
+
+    def save(self) -> Path | None:
+        """Film of what failed so far, see `Failures.save`."""
+        return None if self.failures is None else self.failures.save()
+
+    def _main(self) -> None:
+        try:
+            with opened(self._asked, self._shared) as source:
+                self._receive(source)
+        except HeliographError as error:
+            self._teller.tell({"event": "failed", "reason": str(error)})
+        except MemoryError:
+            self._teller.tell({"event": "failed", "reason": "not enough memory for frames of that size"})
+        except OSError as error:
+            self._teller.tell({"event": "failed", "reason": f"input or output: {error.strerror or error}"})
+        except Exception as error:  # of whatever a film or a part of one's own brings; the server goes on
+            self._teller.tell({"event": "failed", "reason": f"{type(error).__name__}: {error}"[:400]})
+            raise
+
+    def _receive(self, source: Source) -> None:
+        tell = self._teller.tell
+        tell(_about(source))
+        _attend(source, tell)
+        self.failures = failures = Failures(self._shared.uploads.folder(), source)
+        calibration = source.settings.receive.calibration
+        seen, reception = Seen(source.signal, calibration), Reception(source.truth)
+        journal = Journal(calibration, tell)
+
+        def observe(event: Any) -> None:
+            self._stages.event(event)
+            seen(event)
+            journal.observe(event)
+            self._stages.mark("show")
+
+        film = _Film(source, lambda: self._frames(source, seen, reception))
+        try:
+            for packet, messages in receive_film(film, source.signal, source.settings, reception, observe):
+                self._stages.mark(SEARCH)
+                for row in seen.packets():
+                    tell(row)
+                journal.read(packet, messages, reception.progress)
+                tell({"event": "unfinished", "messages": _unfinished(reception)})
+                if packet.status != "ok":
+                    failures.failed(packet)
+                self.gate.packet_read()
+                self._stages.mark("show")
+        finally:
+            if self._newest is not None:
+                self._teller.show(seen.scene(self._newest))
+            tell(self._counts(reception, errors=True))
+        tell({"event": "end", "stopped": self.gate.stopped})
+
+    def _frames(self, source: Source, seen: Seen, reception: Reception) -> Iterator[Frame]:
+        """Frames as the gate lets them through, shown after they were received."""
+        frames = iter(source.frames)
+        self._stages.mark("show")
+        for frame in frames:
+            self._stages.mark("render" if isinstance(source.frames, LiveFilm) else "read")
+            now = time.monotonic()
+            if self._newest is not None and (now >= self._shown + SCENE_S or self.gate.holds):
+                self._shown = now
+                self._teller.show(seen.scene(self._newest))
+            if now >= self._counted + STATE_S or self.gate.holds:
+                self._counted = now
+                self._teller.tell(self._counts(reception, errors=True))
+            self._stages.mark("show")
+            if not self.gate.pass_through(frame.time_s):
+                break
+            self._stages.mark("wait")
+            if self.failures is not None:
+                self.failures.saw(frame)
+            self._newest = frame
+            yield frame
+            self._stages.mark(SEARCH)
+        close = getattr(frames, "close", None)
+        if close is not None:
+            close()
+
+    def _counts(self, reception: Reception, errors: bool) -> Row:
+        failures, newest = self.failures, self._newest
+        row: dict[str, Any] = {
+            "event": "state",
+            "frames": reception.frames,
+            "time_s": 0.0 if newest is None else round(newest.time_s, 6),
+            "seconds": round(time.monotonic() - self._began, 3),
+            "paused": self.gate.paused,
+            "detections": reception.detections,
+            "arrays": reception.report(1.0)["arrays"],
+            "stages": {name: round(seconds, 4) for name, seconds in self._stages.seconds.items()},
+            "failed": 0 if failures is None else failures.packets,
+        }
+        if errors and reception.errors is not None:
+            row |= {"errors": errors_by_distance(reception.errors), "false_codewords": reception.errors.false_codewords}
+        return row
+
+
+@dataclass(frozen=True, slots=True)
+class _Film:
+    """Frames of a source as the gate lets them through."""
+
+    source: Source
+    frames: Callable[[], Iterator[Frame]]
+
+    @property
+    def path(self) -> str:
+        return self.source.name
+
+    def __iter__(self) -> Iterator[Frame]:
+        return self.frames()
+
+
+def errors_by_distance(errors: ErrorCounter) -> list[dict[str, Any]]:
+    """Codewords wrong of those sent, by distance and layer, with the 95 % interval of their rate, near first.
+
+    Parameters
+    ----------
+    errors
+        The counts so far.
+    """
+    rows = []
+    for row in errors.report():
+        layers = {}
+        for name in LAYERS:
+            wrong, sent = row[name]["codeword_errors"], row[name]["codewords"]
+            low, high = clopper_pearson(wrong, sent) if sent else (0.0, 1.0)
+            layers[name] = {
+                "wrong": wrong, "sent": sent, "low": low, "high": high, "raw_wrong": row[name]["raw_errors"],
+                "raw_bits": row[name]["raw_bits"],
+            }  # fmt: skip
+        rows.append({"from_m": row["from_m"], "to_m": row["to_m"], "layers": layers})
+    return rows
+
+
+def _about(source: Source) -> Row:
+    return {
+        "event": "source",
+        "name": source.name,
+        "width": source.width,
+        "height": source.height,
+        "rate_hz": source.rate_hz,
+        "frames": source.frame_count,
+        "receiver": source.settings.receive.receiver,
+        "packet_s": source.signal.packet_s,
+        "side": source.signal.side,
+        "live": source.live is not None,
+        "truth": source.truth is not None,
+    }
+
+
+def _attend(source: Source, tell: Callable[[Row], None]) -> None:
+    """Say what a camera made of its settings, and when it is lost or back; have the receiver's loops ready for it."""
+    if source.live is None:
+        return
+    from heliograph.link.warm_up import warm_up
+
+    def say(text: str) -> None:
+        tell({"event": "camera", "text": text})
+
+    for text in source.live.form.departures:
+        say(text)
+    source.live.say = say
+    with contextlib.suppress(HeliographError):
+        warm_up(source.signal, source.settings.receive, source.bits)
+
+
+def _unfinished(reception: Reception) -> list[dict[str, Any]]:
+    names = ("id", "layer", "stream", "had", "bytes")
+    return [dict(zip(names, one, strict=True)) for one in reception.unfinished()[:40]]

@@ -1,0 +1,272 @@
+"""A page that watches: its commands, and what it gets, as fast as it takes it."""
+
+import asyncio
+import contextlib
+import json
+import secrets
+import threading
+from collections import deque
+from pathlib import Path
+from typing import Annotated, Literal
+
+from fastapi import WebSocket, WebSocketDisconnect
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from heliograph.base.errors import HeliographError
+from heliograph.measure.journal import Row
+from heliograph.web.shared import Shared
+from heliograph.web.watching.gate import Gate
+from heliograph.web.watching.run import SCENE_S, Run, Teller
+from heliograph.web.watching.scene import Scene
+from heliograph.web.watching.sources import Asked
+
+MOST_WAITING = 16 << 20
+"""Most bytes of rows that wait for a page; one that takes them more slowly is let go. Chosen: minutes of packets."""
+
+MOST_ROW = 1 << 20
+"""Most bytes of a row; a longer one goes without its content. Chosen."""
+
+IN_FLIGHT = 2
+"""Scenes that may be on their way to a page; it says when it has drawn one. Chosen: one is drawn while one comes."""
+
+MOST_WRONG = 20
+"""Commands that are none before a page is let go. Chosen."""
+
+IDLE_S = 900.0
+"""Time in s without a command after which a page that watches nothing is let go. Chosen."""
+
+TOO_SLOW, WRONG, BUSY = 1013, 1008, 1013
+"""Codes with which a WebSocket is closed (RFC 6455, section 7.4.1, and the registry of codes)."""
+
+
+class Command(BaseModel):
+    """What a page says.
+
+    Attributes
+    ----------
+    do
+        "open" (a source), "pause", "go", "step" (a frame), "packet" (step to a packet's end), "speed", "stop", "save"
+        (what failed), "took" (a scene was drawn).
+    source
+        What is opened.
+    times
+        Speed in seconds of the film in a second; None for as fast as it goes.
+    paused
+        Whether what is opened waits at its first frame.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    do: Literal["open", "pause", "go", "step", "packet", "speed", "stop", "save", "took"]
+    source: Asked | None = None
+    times: Annotated[float, Field(ge=1e-4, le=100, allow_inf_nan=False)] | None = None
+    paused: bool = False
+
+
+class Outbox:
+    """What waits for a page: rows in order, and the newest scene; filled by the reception's thread.
+
+    Parameters
+    ----------
+    loop
+        The server's loop, which sends.
+
+    Attributes
+    ----------
+    full
+        Whether rows were lost because the page did not take them.
+    filled
+        Set when something waits.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop):
+        self._loop, self._lock = loop, threading.Lock()
+        self._rows: deque[str] = deque()
+        self._scene: Scene | None = None
+        self._bytes, self.full, self.filled = 0, False, asyncio.Event()
+
+    def tell(self, row: Row) -> None:
+        """Put a row behind the others.
+
+        Parameters
+        ----------
+        row
+            Plain values.
+        """
+        text = json.dumps(row)
+        if len(text) > MOST_ROW:
+            text = json.dumps({k: v for k, v in row.items() if k not in ("data", "text")} | {"too_long": True})
+        with self._lock:
+            self.full |= self._bytes + len(text) > MOST_WAITING
+            if not self.full:
+                self._rows.append(text)
+                self._bytes += len(text)
+        self._wake()
+
+    def show(self, scene: Scene) -> None:
+        """Put a scene in the place of the one before, if that was not sent.
+
+        Parameters
+        ----------
+        scene
+            The newest.
+        """
+        self._scene = scene
+        self._wake()
+
+    def next_row(self) -> str | None:
+        """Take the row that waits longest; None where none does."""
+        with self._lock:
+            if not self._rows:
+                return None
+            text = self._rows.popleft()
+            self._bytes -= len(text)
+            return text
+
+    def next_scene(self) -> Scene | None:
+        """Take the newest scene; None where it was taken."""
+        scene, self._scene = self._scene, None
+        return scene
+
+    @property
+    def has_scene(self) -> bool:
+        """Whether a scene waits."""
+        return self._scene is not None
+
+    def _wake(self) -> None:
+        with contextlib.suppress(RuntimeError):  # the server has ended
+            self._loop.call_soon_threadsafe(self.filled.set)
+
+
+class Session:
+    """A page that watches, from its coming to its going.
+
+    Parameters
+    ----------
+    socket
+        Its WebSocket, accepted.
+    shared
+        What the pages of the server share.
+    bundles
+        Where films of what failed are put for it to fetch, by names of the server's own.
+    """
+
+    def __init__(self, socket: WebSocket, shared: Shared, bundles: dict[str, Path]):
+        self._socket, self._shared, self._bundles = socket, shared, bundles
+        self._outbox = Outbox(asyncio.get_running_loop())
+        self._run: Run | None = None
+        self._speed: float | None = None
+        self._credit, self._wrong = IN_FLIGHT, 0
+        self._mine: list[str] = []
+
+    async def attend(self) -> None:
+        """Do what the page says and send what it gets, until it goes or is let go."""
+        tasks = [asyncio.create_task(self._hear()), asyncio.create_task(self._send())]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            await self._end()
+            for name in self._mine:
+                path = self._bundles.pop(name, None)
+                if path is not None:
+                    path.unlink(missing_ok=True)
+
+    async def _hear(self) -> None:
+        """Take commands until the page goes, or says what is none too often."""
+        while True:
+            try:
+                wait_s = None if self._run is not None else IDLE_S
+                message = await asyncio.wait_for(self._socket.receive(), wait_s)
+            except TimeoutError:
+                return
+            if message["type"] == "websocket.disconnect":
+                return
+            try:
+                command = Command.model_validate_json(message.get("text") or "")
+            except (ValidationError, UnicodeError):
+                self._wrong += 1
+                if self._wrong > MOST_WRONG:
+                    await self._close(WRONG, "these are no commands")
+                    return
+                self._outbox.tell({"event": "refused", "reason": "that is no command of these pages"})
+                continue
+            try:
+                await self._do(command)
+            except HeliographError as error:
+                self._outbox.tell({"event": "refused", "reason": str(error)})
+
+    async def _do(self, command: Command) -> None:
+        gate = None if self._run is None else self._run.gate
+        if command.do == "took":
+            self._credit = min(self._credit + 1, IN_FLIGHT)
+            self._outbox.filled.set()
+        elif command.do == "open" and command.source is not None:
+            await self._open(command.source, command.paused)
+        elif command.do == "speed":
+            self._speed = command.times
+            if gate is not None:
+                gate.run_at(command.times)
+        elif command.do == "stop":
+            await self._end()
+        elif command.do == "save":
+            await self._save()
+        elif gate is not None:
+            _turn(gate, command.do)
+
+    async def _open(self, asked: Asked, paused: bool) -> None:
+        await self._end()
+        gate = Gate(self._speed)
+        if paused:
+            gate.pause()
+        self._run = Run(asked, self._shared, Teller(self._outbox.tell, self._outbox.show), gate)
+        self._run.start()
+
+    async def _end(self) -> None:
+        run, self._run = self._run, None
+        if run is not None:
+            await asyncio.to_thread(run.stop)
+
+    async def _save(self) -> None:
+        path = None if self._run is None else await asyncio.to_thread(self._run.save)
+        if path is None:
+            self._outbox.tell({"event": "refused", "reason": "there are no frames to save yet"})
+            return
+        name = secrets.token_hex(16)
+        self._bundles[name] = path
+        self._mine.append(name)
+        self._outbox.tell({"event": "saved", "bundle": name, "bytes": path.stat().st_size})
+
+    async def _send(self) -> None:
+        """Send rows as they come, and scenes as the page takes them, at most 30 a second."""
+        loop, outbox = asyncio.get_running_loop(), self._outbox
+        due_s = 0.0
+        while not outbox.full:
+            wait_s = max(0.0, due_s - loop.time()) if outbox.has_scene and self._credit else None
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(outbox.filled.wait(), wait_s)
+            outbox.filled.clear()
+            while not outbox.full and (row := outbox.next_row()) is not None:
+                await self._socket.send_text(row)
+            if self._credit and loop.time() >= due_s and (scene := outbox.next_scene()) is not None:
+                self._credit, due_s = self._credit - 1, loop.time() + SCENE_S
+                await self._socket.send_bytes(await asyncio.to_thread(scene.encoded))
+        await self._close(TOO_SLOW, "this page takes what is sent too slowly")
+
+    async def _close(self, code: int, reason: str) -> None:
+        with contextlib.suppress(TimeoutError, RuntimeError, WebSocketDisconnect):
+            await asyncio.wait_for(self._socket.close(code, reason), 1.0)
+
+
+def _turn(gate: Gate, act: str) -> None:
+    """Pause, step or go on."""
+    if act == "pause":
+        gate.pause()
+    elif act == "go":
+        gate.go()
+    elif act in ("step", "packet"):
+        gate.step(to_packet=act == "packet")

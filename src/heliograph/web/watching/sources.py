@@ -1,0 +1,192 @@
+"""What is watched: an uploaded film, one that was named where the server began, a live camera, a simulated drive."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from heliograph.base.config import from_mapping, merge, to_mapping
+from heliograph.base.errors import SettingsError
+from heliograph.base.toml_text import parse_assignment
+from heliograph.experiments.demo.drive import demo_messages
+from heliograph.link.film import FrameSource, frames_of
+from heliograph.link.notes import check_truth, signal_of
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.truth import open_truth, truth_path
+from heliograph.measure.live_film import LiveFilm
+from heliograph.measure.reception import TruthSource
+from heliograph.media import open_film
+from heliograph.media.live.listing import cameras_there
+from heliograph.media.live.reader import LiveReader, is_camera, live_of
+from heliograph.media.live.settings import CameraSettings
+from heliograph.signal.settings import SignalSettings
+from heliograph.web.shared import Shared
+
+OPEN = ("signal", "receive")
+"""Parts of the settings that a page may change: what the light says, and how it is read."""
+
+Text = Annotated[str, StringConstraints(max_length=200)]
+
+
+class Asked(BaseModel):
+    """What a page asks to watch; nothing of it becomes a path of the disk.
+
+    Attributes
+    ----------
+    kind
+        "film" (uploaded), "named" (with the command), "camera" or "drive" (simulated).
+    film
+        Name of an uploaded film, as the server gave it.
+    number
+        Number of the named film or of the camera in the server's lists.
+    preset, seed, street
+        Of a drive: its preset, the seed of road, scene and noise, and whether a street is drawn behind the arrays.
+    distance_m, speed_m_s
+        Of a drive: first distance in m, and speed in m/s; None for those of the preset.
+    receiver
+        Name of the receiver; None for that of the command.
+    rate_hz
+        Frames a second that a film's camera took; None believes the film.
+    changes
+        Settings such as "signal.side=8"; parts of `OPEN` alone.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    kind: Literal["film", "named", "camera", "drive"]
+    film: Text = ""
+    number: Annotated[int, Field(ge=0, le=1000)] = 0
+    preset: Text = "paper"
+    seed: Annotated[int, Field(ge=0, lt=1 << 31)] = 0
+    street: bool = True
+    distance_m: Annotated[float, Field(ge=5, le=300, allow_inf_nan=False)] | None = None
+    speed_m_s: Annotated[float, Field(ge=0, le=70, allow_inf_nan=False)] | None = None
+    receiver: Text | None = None
+    rate_hz: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)] | None = None
+    changes: Annotated[list[Text], Field(max_length=40)] = []
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
+    """Something that is watched, opened.
+
+    Attributes
+    ----------
+    name
+        What a page calls it.
+    frames
+        Its frames in the order of time.
+    width, height, bits, rate_hz
+        Form of its frames.
+    frame_count
+        Frames to expect; None where that is not known.
+    signal, settings
+        The light's signal, and the link with the receiver.
+    truth
+        What was sent; None where it is not known.
+    live
+        The camera behind it; None of anything else.
+    metadata
+        Text that is kept with it.
+    """
+
+    name: str
+    frames: FrameSource
+    width: int
+    height: int
+    bits: int
+    rate_hz: float
+    frame_count: int | None
+    signal: SignalSettings
+    settings: LinkSettings
+    truth: TruthSource | None = None
+    live: LiveReader | None = None
+    metadata: dict[str, str]
+
+
+@contextlib.contextmanager
+def opened(asked: Asked, shared: Shared) -> Iterator[Source]:
+    """Open what a page asks for, for as long as the block lasts.
+
+    Parameters
+    ----------
+    asked
+        What the page asks for.
+    shared
+        Settings, films and cameras of the server.
+
+    Raises
+    ------
+    HeliographError
+        It is not there or cannot be read, or a setting is wrong.
+    """
+    if asked.kind == "drive":
+        yield _drive(asked, shared)
+        return
+    with contextlib.ExitStack() as stack:
+        if asked.kind == "film":
+            path, name = stack.enter_context(shared.uploads.reading(asked.film)), "the film"
+        elif asked.kind == "named":
+            path = Path(_numbered(shared.films, asked.number, "film"))
+            name = path.name
+        else:
+            name = _numbered([one["name"] for one in cameras_there(CameraSettings())[0]], asked.number, "camera")
+            path = Path(name)
+        yield stack.enter_context(_film(asked, shared, path, name))
+
+
+@contextlib.contextmanager
+def _film(asked: Asked, shared: Shared, path: Path, name: str) -> Iterator[Source]:
+    settings, changes = _settings(asked, shared.settings)
+    with open_film(path, rate_hz=asked.rate_hz) as film:
+        signal, _ = signal_of(film, shared.settings.signal, changes)
+        known = None
+        beside = truth_path(path)
+        if asked.kind == "named" and not is_camera(path) and beside.is_file():
+            known = open_truth(beside)
+            check_truth(film, known, signal)
+        yield Source(
+            name=name, frames=film, width=film.width, height=film.height, bits=film.bits, rate_hz=film.rate_hz,
+            frame_count=film.frame_count, signal=signal, settings=settings, truth=known, live=live_of(film),
+            metadata=film.metadata,
+        )  # fmt: skip
+
+
+def _drive(asked: Asked, shared: Shared) -> Source:
+    """A drive rendered as it is watched, with its truth."""
+    kind = "street-night" if asked.preset == "night" else "street"
+    channel = [f"channel.background.kind='{kind}'"] if asked.street else []
+    given = {"distance_m": asked.distance_m, "speed_m_s": asked.speed_m_s}
+    channel += [f"channel.{key}={value}" for key, value in given.items() if value is not None]
+    base = load_settings(asked.preset, None, channel)
+    settings, _ = _settings(asked, replace(base, receive=shared.settings.receive))
+    camera, film = settings.channel.camera, LiveFilm(settings, demo_messages(settings), asked.seed, None, None)
+    return Source(
+        name=f"a drive, preset {asked.preset}", frames=film, width=camera.width, height=camera.height,
+        bits=settings.channel.sensor.bits, rate_hz=camera.fps, frame_count=frames_of(settings), signal=settings.signal,
+        settings=settings, truth=film, metadata={},
+    )  # fmt: skip
+
+
+def _settings(asked: Asked, base: LinkSettings) -> tuple[LinkSettings, list[dict[str, object]]]:
+    """The server's settings with what the page changes, and the changes of the signal alone."""
+    tree, of_signal = to_mapping(base), []
+    if asked.receiver is not None:
+        tree = merge(tree, {"receive": {"receiver": asked.receiver}})
+    for text in asked.changes:
+        change = parse_assignment(text)
+        if not set(change) <= set(OPEN):
+            raise SettingsError(f"a page changes settings of {' and '.join(OPEN)}, such as signal.side=8, no others")
+        tree = merge(tree, change)
+        if "signal" in change:
+            of_signal.append(change["signal"])
+    return from_mapping(LinkSettings, tree), of_signal
+
+
+def _numbered(names: tuple[str, ...] | list[str], number: int, what: str) -> str:
+    if number >= len(names):
+        raise SettingsError(f"there is no {what} {number} here: load the page again")
+    return names[number]
