@@ -1,5 +1,6 @@
 """What a packet's light was, as received, as equalised and as decided; its soft values by layer."""
 
+from base64 import b64encode
 from collections.abc import Mapping
 from typing import Any
 
@@ -129,8 +130,8 @@ def _bars(values: Floats, scale: float) -> list[int]:
     return [int(one) for one in counts]
 
 
-def grey(levels: Floats, low: float, high: float) -> list[list[int]]:
-    """Levels as gray values 0 to 255, row by row.
+def grey(levels: Floats, low: float, high: float) -> dict[str, Any]:
+    """Levels as a small gray picture: `rows`, `columns`, and `data`, values 0 to 255 row by row in Base64.
 
     Parameters
     ----------
@@ -140,4 +141,5 @@ def grey(levels: Floats, low: float, high: float) -> list[list[int]]:
         What is black, and what is white.
     """
     scaled = (levels - low) * (255.0 / max(high - low, TINY))
-    return [[int(one) for one in row] for row in np.clip(scaled, 0, 255)]
+    data = np.clip(scaled, 0, 255).astype(np.uint8).tobytes()
+    return {"rows": levels.shape[0], "columns": levels.shape[1], "data": b64encode(data).decode("ascii")}

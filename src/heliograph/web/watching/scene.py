@@ -183,7 +183,7 @@ class Seen:
         received = self._received(event, place)
         return out if received is None else out | {"received": received}
 
-    def _received(self, event: DecodeEvent, place: int) -> list[list[int]] | None:
+    def _received(self, event: DecodeEvent, place: int) -> dict[str, Any] | None:
         """The pattern of a pair as the camera saw it."""
         if event.luminances is not None:
             for pair in self._pairs.get(event.identity, ()):
@@ -196,8 +196,8 @@ class Seen:
         return _received_cutout(cutout, self.signal.side)
 
 
-def received_of(pose: Pose, frame: AnyFrame, side: int) -> list[list[int]]:
-    """The array as the camera saw it, always as large, with the camera's own pixels, as gray values 0 to 255.
+def received_of(pose: Pose, frame: AnyFrame, side: int) -> dict[str, Any]:
+    """The array as the camera saw it, always as large, with the camera's own pixels, as a small picture, see `grey`.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def received_of(pose: Pose, frame: AnyFrame, side: int) -> list[list[int]]:
     return _stretched(_cut(np.asarray(frame.pixels, np.float32), frame.origin, pose, side))
 
 
-def _received_cutout(cutout: Cutout, side: int) -> list[list[int]]:
+def _received_cutout(cutout: Cutout, side: int) -> dict[str, Any]:
     # sum and difference of pattern and inverse give the pattern
     pixels = (0.5 * (cutout.total + cutout.difference)).astype(np.float32)
     return _stretched(_cut(pixels, cutout.corner, cutout.poses[0], side))
@@ -227,7 +227,7 @@ def _cut(pixels: Any, origin: tuple[float, float], pose: Pose, side: int) -> Flo
     )
 
 
-def _stretched(pixels: Floats) -> list[list[int]]:
+def _stretched(pixels: Floats) -> dict[str, Any]:
     """From the darkest pixel to the brightest."""
     return grey(pixels, float(pixels.min()), float(pixels.max()))
 

@@ -167,6 +167,8 @@ class Session:
             for task in done:
                 task.result()
         finally:
+            if self._run is not None:
+                self._run.gate.stop()  # at once: what follows waits, and may be broken off
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)

@@ -1,1 +1,1 @@
-const t="heliograph-token";function n(){const e=new URLSearchParams(location.hash.slice(1)).get("token");return e!==null&&(sessionStorage.setItem(t,e),history.replaceState(null,"",location.pathname+location.search)),sessionStorage.getItem(t)}n();
+const t="heliograph-token";function n(){const e=new URLSearchParams(location.hash.slice(1)).get("token");return e!==null&&(sessionStorage.setItem(t,e),history.replaceState(null,"",location.pathname+location.search)),sessionStorage.getItem(t)}const o=n();export{o as t};

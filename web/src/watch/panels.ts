@@ -1,0 +1,200 @@
+// The panels beside the frame, each drawn anew from the model.
+
+import { bytes, make, one } from "../common/dom";
+import { speedWords } from "./frame";
+import { drawGrey } from "./grey";
+import { drawLights } from "./lights";
+import { pictureType, type Model } from "./model";
+import { LAYERS, type About, type Bin, type Histogram, type Layer } from "./rows";
+import { drawing, svg } from "./svg";
+
+function put(id: string, ...children: (Node | string)[]): void {
+  one(id, HTMLElement).replaceChildren(...children);
+}
+
+function head(...names: string[]): HTMLTableSectionElement {
+  return make("thead", {}, make("tr", {}, ...names.map((name) => make("th", { scope: "col" }, name))));
+}
+
+function line(name: string, ...cells: string[]): HTMLTableRowElement {
+  return make("tr", {}, make("th", { scope: "row" }, name), ...cells.map((cell) => make("td", {}, cell)));
+}
+
+function arrays(model: Model, about: About | null): void {
+  const boxes = new Map(about?.boxes.map((box) => [box.id, box]));
+  const known = new Map(model.arrays.map((array) => [array.id, array]));
+  const ids = [...new Set([...boxes.keys(), ...known.keys()])].sort((a, b) => a - b);
+  const rows = ids.map((id) => {
+    const box = boxes.get(id);
+    const counts = known.get(id);
+    const layers = LAYERS.map((layer) => {
+      const tally = counts?.layers[layer];
+      return tally === undefined ? "" : `${tally.ok} of ${tally.ok + tally.failed}`;
+    });
+    const where = box === undefined ? "lost" : box.seen ? `${box.distance_m.toFixed(1)} m` : "out of sight";
+    return line(`array ${id}`, where, speedWords(model.approach.get(id)), String(counts?.packets ?? 0), ...layers);
+  });
+  const body = rows.length > 0 ? rows : [make("tr", {}, make("td", { colspan: 7, class: "dim" }, "none found yet"))];
+  put("arrays", head("Identity", "Distance", "Speed", "Packets", "High read", "Middle read", "Low read"), make("tbody", {}, ...body));
+}
+
+function light(model: Model): void {
+  const row = model.light;
+  drawGrey("received", row?.received, "As received");
+  drawGrey("equalised", row?.equalised, "As equalised");
+  drawGrey("decided", row?.decided, "As decided");
+  const words = row === null ? "" : row.reason ?? `array ${row.id}, ${row.time_s.toFixed(3)} s, pair ${row.pair ?? "?"} of ${row.pairs ?? "?"}; ${row.how ?? ""}`;
+  put("light-note", words);
+}
+
+function bars(layer: Layer, one: Histogram): HTMLElement {
+  const [width, height, count] = [240, 56, one.zeros.length];
+  const most = Math.max(1, ...one.zeros, ...one.ones, ...one.open);
+  const step = width / count;
+  const parts = (["open", "ones", "zeros"] as const).flatMap((kind) => one[kind].map((value, k) => {
+    const tall = (value / most) * (height - 2);
+    return svg("rect", { x: k * step + 0.5, y: height - tall, width: step - 1, height: tall, class: `bar ${kind} ${layer}` });
+  }));
+  const middle = svg("line", { x1: width / 2, x2: width / 2, y1: 0, y2: height, class: "axis" });
+  const read = one.known === 0 ? "not read" : `${one.wrong} of ${one.known} bits wrong before decoding`;
+  return make("figure", { class: "bars" },
+    drawing(width, height, `Soft values of the ${layer} layer: ${read}`, ...parts, middle),
+    make("figcaption", {}, make("strong", { class: layer }, layer), ` ${read}; edge at ±${one.scale.toPrecision(2)}`));
+}
+
+function soft(model: Model): void {
+  const layers = model.light?.layers;
+  if (layers === undefined) put("soft", make("p", { class: "dim" }, "No packet yet."));
+  else put("soft", ...LAYERS.map((layer) => bars(layer, layers[layer])));
+}
+
+let shownPicture: string | null = null;
+
+function picture(model: Model): void {
+  const data = model.picture?.data ?? null;
+  if (data === shownPicture) return;
+  shownPicture = data;
+  const type = data === null ? null : pictureType(data);
+  if (data === null || type === null) {
+    put("picture", make("p", { class: "dim" }, "It grows as the low layer comes in."));
+    return;
+  }
+  const old = one("picture", HTMLElement).querySelector("img");
+  if (old !== null) URL.revokeObjectURL(old.src);
+  const blob = new Blob([Uint8Array.from(atob(data), (c) => c.charCodeAt(0))], { type });
+  const image = make("img", { alt: `The newest picture that was received, ${bytes(blob.size)}` });
+  image.src = URL.createObjectURL(blob);
+  const caption = make("figcaption", { class: "dim small" }, `picture ${model.picture?.count ?? 1}, ${bytes(blob.size)}`);
+  image.onload = () => caption.append(`, ${image.naturalWidth} by ${image.naturalHeight} px`);
+  image.onerror = () => put("picture", make("p", { class: "dim" }, "The picture is damaged."));
+  put("picture", make("figure", {}, image, caption));
+}
+
+function messages(model: Model): void {
+  const part = (had: number, of: number, name: string): HTMLElement =>
+    make("label", { class: "wide small" }, name, make("progress", { max: of, value: had }));
+  const files = [...model.files.values()].map((file) => part(Math.min(file.symbols, file.needed), file.needed,
+    file.whole ? `file ${file.name ?? file.file}: whole, ${bytes(file.bytes)}` : `file of ${bytes(file.bytes)}: ${file.symbols} of ${file.needed} symbols`));
+  const open = model.unfinished.slice(0, 6).map((one) => part(one.had, one.bytes, `array ${one.id}, ${one.layer}, message ${one.stream}: ${one.had} of ${one.bytes} bytes`));
+  put("unfinished", ...files, ...open);
+  put("messages", ...model.messages.map((row) => {
+    const said = row.text ?? (row.road !== undefined ? `${row.road.kind}${row.road.reason === undefined ? "" : `: ${row.road.reason}`}` : pictureType(row.data) !== null ? "a picture" : "bytes");
+    return make("li", {}, make("strong", { class: row.layer }, row.layer), ` array ${row.id}, ${bytes(row.bytes)}: `,
+      make("span", { class: "text" }, said.length > 200 ? `${said.slice(0, 200)}…` : said));
+  }));
+}
+
+function packets(model: Model): void {
+  put("packets", ...model.packets.map((row) => {
+    const words = LAYERS.map((layer) => {
+      const list = row.layers[layer] ?? [];
+      const read = list.filter((word) => word.status === "ok").length;
+      return make("span", { class: read === list.length ? `word ${layer}` : "word bad" }, `${layer} ${read}/${list.length}`);
+    });
+    return make("li", {}, `${row.time_s.toFixed(3)} s · array ${row.id} · ${row.distance_m.toFixed(1)} m `, ...words, row.reason ?? "");
+  }));
+}
+
+function percent(rate: number): string {
+  return `${(rate * 100).toPrecision(2)} %`;
+}
+
+function counted({ wrong, sent, high }: { wrong: number; sent: number; high: number }): string {
+  return sent === 0 ? "" : `${wrong} of ${sent}${wrong === 0 ? ` (< ${percent(high)})` : ""}`;
+}
+
+function chart(bins: Bin[]): SVGElement {
+  const [width, height, left, bottom] = [340, 150, 34, 22];
+  const from = Math.min(...bins.map((bin) => bin.from_m));
+  const to = Math.max(...bins.map((bin) => bin.to_m));
+  const x = (metres: number): number => left + ((metres - from) / Math.max(to - from, 5)) * (width - left - 6);
+  const y = (rate: number): number => 6 + (1 - rate) * (height - bottom - 6);
+  const grid = [0, 0.5, 1].flatMap((rate) => [
+    svg("line", { x1: left, x2: width - 6, y1: y(rate), y2: y(rate), class: "axis" }),
+    svg("text", { x: left - 4, y: y(rate) + 4, class: "tick", "text-anchor": "end" }, `${rate * 100}`),
+  ]);
+  const ticks = bins.map((bin) => svg("text", { x: x((bin.from_m + bin.to_m) / 2), y: height - 6, class: "tick", "text-anchor": "middle" }, `${bin.from_m}`));
+  const marks = LAYERS.flatMap((layer, k) => bins.filter((bin) => bin.layers[layer].sent > 0).flatMap((bin) => {
+    const one = bin.layers[layer];
+    const at = x((bin.from_m + bin.to_m) / 2) + (k - 1) * 5;
+    return [
+      svg("line", { x1: at, x2: at, y1: y(one.low), y2: y(one.high), class: `mark ${layer}` }),
+      svg("circle", { cx: at, cy: y(one.wrong / one.sent), r: 3, class: `dot ${layer}` }),
+    ];
+  }));
+  return drawing(width, height, "Percent of codewords wrong by distance in m, with 95 % intervals; the table has the counts", ...grid, ...ticks, ...marks);
+}
+
+function errors(model: Model): void {
+  const bins = model.errors;
+  if (bins === null || bins.length === 0) {
+    if (model.source !== null) put("errors", make("p", { class: "dim" }, model.source.truth ? "No packet was sent whole yet." : "The truth of this source is not known."));
+    return;
+  }
+  const rows = [...bins].reverse().map((bin) => line(`${bin.from_m} to ${bin.to_m} m`, ...LAYERS.map((layer) => counted(bin.layers[layer]))));
+  put("errors", chart(bins), make("div", { class: "scrolls", tabindex: 0, role: "region", "aria-label": "Counts by distance" },
+    make("table", { class: "small" }, head("Distance", "High", "Middle", "Low"), make("tbody", {}, ...rows))),
+  make("p", { class: "dim small" }, `Percent, with 95 % intervals. Codewords taken for right that were not sent: ${model.falseCodewords}.`));
+}
+
+const STAGE_WORDS: Record<string, string> = {
+  render: "rendering the drive", read: "reading the film", search: "searching, and all else", find: "finding arrays",
+  follow: "following", "take pairs": "taking pairs", equalise: "equalising", decode: "decoding", show: "showing this page",
+};
+
+function stages(model: Model): void {
+  const state = model.state;
+  if (state === null) return;
+  const times = Object.entries(state.stages).filter(([name]) => name !== "wait").sort((a, b) => b[1] - a[1]);
+  const total = times.reduce((sum, [, seconds]) => sum + seconds, 0);
+  const rows = times.map(([name, seconds]) => make("tr", {}, make("th", { scope: "row" }, STAGE_WORDS[name] ?? name),
+    make("td", {}, make("progress", { max: Math.max(total, 1e-9), value: seconds, "aria-label": STAGE_WORDS[name] ?? name })),
+    make("td", {}, `${((1000 * seconds) / Math.max(state.frames, 1)).toFixed(2)}`), make("td", {}, percent(seconds / Math.max(total, 1e-9)))));
+  put("stages", make("table", { class: "small" }, head("Stage", "Part", "ms a frame", "of all"), make("tbody", {}, ...rows)),
+    make("p", { class: "dim small" }, `${state.frames} frames, ${(state.frames / Math.max(total, 1e-9)).toFixed(0)} a second without waiting.`));
+}
+
+/** Draws all panels: those that cost more only when their rows changed. */
+export class Panels {
+  private drawn: { [name: string]: unknown } = {};
+
+  draw(model: Model, about: About | null): void {
+    arrays(model, about);
+    this.once("light", model.light, () => { light(model); soft(model); });
+    picture(model);
+    drawLights(model, about?.time_s ?? null);
+    this.once("messages", model.unfinished, () => messages(model));
+    this.once("packets", model.packets[0], () => packets(model));
+    this.once("state", model.state, () => { errors(model); stages(model); });
+  }
+
+  private once(name: string, key: unknown, draw: () => void): void {
+    if (name in this.drawn && this.drawn[name] === key) return;
+    this.drawn[name] = key;
+    draw();
+  }
+
+  forget(): void {
+    this.drawn = {};
+  }
+}
