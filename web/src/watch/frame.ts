@@ -1,6 +1,7 @@
 // The frame with a box about each array that is followed.
 
 import { colour, one } from "../common/dom";
+import { imageOf } from "./grey";
 import type { Model } from "./model";
 import type { About, Box } from "./rows";
 
@@ -13,7 +14,9 @@ export class FrameView {
   private readonly canvas = one("frame", HTMLCanvasElement);
 
   async draw(about: About, picture: Blob, model: Model): Promise<void> {
-    const image = await createImageBitmap(picture);
+    const [image, ...cuts] = await Promise.all([
+      createImageBitmap(picture), ...about.cuts.slice(0, 3).map((cut) => createImageBitmap(imageOf(cut.received))),
+    ]);
     const canvas = this.canvas;
     if (canvas.width !== image.width || canvas.height !== image.height) {
       canvas.width = image.width;
@@ -23,9 +26,28 @@ export class FrameView {
     if (context === null) return;
     context.drawImage(image, 0, 0);
     image.close();
+    cuts.forEach((cut, k) => this.inset(context, cut, k, about.cuts[k]?.id ?? 0));
     const scale = canvas.width / about.width;
     for (const box of about.boxes) this.box(context, box, scale, model);
     canvas.setAttribute("aria-label", this.words(about, model));
+  }
+
+  /** The newest cut-out of an array, enlarged, at the frame's upper edge. */
+  private inset(context: CanvasRenderingContext2D, cut: ImageBitmap, place: number, id: number): void {
+    const size = Math.max(1, this.canvas.width / Math.max(this.canvas.clientWidth, 1));
+    const side = Math.min(this.canvas.height * 0.36, 170 * size);
+    const left = 8 * size + place * (side + 8 * size);
+    context.imageSmoothingEnabled = false;
+    context.drawImage(cut, left, 8 * size, side, side);
+    cut.close();
+    context.lineWidth = 2 * size;
+    context.strokeStyle = "#ffb300";
+    context.strokeRect(left, 8 * size, side, side);
+    context.font = `600 ${12 * size}px system-ui, sans-serif`;
+    context.fillStyle = "rgb(11 13 17 / 80%)";
+    context.fillRect(left, 8 * size, context.measureText(`array ${id}`).width + 10 * size, 18 * size);
+    context.fillStyle = "#fff";
+    context.fillText(`array ${id}`, left + 5 * size, 21 * size);
   }
 
   private box(context: CanvasRenderingContext2D, box: Box, scale: number, model: Model): void {

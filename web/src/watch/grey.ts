@@ -3,6 +3,16 @@
 import { one } from "../common/dom";
 import type { Grey } from "./rows";
 
+export function imageOf(grey: Grey): ImageData {
+  const image = new ImageData(grey.columns, grey.rows);
+  const levels = atob(grey.data);
+  for (let k = 0; k < levels.length; k += 1) {
+    image.data.fill(levels.charCodeAt(k), 4 * k, 4 * k + 3);
+    image.data[4 * k + 3] = 255;
+  }
+  return image;
+}
+
 export function drawGrey(id: string, grey: Grey | undefined, name: string): void {
   const canvas = one(id, HTMLCanvasElement);
   const context = canvas.getContext("2d");
@@ -14,12 +24,6 @@ export function drawGrey(id: string, grey: Grey | undefined, name: string): void
   }
   canvas.width = grey.columns;
   canvas.height = grey.rows;
-  const image = context.createImageData(grey.columns, grey.rows);
-  const levels = atob(grey.data);
-  for (let k = 0; k < levels.length; k += 1) {
-    image.data.fill(levels.charCodeAt(k), 4 * k, 4 * k + 3);
-    image.data[4 * k + 3] = 255;
-  }
-  context.putImageData(image, 0, 0);
+  context.putImageData(imageOf(grey), 0, 0);
   canvas.setAttribute("aria-label", `${name}: ${grey.columns} by ${grey.rows} levels`);
 }

@@ -24,6 +24,8 @@ function parted(data: ArrayBuffer): [About, Blob] {
 /** A connection that lasts as long as a reception; a new one is opened with the next. */
 export class Link {
   private socket: WebSocket | null = null;
+  private rows = 0;
+  private due = false;
 
   constructor(private readonly hearer: Hearer) {}
 
@@ -31,13 +33,17 @@ export class Link {
     this.close();
     const made = socket("watch");
     this.socket = made;
+    this.rows = 0;
     made.onopen = () => {
       this.say({ do: "speed", times });
       this.say({ do: "open", source });
     };
     made.onmessage = (event: MessageEvent<string | ArrayBuffer>) => {
       if (this.socket !== made) return;
-      if (typeof event.data === "string") this.hearer.row(JSON.parse(event.data) as Row);
+      if (typeof event.data === "string") {
+        this.hearer.row(JSON.parse(event.data) as Row);
+        this.heard();
+      }
       // the next scene comes when this one is drawn: a slow page gets fewer, never later ones
       else void this.hearer.scene(...parted(event.data)).finally(() => this.say({ do: "took" }));
     };
@@ -46,6 +52,17 @@ export class Link {
       this.socket = null;
       this.hearer.gone(event.reason || (event.code === 1006 ? "the server is not there, or refused: is its address whole?" : ""));
     };
+  }
+
+  /** Tells how many rows came: the server sends no more than so many ahead. */
+  private heard(): void {
+    this.rows += 1;
+    if (this.due) return;
+    this.due = true;
+    setTimeout(() => {
+      this.due = false;
+      this.say({ do: "heard", rows: this.rows });
+    }, 100);
   }
 
   say(command: object): void {

@@ -116,11 +116,11 @@ function packets(model: Model): void {
 }
 
 function percent(rate: number): string {
-  return `${(rate * 100).toPrecision(2)} %`;
+  return `${rate >= 0.1 ? (rate * 100).toFixed(0) : (rate * 100).toPrecision(1)} %`;
 }
 
 function counted({ wrong, sent, high }: { wrong: number; sent: number; high: number }): string {
-  return sent === 0 ? "" : `${wrong} of ${sent}${wrong === 0 ? ` (< ${percent(high)})` : ""}`;
+  return sent === 0 ? "" : `${wrong} of ${sent}${wrong === 0 ? `, < ${percent(high)}` : ""}`;
 }
 
 function chart(bins: Bin[]): SVGElement {
@@ -170,7 +170,7 @@ function stages(model: Model): void {
   const rows = times.map(([name, seconds]) => make("tr", {}, make("th", { scope: "row" }, STAGE_WORDS[name] ?? name),
     make("td", {}, make("progress", { max: Math.max(total, 1e-9), value: seconds, "aria-label": STAGE_WORDS[name] ?? name })),
     make("td", {}, `${((1000 * seconds) / Math.max(state.frames, 1)).toFixed(2)}`), make("td", {}, percent(seconds / Math.max(total, 1e-9)))));
-  put("stages", make("table", { class: "small" }, head("Stage", "Part", "ms a frame", "of all"), make("tbody", {}, ...rows)),
+  put("stages", make("table", { class: "small" }, head("Stage", "Part", "ms/frame", "of all"), make("tbody", {}, ...rows)),
     make("p", { class: "dim small" }, `${state.frames} frames, ${(state.frames / Math.max(total, 1e-9)).toFixed(0)} a second without waiting.`));
 }
 

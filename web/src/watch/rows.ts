@@ -32,5 +32,5 @@ export type Row =
 export interface Box { id: number; seen: boolean; distance_m: number; corners: [number, number][] }
 export interface About {
   time_s: number; frame: number; width: number; height: number; boxes: Box[];
-  cuts: { id: number; received: Grey; equalised?: Grey }[];
+  cuts: { id: number; received: Grey }[];
 }

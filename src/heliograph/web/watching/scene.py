@@ -40,7 +40,7 @@ class Scene:
     boxes
         About the arrays: number, corners in px, distance in m, whether they were in sight.
     cuts
-        The newest pair of each array: number, as received, and LED by LED where that is known.
+        The newest pair of each array: number, and its pattern as received.
     """
 
     frame: Frame
@@ -145,13 +145,7 @@ class Seen:
         }  # fmt: skip
 
     def _cut(self, identity: int, event: ExtractEvent) -> dict[str, Any]:
-        out: dict[str, Any] = {
-            "id": identity,
-            "received": received_of(event.poses[0], event.frames[0], self.signal.side),
-        }
-        if event.luminances is not None:
-            out["equalised"] = grey(event.luminances, -2.0, 2.0)
-        return out
+        return {"id": identity, "received": received_of(event.poses[0], event.frames[0], self.signal.side)}
 
     def _light(self, event: DecodeEvent) -> dict[str, Any]:
         """One pair of a packet as received, as equalised and as decided; its soft values by layer."""
@@ -208,23 +202,23 @@ def received_of(pose: Pose, frame: AnyFrame, side: int) -> dict[str, Any]:
     side
         LEDs in a row.
     """
-    return _stretched(_cut(np.asarray(frame.pixels, np.float32), frame.origin, pose, side))
+    return _stretched(_cut(frame.pixels, frame.origin, pose, side))
 
 
 def _received_cutout(cutout: Cutout, side: int) -> dict[str, Any]:
     # sum and difference of pattern and inverse give the pattern
-    pixels = (0.5 * (cutout.total + cutout.difference)).astype(np.float32)
-    return _stretched(_cut(pixels, cutout.corner, cutout.poses[0], side))
+    return _stretched(_cut(0.5 * (cutout.total + cutout.difference), cutout.corner, cutout.poses[0], side))
 
 
 def _cut(pixels: Any, origin: tuple[float, float], pose: Pose, side: int) -> Floats:
-    scale = CUT_SIDE / (CUT_PITCHES * side * pose.pitch)
-    x, y = pose.x - origin[0], pose.y - origin[1]
-    place = np.array([[scale, 0, CUT_SIDE / 2 - scale * x], [0, scale, CUT_SIDE / 2 - scale * y]])
-    return np.asarray(
-        cv2.warpAffine(pixels, place, (CUT_SIDE, CUT_SIDE), flags=cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE),
-        np.float64,
+    width = CUT_PITCHES * side * pose.pitch
+    steps = (np.arange(CUT_SIDE) + 0.5) * (width / CUT_SIDE) - width / 2
+    # the nearest pixel; what lies beyond the frame repeats its border
+    rows, columns = (
+        np.clip(np.round(middle - corner + steps).astype(np.intp), 0, count - 1)
+        for middle, corner, count in zip((pose.y, pose.x), origin[::-1], pixels.shape, strict=True)
     )
+    return np.asarray(pixels[np.ix_(rows, columns)], np.float64)
 
 
 def _stretched(pixels: Floats) -> dict[str, Any]:

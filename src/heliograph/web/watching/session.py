@@ -26,6 +26,10 @@ MOST_WAITING = 16 << 20
 MOST_ROW = 1 << 20
 """Most bytes of a row; a longer one goes without its content. Chosen."""
 
+ROWS_IN_FLIGHT = 1 << 20
+"""Bytes of rows that may be on their way to a page; it says how many it has. So nothing piles up between server and
+page, however slowly the page reads. Chosen."""
+
 IN_FLIGHT = 2
 """Scenes that may be on their way to a page; it says when it has drawn one. Chosen: one is drawn while one comes."""
 
@@ -46,7 +50,9 @@ class Command(BaseModel):
     ----------
     do
         "open" (a source), "pause", "go", "step" (a frame), "packet" (step to a packet's end), "speed", "stop", "save"
-        (what failed), "took" (a scene was drawn).
+        (what failed), "took" (a scene was drawn), "heard" (rows came).
+    rows
+        Rows that came so far.
     source
         What is opened.
     times
@@ -57,10 +63,11 @@ class Command(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
-    do: Literal["open", "pause", "go", "step", "packet", "speed", "stop", "save", "took"]
+    do: Literal["open", "pause", "go", "step", "packet", "speed", "stop", "save", "took", "heard"]
     source: Asked | None = None
     times: Annotated[float, Field(ge=1e-4, le=100, allow_inf_nan=False)] | None = None
     paused: bool = False
+    rows: Annotated[int, Field(ge=0)] = 0
 
 
 class Outbox:
@@ -157,6 +164,8 @@ class Session:
         self._run: Run | None = None
         self._speed: float | None = None
         self._credit, self._wrong = IN_FLIGHT, 0
+        self._unheard: deque[int] = deque()
+        self._unheard_bytes = self._rows_sent = 0
         self._mine: list[str] = []
 
     async def attend(self) -> None:
@@ -207,6 +216,10 @@ class Session:
         if command.do == "took":
             self._credit = min(self._credit + 1, IN_FLIGHT)
             self._outbox.filled.set()
+        elif command.do == "heard":
+            while self._unheard and self._rows_sent - len(self._unheard) < command.rows:
+                self._unheard_bytes -= self._unheard.popleft()
+            self._outbox.filled.set()
         elif command.do == "open" and command.source is not None:
             await self._open(command.source, command.paused)
         elif command.do == "speed":
@@ -252,7 +265,9 @@ class Session:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(outbox.filled.wait(), wait_s)
             outbox.filled.clear()
-            while not outbox.full and (row := outbox.next_row()) is not None:
+            while not outbox.full and self._unheard_bytes < ROWS_IN_FLIGHT and (row := outbox.next_row()) is not None:
+                self._unheard.append(len(row))
+                self._unheard_bytes, self._rows_sent = self._unheard_bytes + len(row), self._rows_sent + 1
                 await self._socket.send_text(row)
             if self._credit and loop.time() >= due_s and (scene := outbox.next_scene()) is not None:
                 self._credit, due_s = self._credit - 1, loop.time() + SCENE_S
