@@ -9,7 +9,7 @@ from collections import deque
 from pathlib import Path
 from typing import Annotated, Literal
 
-from fastapi import WebSocket, WebSocketDisconnect
+from fastapi import WebSocket
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from heliograph.base.errors import HeliographError
@@ -39,7 +39,10 @@ MOST_WRONG = 20
 IDLE_S = 900.0
 """Time in s without a command after which a page that watches nothing is let go. Chosen."""
 
-TOO_SLOW, WRONG, BUSY = 1013, 1008, 1013
+LAST_WORDS_S = 1.0
+"""Longest time in s that a page that is let go is told so. Chosen."""
+
+IDLE, WRONG, TOO_SLOW, BUSY = 1000, 1008, 1013, 1013
 """Codes with which a WebSocket is closed (RFC 6455, section 7.4.1, and the registry of codes)."""
 
 
@@ -173,8 +176,7 @@ class Session:
         tasks = [asyncio.create_task(self._hear()), asyncio.create_task(self._send())]
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
+            let_go = [task.result() for task in done]
         finally:
             if self._run is not None:
                 self._run.gate.stop()  # at once: what follows waits, and may be broken off
@@ -186,24 +188,26 @@ class Session:
                 path = self._bundles.pop(name, None)
                 if path is not None:
                     path.unlink(missing_ok=True)
+        for code, reason in filter(None, let_go):
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._socket.close(code, reason), LAST_WORDS_S)
 
-    async def _hear(self) -> None:
-        """Take commands until the page goes, or says what is none too often."""
+    async def _hear(self) -> tuple[int, str] | None:
+        """Take commands until the page goes, or says what is none too often; why it is let go, if it is."""
         while True:
             try:
                 wait_s = None if self._run is not None else IDLE_S
                 message = await asyncio.wait_for(self._socket.receive(), wait_s)
             except TimeoutError:
-                return
+                return IDLE, "nothing is watched"
             if message["type"] == "websocket.disconnect":
-                return
+                return None
             try:
                 command = Command.model_validate_json(message.get("text") or "")
             except (ValidationError, UnicodeError):
                 self._wrong += 1
                 if self._wrong > MOST_WRONG:
-                    await self._close(WRONG, "these are no commands")
-                    return
+                    return WRONG, "these are no commands"
                 self._outbox.tell({"event": "refused", "reason": "that is no command of these pages"})
                 continue
             try:
@@ -256,8 +260,8 @@ class Session:
         self._mine.append(name)
         self._outbox.tell({"event": "saved", "bundle": name, "bytes": path.stat().st_size})
 
-    async def _send(self) -> None:
-        """Send rows as they come, and scenes as the page takes them, at most 30 a second."""
+    async def _send(self) -> tuple[int, str]:
+        """Send rows as they come, and scenes as the page takes them, at most 30 a second; why the page is let go."""
         loop, outbox = asyncio.get_running_loop(), self._outbox
         due_s = 0.0
         while not outbox.full:
@@ -272,11 +276,7 @@ class Session:
             if self._credit and loop.time() >= due_s and (scene := outbox.next_scene()) is not None:
                 self._credit, due_s = self._credit - 1, loop.time() + SCENE_S
                 await self._socket.send_bytes(await asyncio.to_thread(scene.encoded))
-        await self._close(TOO_SLOW, "this page takes what is sent too slowly")
-
-    async def _close(self, code: int, reason: str) -> None:
-        with contextlib.suppress(TimeoutError, RuntimeError, WebSocketDisconnect):
-            await asyncio.wait_for(self._socket.close(code, reason), 1.0)
+        return TOO_SLOW, "this page takes what is sent too slowly"
 
 
 def _turn(gate: Gate, act: str) -> None:

@@ -1,0 +1,209 @@
+"""Malformed requests, uploads and socket messages for the server of the pages: each is answered, refused, or let go."""
+
+import argparse
+import asyncio
+import json
+import random
+import resource
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, MutableMapping, Sequence
+from typing import Any
+
+from fastapi import FastAPI
+
+from benchmarks.fuzz import mutated
+from heliograph.web.app import create_app
+from heliograph.web.limits import Limits
+from heliograph.web.security import LOOPBACK, Door
+
+LIMITS = Limits(film_bytes=4096, films=4, body_bytes=2048, idle_s=0.05, upload_s=1.0)
+"""Small ones, so that cases go beyond them."""
+
+LIMIT_S = 20.0
+"""Longest time of a case: a reception that began is ended before its next frame."""
+
+TOKEN = "a-token"
+
+PATHS = ("/", "/watch", "/api/films", "/api/films/00", "/api/watch/sources", "/api/watch/bundles/00", "/api/transmit",
+         "/api/receive", "/assets/watch.js", "/../../etc/passwd", "/%2e%2e/%2e%2e", "/api//films", "/\x00")  # fmt: skip
+
+METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH", "BREW")
+
+HEADERS = (
+    (b"host", b"127.0.0.1:8000"), (b"host", b"evil.example"), (b"origin", b"http://127.0.0.1:8000"),
+    (b"origin", b"null"), (b"authorization", b"Bearer a-token"), (b"authorization", b"Basic AAAA"),
+    (b"content-length", b"12"), (b"content-length", b"-1"), (b"content-length", b"999999999999"),
+    (b"content-type", b"application/json"), (b"content-type", b"multipart/form-data; boundary="),
+    (b"transfer-encoding", b"chunked"), (b"sec-fetch-site", b"cross-site"), (b"range", b"bytes=-9-"),
+    (b"cookie", b"a=b"), (b"accept-encoding", b"gzip, br"),
+)  # fmt: skip
+
+QUIET = (
+    {"do": "pause"}, {"do": "go"}, {"do": "step"}, {"do": "packet"}, {"do": "stop"}, {"do": "save"}, {"do": "took"},
+    {"do": "heard", "rows": 7}, {"do": "speed", "times": 0.1}, {"do": "speed", "times": None},
+    {"do": "open", "source": {"kind": "film", "film": "0" * 32, "rate_hz": 30.0}},
+    {"do": "open", "source": {"kind": "named", "number": 0, "changes": ["signal.side=8", "receive.receiver='soft'"]}},
+    {"do": "open", "source": {"kind": "camera", "number": 3}, "paused": True},
+)  # fmt: skip
+"""Commands that begin no reception."""
+
+DRIVE = {"do": "open", "source": {"kind": "drive", "preset": "static", "distance_m": 50.0, "seed": 1, "street": False}}
+"""A command that begins one."""
+
+DRIVES = 0.002
+"""Part of the messages that are made of `DRIVE`, which takes long."""
+
+
+def served() -> FastAPI:
+    """The application, with a token, and a film that is not there."""
+    return create_app(films=["missing.mkv"], door=Door(LOOPBACK, token=TOKEN), limits=LIMITS)
+
+
+async def answer(
+    app: FastAPI, method: str, path: str, headers: Iterable[tuple[bytes, bytes]], parts: Sequence[bytes | None]
+) -> int:
+    """Status of a request's answer; a part that is None does not come, -1 is no answer."""
+    scope = {
+        "type": "http", "asgi": {"version": "3.0"}, "http_version": "1.1", "method": method, "scheme": "http",
+        "path": path.partition("?")[0], "raw_path": path.encode("utf-8", "replace"), "root_path": "",
+        "query_string": path.partition("?")[2].encode("utf-8", "replace"), "headers": list(headers),
+        "client": ("127.0.0.1", 1), "server": ("127.0.0.1", 8000),
+    }  # fmt: skip
+    waiting, status = [*parts], -1
+
+    async def receive() -> MutableMapping[str, Any]:
+        if not waiting:
+            return {"type": "http.disconnect"}
+        part = waiting.pop(0)
+        if part is None:
+            await asyncio.sleep(3600)
+        return {"type": "http.request", "body": part, "more_body": bool(waiting)}
+
+    async def send(message: MutableMapping[str, Any]) -> None:
+        nonlocal status
+        status = message.get("status", status)
+
+    await asyncio.wait_for(app(scope, receive, send), LIMIT_S)
+    return status
+
+
+async def talk(app: FastAPI, messages: Iterable[MutableMapping[str, Any]], token: str = TOKEN) -> list[str]:
+    """What the WebSocket of page *Watch* sends while it hears some messages: "text", "bytes", or how it closed."""
+    scope = {
+        "type": "websocket", "asgi": {"version": "3.0"}, "http_version": "1.1", "scheme": "ws", "path": "/api/watch",
+        "raw_path": b"/api/watch", "root_path": "", "query_string": b"", "headers": [(b"host", b"127.0.0.1:8000")],
+        "client": ("127.0.0.1", 1), "server": ("127.0.0.1", 8000), "subprotocols": ["heliograph", f"token.{token}"],
+    }  # fmt: skip
+    waiting, said = [{"type": "websocket.connect"}, *messages], []
+
+    async def receive() -> MutableMapping[str, Any]:
+        if len(waiting) == 1:
+            await asyncio.sleep(0)
+        return waiting.pop(0) if waiting else {"type": "websocket.disconnect", "code": 1001}
+
+    async def send(message: MutableMapping[str, Any]) -> None:
+        kind = message["type"].removeprefix("websocket.")
+        said.append(f"close {message.get('code')}" if kind == "close" else "text" if "text" in message else kind)
+
+    await asyncio.wait_for(app(scope, receive, send), LIMIT_S)
+    return said
+
+
+def request_case(rng: random.Random) -> tuple[str, str, list[tuple[bytes, bytes]], list[bytes | None]]:
+    """A request; half of them are uploads that come in."""
+    if rng.random() < 0.5:
+        method, path = "PUT", f"/api/films?kind={rng.choice(('mp4', 'npy', '../../x', '', 'h5%00'))}"
+        headers = [HEADERS[0], HEADERS[4]]
+    else:
+        method, path = rng.choice(METHODS), rng.choice(PATHS)
+        headers = [(b"host", b"127.0.0.1:8000")] if rng.random() < 0.9 else []
+        headers += [HEADERS[4]] if rng.random() < 0.7 else []
+    if rng.random() < 0.5:
+        path = mutated(path.encode(), rng).decode("utf-8", "replace") or "/"
+        path = path if path.startswith("/") else f"/{path}"
+    for name, value in rng.sample(HEADERS, rng.choice((0, 0, 1, 2))):
+        headers.append((name, mutated(value, rng) if rng.random() < 0.5 else value))
+    parts: list[bytes | None] = [rng.randbytes(int(2 ** rng.uniform(0, 11))) for _ in range(rng.randrange(5))]
+    if rng.random() < 0.02:
+        parts.append(None)
+    return method, path, headers, parts
+
+
+def message_case(rng: random.Random) -> MutableMapping[str, Any]:
+    """A message: a command, mostly changed, as a text or as bytes."""
+    command = DRIVE if rng.random() < DRIVES else rng.choice(QUIET)
+    data = json.dumps(command).encode()
+    if rng.random() < 0.85:
+        data = mutated(data, rng)
+    if rng.random() < 0.1:
+        return {"type": "websocket.receive", "bytes": data}
+    return {"type": "websocket.receive", "text": data.decode("utf-8", rng.choice(("replace", "surrogateescape")))}
+
+
+async def fuzz_requests(app: FastAPI, cases: int, rng: random.Random) -> Counter[str]:
+    """What became of requests: by the first digit of the status, or what it should not be."""
+    found: Counter[str] = Counter()
+    for _ in range(cases):
+        case = request_case(rng)
+        try:
+            status = await answer(app, *case)
+            found[f"{status // 100}xx" if 200 <= status < 500 or status == 503 else f"{status} of {case[:2]}"] += 1
+        except Exception as error:
+            found[f"{type(error).__name__}: {error} of {case[:3]}"[:300]] += 1
+    return found
+
+
+async def fuzz_messages(app: FastAPI, cases: int, rng: random.Random) -> Counter[str]:
+    """What became of conversations, counted by message: ended, let go, or what it should not be."""
+    found: Counter[str] = Counter()
+    while found.total() < cases:
+        messages = [message_case(rng) for _ in range(min(rng.randrange(1, 30), cases - found.total()))]
+        try:
+            said = await talk(app, messages, TOKEN if rng.random() < 0.98 else "wrong")
+            found["let go" if any(one.startswith("close") for one in said) else "ended"] += len(messages)
+        except Exception as error:
+            found[f"{type(error).__name__}: {error} of {messages[-1]}"[:300]] += len(messages)
+    return found
+
+
+async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
+    """Run the cases, half of them requests and half messages; the server's folder is empty of all that broke off."""
+    app = served()
+    async with app.router.lifespan_context(app):
+        found = {
+            "requests": await fuzz_requests(app, cases // 2, random.Random(f"requests {seed}")),
+            "messages": await fuzz_messages(app, cases - cases // 2, random.Random(f"messages {seed}")),
+        }
+        left = [path for path in app.state.shared.uploads.folder().iterdir() if path.is_file()]
+        if len(left) > LIMITS.films or app.state.shared.sessions.taken:
+            found["left over"] = Counter({f"{len(left)} files, {app.state.shared.sessions.taken} sessions": 1})
+    return found
+
+
+GOOD = ("2xx", "3xx", "4xx", "5xx", "ended", "let go")
+"""What may become of a case; 5xx is 503, all places taken."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=0)
+    chosen = parser.parse_args()
+    began, wrong = time.process_time(), 0
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for name, counts in asyncio.run(fuzz(chosen.cases, chosen.seed)).items():
+        print(f"{name:10} " + ", ".join(f"{counts[what]} {what}" for what in GOOD if counts[what]))
+        for what, times in counts.items():
+            if what not in GOOD:
+                wrong += times
+                print(f"    {times} x {what}")
+    grown = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    print(f"{time.process_time() - began:.0f} s of processor time, {grown / 1e6:.0f} MB more")
+    print(f"{wrong} of {chosen.cases} cases end in something else than an answer, a refusal or an end")
+    sys.exit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()
