@@ -74,18 +74,25 @@ class Run:
         self._stages = Stages()
         self._newest: Frame | None = None
         self._began = self._shown = self._counted = time.monotonic()
+        self._ending, self._over, self._abandoned = threading.Lock(), False, False
         self._thread = threading.Thread(target=self._main, name="watch", daemon=True)
 
     def start(self) -> None:
         """Begin."""
         self._thread.start()
 
-    def stop(self) -> None:
-        """End it before its next frame, and wait for that."""
+    def abandon(self) -> None:
+        """End it before its next frame, and throw away what was not saved, without waiting for that."""
         self.gate.stop()
+        with self._ending:
+            self._abandoned = True
+            if self._over and self.failures is not None:
+                self.failures.close()
+
+    def stop(self) -> None:
+        """The same, and wait for it."""
+        self.abandon()
         self._thread.join()
-        if self.failures is not None:
-            self.failures.close()
 
     def save(self) -> Path | None:
         """Film of what failed so far, see `Failures.save`."""
@@ -104,6 +111,11 @@ class Run:
         except Exception as error:  # of whatever a film or a part of one's own brings; the server goes on
             self._teller.tell({"event": "failed", "reason": f"{type(error).__name__}: {error}"[:400]})
             raise
+        finally:
+            with self._ending:
+                self._over = True
+                if self._abandoned and self.failures is not None:
+                    self.failures.close()
 
     def _receive(self, source: Source) -> None:
         tell = self._teller.tell

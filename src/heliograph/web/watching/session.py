@@ -179,15 +179,14 @@ class Session:
             let_go = [task.result() for task in done]
         finally:
             if self._run is not None:
-                self._run.gate.stop()  # at once: what follows waits, and may be broken off
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-            await self._end()
+                self._run.abandon()  # what waits for its end may be broken off
             for name in self._mine:
                 path = self._bundles.pop(name, None)
                 if path is not None:
                     path.unlink(missing_ok=True)
+            for task in tasks:
+                task.cancel()
+            await asyncio.wait(tasks)
         for code, reason in filter(None, let_go):
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._socket.close(code, reason), LAST_WORDS_S)
