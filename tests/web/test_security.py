@@ -117,6 +117,15 @@ def test_other_requests_are_short(client: TestClient) -> None:
     assert client.post("/api/films", content=iter([b"of no said length"])).status_code == 411
 
 
+@pytest.mark.parametrize("length", ["-1", "1e3", "", "+5", "0x10"])
+def test_a_length_that_is_none_is_refused(client: TestClient, length: str) -> None:
+    assert client.post("/api/films", headers={"content-length": length}).status_code == 411
+
+
+def test_a_length_of_thousands_of_digits_is_refused(client: TestClient) -> None:
+    assert client.post("/api/films", headers={"content-length": "9" * 5000}).status_code == 413
+
+
 def test_films_are_gone_when_the_server_ends() -> None:
     with TestClient(create_app(limits=SMALL), base_url=OWN) as client:
         client.put("/api/films", content=b"film")

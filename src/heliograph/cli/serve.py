@@ -20,20 +20,21 @@ def run_serve(
     changes: list[str],
 ) -> None:
     """Serve the pages until Ctrl-C; other machines come in by a token, which is printed with a QR code."""
+    from heliograph.media.images import is_pattern
+    from heliograph.media.live.reader import is_camera
+
+    if (certificate is None) != (key is None):
+        raise SettingsError("HTTPS takes both --certificate and --key")
+    for film in films:
+        if not (is_camera(film) or is_pattern(film) or film.exists()):
+            raise MediaError(f"there is no file {film}: check the name")
+    settings = options.settings_from(preset, file, changes)
     try:
         from heliograph.web.app import create_app
         from heliograph.web.limits import Limits
         from heliograph.web.serve import Address, opened, run
     except ImportError as error:
         raise MediaError(f"the pages take the extra 'web' ({error.name}): pip install 'heliograph[web]'") from None
-    from heliograph.media.live.reader import is_camera
-
-    if (certificate is None) != (key is None):
-        raise SettingsError("HTTPS takes both --certificate and --key")
-    for film in films:
-        if not is_camera(film) and not film.exists():
-            raise MediaError(f"there is no file {film}: check the name")
-    settings = options.settings_from(preset, file, changes)
     address, limits = Address(*place, certificate, key), Limits()
     door = address.door()
     with opened(address) as waiting:

@@ -30,6 +30,9 @@ DATA = "/api/"
 UPLOAD = "PUT"
 """Method of uploads, which count their bytes themselves."""
 
+MOST_DIGITS = 18
+"""Digits of a length that is looked at; thousands take long to convert."""
+
 HEADERS = {
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
@@ -146,9 +149,9 @@ class Guard:
 
     def _too_long(self, headers: dict[str, list[str]]) -> tuple[int, str] | None:
         length = headers.get("content-length", ["0" if "transfer-encoding" not in headers else ""])[0]
-        if not length.isdecimal():
+        if not (length.isascii() and length.isdecimal()):
             return 411, "the length of a request must be said"
-        if int(length) > self._limits.body_bytes:
+        if len(length) > MOST_DIGITS or int(length) > self._limits.body_bytes:
             return 413, f"a request has at most {self._limits.body_bytes} bytes"
         return None
 

@@ -65,6 +65,8 @@ class Shared:
         Films that were uploaded.
     sessions
         Places of those who receive.
+    cameras
+        Names of the live cameras that were found when a page last looked for them; pages ask for them by number.
     """
 
     settings: LinkSettings
@@ -72,6 +74,7 @@ class Shared:
     limits: Limits
     uploads: Uploads
     sessions: Places = field(init=False)
+    cameras: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sessions", Places(self.limits.sessions, "receptions"))

@@ -48,9 +48,16 @@ async def sources(shared: Ours) -> dict[str, Any]:
 
 
 @router.get("/cameras")
-async def cameras() -> dict[str, Any]:
-    """The live cameras of this machine, and what is missing to see others."""
+async def cameras(shared: Ours) -> dict[str, Any]:
+    """The live cameras of this machine, and what is missing to see others.
+
+    Parameters
+    ----------
+    shared
+        What the pages share; the cameras are noted there.
+    """
     found, lacking = await run_in_threadpool(cameras_there, CameraSettings())
+    shared.cameras[:] = [one["name"] for one in found]
     return {"cameras": found, "lacking": lacking}
 
 

@@ -158,7 +158,8 @@ class Run:
             self._stages.mark("render" if isinstance(source.frames, LiveFilm) else "read")
             now = time.monotonic()
             if self._newest is not None and (now >= self._shown + SCENE_S or self.gate.holds):
-                self._shown = now
+                # in step with the screen, unless frames come more slowly
+                self._shown = now if now >= self._shown + 2 * SCENE_S else self._shown + SCENE_S
                 self._teller.show(seen.scene(self._newest))
             if now >= self._counted + STATE_S or self.gate.holds:
                 self._counted = now

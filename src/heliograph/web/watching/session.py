@@ -16,7 +16,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.measure.journal import Row
 from heliograph.web.shared import Shared
 from heliograph.web.watching.gate import Gate
-from heliograph.web.watching.run import SCENE_S, Run, Teller
+from heliograph.web.watching.run import Run, Teller
 from heliograph.web.watching.scene import Scene
 from heliograph.web.watching.sources import Asked
 
@@ -138,11 +138,6 @@ class Outbox:
         scene, self._scene = self._scene, None
         return scene
 
-    @property
-    def has_scene(self) -> bool:
-        """Whether a scene waits."""
-        return self._scene is not None
-
     def _wake(self) -> None:
         with contextlib.suppress(RuntimeError):  # the server has ended
             self._loop.call_soon_threadsafe(self.filled.set)
@@ -187,6 +182,9 @@ class Session:
             for task in tasks:
                 task.cancel()
             await asyncio.wait(tasks)
+            for task in tasks:  # one of the two finds out first that the page has gone
+                if not task.cancelled():
+                    task.exception()
         for code, reason in filter(None, let_go):
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._socket.close(code, reason), LAST_WORDS_S)
@@ -260,20 +258,17 @@ class Session:
         self._outbox.tell({"event": "saved", "bundle": name, "bytes": path.stat().st_size})
 
     async def _send(self) -> tuple[int, str]:
-        """Send rows as they come, and scenes as the page takes them, at most 30 a second; why the page is let go."""
-        loop, outbox = asyncio.get_running_loop(), self._outbox
-        due_s = 0.0
+        """Send rows as they come, and scenes as the page takes them; why the page is let go."""
+        outbox = self._outbox
         while not outbox.full:
-            wait_s = max(0.0, due_s - loop.time()) if outbox.has_scene and self._credit else None
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(outbox.filled.wait(), wait_s)
+            await outbox.filled.wait()
             outbox.filled.clear()
             while not outbox.full and self._unheard_bytes < ROWS_IN_FLIGHT and (row := outbox.next_row()) is not None:
                 self._unheard.append(len(row))
                 self._unheard_bytes, self._rows_sent = self._unheard_bytes + len(row), self._rows_sent + 1
                 await self._socket.send_text(row)
-            if self._credit and loop.time() >= due_s and (scene := outbox.next_scene()) is not None:
-                self._credit, due_s = self._credit - 1, loop.time() + SCENE_S
+            if self._credit and (scene := outbox.next_scene()) is not None:
+                self._credit -= 1
                 await self._socket.send_bytes(await asyncio.to_thread(scene.encoded))
         return TOO_SLOW, "this page takes what is sent too slowly"
 

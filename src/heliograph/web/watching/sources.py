@@ -11,7 +11,6 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 from heliograph.base.config import from_mapping, merge, to_mapping
 from heliograph.base.errors import SettingsError
 from heliograph.base.toml_text import parse_assignment
-from heliograph.experiments.demo.drive import demo_messages
 from heliograph.link.film import FrameSource, frames_of
 from heliograph.link.notes import check_truth, signal_of
 from heliograph.link.settings import LinkSettings, load_settings
@@ -19,9 +18,7 @@ from heliograph.link.truth import open_truth, truth_path
 from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import TruthSource
 from heliograph.media import open_film
-from heliograph.media.live.listing import cameras_there
 from heliograph.media.live.reader import LiveReader, is_camera, live_of
-from heliograph.media.live.settings import CameraSettings
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.shared import Shared
 
@@ -133,7 +130,7 @@ def opened(asked: Asked, shared: Shared) -> Iterator[Source]:
             path = Path(_numbered(shared.films, asked.number, "film"))
             name = path.name
         else:
-            name = _numbered([one["name"] for one in cameras_there(CameraSettings())[0]], asked.number, "camera")
+            name = _numbered(shared.cameras, asked.number, "camera")
             path = Path(name)
         yield stack.enter_context(_film(asked, shared, path, name))
 
@@ -157,6 +154,8 @@ def _film(asked: Asked, shared: Shared, path: Path, name: str) -> Iterator[Sourc
 
 def _drive(asked: Asked, shared: Shared) -> Source:
     """A drive rendered as it is watched, with its truth."""
+    from heliograph.experiments.demo.drive import demo_messages  # it draws reports too, which is slow to import
+
     kind = "street-night" if asked.preset == "night" else "street"
     channel = [f"channel.background.kind='{kind}'"] if asked.street else []
     given = {"distance_m": asked.distance_m, "speed_m_s": asked.speed_m_s}
@@ -188,5 +187,7 @@ def _settings(asked: Asked, base: LinkSettings) -> tuple[LinkSettings, list[dict
 
 def _numbered(names: tuple[str, ...] | list[str], number: int, what: str) -> str:
     if number >= len(names):
-        raise SettingsError(f"there is no {what} {number} here: load the page again")
+        raise SettingsError(
+            f"there is no {what} {number} here: {'look for cameras' if what == 'camera' else 'load the page'} again"
+        )
     return names[number]

@@ -1,0 +1,44 @@
+import threading
+import time
+
+from heliograph.web.watching.gate import Gate
+
+
+def test_all_frames_pass_until_it_is_stopped() -> None:
+    gate = Gate()
+    assert all(gate.pass_through(k) for k in range(5))
+    gate.stop()
+    assert not gate.pass_through(5)
+
+
+def test_a_step_lets_one_frame_through_and_holds_the_next() -> None:
+    gate = Gate()
+    gate.step()
+    assert not gate.holds
+    assert gate.pass_through(0.0)
+    assert gate.holds
+
+
+def test_a_step_to_a_packet_lets_frames_through_until_it_is_read() -> None:
+    gate = Gate()
+    gate.step(to_packet=True)
+    assert all(gate.pass_through(k) for k in range(50))
+    gate.packet_read()
+    assert gate.holds
+
+
+def test_a_held_frame_goes_on_when_it_is_let() -> None:
+    gate, passed = Gate(), []
+    gate.pause()
+    waiting = threading.Thread(target=lambda: passed.append(gate.pass_through(0.0)))
+    waiting.start()
+    gate.go()
+    waiting.join(5)
+    assert passed == [True]
+
+
+def test_frames_keep_the_time_that_is_asked_for() -> None:
+    gate = Gate(speed=10.0)
+    began = time.monotonic()
+    assert all(gate.pass_through(k / 10) for k in range(3))
+    assert time.monotonic() - began >= 0.02

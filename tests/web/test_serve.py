@@ -1,0 +1,98 @@
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+from cli_runs import COMMAND, called
+
+from heliograph.base.errors import SettingsError
+from heliograph.cli.serve import say_where
+from heliograph.web.serve import Address, opened
+
+
+def test_this_machine_alone_needs_no_token() -> None:
+    for host in ("127.0.0.1", "localhost", "::1"):
+        address = Address(host)
+        assert address.is_own
+        assert address.door().token is None
+        assert not address.door().addresses
+    assert Address("::1").url(8000, None) == "http://[::1]:8000/"
+
+
+def test_others_need_a_token_that_is_new_each_time() -> None:
+    address = Address("0.0.0.0")
+    door = address.door()
+    assert not address.is_own
+    assert door.token is not None
+    assert len(door.token) >= 20
+    assert address.door().token != door.token
+    assert door.knows("192.168.7.5:8000")
+    assert door.knows(f"{socket.gethostname()}:8000")
+    assert not door.knows("evil.example:8000")
+    assert address.url(8000, door.token).endswith(f":8000/#token={door.token}")
+    assert "0.0.0.0" not in address.url(8000, door.token)
+    assert Address("0.0.0.0", certificate=Path("a"), key=Path("b")).url(1, None).startswith("https://")
+
+
+def test_a_port_that_is_taken_is_told_in_a_line() -> None:
+    with opened(Address(port=0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(
+            SettingsError, match=rf"cannot wait at 127\.0\.0\.1, port {port}: .*; choose another"
+        ) as error:
+            opened(Address(port=port))
+    assert "\n" not in str(error.value)
+
+
+def test_a_host_of_another_machine_is_told_in_a_line() -> None:
+    with pytest.raises(SettingsError, match=r"cannot wait at 192\.0\.2\.1"):
+        opened(Address("192.0.2.1", 0))
+
+
+@pytest.mark.slow
+def test_the_command_serves_until_ctrl_c() -> None:
+    run = [*COMMAND, "serve", "--port", "0"]
+    with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        url = server.stdout.readline().split()[3]
+        assert urllib.request.urlopen(f"{url}watch").status == 200
+        server.send_signal(signal.SIGINT)
+        out, errors = server.communicate(timeout=60)
+    assert (out, errors, server.returncode) == ("ended\n", "", 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["missing.mkv"], "there is no file missing.mkv"),
+        (["--certificate", "a.pem"], "HTTPS takes both"),
+        (["--port", "0", "--certificate", "a.pem", "--key", "b.pem"], "a.pem and its key cannot be used"),
+        (["--port", "0", "--set", "signal.side=7"], "signal.side"),
+    ],
+)
+def test_what_is_wrong_is_said_in_a_line(
+    arguments: list[str], said: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = called("serve", *arguments, capfd=capfd, monkeypatch=monkeypatch)
+    assert run.returncode == 1
+    assert said in run.stderr
+    assert run.stderr.count("\n") == 1
+
+
+def test_the_extra_is_named_where_it_is_missing(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    monkeypatch.delitem(sys.modules, "heliograph.web.serve", raising=False)
+    assert "pip install 'heliograph[web]'" in called("serve", capfd=capfd, monkeypatch=monkeypatch).stderr
+
+
+def test_an_address_for_others_is_said_with_a_warning(capsys: pytest.CaptureFixture[str]) -> None:
+    say_where("http://192.168.1.5:8000/#token=abc", own=False, secure=False)
+    said = capsys.readouterr()
+    assert "http://192.168.1.5:8000/#token=abc" in said.out
+    assert "keep it to yourself" in said.err
+    assert "--certificate" in said.err
