@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, ConfigDict, Field
 
 from heliograph.base.config import from_mapping, merge, to_mapping
 from heliograph.base.errors import SettingsError
@@ -25,7 +25,7 @@ from heliograph.web.shared import Shared
 OPEN = ("signal", "receive")
 """Parts of the settings that a page may change: what the light says, and how it is read."""
 
-Text = Annotated[str, StringConstraints(max_length=200)]
+Text = Annotated[str, Field(max_length=200)]
 
 
 class Asked(BaseModel):
