@@ -265,6 +265,7 @@ def test_a_source_that_will_not_do_is_refused_in_a_line(client: TestClient, sour
 def test_a_damaged_film_is_refused_in_a_line(client: TestClient) -> None:
     name = client.put("/api/films?kind=mp4", content=b"no film at all" * 50).json()["film"]
     said = watch(client, kind="film", film=name).of("failed")[0]["reason"]
+    assert said.startswith("the film is not a video that can be read")
     assert "\n" not in said
 
 

@@ -119,7 +119,7 @@ def run(app: FastAPI, waiting: socket.socket, address: Address, limits: Limits) 
     """
     config = uvicorn.Config(
         app,
-        log_level="error",
+        log_level="critical",  # of a connection that does not end in time nothing need be said
         access_log=False,
         server_header=False,
         lifespan="on",

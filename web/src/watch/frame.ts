@@ -35,7 +35,7 @@ export class FrameView {
   /** The newest cut-out of an array, enlarged, at the frame's upper edge. */
   private inset(context: CanvasRenderingContext2D, cut: ImageBitmap, place: number, id: number): void {
     const size = Math.max(1, this.canvas.width / Math.max(this.canvas.clientWidth, 1));
-    const side = Math.min(this.canvas.height * 0.36, 170 * size);
+    const side = Math.min(this.canvas.height * 0.3, 150 * size);
     const left = 8 * size + place * (side + 8 * size);
     context.imageSmoothingEnabled = false;
     context.drawImage(cut, left, 8 * size, side, side);

@@ -59,7 +59,7 @@ function bars(layer: Layer, one: Histogram): HTMLElement {
   const read = one.known === 0 ? "not read" : `${one.wrong} of ${one.known} bits wrong before decoding`;
   return make("figure", { class: "bars" },
     drawing(width, height, `Soft values of the ${layer} layer: ${read}`, ...parts, middle),
-    make("figcaption", {}, make("strong", { class: layer }, layer), ` ${read}; edge at ±${one.scale.toPrecision(2)}`));
+    make("figcaption", {}, make("strong", { class: layer }, layer), ` ${read}; edge at ±${Number(one.scale.toPrecision(2))}`));
 }
 
 function soft(model: Model): void {
@@ -151,14 +151,14 @@ function errors(model: Model): void {
     if (model.source !== null) put("errors", make("p", { class: "dim" }, model.source.truth ? "No packet was sent whole yet." : "The truth of this source is not known."));
     return;
   }
-  const rows = [...bins].reverse().map((bin) => line(`${bin.from_m} to ${bin.to_m} m`, ...LAYERS.map((layer) => counted(bin.layers[layer]))));
+  const rows = [...bins].reverse().map((bin) => line(`${bin.from_m}–${bin.to_m} m`, ...LAYERS.map((layer) => counted(bin.layers[layer]))));
   put("errors", chart(bins), make("div", { class: "scrolls", tabindex: 0, role: "region", "aria-label": "Counts by distance" },
-    make("table", { class: "small" }, head("Distance", "High", "Middle", "Low"), make("tbody", {}, ...rows))),
+    make("table", { class: "small" }, head("m", "High", "Middle", "Low"), make("tbody", {}, ...rows))),
   make("p", { class: "dim small" }, `Percent, with 95 % intervals. Codewords taken for right that were not sent: ${model.falseCodewords}.`));
 }
 
 const STAGE_WORDS: Record<string, string> = {
-  render: "rendering the drive", read: "reading the film", search: "searching, and all else", find: "finding arrays",
+  render: "rendering the drive", read: "reading the film", search: "searching, all else", find: "finding arrays",
   follow: "following", "take pairs": "taking pairs", equalise: "equalising", decode: "decoding", show: "showing this page",
 };
 
