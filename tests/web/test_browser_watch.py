@@ -1,0 +1,110 @@
+"""Page *Watch* plays a film of the demonstration in a real browser, and a screen reader finds its way."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("playwright", reason="playwright is not installed: pip install playwright")
+pytest.importorskip("axe_playwright_python", reason="axe is not installed: pip install axe-playwright-python")
+
+from axe_playwright_python.sync_playwright import Axe
+from browsers import browser, needs_chromium, quiet_page, served
+from cli_runs import SMALL
+
+from heliograph.experiments.demo.drive import demo_messages
+from heliograph.link.film import write_film
+from heliograph.link.settings import load_settings
+from heliograph.media import open_film
+
+pytestmark = [pytest.mark.slow, needs_chromium]
+
+PHONE: dict[str, Any] = {"viewport": {"width": 390, "height": 844}, "color_scheme": "dark"}
+DESK: dict[str, Any] = {"viewport": {"width": 1280, "height": 900}, "color_scheme": "light"}
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("films") / "demo.h5"
+    settings = load_settings("static", None, [*SMALL[3::2], "channel.duration_s=1.25"])
+    write_film(path, settings, demo_messages(settings), seed=1)
+    return path
+
+
+@pytest.fixture(scope="module")
+def address(film: Path) -> Iterator[str]:
+    with served(str(film)) as url:
+        yield url
+
+
+def to_the_end(page: Any) -> None:
+    page.wait_for_selector("#named option", state="attached")
+    page.click("#open")
+    page.get_by_text("The end: 1250 frames").wait_for(timeout=120_000)
+    page.wait_for_timeout(300)
+
+
+@pytest.mark.parametrize("looks", [DESK, PHONE], ids=["desk", "phone"])
+def test_all_that_was_received_is_shown_and_named(address: str, looks: dict[str, Any]) -> None:
+    with browser() as found, quiet_page(found, f"{address}watch", **looks) as page:
+        to_the_end(page)
+        assert page.inner_text("#arrays tbody").startswith("array 0")
+        assert page.locator("#packets li").count() == 12
+        assert "red for 12 s" in page.inner_text("#messages")
+        assert page.evaluate("document.querySelector('#picture img').naturalWidth") == 96  # the second, sharper one
+        assert "array 0 at" in (page.get_attribute("#frame", "aria-label") or "")
+        for name in ("received", "equalised", "decided"):
+            assert "levels" in (page.get_attribute(f"#{name}", "aria-label") or "")
+        assert "0 of" in page.inner_text("#errors")
+        assert "following" in page.inner_text("#stages")
+        assert page.evaluate("document.documentElement.scrollWidth") <= looks["viewport"]["width"]
+        assert not Axe().run(page).response["violations"]
+
+
+def test_lights_that_were_told_of_are_drawn(address: str) -> None:
+    pytest.importorskip("pycrate_asn1dir", reason="the extra its is not installed")
+    with browser() as found, quiet_page(found, f"{address}watch", **DESK) as page:
+        to_the_end(page)
+        assert "Junction 7, Harbour Road" in page.inner_text("#lights")
+        assert page.locator("#lights svg .lamp.red").count() >= 1
+        assert page.locator("#lights svg .way.green").count() >= 1
+
+
+def test_it_is_stepped_through_and_looked_back_on_by_keyboard(address: str, film: Path, tmp_path: Path) -> None:
+    with browser() as found, quiet_page(found, f"{address}watch", **DESK) as page:
+        page.wait_for_selector("#named option", state="attached")
+        page.select_option("#speed", "0.1")
+        page.focus("#open")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#packets li", timeout=60_000)
+        page.focus("#frame-box")
+        page.keyboard.press("Space")
+        page.get_by_role("button", name="Go on").wait_for()
+        page.wait_for_timeout(300)
+        before = page.inner_text("#where")
+        page.keyboard.press(".")
+        while page.inner_text("#where") == before:
+            page.wait_for_timeout(50)
+        page.focus("#scrub")
+        page.keyboard.press("Home")
+        page.get_by_text("frame 0 of").wait_for()
+        assert "none found yet" in page.inner_text("#arrays tbody")
+        page.focus("#frame-box")
+        page.keyboard.press("Home")
+        page.get_by_role("cell", name="nearing").or_(page.get_by_role("cell", name="m")).first.wait_for()
+        with page.expect_download() as saved:
+            page.click("#save")
+        saved.value.save_as(tmp_path / "failed.h5")
+    with open_film(tmp_path / "failed.h5") as kept:
+        assert sum(1 for _ in kept) > 50
+
+
+def test_a_film_that_is_dropped_is_decoded(address: str, film: Path) -> None:
+    with browser() as found, quiet_page(found, f"{address}watch", **DESK) as page:
+        page.wait_for_selector("#named option", state="attached")
+        page.check("input[value=film]")
+        page.set_input_files("#film", film)
+        page.click("#open")
+        page.get_by_text("The end: 1250 frames, 12 packets").wait_for(timeout=120_000)
+        assert "not known" in page.inner_text("#errors")
