@@ -75,6 +75,7 @@ test-wheel: install
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir $(WHEEL) .
 	$(PYTHON) -m venv $(WHEEL)/venv
 	$(WHEEL)/venv/bin/python -m pip install --quiet --disable-pip-version-check $(WHEEL)/*.whl
+	$(PYTHON) -m zipfile --list $(WHEEL)/heliograph-*.whl | grep --quiet heliograph/web/pages/watch.html
 	cd $(WHEEL) && sh -e $(CURDIR)/scripts/try_wheel.sh venv/bin/heliograph
 
 lint: install

@@ -6,19 +6,22 @@ import json
 import random
 import resource
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterable, MutableMapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI
 
+from benchmarks._fuzz_films import RATE_HZ, film_seeds
 from benchmarks.fuzz import mutated
 from heliograph.web.app import create_app
 from heliograph.web.limits import Limits
 from heliograph.web.security import LOOPBACK, Door
 
-LIMITS = Limits(film_bytes=4096, films=4, body_bytes=2048, idle_s=0.05, upload_s=1.0)
+LIMITS = Limits(film_bytes=1 << 16, films=4, body_bytes=2048, idle_s=0.05, upload_s=1.0)
 """Small ones, so that cases go beyond them."""
 
 LIMIT_S = 20.0
@@ -51,6 +54,12 @@ QUIET = (
 
 DRIVE = {"do": "open", "source": {"kind": "drive", "preset": "static", "distance_m": 50.0, "seed": 1, "street": False}}
 """A command that begins one."""
+
+FILMS = ("h5", "mkv", "mp4", "npy", "cine", "tif", "y4m")
+"""Kinds of films that are damaged."""
+
+FILM_PART = 0.05
+"""Part of the cases that are films, which take longest."""
 
 DRIVES = 0.002
 """Part of the messages that are made of `DRIVE`, which takes long."""
@@ -89,23 +98,31 @@ async def answer(
     return status
 
 
-async def talk(app: FastAPI, messages: Iterable[MutableMapping[str, Any]], token: str = TOKEN) -> list[str]:
-    """What the WebSocket of page *Watch* sends while it hears some messages: "text", "bytes", or how it closed."""
+async def talk(
+    app: FastAPI, messages: Iterable[MutableMapping[str, Any]], token: str = TOKEN, to_the_end: bool = False
+) -> list[str]:
+    """What the WebSocket of page *Watch* sends while it hears some messages: events, "bytes", or how it closed.
+
+    The page goes at once, or at the end of its reception.
+    """
     scope = {
         "type": "websocket", "asgi": {"version": "3.0"}, "http_version": "1.1", "scheme": "ws", "path": "/api/watch",
         "raw_path": b"/api/watch", "root_path": "", "query_string": b"", "headers": [(b"host", b"127.0.0.1:8000")],
         "client": ("127.0.0.1", 1), "server": ("127.0.0.1", 8000), "subprotocols": ["heliograph", f"token.{token}"],
     }  # fmt: skip
-    waiting, said = [{"type": "websocket.connect"}, *messages], []
+    waiting, said, over = [{"type": "websocket.connect"}, *messages], [], asyncio.Event()
 
     async def receive() -> MutableMapping[str, Any]:
-        if len(waiting) == 1:
-            await asyncio.sleep(0)
+        if not waiting and to_the_end:
+            await over.wait()
         return waiting.pop(0) if waiting else {"type": "websocket.disconnect", "code": 1001}
 
     async def send(message: MutableMapping[str, Any]) -> None:
         kind = message["type"].removeprefix("websocket.")
-        said.append(f"close {message.get('code')}" if kind == "close" else "text" if "text" in message else kind)
+        event = json.loads(message["text"])["event"] if "text" in message else kind
+        said.append(f"close {message.get('code')}" if kind == "close" else event)
+        if event in ("end", "failed", "refused"):
+            over.set()
 
     await asyncio.wait_for(app(scope, receive, send), LIMIT_S)
     return said
@@ -168,13 +185,39 @@ async def fuzz_messages(app: FastAPI, cases: int, rng: random.Random) -> Counter
     return found
 
 
+async def fuzz_films(app: FastAPI, cases: int, rng: random.Random) -> Counter[str]:
+    """What became of films that are damaged, uploaded and watched: "end", "failed", or what it should not be."""
+    found: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as folder:
+        good = [(kind, data) for kind in FILMS for data in film_seeds(Path(folder), "{}")[f"film.{kind}"][1]]
+    headers = [HEADERS[0], HEADERS[4]]
+    for _ in range(cases):
+        kind, data = rng.choice(good)
+        changed = mutated(data, rng) or b"0"
+        status = await answer(app, "PUT", f"/api/films?kind={kind}", headers, [changed])
+        if status != 201:
+            found[f"{status // 100}xx"] += 1
+            continue
+        name = next(reversed(app.state.shared.uploads._films))
+        source = {"kind": "film", "film": name, "rate_hz": RATE_HZ if kind in ("npy", "tif") else None}
+        opens = {"type": "websocket.receive", "text": json.dumps({"do": "open", "source": source})}
+        try:
+            said = await talk(app, [opens], to_the_end=True)
+            found[next((one for one in said if one in ("end", "failed")), f"{said} of a {kind}")] += 1
+        except Exception as error:
+            found[f"{type(error).__name__}: {error} of a {kind}"[:300]] += 1
+    return found
+
+
 async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
-    """Run the cases, half of them requests and half messages; the server's folder is empty of all that broke off."""
-    app = served()
+    """Run the cases: requests, messages, and a part of damaged films; nothing may be left over of what broke off."""
+    app, films = served(), round(cases * FILM_PART)
+    half = (cases - films) // 2
     async with app.router.lifespan_context(app):
         found = {
-            "requests": await fuzz_requests(app, cases // 2, random.Random(f"requests {seed}")),
-            "messages": await fuzz_messages(app, cases - cases // 2, random.Random(f"messages {seed}")),
+            "requests": await fuzz_requests(app, half, random.Random(f"requests {seed}")),
+            "messages": await fuzz_messages(app, cases - films - half, random.Random(f"messages {seed}")),
+            "films": await fuzz_films(app, films, random.Random(f"films {seed}")),
         }
         left = [path for path in app.state.shared.uploads.folder().iterdir() if path.is_file()]
         if len(left) > LIMITS.films or app.state.shared.sessions.taken:
@@ -182,7 +225,7 @@ async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
     return found
 
 
-GOOD = ("2xx", "3xx", "4xx", "5xx", "ended", "let go")
+GOOD = ("2xx", "3xx", "4xx", "5xx", "ended", "let go", "end", "failed")
 """What may become of a case; 5xx is 503, all places taken."""
 
 

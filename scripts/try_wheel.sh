@@ -15,6 +15,8 @@ for receiver in plain soft; do
     says "array 0: 1 packets"
     says "high   1 codewords read, 0 not"
 done
+$command serve > said.txt 2>&1 || true
+says "pip install 'heliograph\[web\]'"
 $command demo --output demo $short > said.txt
 says "array 0: 1 packets"
 test -s demo/report.html
