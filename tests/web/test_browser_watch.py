@@ -5,12 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-pytest.importorskip("playwright", reason="playwright is not installed: pip install playwright")
-pytest.importorskip("axe_playwright_python", reason="axe is not installed: pip install axe-playwright-python")
-
-from axe_playwright_python.sync_playwright import Axe
-from browsers import browser, needs_chromium, quiet_page, served
 from cli_runs import SMALL
 
 from heliograph.experiments.demo.drive import demo_messages
@@ -18,7 +12,10 @@ from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
 from heliograph.media import open_film
 
-pytestmark = [pytest.mark.slow, needs_chromium]
+axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="pip install axe-playwright-python")
+browsers = pytest.importorskip("browsers", reason="playwright is not installed: pip install playwright")
+
+pytestmark = [pytest.mark.slow, browsers.needs_chromium]
 
 PHONE: dict[str, Any] = {"viewport": {"width": 390, "height": 844}, "color_scheme": "dark"}
 DESK: dict[str, Any] = {"viewport": {"width": 1280, "height": 900}, "color_scheme": "light"}
@@ -34,7 +31,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def address(film: Path) -> Iterator[str]:
-    with served(str(film)) as url:
+    with browsers.served(str(film)) as url:
         yield url
 
 
@@ -47,7 +44,7 @@ def to_the_end(page: Any) -> None:
 
 @pytest.mark.parametrize("looks", [DESK, PHONE], ids=["desk", "phone"])
 def test_all_that_was_received_is_shown_and_named(address: str, looks: dict[str, Any]) -> None:
-    with browser() as found, quiet_page(found, f"{address}watch", **looks) as page:
+    with browsers.browser() as found, browsers.quiet_page(found, f"{address}watch", **looks) as page:
         to_the_end(page)
         assert page.inner_text("#arrays tbody").startswith("array 0")
         assert page.locator("#packets li").count() == 12
@@ -59,12 +56,12 @@ def test_all_that_was_received_is_shown_and_named(address: str, looks: dict[str,
         assert "0 of" in page.inner_text("#errors")
         assert "following" in page.inner_text("#stages")
         assert page.evaluate("document.documentElement.scrollWidth") <= looks["viewport"]["width"]
-        assert not Axe().run(page).response["violations"]
+        assert not axe.Axe().run(page).response["violations"]
 
 
 def test_lights_that_were_told_of_are_drawn(address: str) -> None:
     pytest.importorskip("pycrate_asn1dir", reason="the extra its is not installed")
-    with browser() as found, quiet_page(found, f"{address}watch", **DESK) as page:
+    with browsers.browser() as found, browsers.quiet_page(found, f"{address}watch", **DESK) as page:
         to_the_end(page)
         assert "Junction 7, Harbour Road" in page.inner_text("#lights")
         assert page.locator("#lights svg .lamp.red").count() >= 1
@@ -72,7 +69,7 @@ def test_lights_that_were_told_of_are_drawn(address: str) -> None:
 
 
 def test_it_is_stepped_through_and_looked_back_on_by_keyboard(address: str, film: Path, tmp_path: Path) -> None:
-    with browser() as found, quiet_page(found, f"{address}watch", **DESK) as page:
+    with browsers.browser() as found, browsers.quiet_page(found, f"{address}watch", **DESK) as page:
         page.wait_for_selector("#named option", state="attached")
         page.select_option("#speed", "0.1")
         page.focus("#open")
@@ -101,7 +98,7 @@ def test_it_is_stepped_through_and_looked_back_on_by_keyboard(address: str, film
 
 
 def test_a_film_that_is_dropped_is_decoded(address: str, film: Path) -> None:
-    with browser() as found, quiet_page(found, f"{address}watch", **DESK) as page:
+    with browsers.browser() as found, browsers.quiet_page(found, f"{address}watch", **DESK) as page:
         page.wait_for_selector("#named option", state="attached")
         page.check("input[value=film]")
         page.set_input_files("#film", film)
