@@ -7,6 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import played_camera  # noqa: F401 - registers camera:played
 import pytest
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
@@ -203,6 +204,28 @@ def test_the_last_frames_are_saved_where_nothing_failed(client: TestClient, tmp_
         (tmp_path / "last.h5").write_bytes(client.get(f"/api/watch/bundles/{saved['bundle']}").content)
     with open_film(tmp_path / "last.h5") as kept:
         assert sum(1 for _ in kept) > 200
+
+
+@pytest.mark.slow
+def test_a_live_camera_is_watched_until_it_ends(film: Path) -> None:
+    with TestClient(create_app(films=[f"camera:played:{film}"], camera=["Times=2"]), base_url=OWN) as client:
+        assert client.get("/api/watch/sources").json()["named"] == [f"camera:played:{film}"]
+        seen = watch(client, kind="named")
+    assert seen.of("source")[0]["live"]
+    assert len(seen.of("packet")) >= 2
+    assert seen.of("end")
+
+
+@pytest.mark.slow
+def test_a_camera_that_gives_nothing_is_left(film: Path) -> None:
+    silent = ["Times=0", "Speed=0.001"]
+    app = create_app(films=[f"camera:played:{film}"], camera=silent)
+    with TestClient(app, base_url=OWN) as client, client.websocket_connect(SOCKET) as socket:
+        socket.send_json({"do": "open", "source": {"kind": "named"}})
+        Watched(socket, "source")
+        socket.send_json({"do": "stop"})
+        socket.send_json({"do": "open", "source": {"kind": "film", "film": "none"}})
+        assert Watched(socket).of("failed")
 
 
 @pytest.mark.slow

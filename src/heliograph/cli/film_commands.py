@@ -383,6 +383,7 @@ def serve(
         Path | None, typer.Option("--key", metavar="PEM", show_default=False, help="Key of the certificate.")
     ] = None,
     browse: Annotated[bool, typer.Option("--open", help="Open the pages in this machine's browser.")] = False,
+    camera: CameraOption = None,
     receiver: Receiver = None,
     preset: options.Preset = "paper",
     settings: options.SettingsFile = None,
@@ -396,4 +397,4 @@ def serve(
     from heliograph.cli.serve import run_serve
 
     changes = [*(assignments or ()), *([f"receive.receiver='{receiver}'"] if receiver else ())]
-    run_serve(films or [], (host, port), certificate, key, browse, preset, settings, changes)
+    run_serve(films or [], (host, port), certificate, key, browse, camera, preset, settings, changes)

@@ -15,6 +15,7 @@ def run_serve(
     certificate: Path | None,
     key: Path | None,
     browse: bool,
+    camera: list[str] | None,
     preset: str,
     file: Path | None,
     changes: list[str],
@@ -22,6 +23,7 @@ def run_serve(
     """Serve the pages until Ctrl-C; other machines come in by a token, which is printed with a QR code."""
     from heliograph.media.images import is_pattern
     from heliograph.media.live.reader import is_camera
+    from heliograph.media.live.settings import camera_settings
 
     if (certificate is None) != (key is None):
         raise SettingsError("HTTPS takes both --certificate and --key")
@@ -29,6 +31,7 @@ def run_serve(
         if not (is_camera(film) or is_pattern(film) or film.exists()):
             raise MediaError(f"there is no file {film}: check the name")
     settings = options.settings_from(preset, file, changes)
+    camera_settings(camera or ())
     try:
         from heliograph.web.app import create_app
         from heliograph.web.limits import Limits
@@ -39,7 +42,7 @@ def run_serve(
     door = address.door()
     with opened(address) as waiting:
         url = address.url(waiting.getsockname()[1], door.token)
-        app = create_app(settings, [str(film) for film in films], door, limits)
+        app = create_app(settings, [str(film) for film in films], door, limits, camera or ())
         say_where(url, own=address.is_own, secure=address.is_secure)
         if browse:
             webbrowser.open(url)

@@ -22,6 +22,7 @@ def create_app(
     films: Sequence[str] = (),
     door: Door | None = None,
     limits: Limits | None = None,
+    camera: Sequence[str] = (),
 ) -> FastAPI:
     """Make the application that `heliograph serve` runs.
 
@@ -35,9 +36,11 @@ def create_app(
         Who may come in; None for this machine alone.
     limits
         Sizes, times and numbers; None for the usual ones.
+    camera
+        Settings of live cameras, such as "exposure_us=500".
     """
     limits = limits or Limits()
-    shared = Shared(settings or load_settings("paper"), tuple(films), limits, Uploads(limits))
+    shared = Shared(settings or load_settings("paper"), tuple(films), limits, Uploads(limits), tuple(camera))
 
     @contextlib.asynccontextmanager
     async def alive(_app: FastAPI) -> AsyncIterator[None]:

@@ -63,6 +63,8 @@ class Shared:
         Sizes, times and numbers.
     uploads
         Films that were uploaded.
+    camera
+        Settings of live cameras, such as "exposure_us=500".
     sessions
         Places of those who receive.
     cameras
@@ -73,6 +75,7 @@ class Shared:
     films: tuple[str, ...]
     limits: Limits
     uploads: Uploads
+    camera: tuple[str, ...] = ()
     sessions: Places = field(init=False)
     cameras: list[str] = field(default_factory=list)
 

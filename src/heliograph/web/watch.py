@@ -13,7 +13,7 @@ from starlette.requests import HTTPConnection
 from heliograph.link.settings import PRESETS
 from heliograph.media.live.listing import cameras_there
 from heliograph.media.live.reader import is_camera
-from heliograph.media.live.settings import CameraSettings
+from heliograph.media.live.settings import camera_settings
 from heliograph.receive.registry import RECEIVERS
 from heliograph.web.security import PROTOCOL
 from heliograph.web.shared import BusyError, Shared, shared_of
@@ -56,7 +56,7 @@ async def cameras(shared: Ours) -> dict[str, Any]:
     shared
         What the pages share; the cameras are noted there.
     """
-    found, lacking = await run_in_threadpool(cameras_there, CameraSettings())
+    found, lacking = await run_in_threadpool(cameras_there, camera_settings(shared.camera))
     shared.cameras[:] = [one["name"] for one in found]
     return {"cameras": found, "lacking": lacking}
 

@@ -72,7 +72,7 @@ export class SourceForm {
 
   private showKind(): void {
     const kind = this.kind();
-    for (const part of this.form.querySelectorAll<HTMLElement>("[data-kind]")) part.hidden = part.dataset["kind"] !== kind;
+    for (const part of this.form.querySelectorAll<HTMLElement>("[data-kind]")) part.hidden = !part.dataset["kind"]?.split(" ").includes(kind);
   }
 
   private common(): Source {
@@ -98,7 +98,8 @@ export class SourceForm {
         this.failed(new Error(source.kind === "named" ? "no film was named: start 'heliograph serve FILM'" : "look for cameras first"));
         return;
       }
-      source.number = Number(list.value);
+      const rate = numberOf("rate");
+      Object.assign(source, { number: Number(list.value) }, source.kind === "camera" || rate === undefined ? {} : { rate_hz: rate });
     }
     this.chosen(source);
   }

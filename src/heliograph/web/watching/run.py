@@ -15,6 +15,7 @@ from heliograph.measure.journal import Journal, Row
 from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import Reception, receive_film
 from heliograph.measure.statistics import clopper_pearson
+from heliograph.media.live.reader import LiveReader
 from heliograph.signal.settings import LAYERS
 from heliograph.web.shared import Shared
 from heliograph.web.watching.failures import Failures
@@ -73,6 +74,7 @@ class Run:
         self.failures: Failures | None = None
         self._stages = Stages()
         self._newest: Frame | None = None
+        self._live: LiveReader | None = None
         self._began = self._shown = self._counted = time.monotonic()
         self._ending, self._over, self._abandoned = threading.Lock(), False, False
         self._thread = threading.Thread(target=self._main, name="watch", daemon=True)
@@ -84,6 +86,8 @@ class Run:
     def abandon(self) -> None:
         """End it before its next frame, and throw away what was not saved, without waiting for that."""
         self.gate.stop()
+        if self._live is not None:
+            self._live.stop()  # it may be waiting for a frame that never comes
         with self._ending:
             self._abandoned = True
             if self._over and self.failures is not None:
@@ -120,6 +124,7 @@ class Run:
     def _receive(self, source: Source) -> None:
         tell = self._teller.tell
         tell(_about(source))
+        self._live = source.live
         _attend(source, tell)
         self.failures = failures = Failures(self._shared.uploads.folder(), source)
         calibration = source.settings.receive.calibration

@@ -150,7 +150,7 @@ def _named(path: Path, name: str) -> Iterator[None]:
 @contextlib.contextmanager
 def _film(asked: Asked, shared: Shared, path: Path, name: str) -> Iterator[Source]:
     settings, changes = _settings(asked, shared.settings)
-    with open_film(path, rate_hz=asked.rate_hz) as film:
+    with open_film(path, rate_hz=asked.rate_hz, camera=shared.camera if is_camera(path) else ()) as film:
         signal, _ = signal_of(film, shared.settings.signal, changes)
         known = None
         beside = truth_path(path)
