@@ -43,8 +43,7 @@ async def sources(shared: Ours) -> dict[str, Any]:
     """
     named = [film if is_camera(film) else Path(film).name for film in shared.films]
     presets = [{"name": name, "text": text} for name, (text, _) in PRESETS.items()]
-    own = shared.settings.receive.receiver
-    return {"named": named, "presets": presets, "receivers": list(RECEIVERS.names()), "receiver": own}
+    return {"named": named, "presets": presets, "receivers": list(RECEIVERS.names())}
 
 
 @router.get("/cameras")

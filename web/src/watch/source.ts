@@ -5,12 +5,11 @@ import { make, one } from "../common/dom";
 import type { Source } from "./link";
 
 interface Sources {
-  named: string[]; presets: { name: string; text: string }[]; receivers: string[]; receiver: string;
+  named: string[]; presets: { name: string; text: string }[]; receivers: string[];
 }
 
-function options(id: string, list: [string, string][], chosen?: string): void {
-  one(id, HTMLSelectElement).replaceChildren(...list.map(([value, text]) =>
-    make("option", { value, selected: value === chosen }, text)));
+function options(id: string, list: [string, string][]): void {
+  one(id, HTMLSelectElement).replaceChildren(...list.map(([value, text]) => make("option", { value }, text)));
 }
 
 function numberOf(id: string): number | undefined {
@@ -41,8 +40,8 @@ export class SourceForm {
   private async load(): Promise<void> {
     try {
       const sources = await askJson<Sources>("watch/sources");
-      options("preset", sources.presets.map(({ name }) => [name, name]));
-      options("receiver", sources.receivers.map((name) => [name, name]), sources.receiver);
+      options("preset", [["", "the server"], ...sources.presets.map(({ name }): [string, string] => [name, `preset ${name}`])]);
+      options("receiver", [["", "of the settings"], ...sources.receivers.map((name): [string, string] => [name, name])]);
       options("named", sources.named.map((name, k) => [String(k), name]));
       const named = this.form.querySelector<HTMLInputElement>("input[value=named]");
       if (named !== null) {
@@ -77,7 +76,12 @@ export class SourceForm {
 
   private common(): Source {
     const changes = one("changes", HTMLTextAreaElement).value.split("\n").map((line) => line.trim()).filter((line) => line !== "");
-    return { kind: this.kind(), receiver: one("receiver", HTMLSelectElement).value, ...(changes.length > 0 ? { changes } : {}) };
+    const source: Source = { kind: this.kind() };
+    const [preset, receiver] = ["preset", "receiver"].map((id) => one(id, HTMLSelectElement).value);
+    if (preset) source.preset = preset;
+    if (receiver) source.receiver = receiver;
+    if (changes.length > 0) source.changes = changes;
+    return source;
   }
 
   private async submit(): Promise<void> {
@@ -90,7 +94,7 @@ export class SourceForm {
     }
     if (source.kind === "drive") {
       const distance = numberOf("distance");
-      Object.assign(source, { preset: one("preset", HTMLSelectElement).value, seed: numberOf("seed") ?? 0, street: one("street", HTMLInputElement).checked },
+      Object.assign(source, { seed: numberOf("seed") ?? 0, street: one("street", HTMLInputElement).checked },
         distance === undefined ? {} : { distance_m: distance });
     } else {
       const list = one(source.kind === "named" ? "named" : "camera", HTMLSelectElement);

@@ -75,7 +75,8 @@ class Run:
         self._stages = Stages()
         self._newest: Frame | None = None
         self._live: LiveReader | None = None
-        self._began = self._shown = self._counted = time.monotonic()
+        self._began = self._counted = time.monotonic()
+        self._shown = float("-inf")  # the first frame is shown at once
         self._ending, self._over, self._abandoned = threading.Lock(), False, False
         self._thread = threading.Thread(target=self._main, name="watch", daemon=True)
 

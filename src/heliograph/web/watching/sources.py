@@ -1,10 +1,10 @@
 """What is watched: an uploaded film, one that was named where the server began, a live camera, a simulated drive."""
 
 import contextlib
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -39,12 +39,14 @@ class Asked(BaseModel):
         Name of an uploaded film, as the server gave it.
     number
         Number of the named film or of the camera in the server's lists.
-    preset, seed, street
-        Of a drive: its preset, the seed of road, scene and noise, and whether a street is drawn behind the arrays.
+    preset
+        Settings to begin with; None for those of the command.
+    seed, street
+        Of a drive: the seed of road, scene and noise, and whether a street is drawn behind the arrays.
     distance_m, speed_m_s
         Of a drive: first distance in m, and speed in m/s; None for those of the preset.
     receiver
-        Name of the receiver; None for that of the command.
+        Name of the receiver; None for that of the preset.
     rate_hz
         Frames a second that a film's camera took; None believes the film.
     changes
@@ -56,7 +58,7 @@ class Asked(BaseModel):
     kind: Literal["film", "named", "camera", "drive"]
     film: Text = ""
     number: Annotated[int, Field(ge=0, le=1000)] = 0
-    preset: Text = "paper"
+    preset: Text | None = None
     seed: Annotated[int, Field(ge=0, lt=1 << 31)] = 0
     street: bool = True
     distance_m: Annotated[float, Field(ge=5, le=300, allow_inf_nan=False)] | None = None
@@ -149,9 +151,10 @@ def _named(path: Path, name: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _film(asked: Asked, shared: Shared, path: Path, name: str) -> Iterator[Source]:
-    settings, changes = _settings(asked, shared.settings)
+    base = _base(asked, shared)
+    settings, changes = _settings(asked, base)
     with open_film(path, rate_hz=asked.rate_hz, camera=shared.camera if is_camera(path) else ()) as film:
-        signal, _ = signal_of(film, shared.settings.signal, changes)
+        signal, _ = signal_of(film, base.signal, changes)
         known = None
         beside = truth_path(path)
         if asked.kind == "named" and not is_camera(path) and beside.is_file():
@@ -168,33 +171,39 @@ def _drive(asked: Asked, shared: Shared) -> Source:
     """A drive rendered as it is watched, with its truth."""
     from heliograph.experiments.demo.drive import demo_messages  # it draws reports too, which is slow to import
 
-    kind = "street-night" if asked.preset == "night" else "street"
+    base = _base(asked, shared)
+    kind = "street" if base.channel.background.level else "street-night"
     channel = [f"channel.background.kind='{kind}'"] if asked.street else []
     given = {"distance_m": asked.distance_m, "speed_m_s": asked.speed_m_s}
     channel += [f"channel.{key}={value}" for key, value in given.items() if value is not None]
-    base = load_settings(asked.preset, None, channel)
-    settings, _ = _settings(asked, replace(base, receive=shared.settings.receive))
+    settings, _ = _settings(asked, _changed(base, map(parse_assignment, channel)))
     camera, film = settings.channel.camera, LiveFilm(settings, demo_messages(settings), asked.seed, None, None)
     return Source(
-        name=f"a drive, preset {asked.preset}", frames=film, width=camera.width, height=camera.height,
+        name="a simulated drive", frames=film, width=camera.width, height=camera.height,
         bits=settings.channel.sensor.bits, rate_hz=camera.fps, frame_count=frames_of(settings), signal=settings.signal,
         settings=settings, truth=film, metadata={},
     )  # fmt: skip
 
 
+def _base(asked: Asked, shared: Shared) -> LinkSettings:
+    """Settings before what the page changes one by one."""
+    return shared.settings if asked.preset is None else load_settings(asked.preset)
+
+
 def _settings(asked: Asked, base: LinkSettings) -> tuple[LinkSettings, list[dict[str, object]]]:
-    """The server's settings with what the page changes, and the changes of the signal alone."""
-    tree, of_signal = to_mapping(base), []
-    if asked.receiver is not None:
-        tree = merge(tree, {"receive": {"receiver": asked.receiver}})
-    for text in asked.changes:
-        change = parse_assignment(text)
-        if not set(change) <= set(OPEN):
-            raise SettingsError(f"a page changes settings of {' and '.join(OPEN)}, such as signal.side=8, no others")
+    """Settings with what the page changes, and the changes of the signal alone."""
+    changes = [parse_assignment(text) for text in asked.changes]
+    if not all(set(change) <= set(OPEN) for change in changes):
+        raise SettingsError(f"a page changes settings of {' and '.join(OPEN)}, such as signal.side=8, no others")
+    receiver = [] if asked.receiver is None else [{"receive": {"receiver": asked.receiver}}]
+    return _changed(base, [*receiver, *changes]), [one["signal"] for one in changes if "signal" in one]
+
+
+def _changed(settings: LinkSettings, changes: Iterable[Mapping[str, Any]]) -> LinkSettings:
+    tree = to_mapping(settings)
+    for change in changes:
         tree = merge(tree, change)
-        if "signal" in change:
-            of_signal.append(change["signal"])
-    return from_mapping(LinkSettings, tree), of_signal
+    return from_mapping(LinkSettings, tree)
 
 
 def _numbered(names: tuple[str, ...] | list[str], number: int, what: str) -> str:
