@@ -127,10 +127,19 @@ class Run:
         tell(_about(source))
         self._live = source.live
         _attend(source, tell)
-        self.failures = failures = Failures(self._shared.uploads.folder(), source)
+        self.failures = Failures(self._shared.uploads.folder(), source)
         calibration = source.settings.receive.calibration
         seen, reception = Seen(source.signal, calibration), Reception(source.truth)
-        journal = Journal(calibration, tell)
+        try:
+            self._read(source, seen, reception, Journal(calibration, tell))
+        finally:
+            if self._newest is not None:
+                self._teller.show(seen.scene(self._newest))
+            tell(self._counts(reception))
+        tell({"event": "end", "stopped": self.gate.stopped})
+
+    def _read(self, source: Source, seen: Seen, reception: Reception, journal: Journal) -> None:
+        """Receive the film, and tell what happens."""
 
         def observe(event: Any) -> None:
             self._stages.event(event)
@@ -139,22 +148,16 @@ class Run:
             self._stages.mark("show")
 
         film = _Film(source, lambda: self._frames(source, seen, reception))
-        try:
-            for packet, messages in receive_film(film, source.signal, source.settings, reception, observe):
-                self._stages.mark(SEARCH)
-                for row in seen.packets():
-                    tell(row)
-                journal.read(packet, messages, reception.progress)
-                tell({"event": "unfinished", "messages": _unfinished(reception)})
-                if packet.status != "ok":
-                    failures.failed(packet)
-                self.gate.packet_read()
-                self._stages.mark("show")
-        finally:
-            if self._newest is not None:
-                self._teller.show(seen.scene(self._newest))
-            tell(self._counts(reception, errors=True))
-        tell({"event": "end", "stopped": self.gate.stopped})
+        for packet, messages in receive_film(film, source.signal, source.settings, reception, observe):
+            self._stages.mark(SEARCH)
+            for row in seen.packets():
+                self._teller.tell(row)
+            journal.read(packet, messages, reception.progress)
+            self._teller.tell({"event": "unfinished", "messages": _unfinished(reception)})
+            if packet.status != "ok" and self.failures is not None:
+                self.failures.failed(packet)
+            self.gate.packet_read()
+            self._stages.mark("show")
 
     def _frames(self, source: Source, seen: Seen, reception: Reception) -> Iterator[Frame]:
         """Frames as the gate lets them through, shown after they were received."""
@@ -162,14 +165,7 @@ class Run:
         self._stages.mark("show")
         for frame in frames:
             self._stages.mark("render" if isinstance(source.frames, LiveFilm) else "read")
-            now = time.monotonic()
-            if self._newest is not None and (now >= self._shown + SCENE_S or self.gate.holds):
-                # in step with the screen, unless frames come more slowly
-                self._shown = now if now >= self._shown + 2 * SCENE_S else self._shown + SCENE_S
-                self._teller.show(seen.scene(self._newest))
-            if now >= self._counted + STATE_S or self.gate.holds:
-                self._counted = now
-                self._teller.tell(self._counts(reception, errors=True))
+            self._show(seen, reception)
             self._stages.mark("show")
             if not self.gate.pass_through(frame.time_s):
                 break
@@ -183,7 +179,18 @@ class Run:
         if close is not None:
             close()
 
-    def _counts(self, reception: Reception, errors: bool) -> Row:
+    def _show(self, seen: Seen, reception: Reception) -> None:
+        """Show the frame before and tell the counts, where they are due, or no frame follows for now."""
+        now, held = time.monotonic(), self.gate.holds
+        if self._newest is not None and (now >= self._shown + SCENE_S or held):
+            # in step with the screen, unless frames come more slowly
+            self._shown = now if now >= self._shown + 2 * SCENE_S else self._shown + SCENE_S
+            self._teller.show(seen.scene(self._newest))
+        if now >= self._counted + STATE_S or held:
+            self._counted = now
+            self._teller.tell(self._counts(reception))
+
+    def _counts(self, reception: Reception) -> Row:
         failures, newest = self.failures, self._newest
         row: dict[str, Any] = {
             "event": "state",
@@ -196,7 +203,7 @@ class Run:
             "stages": {name: round(seconds, 4) for name, seconds in self._stages.seconds.items()},
             "failed": 0 if failures is None else failures.packets,
         }
-        if errors and reception.errors is not None:
+        if reception.errors is not None:
             row |= {"errors": errors_by_distance(reception.errors), "false_codewords": reception.errors.false_codewords}
         return row
 
