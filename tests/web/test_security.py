@@ -43,7 +43,18 @@ def test_nothing_else_is_served(client: TestClient, path: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "host", ["evil.example", "evil.example:8000", "127.0.0.1.evil.example", "", "192.168.1.5", "[::2]"]
+    "host",
+    [
+        "evil.example",
+        "evil.example:8000",
+        "127.0.0.1.evil.example",
+        "",
+        "192.168.1.5",
+        "[::2]",
+        "127.0.0.1:80; script-src *",
+        "127.0.0.1:",
+        "[::1",
+    ],
 )
 def test_other_names_for_this_machine_are_refused(client: TestClient, host: str) -> None:
     assert client.get("/", headers={"host": host}).status_code == 421

@@ -4,6 +4,7 @@ import asyncio
 import hmac
 import ipaddress
 import json
+import re
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,9 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "[::1]"})
 """Names of this machine for itself, as a browser writes them."""
+
+HOST = re.compile(r"(?P<name>[a-z0-9._-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
+"""A Host header: a name or an address, IPv6 in brackets, and a port."""
 
 PROTOCOL = "heliograph"
 """What a WebSocket of the pages speaks; a browser cannot send a header with it, so the token is offered beside it."""
@@ -86,7 +90,8 @@ class Door:
         host
             Name and port, as the header has them.
         """
-        name = _name(host)
+        found = HOST.fullmatch(host.lower())
+        name = found["name"] if found else ""
         return name in self.names or (self.addresses and _is_address(name))
 
     def lets_in(self, offered: Iterable[str]) -> bool:
@@ -179,14 +184,6 @@ def _headers(scope: Scope) -> dict[str, list[str]]:
     for key, value in scope["headers"]:
         out.setdefault(key.decode("latin-1").lower(), []).append(value.decode("latin-1"))
     return out
-
-
-def _name(host: str) -> str:
-    """Name of a host without its port, in lower case."""
-    host = host.lower()
-    if host.startswith("["):
-        return host.partition("]")[0] + "]"
-    return host.partition(":")[0]
 
 
 def _is_address(name: str) -> bool:
