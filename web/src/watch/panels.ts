@@ -116,7 +116,7 @@ function packets(model: Model): void {
 }
 
 function percent(rate: number): string {
-  return `${rate >= 0.1 ? (rate * 100).toFixed(0) : (rate * 100).toPrecision(1)} %`;
+  return `${Number((rate * 100).toPrecision(rate >= 0.095 ? 2 : 1))}\u00a0%`;
 }
 
 function counted({ wrong, sent, high }: { wrong: number; sent: number; high: number }): string {
