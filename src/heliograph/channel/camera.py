@@ -46,6 +46,7 @@ def film(
     *,
     pattern_period_s: float,
     slot_order: Sequence[int] = (0, 1, 2, 3),
+    steady: bool = False,
     footage: Footage | None = None,
     imu: ImuTrace | None = None,
     roi_margin_px: int | None = None,
@@ -65,6 +66,8 @@ def film(
         T_b in s, at least the exposure.
     slot_order
         Order of the PWM slots, a permutation of 0 to 3, as in the signal's settings.
+    steady
+        Whether levels are steady luminances, as on a screen, in place of PWM slots.
     footage
         Recorded frames for ``background.kind`` = "footage"; None where there are none.
     imu
@@ -99,6 +102,7 @@ def film(
             pattern_period_s,
             tuple(slot_order),
             np.random.default_rng([seeds[1], k]),
+            steady,
         )
         for k, (place, patterns) in enumerate(zip(settings.arrays, lights, strict=True))
     ]
@@ -107,10 +111,15 @@ def film(
 
 
 def _lighting(
-    place: Placement, feed: PatternFeed, period_s: float, order: tuple[int, ...], rng: np.random.Generator
+    place: Placement,
+    feed: PatternFeed,
+    period_s: float,
+    order: tuple[int, ...],
+    rng: np.random.Generator,
+    steady: bool,
 ) -> Lighting:
     period_s *= 1 + place.clock_ppm * 1e-6
-    return Lighting(feed, place.start_s, period_s, order, Faults.of(place, feed.side, rng))
+    return Lighting(feed, place.start_s, period_s, order, Faults.of(place, feed.side, rng), steady)
 
 
 def _check(
@@ -138,11 +147,12 @@ def _shoot(
     # the kernels are imported with the first frame: Numba takes half a second
     from heliograph.channel.background import background
     from heliograph.channel.render import Canvas, render
-    from heliograph.channel.sensor import read_out
+    from heliograph.channel.sensor import developed
     from heliograph.channel.views import FilmScene, frame_block, windows
 
     camera, noise = settings.camera, NoiseModel(settings.sensor)
-    scene = FilmScene(settings, arrays, drive, background(settings, footage, np.random.default_rng(scene_seed)))
+    paint = background(settings, footage, np.random.default_rng(scene_seed))
+    scene = FilmScene(settings, arrays, drive, paint, noise_seed)
     total = frame_count(settings)
     whole = np.empty((camera.height, camera.width), np.float32)
     transfer = Transfer(camera, noise_seed)
@@ -154,8 +164,10 @@ def _shoot(
             x, y, last_x, last_y = map(int, parts[k])
             light = whole if roi is None else np.empty((last_y - y + 1, last_x - x + 1), np.float32)
             truths = render(scene, block, k, Canvas(light, (x, y)))
-            pixels = read_out(light, settings.sensor, noise_seed, index, (x, y))
-            frame = Frame(index, camera.start_s + index / camera.fps, pixels, settings.sensor.bits, (x, y))
+            light *= np.float32(camera.gain(float(block.times_s[k, 1])))
+            pixels = developed(light, settings.sensor, noise_seed, index, (x, y))
+            stamp_s = camera.start_s + index / camera.fps + float(block.late_s[k])
+            frame = Frame(index, stamp_s, pixels, settings.sensor.bits, (x, y))
             delivered = transfer(frame)
             if delivered is not None:
                 yield delivered, Truth(delivered.index, float(block.times_s[k, 0]), truths, noise)

@@ -16,9 +16,9 @@ SLIVER = 1e-6
 """Pieces of an exposure shorter than this, in slots, are rounding errors of the clocks: times up to an hour in double
 precision are right to 5e-13 s, 2e-9 of a slot of 0.25 ms. They hold no more than 1e-6 of a slot's light."""
 
-HELD_PATTERNS = 8
-"""Patterns kept: an exposure is at most T_b long and reads two, or three where the clocks differ. Half as many would
-do."""
+HELD_PATTERNS = 64
+"""Patterns kept: an exposure is at most T_b long and reads two, or three where the clocks differ. The rows of a rolling
+shutter and the response of a screen reach further back: 15 ms of response by up to 30 patterns of 4 ms."""
 
 _NO_LIGHT_S = 1e-30
 """Least time an LED is lit, for a division: above 0, and below any piece of an exposure."""
@@ -202,15 +202,16 @@ class Faults:
         gains = np.maximum(1 + place.spread * rng.standard_normal((side, side)), 0)
         return cls(order < many, (order >= many) & (order < many + more), hidden, gains, place.off_s)
 
-    def visible(self, on: NDArray[np.bool_]) -> Floats:
+    def visible(self, on: NDArray[np.bool_] | Floats) -> Floats:
         """Return the light of each LED that reaches the camera, (k, n, n), 1 for an LED as bright as meant.
 
         Parameters
         ----------
         on
-            (k, n, n) bool, LEDs that the patterns light in each of k pieces of an exposure.
+            (k, n, n) bool, LEDs that the patterns light in each of k pieces of an exposure; or float64, by how much.
         """
-        return np.where(on, *self._light)
+        lit, dark = self._light
+        return dark + on * (lit - dark)
 
     @cached_property
     def _light(self) -> tuple[Floats, Floats]:
@@ -258,6 +259,8 @@ class Lighting:
         Order in which slots are lit as the level rises, a permutation of 0 to 3.
     faults
         Faults of the array.
+    steady
+        Whether a level is a steady luminance, as on a screen, and not a number of lit slots.
     """
 
     feed: PatternFeed
@@ -265,6 +268,7 @@ class Lighting:
     period_s: float
     slot_order: tuple[int, ...]
     faults: Faults
+    steady: bool = False
 
     def lit(self, start_s: float, end_s: float) -> Lit | None:
         """Return the lit LEDs of an exposure; None where the array shows no pattern.
@@ -295,7 +299,8 @@ class Lighting:
         if not pieces:
             return None
         begins, ends, numbers, phases, patterns = zip(*pieces, strict=True)
-        on = self.faults.visible(np.array(patterns) > self._rank[list(phases), None, None])
+        levels = np.array(patterns)
+        on = self.faults.visible(levels / SLOTS if self.steady else levels > self._rank[list(phases), None, None])
         return Lit(np.array(begins), np.array(ends), on, tuple(dict.fromkeys(numbers)))
 
     @cached_property

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -26,6 +26,15 @@ much. Faster exposures are cut into pieces that move no further."""
 _STEPS_PER_OCTAVE = 8
 """Steps of the resolution for which cubatures are made, rounded up, so that few are made and kept. Chosen: from 10 to
 80 m there are 24; the rounding makes a cubature finer than needed by at most 9 %, by 19 % at half the value."""
+
+
+_POSES = 9
+"""Poses at which a screen is drawn while a rolling shutter runs; straight lines between them. Chosen: one in 6 ms of 50
+ms, a sixteenth of the fastest tremor's period: right to 0.5 % of the tremor."""
+
+_MOVED_PX = 16
+"""Pixels beyond a screen's place in the first row's exposure that are drawn too. Chosen: a hand moves a phone's image
+by less in the time of a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +90,22 @@ def render(scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas) -> tuple
     """
     start, middle, end = map(float, block.times_s[k])
     scene.paint(canvas.light, canvas.corner, middle, block.pose, (k, 1))
-    lit = [lighting.lit(start, end) for lighting in scene.lightings]
+    cells = scene.settings.emitter.shape == "cell"
+    middles = [view.homography[k, 1, 2] / view.homography[k, 2, 2] for view in block.views]
+    late = [_row_times(scene.settings.camera, y) for y in middles]
+    # of a rolling shutter an array's patterns are those that its middle sees
+    lit = [one.lit(start + float(t), end + float(t)) for one, t in zip(scene.lightings, late, strict=True)]
     # far arrays first: a nearer panel hides them
     for array in sorted(range(len(lit)), key=lambda a: -block.views[a].homography[k, 2, 2]):
         view, one = block.views[array], lit[array]
         if view.ahead[k] and canvas.meets(view.panel.box[k]):
             _lay_panel(view.panel, k, scene.settings.emitter.panel_level, canvas)
             _hide(scene, array, view, k, canvas)
-            if one is not None:
+            if cells:
+                _show(scene, array, view, k, start, canvas)
+            elif scene.settings.camera.row_time_s:
+                _shine_by_rows(scene, array, view, k, (start, end), canvas)
+            elif one is not None:
                 _shine(scene, array, view, k, one, (start, end), canvas)
     return tuple(_truth(view, k, one) for view, one in zip(block.views, lit, strict=True))
 
@@ -138,6 +155,60 @@ def _shine(
     for on, length, one, eye in zip(lit.on, lit.end_s - lit.start_s, maps, eyes, strict=True):
         moments = (on * (level * length / (end - start)), np.zeros_like(on), np.full_like(on, length**2 / 12))
         add_array(settings, one, view.drift[k], eye, moments, canvas)
+
+
+def _row_times(camera: CameraSettings, y: float | Floats) -> Floats:
+    """Time by which rows of pixels are exposed later than the first, in s."""
+    return np.clip(np.asarray(y, float), 0, camera.height - 1) * camera.row_time_s
+
+
+def _shine_by_rows(
+    scene: FilmScene, array: int, view: ArrayView, k: int, exposure: tuple[float, float], canvas: Canvas
+) -> None:
+    """Add an array's LEDs, each lit as the rows of pixels see it that it falls on."""
+    lighting, pitch = scene.lightings[array], scene.settings.emitter.pitch_m
+    at = (np.arange(lighting.feed.side) - (lighting.feed.side - 1) / 2) * pitch
+    b, a = np.meshgrid(at, at, indexing="ij")
+    points = np.stack([a, b, np.ones_like(a)], -1) @ view.homography[k].T
+    late = _row_times(scene.settings.camera, np.rint(points[..., 1] / points[..., 2]))
+    for t in np.unique(late):
+        one = lighting.lit(exposure[0] + float(t), exposure[1] + float(t))
+        if one is not None:
+            part = replace(one, on=one.on * (late == t))
+            moved = replace(view, homography=view.homography + float(t) * view.drift)
+            _shine(scene, array, moved, k, part, (exposure[0] + float(t), exposure[1] + float(t)), canvas)
+
+
+def _show(scene: FilmScene, array: int, view: ArrayView, k: int, start_s: float, canvas: Canvas) -> None:
+    """Add a screen's cells, row of pixels by row."""
+    from heliograph.channel.cells import SAMPLES, add_screen, cell_light
+
+    settings, lighting = scene.settings, scene.lightings[array]
+    camera, emitter = settings.camera, settings.emitter
+    size = np.array([camera.width, camera.height]) - 1
+    low, high = (np.clip(edge, 0, size) for edge in view.bounds[k] + [[-_MOVED_PX], [_MOVED_PX]])
+    box = (int(np.floor(low[0])), int(np.floor(low[1])), int(np.ceil(high[0])), int(np.ceil(high[1])))
+    rows = _row_times(camera, np.arange(box[1], box[3] + 1.0))
+    # each sample of a pixel is one part of its exposure, so that the sum is smeared by the motion
+    parts = (np.random.default_rng(0).permutation(SAMPLES**2) + 0.5) / SAMPLES**2 * camera.exposure_s
+    times = start_s + np.linspace(0, rows[-1] + camera.exposure_s, _POSES)
+    maps, _ = scene.maps(array, times, scene.drive.pose(times))
+    place = (rows[:, None] + parts) / (times[-1] - times[0]) * (_POSES - 1)
+    before = np.minimum(place.astype(int), _POSES - 2)
+    share = (place - before)[..., None, None]
+    inverses = np.linalg.inv(maps)
+    inverses /= inverses[:, 2:, 2:]
+    light = cell_light(lighting, emitter, start_s + rows, camera.exposure_s)
+    level = emitter.all_on * settings.arrays[array].brightness
+    add_screen(
+        canvas.light,
+        canvas.corner,
+        box,
+        (1 - share) * inverses[before] + share * inverses[before + 1],
+        level * light.cells,
+        emitter.pitch_m,
+        POINT_SPREADS[camera.psf](camera),
+    )
 
 
 def add_array(

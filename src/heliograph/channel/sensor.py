@@ -5,6 +5,7 @@ frame, in whatever order frames and windows are made.
 """
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -209,3 +210,32 @@ def read_out(
     scales = (sensor.full_well_e, sensor.dark_noise_e, sensor.gain_dn_per_e, sensor.offset_dn, sensor.full_scale)
     fill_levels(out, light, corner, np.uint64(seed), frame, *map(np.float32, scales))
     return out
+
+
+DEVELOPED_BITS = 12
+"""Bits of the levels that are developed by a gamma: those of a phone's sensor, 10 to 12; at 8 the dark ones would have
+steps of 20 levels."""
+
+
+def developed(
+    light: NDArray[np.float32], sensor: SensorSettings, seed: int, frame: int, corner: tuple[int, int] = (0, 0)
+) -> Pixels:
+    """Return the gray levels of a frame as a film has them: those of `read_out`, developed by the sensor's gamma.
+
+    Parameters
+    ----------
+    light, sensor, seed, frame, corner
+        As of `read_out`.
+
+    Returns
+    -------
+    (h, w) uint8 at 8 bits, uint16 above.
+    """
+    if sensor.gamma == 1:
+        return read_out(light, sensor, seed, frame, corner)
+    fine = replace(sensor, bits=DEVELOPED_BITS, offset_dn=sensor.offset_dn * (1 << DEVELOPED_BITS - sensor.bits))
+    levels = np.arange(fine.full_scale + 1) / fine.full_scale
+    # gray level = full scale light^(1 / gamma)
+    table = np.rint(sensor.full_scale * levels ** (1 / sensor.gamma))
+    read = read_out(light, fine, seed, frame, corner)
+    return table.astype(np.uint8)[read] if sensor.bits == 8 else table.astype(np.uint16)[read]

@@ -12,6 +12,7 @@ from heliograph.channel.exposure import Lighting
 from heliograph.channel.motion import Motion
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
 from heliograph.channel.settings import NEAREST_M, CameraSettings, ChannelSettings
+from heliograph.channel.transfer import LARGEST_JITTER
 
 _PANEL_REACH_SIGMA = 7.0
 """Standard deviations beyond the panel's corners for which it is drawn: beyond `LIMIT_SIGMA`, where it is 0."""
@@ -37,12 +38,15 @@ class FilmScene:
         The camera's pose at any time.
     paint
         Writes the background into a window of the light.
+    seed
+        Selects the unevenness of the exposures, at least 0.
     """
 
     settings: ChannelSettings
     lightings: list[Lighting]
     drive: Motion
     paint: Painter
+    seed: int = 0
 
     def half_m(self, array: int) -> float:
         """Return half the side of an array's panel, in m.
@@ -146,7 +150,9 @@ class FrameBlock:
     index
         (b,) int64 numbers of the frames.
     times_s
-        (b, 3) true start, middle and end of the exposures in s.
+        (b, 3) true start, middle and end of the exposures in s, of a rolling shutter those of the first row.
+    late_s
+        (b,) how much later than an even one each exposure begins, in s.
     pose
         Poses of the camera at these times, (b, 3).
     views
@@ -155,6 +161,7 @@ class FrameBlock:
 
     index: NDArray[np.int64]
     times_s: Floats
+    late_s: Floats
     pose: CameraPose
     views: tuple[ArrayView, ...]
 
@@ -170,11 +177,21 @@ def frame_block(scene: FilmScene, index: NDArray[np.int64]) -> FrameBlock:
         (b,) int64 numbers of the frames.
     """
     camera = scene.settings.camera
-    start = camera.start_s + index * camera.frame_period_s
+    late = _unevenness(camera, scene.seed, index)
+    start = camera.start_s + index * camera.frame_period_s + late
     times = start[:, None] + camera.exposure_s * np.array([0, 0.5, 1])
     pose = scene.drive.pose(times)
     views = tuple(_array_view(scene, k, times, pose) for k in range(len(scene.lightings)))
-    return FrameBlock(index, times, pose, views)
+    return FrameBlock(index, times, late, pose, views)
+
+
+def _unevenness(camera: CameraSettings, seed: int, index: NDArray[np.int64]) -> Floats:
+    """Lateness of exposures of a variable rate in s, by seed and number of the frame alone."""
+    if not camera.uneven_s:
+        return np.zeros(len(index))
+    drawn = [np.random.default_rng([seed, int(one), 1]).normal(0, camera.uneven_s) for one in index]
+    largest = LARGEST_JITTER / camera.fps
+    return np.clip(drawn, -largest, largest)
 
 
 def _array_view(scene: FilmScene, array: int, times_s: Floats, pose: CameraPose) -> ArrayView:

@@ -12,6 +12,7 @@ from heliograph.base.errors import SettingsError, shown
 from heliograph.base.toml_text import parse_assignment
 from heliograph.channel.settings import ChannelSettings
 from heliograph.receive.settings import ReceiveSettings
+from heliograph.signal.formats import SHORT_PAIRS
 from heliograph.signal.settings import SignalSettings
 from heliograph.transmit import TransmitSettings
 
@@ -68,6 +69,51 @@ class LinkSettings:
         return self
 
 
+def _phone(fps: int, patterns: int, height: int = 720) -> dict[str, Any]:
+    """A screen as transmitter, a phone that is held in a hand as receiver."""
+    width = 16 * height // 9
+    return {
+        "signal": {
+            "pattern_period_s": 1 / patterns,
+            "data_pairs": SHORT_PAIRS,
+            "light": "steady",
+        },
+        "transmit": {"formats": [{"mode": "short", "high": 1 / 2, "middle": 1 / 2, "low": 1 / 2}]},
+        "channel": {
+            "distance_m": 1.0,
+            "speed_m_s": 0.0,
+            "duration_s": 10.0,
+            "shake": "hand",
+            "arrays": [{"x_m": 0.0, "y_m": 0.0, "yaw_deg": 10.0, "pitch_deg": -5.0, "roll_deg": 2.0}],
+            "camera": {
+                "fps": fps,
+                "exposure_s": 0.5 / fps,
+                "start_s": 0.0123,
+                "width": width,
+                "height": height,
+                "focal_m": 0.004,
+                "pixel_m": 0.004 / (0.75 * width),
+                "blur_px": 0.8,
+                "clock_ppm": 30.0,
+                "jitter_s": 0.0005,
+                "row_time_s": min(0.02, 0.9 / fps) / height,
+                "gain_swing": 0.1,
+            },
+            "emitter": {
+                "pitch_m": 0.02,
+                "shape": "cell",
+                "response_s": 0.005,
+                "all_on": 0.8,
+                "panel_level": 0.02,
+                "panel_margin_m": 0.04,
+            },
+            "sensor": {"gamma": 2.2, "full_well_e": 6000.0, "dark_noise_e": 5.0},
+            "background": {"kind": "flat", "level": 0.1},
+        },
+        "receive": {"receiver": "soft", "calibration": {"pixel_m": 0.004 / (0.75 * width), "focal_m": 0.004}},
+    }
+
+
 PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "paper": ("The driving trial of Nagura et al. 2010: 80 m to 25 m at 30 km/h, road of class B", {}),
     "static": (
@@ -89,6 +135,11 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
             "channel": {"arrays": [{"x_m": 1.5, "y_m": -1.0}, {"x_m": -1.5, "y_m": -0.8, "start_s": 0.0373}]},
         },
     ),
+    "phone": ("A screen filmed by a phone in a hand: 10 patterns/s at 30 frames/s", _phone(30, 10)),
+    "phone-15": ("The same at 15 patterns/s", _phone(30, 15)),
+    "phone-60": ("The same at 30 patterns/s and 60 frames/s", _phone(60, 30)),
+    "phone-240": ("The same at 60 patterns/s and 240 frames/s", _phone(240, 60)),
+    "phone-slow": ("The same at 2 patterns/s, for slow displays and remote desktops", _phone(30, 2)),
     "crossing": (
         "A camera on a side road looks across it and passes an array, turned by 20 degrees, 25 m away at 25 km/h",
         {

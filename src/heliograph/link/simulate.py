@@ -116,6 +116,7 @@ def simulate(
         np.random.default_rng(seed),
         pattern_period_s=settings.signal.pattern_period_s,
         slot_order=settings.signal.slot_order,
+        steady=settings.signal.light == "steady",
         footage=recordings.footage,
         imu=recordings.imu,
         roi_margin_px=roi_margin_px,

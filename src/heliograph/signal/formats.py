@@ -19,10 +19,14 @@ from heliograph.signal.settings import LAYERS, RATE_SLACK, RateSettings, as_numb
 SIGNALLED_RATES = (2 / 5, 1 / 2, 3 / 5, 2 / 3, 3 / 4, 5 / 6, 9 / 10)
 """Code rates that a header can signal, numbers 1 to 7 (section 4.1); number 0 is the rate both ends have agreed on."""
 
-Mode = Literal["paired", "single"]
+Mode = Literal["paired", "single", "short"]
 
-MODES: tuple[Mode, ...] = ("paired", "single")
-"""Modes by number; 2 and 3 are reserved (section 4.1)."""
+MODES: tuple[Mode, ...] = ("paired", "single", "short")
+"""Modes by number; 3 is reserved (section 4.1)."""
+
+SHORT_PAIRS = 13
+"""Data pairs of a packet of the short mode (section 4.1): with two header pairs 30 patterns, 3 s at 10 patterns a
+second. Half as many would hold no block of 8 x 8 LEDs below the rate 9/10; twice would take 5.6 s."""
 
 ALL_MODES = 4
 """Modes that a header can name, the reserved ones included."""
@@ -62,7 +66,8 @@ class Format:
     ----------
     mode
         "paired": every data pattern is followed by its inverse. "single": every data pattern carries new data, which
-        doubles the data rate (but for 1/32 at 16 x 16 LEDs); only the receiver "soft" reads it.
+        doubles the data rate (but for 1/32 at 16 x 16 LEDs); only the receiver "soft" reads it. "short": as "paired",
+        and the packet has 13 data pairs, so that a slow light's packets take seconds; ``signal.data_pairs`` must be 13.
     high
         Rate of the high layer's turbo code in information bits per sent bit: 2/5, 1/2, 3/5, 2/3, 3/4, 5/6 or 9/10;
         left out: ``signal.rate.high``. A larger rate carries more data and tolerates less noise.
@@ -79,7 +84,7 @@ class Format:
 
     @property
     def number(self) -> int:
-        """Number the header signals, F = 512 M + 64 h + 8 m + l (section 4.1): 0 to 1023."""
+        """Number the header signals, F = 512 M + 64 h + 8 m + l (section 4.1): 0 to 1535."""
         total = MODES.index(self.mode)
         for rate in (self.high, self.middle, self.low):
             total = (total << RATE_BITS) + (0 if rate is None else 1 + SIGNALLED_RATES.index(rate))
@@ -107,7 +112,7 @@ def format_of(number: int) -> Format:
     Parameters
     ----------
     number
-        Number of the format, 0 to 1023.
+        Number of the format, 0 to 1535.
 
     Raises
     ------
@@ -147,7 +152,7 @@ def check_mode(number: int) -> None:
     Raises
     ------
     ReservedModeError
-        The mode is 2 or 3.
+        The mode is 3.
     """
     if mode_number(number) >= len(MODES):
         raise ReservedModeError(f"its mode, {mode_number(number)}, is not known to this version")
@@ -171,7 +176,7 @@ def words(modes: int = len(MODES)) -> NDArray[np.uint8]:
     Parameters
     ----------
     modes
-        How many modes' formats: the 2 known ones, or all 4.
+        How many modes' formats: the 3 known ones, or all 4.
 
     Returns
     -------

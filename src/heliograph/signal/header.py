@@ -117,7 +117,7 @@ def signalling_levels(number: int, form: int, side: int = DEFAULT_SIDE) -> NDArr
     number
         Identity, 0 to 29.
     form
-        Number of the format, 0 to 1023; 0 gives `header_levels`.
+        Number of the format, 0 to 2047; 0 gives `header_levels`.
     side
         LEDs in a row and in a column, a multiple of 4.
 
@@ -135,7 +135,7 @@ def dimmed_leds(form: int, side: int = DEFAULT_SIDE) -> NDArray[np.bool_]:
     Parameters
     ----------
     form
-        Number of the format, 0 to 1023.
+        Number of the format, 0 to 2047.
     side
         LEDs in a row and in a column, a multiple of 4.
 

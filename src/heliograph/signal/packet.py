@@ -12,7 +12,7 @@ from heliograph.base.errors import SettingsError
 from heliograph.signal import haar, ook, pwm
 from heliograph.signal.block import MIN_BITS, AnyBlock, pack, payload_bytes, whitening
 from heliograph.signal.code import CODES, Code, CodeFamily
-from heliograph.signal.formats import AGREED, Format
+from heliograph.signal.formats import AGREED, SHORT_PAIRS, Format
 from heliograph.signal.header import all_on_levels, header_levels, signalling_levels
 from heliograph.signal.polarity import balance
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
@@ -118,7 +118,8 @@ class PacketFormat:
     Raises
     ------
     SettingsError
-        The header cannot signal the format, or the single mode is asked for without the hierarchical code.
+        The header cannot signal the format, the single mode is asked for without the hierarchical code, or the short
+        mode with another number of data pairs.
     """
 
     settings: SignalSettings
@@ -132,6 +133,11 @@ class PacketFormat:
             )
         if self.single and self.settings.modulation != "haar":
             raise SettingsError('the single mode is one of signal.modulation = "haar"')
+        if self.format.mode == "short" and self.settings.data_pairs != SHORT_PAIRS:
+            raise SettingsError(
+                f"a packet of the short mode has {SHORT_PAIRS} data pairs, not {self.settings.data_pairs}: set "
+                f"signal.data_pairs to {SHORT_PAIRS}, or transmit another mode"
+            )
 
     @cached_property
     def layers(self) -> dict[str, LayerFormat]:
@@ -270,7 +276,7 @@ def _plan(name: str, count: int, quarter: int, pairs: int, rate: float, family: 
     bits = quarter * pairs
     few = (
         f"{name} layer: {pairs} data pairs give {bits} bits at rate {rate:.3g}, too few for a block of {MIN_BITS} "
-        f"bits; raise signal.data_pairs or the rate"
+        f"bits; raise signal.data_pairs or the rate, or take a larger signal.side"
     )
     try:
         plan = family(bits, rate)

@@ -90,6 +90,9 @@ class SignalSettings:
         must then have them.
     modulation
         "haar", the hierarchical code, or "ook", on-off keying of each LED.
+    light
+        How a level k of 0 to 4 is shown: "pwm", fully lit in k of the four slots of T_b, as LEDs do it; or "steady", at
+        k / 4 of the full luminance for all of T_b, as a screen does it.
     header
         "m_sequence", which names the array's identity, or "all_on", for comparison: every LED on, then off.
     """
@@ -102,6 +105,7 @@ class SignalSettings:
     rate: RateSettings = RateSettings()
     code: Annotated[str, AfterValidator(CODES.check)] = "turbo"
     modulation: Literal["haar", "ook"] = "haar"
+    light: Literal["pwm", "steady"] = "pwm"
     header: Literal["m_sequence", "all_on"] = "m_sequence"
 
     @model_validator(mode="after")

@@ -1,0 +1,199 @@
+"""Light of a screen's cells on the pixels: squares that fill their pitch, seen row by row at the rows' own times.
+
+The light of pattern k at time t is X_k (S(t - t_k) - S(t - t_(k+1))), S(t) = 1 - exp(-t / tau) the step response of the
+display. A row of pixels sees the mean of it over its own exposure, while the backlight is on.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.arrays import Floats
+from heliograph.base.compiled import compiled
+from heliograph.channel.exposure import Lighting
+from heliograph.channel.psf import PointSpread
+from heliograph.channel.settings import EmitterSettings
+from heliograph.signal.pwm import SLOTS
+
+SAMPLES = 3
+"""Samples of a pixel's side: an edge of a cell is right to a ninth of its height, and blurred by the lens after that. At
+half the value, 2, the error of an edge is twice as large; at twice a frame takes four times as long."""
+
+SETTLED = 8.0
+"""Time constants after which a response has ended: 3e-4 of a step is left."""
+
+_REACH_SIGMA = 4.0
+"""Standard deviations of the blur by which cells reach beyond their edge: 6e-5 of the light is lost at an edge."""
+
+
+@dataclass(frozen=True)
+class CellLight:
+    """The light of all cells as each row of pixels sees it.
+
+    Attributes
+    ----------
+    cells
+        (rows, n, n) light of each cell in parts of the brightest.
+    patterns
+        Numbers of the patterns shown, in the order of time.
+    """
+
+    cells: Floats
+    patterns: tuple[int, ...]
+
+
+def cell_light(lighting: Lighting, emitter: EmitterSettings, starts_s: Floats, exposure_s: float) -> CellLight:
+    """Return the light of all cells as rows of pixels see it.
+
+    Parameters
+    ----------
+    lighting
+        The patterns in true time.
+    emitter
+        Response, backlight and scan of the display.
+    starts_s
+        (rows,) true start of each row's exposure in s.
+    exposure_s
+        Exposure of a row in s.
+
+    Raises
+    ------
+    ValueError
+        A pattern is malformed.
+    """
+    n, period = lighting.feed.side, lighting.period_s
+    scan = emitter.scan_s * np.arange(n) / n if emitter.scan_s else np.zeros(1)
+    reach = SETTLED * emitter.response_s + scan[-1]
+    first = int(np.floor((starts_s.min() - reach - lighting.start_s) / period))
+    last = int(np.floor((starts_s.max() + exposure_s - lighting.start_s) / period))
+    numbers = [k for k in range(first, last + 1) if lighting.feed.at(k) is not None]
+    if not numbers:
+        return CellLight(np.zeros((len(starts_s), n, n)), ())
+    begins = lighting.start_s + np.array(numbers) * period
+    shown = np.stack([_shown(lighting, k, t + period / 2) for k, t in zip(numbers, begins, strict=True)])
+    # the display's rows take a pattern later and later
+    since = starts_s[:, None, None] - begins - scan[:, None]
+    weights = _weights(since, period, emitter, exposure_s, starts_s[:, None, None])
+    cells = np.einsum("ruk,kuv->ruv", np.broadcast_to(weights, (len(starts_s), n, len(numbers))), shown, optimize=True)
+    seen = [k for k, w in zip(numbers, weights.max((0, 1)), strict=True) if w > 0]
+    return CellLight(cells, tuple(seen))
+
+
+def _shown(lighting: Lighting, number: int, middle_s: float) -> Floats:
+    """Light of a pattern's cells, of an array that is off at its middle none, (n, n)."""
+    pattern = lighting.feed.at(number)
+    off = any(begin <= middle_s < end for begin, end in lighting.faults.off_s)
+    if pattern is None or off:
+        return np.zeros((lighting.feed.side, lighting.feed.side))
+    return lighting.faults.visible(pattern / SLOTS)
+
+
+def _weights(since: Floats, period_s: float, emitter: EmitterSettings, exposure_s: float, starts_s: Floats) -> Floats:
+    """Mean light of each pattern in an exposure that begins some time after the pattern, (rows, scan, patterns)."""
+    total = np.zeros(since.shape)
+    for low, high in _lit_parts(starts_s, emitter, exposure_s):
+        for sign, late in ((1, 0.0), (-1, period_s)):
+            a, b = (_response(since + edge - late, emitter.response_s) for edge in (low, high))
+            total += sign * (b - a)
+    return total / (exposure_s * (emitter.backlight_duty if emitter.backlight_hz else 1.0))
+
+
+def _lit_parts(starts_s: Floats, emitter: EmitterSettings, exposure_s: float) -> list[tuple[Floats, Floats]]:
+    """Parts of exposures, from their starts, for which the backlight is on."""
+    if not emitter.backlight_hz:
+        return [(np.zeros_like(starts_s), np.full_like(starts_s, exposure_s))]
+    cycle = 1 / emitter.backlight_hz
+    begun = np.floor(starts_s / cycle) * cycle - starts_s
+    parts = []
+    for j in range(int(np.ceil(exposure_s / cycle)) + 1):
+        low = np.clip(begun + j * cycle, 0, exposure_s)
+        parts.append((low, np.maximum(low, np.clip(begun + (j + emitter.backlight_duty) * cycle, 0, exposure_s))))
+    return parts
+
+
+def _response(t: Floats, tau: float) -> Floats:
+    """Integral of the step response from 0 to t: t - tau (1 - exp(-t / tau))."""
+    t = np.maximum(t, 0)
+    return t + tau * np.expm1(-t / tau) if tau else t
+
+
+def add_screen(
+    light: NDArray[np.float32],
+    corner: tuple[int, int],
+    box: tuple[int, int, int, int],
+    inverses: Floats,
+    cells: Floats,
+    pitch_m: float,
+    psf: PointSpread,
+) -> None:
+    """Add the light of a screen's cells to a window of the image, in place.
+
+    Parameters
+    ----------
+    light
+        (h, w) float32 light in full scales, changed.
+    corner
+        (x, y) on the sensor of ``light[0, 0]``.
+    box
+        First x, first y, last x, last y on the sensor of the pixels that the cells can reach.
+    inverses
+        (rows, 9, 3, 3) maps of pixels to the array's plane in m, for each row of the box and each sample of its pixels.
+    cells
+        (rows, n, n) light of each cell in full scales as that row sees it.
+    pitch_m
+        Side of a cell in m.
+    psf
+        Blur of the lens.
+    """
+    margin = int(np.ceil(_REACH_SIGMA * float(psf.sigma_px.max() + np.abs(psf.shift_px).max()))) + 1
+    sharp = np.zeros((box[3] - box[1] + 1 + 2 * margin, box[2] - box[0] + 1 + 2 * margin), np.float32)
+    fill_cells(sharp, margin, (box[0], box[1]), inverses, cells, pitch_m)
+    left, top = box[0] - margin - corner[0], box[1] - margin - corner[1]
+    rows, columns = (max(0, -one) for one in (top, left))
+    height = min(sharp.shape[0], light.shape[0] - top) - rows
+    width = min(sharp.shape[1], light.shape[1] - left) - columns
+    if height <= 0 or width <= 0:
+        return
+    for fraction, (dx, dy), sigma in zip(psf.fraction.tolist(), psf.shift_px, psf.sigma_px.tolist(), strict=True):
+        blurred = cv2.GaussianBlur(sharp, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+        if dx or dy:
+            moved = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy]])
+            blurred = cv2.warpAffine(blurred, moved, (sharp.shape[1], sharp.shape[0]))
+        part = np.asarray(blurred)[rows : rows + height, columns : columns + width]
+        light[top + rows : top + rows + height, left + columns : left + columns + width] += np.float32(fraction) * part
+
+
+@compiled(error_model="numpy")
+def fill_cells(
+    out: NDArray[np.float32], margin: int, corner: tuple[int, int], inverses: Floats, cells: Floats, pitch: float
+) -> None:
+    """Write the mean light of the cells over each pixel of a box.
+
+    Parameters
+    ----------
+    out
+        (h, w) float32, the box with a margin; overwritten within the margin.
+    margin
+        Pixels of the margin on each side.
+    corner
+        (x, y) on the sensor of the box's first pixel.
+    inverses, cells, pitch
+        Maps, light and side of the cells, as of `add_screen`.
+    """
+    n = cells.shape[1]
+    for i in range(cells.shape[0]):
+        y = corner[1] + i
+        for j in range(out.shape[1] - 2 * margin):
+            x, total = corner[0] + j, 0.0
+            for s in range(SAMPLES * SAMPLES):
+                h = inverses[i, s]
+                px = x + (s % SAMPLES + 0.5) / SAMPLES - 0.5
+                py = y + (s // SAMPLES + 0.5) / SAMPLES - 0.5
+                w = h[2, 0] * px + h[2, 1] * py + h[2, 2]
+                v = int(np.floor((h[0, 0] * px + h[0, 1] * py + h[0, 2]) / w / pitch + n / 2))
+                u = int(np.floor((h[1, 0] * px + h[1, 1] * py + h[1, 2]) / w / pitch + n / 2))
+                if 0 <= u < n and 0 <= v < n:
+                    total += cells[i, u, v]
+            out[i + margin, j + margin] = np.float32(total / SAMPLES**2)
