@@ -110,7 +110,7 @@ def _phone(fps: int, patterns: int, height: int = 720) -> dict[str, Any]:
             "sensor": {"gamma": 2.2, "full_well_e": 6000.0, "dark_noise_e": 5.0},
             "background": {"kind": "flat", "level": 0.1},
         },
-        "receive": {"receiver": "soft", "calibration": {"pixel_m": 0.004 / (0.75 * width), "focal_m": 0.004}},
+        "receive": {"receiver": "screen", "calibration": {"pixel_m": 0.004 / (0.75 * width), "focal_m": 0.004}},
     }
 
 

@@ -33,6 +33,7 @@ RECEIVERS: Registry[Any] = Registry(
     {
         "plain": "heliograph.receive.assemblies:plain_receiver",
         "soft": "heliograph.receive.assemblies:soft_receiver",
+        "screen": "heliograph.receive.screen.receiver:screen_receiver",
     },
 )
 """Receivers by the name of the setting ``receive.receiver``; a `ReceiverPart`, or what makes one."""

@@ -189,13 +189,35 @@ class SoftSettings:
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
+class ScreenSettings:
+    """Settings of the receiver "screen" alone.
+
+    Attributes
+    ----------
+    gamma
+        Exponent of light by gray level that is undone, 0.2 to 5: 1 for a linear camera, about 2.2 for a phone's films.
+    row_time_s
+        Time from the exposure of a row of pixels to that of the next in s, at least 0; left out: it is found from the
+        film.
+    find_rate
+        Whether other pattern rates than that of ``signal.pattern_period_s`` are tried where it does not fit.
+    """
+
+    gamma: Annotated[float, Field(ge=0.2, le=5)] = 2.2
+    row_time_s: Annotated[float, Field(ge=0, le=1)] | None = None
+    find_rate: bool = True
+
+
+@clear_errors
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
 class ReceiveSettings:
     """The receiver.
 
     Attributes
     ----------
     receiver
-        Receiver: "plain" is the paper's own, "soft" reads as far as the channel allows; others may be registered.
+        Receiver: "plain" is the paper's own, "soft" reads as far as the channel allows, "screen" reads a screen that a
+        phone films; others may be registered.
     calibration
         What is known of lens and array.
     detect
@@ -208,6 +230,8 @@ class ReceiveSettings:
         Settings of the receiver "plain" alone.
     soft
         Settings of the receiver "soft" alone.
+    screen
+        Settings of the receiver "screen" alone.
     own
         Settings of a registered receiver, by name.
     """
@@ -219,6 +243,7 @@ class ReceiveSettings:
     decode: DecodeSettings = DecodeSettings()
     plain: PlainSettings = PlainSettings()
     soft: SoftSettings = SoftSettings()
+    screen: ScreenSettings = ScreenSettings()
     own: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @property
@@ -254,10 +279,11 @@ def _is_around(corners: Corners) -> bool:
 def _without_effect(settings: ReceiveSettings) -> list[str]:
     """Dotted keys that were set although the receiver does not ask for them."""
     name, found = settings.receiver, []
-    for room, default in (("plain", PlainSettings()), ("soft", SoftSettings())):
+    rooms = (("plain", PlainSettings()), ("soft", SoftSettings()), ("screen", ScreenSettings()))
+    for room, default in rooms:
         if room != name:
             found += _changed(getattr(settings, room), default, f"{room}.")
-    if name == "plain" and settings.calibration.exposure_s is not None:
+    if name != "soft" and RECEIVERS.is_built_in(name) and settings.calibration.exposure_s is not None:
         found.append("calibration.exposure_s")
     if RECEIVERS.is_built_in(name):
         return found + [f"own.{key}" for key in settings.own]

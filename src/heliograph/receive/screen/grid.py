@@ -1,0 +1,300 @@
+"""The cells of an array in one frame: their light by least squares, and their place by how well it fits.
+
+The frame is drawn upright, S samples a cell, with a ring of one cell around. Drawn so it is B X B^T: X the light of the cells
+and of the ring, B how a cell is spread over samples by the blur. Least squares give X; what is left, against the derivatives of
+B X B^T by the place, moves the place.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.arrays import TINY, Floats
+from heliograph.base.frames import Pixels
+
+S = 6
+"""Samples of a cell's side. Chosen: a blur of a third of a cell is drawn right to 1 %."""
+
+RING = 1
+"""Cells around the array that are drawn too: what shines there is spread into the array."""
+
+LOADING = 1e-3
+"""Loading of the least squares, by the weight of a cell: cells smaller than the blur would amplify noise without bounds."""
+
+CELL_PX = 10.0
+"""Px a cell above which frames are reduced before they are drawn: S samples see them then without gaps."""
+
+STEPS = 4
+"""Most steps of a place in a frame. Chosen: from frame to frame it moves by less than half a cell, and each step halves
+the rest at least."""
+
+ENOUGH = 0.01
+"""Step in cells that ends the fit. A tolerance."""
+
+BOX_PX = 0.4
+"""Standard deviation of a pixel's box and of bilinear samples in px: sqrt(1/12 + 1/12)."""
+
+SAMPLED = 0.35
+"""The same of a sample in samples, rounded up for what is reduced."""
+
+NARROWEST = 0.05
+"""Least blur in cells: a sharper edge falls between samples."""
+
+SATURATED = 0.985
+"""Light in full scales from which a sample counts as saturated: the highest levels of 8 bits, less a codec's error."""
+
+FIRM = (0.0, 2e-3, 2e-3, 0.0, 2e-3, 2e-3, 2e-2, 2e-2)
+"""Weight, as a part of the image's own, that holds the shape of the array from frame to frame: a hand turns a phone by
+hundredths of a degree a frame."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """An array's place in a frame.
+
+    Attributes
+    ----------
+    homography
+        (3, 3) map of the array's square, 0 to n in cells, to px.
+    """
+
+    homography: Floats
+
+    @classmethod
+    def of(cls, corners: Floats, side: int) -> "Place":
+        """Return the place of an array with four corners.
+
+        Parameters
+        ----------
+        corners
+            (4, 2) corners in px, clockwise from the array's first.
+        side
+            Cells in a row, n.
+        """
+        square = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32)
+        found = cv2.getPerspectiveTransform(square, np.asarray(corners, np.float32))
+        return cls(np.asarray(found, float))
+
+    def at(self, points: Floats) -> Floats:
+        """Return points of the array in px.
+
+        Parameters
+        ----------
+        points
+            (..., 2) x and y in cells from the array's first corner.
+        """
+        h = self.homography
+        out = points @ h[:, :2].T + h[:, 2]
+        return out[..., :2] / out[..., 2:]
+
+    def corners(self, side: int) -> Floats:
+        """Return the corners in px, (4, 2).
+
+        Parameters
+        ----------
+        side
+            Cells in a row, n.
+        """
+        return self.at(np.array([[0, 0], [side, 0], [side, side], [0, side]], float))
+
+    def moved(self, by: Floats) -> "Place":
+        """Return the place shifted in the frame.
+
+        Parameters
+        ----------
+        by
+            (2,) x and y in px.
+        """
+        return Place(np.array([[1, 0, by[0]], [0, 1, by[1]], [0, 0, 1]]) @ self.homography)
+
+    def cell_px(self, side: int) -> float:
+        """Return the mean side of a cell in px.
+
+        Parameters
+        ----------
+        side
+            Cells in a row, n.
+        """
+        c = self.corners(side)
+        return float(np.linalg.norm(np.roll(c, -1, axis=0) - c, axis=1).mean() / side)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a frame shows of an array.
+
+    Attributes
+    ----------
+    place
+        Where it was.
+    cells
+        (n + 2, n + 2) light of its cells, and of the ring around, in full scales.
+    misfit
+        Rms of what the cells do not explain, as a part of the rms of the picture about its mean.
+    saturated
+        Part of the array that is at full scale.
+    """
+
+    place: Place
+    cells: Floats
+    misfit: float
+    saturated: float
+
+    @property
+    def light(self) -> Floats:
+        """(n, n) light of its cells in full scales."""
+        return self.cells[RING:-RING, RING:-RING]
+
+
+@lru_cache(maxsize=64)
+def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
+    """B, its derivative by the place in cells, and the least squares' weights, for a blur in cells."""
+    from scipy.special import ndtr
+
+    cells = side + 2 * RING
+    at = (np.arange(cells * S) + 0.5) / S
+    edge = np.arange(cells + 1.0)
+    z = (at[:, None] - edge) / width
+    b = ndtr(z[:, :-1]) - ndtr(z[:, 1:])
+    bell = np.exp(-0.5 * z**2) / (np.sqrt(2 * np.pi) * width)
+    # what lies beyond the ring is as its rim
+    b[:, 0] += ndtr(-z[:, 0])
+    b[:, -1] += ndtr(z[:, -1])
+    slope = bell[:, :-1] - bell[:, 1:]
+    slope[:, 0], slope[:, -1] = -bell[:, 1], bell[:, -2]
+    gram = b.T @ b
+    weights = np.linalg.solve(gram + LOADING * S * np.eye(cells), b.T)
+    return b, slope, weights
+
+
+def _drawn(part: Floats, homography: Floats, side: int) -> Floats:
+    """An array drawn upright, with its ring, of the light of a part of a frame and its place there."""
+    cells = side + 2 * RING
+    # sample (i + 1/2) / S - RING cells
+    to_cells = np.array([[1 / S, 0, 0.5 / S - RING], [0, 1 / S, 0.5 / S - RING], [0, 0, 1]])
+    size = (cells * S, cells * S)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(
+        cv2.warpPerspective(part, homography @ to_cells, size, flags=flags, borderMode=cv2.BORDER_REPLICATE),
+        np.float64,
+    )
+
+
+def inside(place: Place, side: int, shape: tuple[int, ...]) -> bool:
+    """Whether all of an array lies in a frame.
+
+    Parameters
+    ----------
+    place
+        Where it is.
+    side
+        Cells in a row, n.
+    shape
+        Rows and columns of the frame.
+    """
+    corners = place.corners(side)
+    w = np.array([[0, 0, 1], [side, 0, 1], [side, side, 1], [0, side, 1.0]]) @ place.homography[2]
+    size = np.array(shape[::-1])
+    return bool(np.isfinite(corners).all() and (w > 0).all() and (corners > -1).all() and (corners < size).all())
+
+
+class Look:
+    """Finds an array's cells and place in frames.
+
+    Parameters
+    ----------
+    side
+        Cells in a row, n.
+    blur_px
+        Standard deviation of the blur in px.
+    light
+        (levels,) float32 light in full scales of each gray level: the camera's gamma undone.
+    """
+
+    def __init__(self, side: int, blur_px: float, light: NDArray[np.float32]):
+        self.side, self.blur_px, self.light = side, blur_px, light
+
+    def __call__(self, pixels: Pixels, place: Place, steps: int = STEPS) -> Seen:
+        """Find the cells and the place in a frame.
+
+        Parameters
+        ----------
+        pixels
+            (rows, columns) gray levels.
+        place
+            Where the array is expected, off by less than half a cell.
+        steps
+            Most steps of the place; 0 takes it as it is.
+        """
+        side = self.side
+        part, there = self._around(pixels, place)
+        # a pixel's box, bilinear samples and the lens together
+        width = float(np.hypot(np.hypot(self.blur_px, BOX_PX) / place.cell_px(side), SAMPLED / S))
+        b, slope, weights = _spread(side, round(max(width, NARROWEST), 2))
+        start = place
+        for step in range(steps + 1):
+            seen = _drawn(part, there.homography @ np.linalg.solve(start.homography, place.homography), side)
+            x = weights @ seen @ weights.T
+            left = seen - b @ x @ b.T
+            if step == steps:
+                break
+            delta = _step(left, b, slope, x, side)
+            place = Place(place.homography @ delta)
+            if np.abs(delta - np.eye(3))[:2].max() < ENOUGH:
+                break
+        core = slice(RING * S, -RING * S)
+        inner = seen[core, core]
+        misfit = float(np.sqrt(np.mean(left[core, core] ** 2)) / max(inner.std(), TINY))
+        return Seen(place, x, misfit, float(np.mean(inner > SATURATED)))
+
+    def _around(self, pixels: Pixels, place: Place) -> tuple[Floats, Place]:
+        """Light of the part of a frame about an array, reduced where its cells are large, and the place in it."""
+        corners, cell = place.corners(self.side), place.cell_px(self.side)
+        rim = 2 * cell + 2
+        low = np.maximum(np.floor(corners.min(0) - rim), 0).astype(int)
+        high = np.minimum(np.ceil(corners.max(0) + rim).astype(int) + 1, pixels.shape[::-1])
+        part = self.light[pixels[low[1] : high[1], low[0] : high[0]]]
+        factor = max(1, int(cell / CELL_PX))
+        if factor > 1:
+            size = (part.shape[1] // factor, part.shape[0] // factor)
+            part = part[: size[1] * factor, : size[0] * factor]
+            part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA))
+        # pixel i of the reduced part covers pixels factor i to factor (i + 1) - 1
+        shift = (0.5 - low) / factor - 0.5
+        move = np.array([[1 / factor, 0, shift[0]], [0, 1 / factor, shift[1]], [0, 0, 1]])
+        return part, Place(move @ place.homography)
+
+
+def _step(left: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> Floats:
+    """A small homography in cells that lessens what is left, (3, 3)."""
+    core = slice(RING * S - S // 2, -(RING * S - S // 2))
+    across, down = (b @ x @ slope.T)[core, core], (slope @ x @ b.T)[core, core]
+    at = (np.arange(b.shape[0])[core] + 0.5) / S - RING - side / 2
+    u, v = (one / side for one in np.meshgrid(at, at))
+    # x' = x + a + b u + c v + g u^2 + h u v, y' = y + d + e u + f v + g u v + h v^2, in cells
+    rows = np.stack(
+        [
+            across,
+            across * u,
+            across * v,
+            down,
+            down * u,
+            down * v,
+            (across * u + down * v) * u,
+            (across * u + down * v) * v,
+        ]
+    )
+    rows = rows.reshape(8, -1)
+    gram = rows @ rows.T
+    hold = np.array(FIRM) * (gram[0, 0] + gram[3, 3]) / 2
+    # the image moves against the place
+    p = np.linalg.solve(gram + np.diag(hold) + 1e-12 * np.eye(8), -(rows @ left[core, core].ravel()))
+    p = p / max(1.0, float(np.abs(p).max()) / 0.7)
+    n = side
+    a, bb, c, d, e, f, g, h = p
+    centred = np.array([[1 + bb / n, c / n, a], [e / n, 1 + f / n, d], [-g / n**2, -h / n**2, 1]])
+    move = np.array([[1, 0, n / 2], [0, 1, n / 2], [0, 0, 1]])
+    return move @ centred @ np.linalg.inv(move)

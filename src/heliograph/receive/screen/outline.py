@@ -1,0 +1,172 @@
+"""Where a screen's array is: the quadrilateral in which everything changes."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from heliograph.base.arrays import TINY, Floats
+
+COARSE_PX = 480
+"""Most columns of the reduced frames in which changes are looked for: an array of 50 px in a frame of 1280 px has 19 there.
+Half as many would leave it a pixel for each of the header's cells."""
+
+LEAST_CHANGE = 3.0
+"""Least rms change of an array in gray levels. Chosen: noise has 1 to 2, and codecs leave less of it."""
+
+LEAST_SIDE = 9
+"""Least side of an array in reduced pixels. Chosen: about two for each of the header's cells."""
+
+CANDIDATES = 4
+"""Most places that are examined. Chosen: what moves in a film makes few larger ones."""
+
+FOUR = 4
+"""Corners of a quadrilateral."""
+
+PROFILES = 32
+"""Places along a side where its edge is looked for. Chosen: lines through them are right to a tenth of a pixel."""
+
+REACH = 0.12
+"""Pixels across a side, as a part of the side's length, within which its edge is looked for."""
+
+AGREES = 2.0
+"""Px from the line at which an edge counts half: cells at the rim that hardly changed show none."""
+
+
+def reduced(pixels: Floats) -> tuple[Floats, int]:
+    """Return a frame reduced for the search, and by what factor.
+
+    Parameters
+    ----------
+    pixels
+        (rows, columns) gray levels.
+    """
+    factor = max(1, -(-pixels.shape[1] // COARSE_PX))
+    size = (pixels.shape[1] // factor, pixels.shape[0] // factor)
+    cut = pixels[: size[1] * factor, : size[0] * factor]
+    return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), np.float32), factor
+
+
+def quadrilaterals(changes: Floats, factor: int) -> list[Floats]:
+    """Find areas that change, the strongest first.
+
+    Parameters
+    ----------
+    changes
+        (rows, columns) rms change of reduced frames in gray levels.
+    factor
+        By what they are reduced.
+
+    Returns
+    -------
+    Corners (4, 2) in px of the frame, clockwise, the upper left one first.
+    """
+    top = float(changes.max())
+    if top < LEAST_CHANGE:
+        return []
+    scaled = np.rint(np.clip(changes / top, 0, 1) * 255).astype(np.uint8)
+    level, _ = cv2.threshold(scaled, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    found: list[tuple[float, Floats]] = []
+    for share in (1.0, 0.5):
+        lit = (scaled > max(share * level, 255 * LEAST_CHANGE / top)).astype(np.uint8)
+        kernel = np.ones((3, 3), np.uint8)
+        lit = np.asarray(cv2.morphologyEx(lit, cv2.MORPH_CLOSE, kernel), np.uint8)
+        lit = np.asarray(cv2.morphologyEx(lit, cv2.MORPH_OPEN, kernel), np.uint8)
+        outlines, _ = cv2.findContours(lit, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        for one in outlines:
+            corners = _corners(cv2.convexHull(one))
+            sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+            if sides.min() >= LEAST_SIDE and sides.max() < 2.5 * sides.min():
+                mask = np.zeros(lit.shape, np.uint8)
+                cv2.fillConvexPoly(mask, np.rint(corners).astype(np.int32), 1)
+                strength = float((changes * mask).sum() * (lit * mask).sum() / max(int(mask.sum()), 1))
+                found.append((strength, (_ordered(corners) + 0.5) * factor - 0.5))
+    found.sort(key=lambda one: -one[0])
+    kept: list[Floats] = []
+    for _, corners in found:
+        if all(np.abs(corners - other).max() > 2 * factor for other in kept):
+            kept.append(corners)
+    return kept[:CANDIDATES]
+
+
+def _corners(hull: Sequence[Sequence[int]]) -> Floats:
+    """The four corners of a convex outline, by the coarsest polygon that has four."""
+    length = cv2.arcLength(np.asarray(hull), True)
+    for fraction in np.geomspace(0.01, 0.15, 24):
+        polygon = cv2.approxPolyDP(np.asarray(hull), fraction * length, True)[:, 0]
+        if len(polygon) == FOUR:
+            return np.asarray(polygon, np.float64)
+        if len(polygon) < FOUR:
+            break
+    return np.asarray(cv2.boxPoints(cv2.minAreaRect(np.asarray(hull))), np.float64)
+
+
+def _ordered(corners: Floats) -> Floats:
+    """Corners clockwise, the one nearest to the upper left first."""
+    x, y = corners.T
+    turn = float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+    corners = corners if turn > 0 else corners[::-1]
+    return np.roll(corners, -int(np.argmin(corners.sum(axis=1))), axis=0)
+
+
+def sharpened(changes: Floats, corners: Floats) -> Floats:
+    """Return corners as the edges of an area show them where frames are not reduced.
+
+    Parameters
+    ----------
+    changes
+        (rows, columns) rms change of frames in gray levels.
+    corners
+        (4, 2) corners in px, clockwise, off by a tenth of a side at most.
+    """
+    for _ in range(3):
+        lines = [_edge(changes, corners[k], corners[(k + 1) % FOUR], corners.mean(0)) for k in range(FOUR)]
+        moved = np.array([_crossing(lines[k - 1], lines[k]) for k in range(FOUR)])
+        if not np.isfinite(moved).all() or np.abs(moved - corners).max() > np.ptp(corners, axis=0).max() / 2:
+            return corners
+        done = np.abs(moved - corners).max() < 0.1
+        corners = moved
+        if done:
+            break
+    return corners
+
+
+def _edge(changes: Floats, start: Floats, end: Floats, middle: Floats) -> tuple[Floats, Floats]:
+    """A point and the direction of the edge beside a side."""
+    length = float(np.linalg.norm(end - start))
+    along = (end - start) / max(length, TINY)
+    out = np.array([along[1], -along[0]])
+    if (start - middle) @ out < 0:
+        out = -out
+    reach = max(REACH * length, 3.0)
+    across = np.linspace(-reach, reach, 2 * int(4 * reach) + 1)
+    places = np.linspace(0.06, 0.94, PROFILES) * length
+    points = start + places[:, None, None] * along + across[:, None] * out
+    seen = cv2.remap(changes, *(np.asarray(points[..., k], np.float32) for k in (0, 1)), cv2.INTER_LINEAR)
+    inside = np.median(seen[:, : len(across) // 3], axis=1)
+    outside = np.median(seen[:, -len(across) // 4 :], axis=1)
+    strong = inside - outside > 0.4 * np.median(inside)
+    if strong.sum() < PROFILES // 4:
+        return start, along
+    # an edge that is blurred has half its height where it is
+    over = seen > ((inside + outside) / 2)[:, None]
+    last = len(across) - 1 - np.argmax(over[:, ::-1], axis=1)
+    offsets = across[last] + (across[1] - across[0]) / 2
+    weight = strong.astype(float)
+    fit = np.array([np.median(offsets[strong]), 0.0])
+    columns = np.column_stack([np.ones(PROFILES), places / length - 0.5])
+    for _ in range(8):
+        far = np.abs(offsets - columns @ fit)
+        w = weight / (1 + (far / AGREES) ** 2) ** 2
+        fit = np.linalg.lstsq(columns * w[:, None], offsets * w, rcond=None)[0]
+    a, b = (start + s * length * along + (fit[0] + fit[1] * (s - 0.5)) * out for s in (0.0, 1.0))
+    return a, b - a
+
+
+def _crossing(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> Floats:
+    (p, d), (q, e) = one, other
+    across = d[0] * e[1] - d[1] * e[0]
+    if abs(across) < TINY:
+        return np.full(2, np.nan)
+    t = ((q[0] - p[0]) * e[1] - (q[1] - p[1]) * e[0]) / across
+    return p + t * d

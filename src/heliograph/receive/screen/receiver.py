@@ -1,0 +1,329 @@
+"""The receiver "screen": one array of a screen, found where everything changes, followed, and read row by row."""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.arrays import Floats
+from heliograph.base.errors import SettingsError
+from heliograph.base.frames import Frame, check_next
+from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.coming import ENOUGH_SEEN, HEADER_SEEN
+from heliograph.receive.decode.codeword import Decoding
+from heliograph.receive.equalise.threads import in_one_thread
+from heliograph.receive.events import DecodeEvent, DetectEvent, LostEvent, Observer
+from heliograph.receive.image.fit import Fit
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.packets import Packet, Status
+from heliograph.receive.screen.follow import Follower, Sample
+from heliograph.receive.screen.grid import RING, Look, Place
+from heliograph.receive.screen.outline import quadrilaterals, reduced, sharpened
+from heliograph.receive.screen.reader import PacketReading, ReadPacket
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.signal.settings import SignalSettings
+
+KEPT_FRAMES = 64
+"""Frames that are kept while an array is looked for: 2 s at 30 frames a second, 16 patterns of 60 a second at 240. They take
+60 MB at 1280 x 720."""
+
+SEARCH_EVERY = 6
+"""Frames from one search to the next. Chosen: a fifth of a second at 30 frames a second."""
+
+FIRST_SEARCH = 12
+"""Frames before the first search: four patterns at three frames a pattern."""
+
+WINDOWS = (16, 64)
+"""Latest frames whose changes are looked at: few, as a hand moves the array meanwhile; many, where patterns are slow."""
+
+BLURS_PX = (1.0, 0.6, 1.6, 2.4, 3.5)
+"""Blurs that are tried in px."""
+
+LOST_S = 1.0
+"""Seconds out of sight after which an array is looked for anew. Chosen."""
+
+
+def screen_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> "ScreenReceiver":
+    """Make the receiver "screen".
+
+    Parameters
+    ----------
+    signal
+        Settings of the light's signal, on which both ends agree; the pattern rate is a first guess alone.
+    settings
+        Settings of the receiver: those of the decoder, of calibration and of "screen" count.
+    observe
+        Gets the events of arrays found and lost, and of packets decoded.
+
+    Raises
+    ------
+    SettingsError
+        The light does not use the hierarchical code, or its headers have no M-sequence.
+    """
+    if signal.modulation != "haar" or signal.header != "m_sequence":
+        raise SettingsError('the receiver screen reads signal.modulation = "haar" with signal.header = "m_sequence"')
+    return ScreenReceiver(signal, settings, observe)
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """An array that is followed."""
+
+    follower: Follower
+    samples: list[Sample]
+
+
+class ScreenReceiver:
+    """Finds the array of a screen in a stream of frames and yields its packets; see `packets.Receiver`.
+
+    Parameters
+    ----------
+    signal, settings, observe
+        As of `screen_receiver`.
+    """
+
+    def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Observer):
+        self._signal, self._settings, self._observe = signal, settings, observe
+        self._options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
+        self._frames: deque[Frame] = deque(maxlen=KEPT_FRAMES)
+        self._small: deque[Floats] = deque(maxlen=KEPT_FRAMES)
+        self._factor = 1
+        self._since = 0
+        self._last: Frame | None = None
+        self._light: NDArray[np.float32] | None = None
+        self._follower: Follower | None = None
+        self._reading: PacketReading | None = None
+        self._identity: int | None = None
+        self._periods: deque[float] = deque(maxlen=KEPT_FRAMES)
+
+    def push(self, frame: Frame) -> Iterator[Packet]:
+        """Take the next frame; yield the packets it completes; see `Receiver`.
+
+        Raises
+        ------
+        HeliographError
+            It is no frame, or one of another camera than the last.
+        """
+        return in_one_thread(self._checked(frame))
+
+    def finish(self) -> Iterator[Packet]:
+        """End of the film: yield the packet in progress if enough of it was seen."""
+        return in_one_thread(self._finish())
+
+    def _finish(self) -> Iterator[Packet]:
+        if self._follower is None and len(self._frames) >= FIRST_SEARCH:
+            yield from self._search()
+        if self._reading is not None:
+            for one in self._reading.finish():
+                yield self._packet(one)
+        self._forget()
+
+    def _checked(self, frame: Frame) -> Iterator[Packet]:
+        check_next(frame, self._last)
+        last, self._last = self._last, frame
+        if last is not None:
+            # a copy of the frame before shows nothing new
+            if frame.pixels.shape == last.pixels.shape and np.array_equal(frame.pixels, last.pixels):
+                return
+            self._periods.append((frame.time_s - last.time_s) / max(frame.index - last.index, 1))
+        if self._follower is not None:
+            yield from self._follow(frame)
+        if self._follower is None:
+            self._frames.append(frame)
+            small, self._factor = reduced(self._linear(frame))
+            self._small.append(small)
+            self._since += 1
+            if len(self._frames) >= FIRST_SEARCH and self._since >= SEARCH_EVERY:
+                self._since = 0
+                yield from self._search()
+
+    def _linear(self, frame: Frame) -> Floats:
+        if self._light is None:
+            levels = np.arange(frame.full_scale + 1) / frame.full_scale
+            self._light = (levels**self._settings.screen.gamma).astype(np.float32)
+        return self._light[frame.pixels]
+
+    @property
+    def _frame_s(self) -> float:
+        return float(np.median(self._periods))
+
+    def _search(self) -> Iterator[Packet]:
+        """Look for an array in the frames kept."""
+        for count in WINDOWS:
+            if count > WINDOWS[0] and len(self._small) <= WINDOWS[0]:
+                return
+            latest = list(self._small)[-count:]
+            changes = 255 * np.std(latest, axis=0)
+            for corners in quadrilaterals(changes, self._factor):
+                taken = self._taken(corners, count)
+                if taken is not None:
+                    yield from self._take_up(taken)
+                    return
+
+    def _taken(self, corners: Floats, count: int) -> _Taken | None:
+        """Follow what may be an array through the frames kept; None where its cells do not show."""
+        frames = list(self._frames)
+        middle = max(len(frames) - min(count, len(frames)) // 2 - 1, 0)
+        latest = frames[-count:]
+        linear = np.stack([self._linear(one) for one in latest[:: max(1, len(latest) // 16)]])
+        corners = sharpened(np.asarray(255 * linear.std(axis=0), np.float32), corners)
+        place = Place.of(corners, self._signal.side)
+        best: _Taken | None = None
+        least = np.inf
+        assert self._light is not None
+        for blur in BLURS_PX:
+            look = Look(self._signal.side, blur, self._light)
+            start = self._settled(look, place, frames[middle])
+            follower = Follower(look, start)
+            some = [follower.take(one) for one in frames[middle : middle + 6]]
+            seen = [one.seen.misfit for one in some if one is not None]
+            if len(seen) == len(some) and np.mean(seen) < 0.98 * least:
+                least, best = float(np.mean(seen)), _Taken(Follower(look, start), [])
+        if best is None:
+            return None
+        return self._whole(best, frames, middle)
+
+    def _settled(self, look: Look, place: Place, frame: Frame) -> Place:
+        try:
+            return look(frame.pixels, place, 12).place
+        except np.linalg.LinAlgError:
+            return place
+
+    def _whole(self, taken: _Taken, frames: list[Frame], middle: int) -> _Taken | None:
+        """Follow an array back to the first frame kept and on to the last; shift it where a rim does not change."""
+        look, start = taken.follower._look, taken.follower.place
+        for _ in range(3):
+            back = Follower(look, start)
+            before = [back.take(one) for one in frames[middle::-1]]
+            ahead = Follower(look, start)
+            after = [ahead.take(one) for one in frames[middle + 1 :]]
+            samples = [one for one in (*before[::-1], *after) if one is not None]
+            if len(samples) < len(frames) // 2:
+                return None
+            shift = rim_shift(np.stack([one.seen.cells for one in samples]))
+            if not any(shift):
+                return _Taken(ahead, samples)
+            start = Place(start.homography @ np.array([[1, 0, shift[0]], [0, 1, shift[1]], [0, 0, 1.0]]))
+        return None
+
+    def _take_up(self, taken: _Taken) -> Iterator[Packet]:
+        self._follower = taken.follower
+        height = int(self._frames[-1].pixels.shape[0])
+        screen = self._settings.screen
+        self._reading = PacketReading(
+            self._signal, self._options, self._frame_s, height, screen.row_time_s, not screen.find_rate
+        )
+        for sample in taken.samples:
+            yield from self._read(sample)
+
+    def _follow(self, frame: Frame) -> Iterator[Packet]:
+        assert self._follower is not None
+        sample = self._follower.take(frame)
+        self._frames.append(frame)
+        if sample is not None:
+            yield from self._read(sample)
+        elif self._follower.lost_since is not None and frame.time_s - self._follower.lost_since > LOST_S:
+            if self._reading is not None:
+                for one in self._reading.finish():
+                    yield self._packet(one)
+            self._forget()
+
+    def _read(self, sample: Sample) -> Iterator[Packet]:
+        assert self._reading is not None
+        for one in self._reading.take(sample):
+            yield self._packet(one)
+
+    def _forget(self) -> None:
+        if self._identity is not None and self._last is not None:
+            self._observe(LostEvent(self._identity, self._last.time_s))
+        self._follower = self._reading = self._identity = None
+        self._frames.clear()
+        self._small.clear()
+
+    def _packet(self, one: ReadPacket) -> Packet:
+        pose = _pose(one.first.seen.place, self._signal.side)
+        if self._identity is None:
+            self._observe(DetectEvent(self._detection(one, pose), tuple(self._frames)[-1:]))
+            self._identity = one.header.identity
+        known = self._settings.calibration
+        packet = Packet(
+            identity=one.header.identity,
+            status=_status(one),
+            start_time_s=one.start_s,
+            first_frame=one.first.index,
+            last_frame=one.last.index,
+            pose=pose,
+            # pinhole: pitch_px = f p / (Z pixel)
+            distance_m=known.focal_m * known.pitch_m / (pose.frontal_pitch * known.pixel_m),
+            header_score=one.header.score,
+            track_score=float(np.clip(1 - one.first.seen.misfit**2, 0, 1)),
+            pairs_seen=float(np.mean(one.seen)),
+            layers=one.words,
+            format=one.form,
+            orientation=one.header.orientation,
+            reason=one.reason,
+        )
+        self._observe(DecodeEvent(packet.identity, packet, luminances=one.change))
+        return packet
+
+    def _detection(self, one: ReadPacket, pose: Pose) -> Detection:
+        side = self._signal.side
+        light = float(one.first.seen.light.mean()) * self._last.full_scale if self._last else 0.0
+        fit = Fit(pose.full_vector(), np.eye(7), light, 1 - one.first.seen.misfit)
+        return Detection(
+            one.header.identity,
+            one.start_s,
+            fit,
+            one.start_s,
+            one.header.score,
+            1.0,
+            np.ones((side, side)),
+            one.header.orientation,
+        )
+
+
+def rim_shift(cells: Floats) -> tuple[int, int]:
+    """Return by how many cells, right and down, an array lies beside where it is taken for.
+
+    Parameters
+    ----------
+    cells
+        (frames, n + 2, n + 2) light of the cells and the ring around them.
+    """
+    change = cells.std(axis=0)
+    typical = float(np.median(change[RING:-RING, RING:-RING]))
+    inner = slice(RING, -RING)
+    lines = {
+        "left": (change[inner, 0], change[inner, 1]),
+        "right": (change[inner, -1], change[inner, -2]),
+        "top": (change[0, inner], change[1, inner]),
+        "low": (change[-1, inner], change[-2, inner]),
+    }
+    outer = {name: float(np.median(a)) > typical / 2 for name, (a, _) in lines.items()}
+    dark = {name: float(np.median(b)) < typical / 4 for name, (_, b) in lines.items()}
+    across = int(outer["right"] and dark["left"]) - int(outer["left"] and dark["right"])
+    down = int(outer["low"] and dark["top"]) - int(outer["top"] and dark["low"])
+    return across, down
+
+
+def _pose(place: Place, side: int) -> Pose:
+    """The affine pose at an array's middle."""
+    middle = np.array([side / 2, side / 2])
+    x, y = place.at(middle)
+    right, down = (place.at(middle + d) - place.at(middle - d) for d in np.eye(2) / 2)
+    a = np.column_stack([right, down])
+    u, sizes, vt = np.linalg.svd(a)
+    turn, stretch = u @ vt, vt.T @ np.diag(sizes / sizes.mean()) @ vt
+    roll = float(np.arctan2(turn[1, 0], turn[0, 0]))
+    return Pose(float(x), float(y), float(sizes.mean()), roll, 0.6, float(stretch[0, 0] - 1), float(stretch[0, 1]))
+
+
+def _status(one: ReadPacket) -> Status:
+    good = [word.status == "ok" for words in one.words.values() for word in words]
+    if any(good):
+        return "ok" if all(good) else "partial"
+    if np.mean(one.seen) < ENOUGH_SEEN:
+        return "no_array"
+    return "crc_fail" if one.header.score >= HEADER_SEEN else "no_header"
