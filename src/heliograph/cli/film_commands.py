@@ -41,7 +41,7 @@ JunctionOption = Annotated[
     ),
 ]
 Codec = Annotated[
-    str | None, typer.Option(help="Codec of the film: ffv1, h264 or mjpeg; chosen by the suffix if left out.")
+    str | None, typer.Option(help="Codec of the film: ffv1, h264, h265 or mjpeg; chosen by the suffix if left out.")
 ]
 Fps = Annotated[
     float | None,
@@ -134,13 +134,16 @@ def simulate(
     codec: Codec = None,
     crf: Annotated[float | None, typer.Option(help="Quality of lossy H.264, 0 to 51.")] = None,
     lossless: Annotated[bool, typer.Option(help="Store H.264 without loss.")] = False,
+    mbit_s: Annotated[
+        float | None, typer.Option(help="Bit rate of H.264 or H.265 in Mbit/s: a film as phones write it.")
+    ] = None,
 ) -> None:
     """Film a drive past the arrays, and write its truth beside it."""
     from heliograph.cli.simulate import run_simulate
 
     run_simulate(film, preset, settings, assignments, seed, background, imu,
                  options.Sent(high, middle, low, tuple(file or ()), file_code, junction),
-                 {"codec": codec, "crf": crf, "lossless": lossless})  # fmt: skip
+                 {"codec": codec, "crf": crf, "lossless": lossless, "mbit_s": mbit_s})  # fmt: skip
 
 
 def transmit(

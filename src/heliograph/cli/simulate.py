@@ -61,7 +61,8 @@ def _announce(film: Path, settings: "LinkSettings", codec: dict[str, Any]) -> No
     """Say beforehand how large a film without loss becomes."""
     from heliograph.link.film import frames_of
 
-    lossy = film.suffix.lower() == ".mp4" or codec["crf"] is not None or codec["codec"] in ("h264", "mjpeg")
+    lossy = film.suffix.lower() == ".mp4" or codec["crf"] is not None or codec["mbit_s"] is not None
+    lossy |= codec["codec"] in ("h264", "h265", "mjpeg")
     camera = settings.channel.camera
     size = frames_of(settings) * camera.width * camera.height * BYTES_PER_PIXEL
     if size >= LARGE_BYTES and (codec["lossless"] or not lossy):

@@ -163,15 +163,16 @@ def create_film(
     metadata: Mapping[str, str] | None = None,
     crf: float | None = None,
     lossless: bool = False,
+    mbit_s: float | None = None,
 ) -> FilmWriter:
     """Create a film; the suffix chooses its kind.
 
     ======= ======================= =============== ==================================================================
     suffix  codecs, default first   exact levels    times
     ======= ======================= =============== ==================================================================
-    .nut    ffv1, h264, mjpeg       ffv1, lossless  to 1 us, exact on the grid of ``rate_hz``
-    .mkv    ffv1, h264, mjpeg       ffv1, lossless  exact on the grid, elsewhere to 1 ms; up to 1000 frames a second
-    .mp4    h264                    lossless        to 1 us, exact on the grid
+    .nut    ffv1, h264, h265, mjpeg ffv1, lossless  to 1 us, exact on the grid of ``rate_hz``
+    .mkv    ffv1, h264, h265, mjpeg ffv1, lossless  exact on the grid, elsewhere to 1 ms; up to 1000 frames a second
+    .mp4    h264, h265              lossless        to 1 us, exact on the grid
     .avi    mjpeg                   no              the grid only; up to 1000 frames a second
     .h5     none                    yes             exact
     ======= ======================= =============== ==================================================================
@@ -191,7 +192,7 @@ def create_film(
     bits
         Bits of a gray level: 8 to 16 with FFV1 and HDF5, 8 to 10 with H.264, 8 with MJPEG.
     codec
-        "ffv1", "h264" or "mjpeg"; None for the suffix's default.
+        "ffv1", "h264", "h265" or "mjpeg"; None for the suffix's default.
     metadata
         Text to keep with the film, by name.
     crf
@@ -199,6 +200,9 @@ def create_film(
         1.5, without bias. The usual 18 wipes the noise out.
     lossless
         Whether H.264 keeps every bit: faster than FFV1, but few players show it.
+    mbit_s
+        Bit rate of H.264 or H.265 in Mbit/s, 0.1 to 1000: the film is written as a phone writes it, in 4:2:0 and limited
+        range. None for a constant quality.
 
     Returns
     -------
@@ -219,7 +223,7 @@ def create_film(
     spec = FilmSpec(
         width=width, height=height, rate_hz=rate_hz, bits=bits, metadata={} if metadata is None else metadata
     )
-    sink_codec = _codec(suffix, spec, codec, crf, lossless)
+    sink_codec = _codec(suffix, spec, codec, crf, lossless, mbit_s)
     partial = partial_path(target)
     try:
         sink = _sink(partial, target, spec, sink_codec)
@@ -248,15 +252,15 @@ def checked_path(path: object) -> Path:
 
 
 def _codec(
-    suffix: str, spec: FilmSpec, name: str | None, crf: float | None, lossless: bool
+    suffix: str, spec: FilmSpec, name: str | None, crf: float | None, lossless: bool, mbit_s: float | None
 ) -> video_write.VideoCodec | None:
     if suffix in hdf5.SUFFIXES:
-        if name is not None or crf is not None:
+        if name is not None or crf is not None or mbit_s is not None:
             raise MediaError(
                 f"{suffix} films are not coded: leave out codec and crf, or choose .mkv, .nut, .mp4 or .avi"
             )
         return None
-    codec = video_write.chosen_codec(suffix, name, crf, lossless)
+    codec = video_write.chosen_codec(suffix, name, crf, lossless, mbit_s)
     video_write.check_form(spec, suffix, codec.name)
     return codec
 

@@ -43,8 +43,8 @@ def gray_format(bits: int) -> str:
     return _GRAY[min(b for b in _GRAY if b >= bits)]
 
 
-def to_video(pixels: Pixels, pixel_format: str) -> "av.VideoFrame":
-    """Copy gray levels into a full-range picture; its colour planes, if any, are neutral.
+def to_video(pixels: Pixels, pixel_format: str, span: int = FULL) -> "av.VideoFrame":
+    """Copy gray levels into a picture; its colour planes, if any, are neutral.
 
     Parameters
     ----------
@@ -52,15 +52,19 @@ def to_video(pixels: Pixels, pixel_format: str) -> "av.VideoFrame":
         (rows, columns) gray levels, uint8 or uint16.
     pixel_format
         FFmpeg's name of a format whose first plane is luma of the same depth.
+    span
+        `FULL`, or `LIMITED` for levels of 8 bits that are squeezed into 16 to 235.
     """
     import av
 
+    if span == LIMITED:
+        pixels = _squeeze()[pixels]
     rows, columns = pixels.shape
     picture = av.VideoFrame(columns, rows, pixel_format)
     _plane(picture, 0, 8 * pixels.itemsize)[:rows, :columns] = pixels
     for index in range(1, len(picture.planes)):
         _plane(picture, index, 8)[:] = _NEUTRAL
-    picture.color_range = FULL
+    picture.color_range = span
     return picture
 
 
@@ -134,6 +138,12 @@ def _plane(picture: "av.VideoFrame", index: int, bits: int) -> Pixels:
     if bits == 8:
         return np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
     return np.frombuffer(plane, np.uint16).reshape(-1, plane.line_size // 2)
+
+
+@functools.lru_cache
+def _squeeze() -> Pixels:
+    levels = np.rint(_BLACK + np.arange(256) * _SPAN / 255)
+    return levels.astype(np.uint8)
 
 
 @functools.lru_cache

@@ -78,6 +78,8 @@ class VideoReader(FilmReader):
             self.frame_count = _frame_count(container, self.claimed_hz) if self._stamped else None
             checked_size(path, self.width, self.height)
             self._way_up = Orientation() if self._record else _way_up(container)
+            # what was written in limited range had all levels before
+            self._expanded = reading.expand_range or self._record is not None
             self.width, self.height = self._way_up.size(self.width, self.height)
 
     def _frames(self) -> Iterator[Frame]:
@@ -94,7 +96,7 @@ class VideoReader(FilmReader):
         import av
 
         try:
-            pixels, bits = planes.to_gray(picture, self._reading.expand_range, self._reading.channel)
+            pixels, bits = planes.to_gray(picture, self._expanded, self._reading.channel)
         except (av.error.FFmpegError, ValueError) as error:  # a form of pixels that FFmpeg cannot turn into gray
             raise MediaError(f"{self.path} is damaged after {count} whole frames: copy it again") from error
         return (pixels if self._way_up == Orientation() else self._way_up.upright(pixels)), bits

@@ -1,4 +1,7 @@
-"""Write video files through PyAV: FFV1 and lossless H.264 bit for bit, H.264 and MJPEG lossy, always full range."""
+"""Write video files through PyAV: FFV1 and lossless H.264 bit for bit, H.264, H.265 and MJPEG lossy, in full range.
+
+With a bit rate H.264 and H.265 are written as phones write them: 4:2:0, limited range, a whole picture each second.
+"""
 
 import zlib
 from collections.abc import Iterator
@@ -20,14 +23,14 @@ if TYPE_CHECKING:
     from av.container import OutputContainer
 
 CODECS = {
-    ".mkv": ("ffv1", "h264", "mjpeg"),
-    ".nut": ("ffv1", "h264", "mjpeg"),
-    ".mp4": ("h264",),
+    ".mkv": ("ffv1", "h264", "h265", "mjpeg"),
+    ".nut": ("ffv1", "h264", "h265", "mjpeg"),
+    ".mp4": ("h264", "h265"),
     ".avi": ("mjpeg",),
 }
 """Codecs by suffix, the default first."""
 
-MOST_BITS = {"ffv1": 16, "h264": 10, "mjpeg": 8}
+MOST_BITS = {"ffv1": 16, "h264": 10, "h265": 8, "mjpeg": 8}
 """Most bits of a gray level that FFmpeg's encoder of each codec takes."""
 
 DEFAULT_CRF = 12.0
@@ -46,6 +49,15 @@ _SLICES, _SLICES_ACROSS = 6, 3
 """Slices of an FFV1 picture, which are coded side by side, and how many of them lie beside one another: a picture
 needs a pixel for each."""
 
+_RATED = ("h264", "h265")
+"""Codecs with a quality or a bit rate."""
+
+_LEAST_MBIT, _MOST_MBIT = 0.1, 1000.0
+"""Bounds of a bit rate in Mbit/s. Chosen: phones write 10 to 40."""
+
+_PHONE_PRESET = "veryfast"
+"""Preset of the encoders where a bit rate is given. Chosen: encoders in phones are fast ones."""
+
 _COARSE_HZ = 1000
 """Largest frame rate of Matroska, which counts milliseconds, and of AVI, whose reader rejects more frames a second."""
 
@@ -61,19 +73,24 @@ class VideoCodec:
     Attributes
     ----------
     name
-        "ffv1", "h264" or "mjpeg".
+        "ffv1", "h264", "h265" or "mjpeg".
     crf
         Quality of lossy H.264, 0 (best) to 51.
     lossless
         Whether H.264 keeps every bit.
+    mbit_s
+        Bit rate of H.264 or H.265 in Mbit/s; None for a constant quality.
     """
 
     name: str
     crf: float = DEFAULT_CRF
     lossless: bool = False
+    mbit_s: float | None = None
 
 
-def chosen_codec(suffix: str, name: str | None, crf: float | None, lossless: bool) -> VideoCodec:
+def chosen_codec(
+    suffix: str, name: str | None, crf: float | None, lossless: bool, mbit_s: float | None = None
+) -> VideoCodec:
     """Return the codec of a film.
 
     Parameters
@@ -81,11 +98,13 @@ def chosen_codec(suffix: str, name: str | None, crf: float | None, lossless: boo
     suffix
         Suffix of the film, a key of `CODECS`.
     name
-        "ffv1", "h264" or "mjpeg"; None for the suffix's default.
+        "ffv1", "h264", "h265" or "mjpeg"; None for the suffix's default.
     crf
         Quality of lossy H.264, 0 (best) to 51; None for the default.
     lossless
         Whether H.264 keeps every bit.
+    mbit_s
+        Bit rate of H.264 or H.265 in Mbit/s; None for a constant quality.
 
     Raises
     ------
@@ -93,18 +112,22 @@ def chosen_codec(suffix: str, name: str | None, crf: float | None, lossless: boo
         The codec does not go into the file, or the other settings do not go with the codec.
     """
     known = CODECS[suffix]
-    name = name or known[0]
+    name = name or ("h264" if mbit_s is not None and "h264" in known else known[0])
     if name not in known:
         raise MediaError(f"codec {name!r} does not go into {suffix}: choose one of {', '.join(known)}")
-    if name != "h264" and crf is not None:
-        raise MediaError(f"crf is a setting of h264, the codec of this film is {name}: leave it out")
-    if name == "mjpeg" and lossless:
-        raise MediaError("mjpeg cannot be lossless: choose codec='ffv1' or 'h264' in a .mkv or .nut file")
+    if name not in _RATED and (crf is not None or mbit_s is not None):
+        raise MediaError(f"crf and mbit_s are settings of h264 and h265, the codec of this film is {name}: leave it out")
+    if mbit_s is not None and (crf is not None or lossless):
+        raise MediaError("give one of mbit_s, crf and lossless: each of them decides the size of the film")
+    if mbit_s is not None and not (isinstance(mbit_s, Real) and _LEAST_MBIT <= mbit_s <= _MOST_MBIT):
+        raise MediaError(f"mbit_s lies between {_LEAST_MBIT:g} and {_MOST_MBIT:g}, got {shown(mbit_s)}")
+    if name in ("mjpeg", "h265") and lossless:
+        raise MediaError(f"{name} cannot be lossless: choose codec='ffv1' or 'h264' in a .mkv or .nut file")
     if crf is not None and lossless:
         raise MediaError("give either crf or lossless, not both: lossless has no quality to choose")
     if crf is not None and not (isinstance(crf, Real) and 0 <= crf <= WORST_CRF):
         raise MediaError(f"crf lies between 0 (best) and 51 (smallest), got {shown(crf)}")
-    return VideoCodec(name=name, crf=DEFAULT_CRF if crf is None else crf, lossless=lossless)
+    return VideoCodec(name=name, crf=DEFAULT_CRF if crf is None else crf, lossless=lossless, mbit_s=mbit_s)
 
 
 def check_form(spec: FilmSpec, suffix: str, codec: str) -> None:
@@ -117,13 +140,15 @@ def check_form(spec: FilmSpec, suffix: str, codec: str) -> None:
     suffix
         Suffix of the film, a key of `CODECS`.
     codec
-        Name of the codec: "ffv1", "h264" or "mjpeg".
+        Name of the codec: "ffv1", "h264", "h265" or "mjpeg".
 
     Raises
     ------
     MediaError
         A gray level has too many bits, or the frame rate is too high.
     """
+    if codec == "h265" and (spec.width % 2 or spec.height % 2):
+        raise MediaError(f"h265 takes an even width and height, not {spec.width}x{spec.height}: use h264 or ffv1")
     if spec.bits > MOST_BITS[codec]:
         raise MediaError(f"{codec} holds at most {MOST_BITS[codec]} bits, the film has {spec.bits}: use ffv1 or .h5")
     if suffix in (".mkv", ".avi") and spec.rate_hz > _COARSE_HZ:
@@ -158,6 +183,7 @@ class VideoSink:
         self._suffix = target.suffix.lower()
         self._time_base = _time_base(self._suffix, spec.rate_hz)
         self._pixel_format, options = _coding(codec, spec)
+        self._range = planes.FULL if codec.mbit_s is None else planes.LIMITED
         self._start_s: float | None = None
         self._last_tick = -1
         with self._clear_errors():
@@ -176,7 +202,7 @@ class VideoSink:
             if self._start_s is None:
                 self._start_s = frame.time_s
                 self._write_record(frame.time_s)
-            picture = planes.to_video(frame.pixels, self._pixel_format)
+            picture = planes.to_video(frame.pixels, self._pixel_format, self._range)
             picture.pts = self._tick(frame.time_s - self._start_s)
             picture.time_base = self._time_base
             self._mux(self._stream.encode(picture))
@@ -199,7 +225,7 @@ class VideoSink:
             self._container.close()
 
     def _add_stream(self, codec: VideoCodec, options: dict[str, str]) -> "av.VideoStream":
-        encoder = {"h264": "libx264"}.get(codec.name, codec.name)
+        encoder = {"h264": "libx264", "h265": "libx265"}.get(codec.name, codec.name)
         rate = rational_rate(self._spec.rate_hz)
         stream = cast("av.VideoStream", self._container.add_stream(encoder, rate=rate, options=options))
         stream.width, stream.height = self._spec.width, self._spec.height
@@ -207,7 +233,10 @@ class VideoSink:
         stream.time_base = self._time_base
         context = stream.codec_context
         context.time_base = self._time_base
-        context.color_range = planes.FULL
+        context.color_range = self._range
+        if codec.mbit_s is not None:
+            context.bit_rate = round(codec.mbit_s * 1e6)
+            context.gop_size = max(1, round(self._spec.rate_hz))
         context.thread_count = ENCODER_THREADS
         if codec.name == "ffv1":
             context.gop_size = 1  # every picture stands alone: a damaged one spoils no other
@@ -281,6 +310,11 @@ def _coding(codec: VideoCodec, spec: FilmSpec) -> tuple[str, dict[str, str]]:
         return planes.gray_format(spec.bits), options
     if codec.name == "mjpeg":
         return "yuv420p", {"qmin": "2", "qmax": "2"}
+    if codec.mbit_s is not None:
+        quiet = {"x265-params": "log-level=none"} if codec.name == "h265" else {}
+        return "yuv420p", {"preset": _PHONE_PRESET, "bf": "0", **quiet}
+    if codec.name == "h265":
+        return "yuv420p", {"preset": "ultrafast", "crf": f"{codec.crf:g}", "x265-params": "log-level=none:bframes=0"}
     quality = {"qp": "0"} if codec.lossless else {"crf": f"{codec.crf:g}"}
     even = spec.width % 2 == 0 and spec.height % 2 == 0
     # 4:2:0 for players, which show nothing else; lossless films they do not show in any case

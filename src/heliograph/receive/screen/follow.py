@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.screen.grid import Look, Place, Seen, inside
 
@@ -38,6 +38,24 @@ class Sample:
     seen: Seen
 
 
+STRANGE = 0.3
+"""Rms by which a side of the ring around an array may differ from what it usually shows, by the array's light. Cells of the
+array there, a cell off, differ by 0.5 to 1."""
+
+GROWTH = 1.03
+"""Factor by which the usual misfit follows that of a frame. Chosen: in 30 frames it has doubled."""
+
+USUAL = 0.05
+"""Weight of a frame in what the ring usually shows. Chosen: the light beside a screen changes in seconds."""
+
+SHIFTS = tuple((x, y) for x in (0, -0.6, 0.6, -1.2, 1.2) for y in (0, -0.6, 0.6, -1.2, 1.2))
+"""Cells, right and down, by which a place may have slipped: the fit finds one that is half a cell off."""
+
+POOR = 1.8
+"""Misfit by the usual one from which a frame is tried from other places. Chosen: a frame of a header or one that is smeared
+has up to 1.5."""
+
+
 class Follower:
     """Follows an array.
 
@@ -54,6 +72,9 @@ class Follower:
         n = look.side
         self._middles = np.stack(np.meshgrid(np.arange(n) + 0.5, np.arange(n) + 0.5), axis=-1)
         self._motion = np.zeros(2)
+        self._ring: Floats | None = None
+        self._usual = LARGEST_MISFIT / POOR
+        self._sure = place
         self.lost_since: float | None = None
 
     def take(self, frame: Frame, steps: int = 4) -> Sample | None:
@@ -68,6 +89,8 @@ class Follower:
         """
         expected = self.place.moved(FORGOTTEN * self._motion)
         seen = self._seen(frame, expected, steps)
+        if seen is None or self._doubt(seen) > 1:
+            seen = self._slipped(frame, expected, steps, seen)
         if seen is None:
             self._motion = np.zeros(2)
             if self.lost_since is None:
@@ -76,8 +99,39 @@ class Follower:
         self.lost_since = None
         middle = np.array([self._look.side / 2] * 2)
         self._motion = seen.place.at(middle) - self.place.at(middle)
-        self.place = seen.place
+        self.dbg=(round(seen.misfit,3),round(self._strangeness(seen),3),self.lost_since); self.place = seen.place
+        self._learn(seen)
         return Sample(frame.index, frame.time_s, self.place.at(self._middles)[..., 1], seen)
+
+    def _slipped(self, frame: Frame, place: Place, steps: int, seen: Seen | None) -> Seen | None:
+        """The best that is seen about a place, of the shape that the array had when it was last seen well."""
+        if self._ring is None:
+            return seen
+        middle = np.array([self._look.side / 2] * 2)
+        shaped = self._sure.moved(place.at(middle) - self._sure.at(middle))
+        tried = [self._seen(frame, one.shifted(*shift), steps) for one in (shaped,) for shift in SHIFTS]
+        return min((one for one in (seen, *tried) if one is not None), key=self._doubt, default=None)
+
+    def _doubt(self, seen: Seen) -> float:
+        """How strange what is seen is; above 1 it may be a slip."""
+        return max(seen.misfit / (POOR * self._usual), self._strangeness(seen) / STRANGE)
+
+    def _strangeness(self, seen: Seen) -> float:
+        """By how much the ring differs from what it usually shows, by the array's light."""
+        if self._ring is None:
+            return 0.0
+        # a slip shows on two sides, and most on one
+        sides = np.sqrt(np.mean((seen.ring - self._ring).reshape(4, -1) ** 2, axis=1))
+        return float(sides.max() / max(float(seen.light.mean()), TINY))
+
+    def _learn(self, seen: Seen) -> None:
+        if self._ring is None:
+            self._ring, self._usual = seen.ring, seen.misfit
+        if self._doubt(seen) < 1:
+            self._ring = (1 - USUAL) * self._ring + USUAL * seen.ring
+            self._sure = seen.place
+        # a camera that loses focus is believed in the end
+        self._usual = float(np.clip(seen.misfit, self._usual / GROWTH, self._usual * GROWTH))
 
     def _seen(self, frame: Frame, place: Place, steps: int) -> Seen | None:
         if not inside(place, self._look.side, frame.pixels.shape):

@@ -46,7 +46,7 @@ NARROWEST = 0.05
 SATURATED = 0.985
 """Light in full scales from which a sample counts as saturated: the highest levels of 8 bits, less a codec's error."""
 
-FIRM = (0.0, 2e-3, 2e-3, 0.0, 2e-3, 2e-3, 2e-2, 2e-2)
+FIRM = (0.0, 0.03, 0.03, 0.0, 0.03, 0.03, 0.2, 0.2)
 """Weight, as a part of the image's own, that holds the shape of the array from frame to frame: a hand turns a phone by
 hundredths of a degree a frame."""
 
@@ -110,6 +110,29 @@ class Place:
         """
         return Place(np.array([[1, 0, by[0]], [0, 1, by[1]], [0, 0, 1]]) @ self.homography)
 
+    def scaled(self, across: float, down: float, side: int) -> "Place":
+        """Return the place of an array of another size about the same middle.
+
+        Parameters
+        ----------
+        across, down
+            Its width and height by that of this one.
+        side
+            Cells in a row, n.
+        """
+        m = side / 2
+        return Place(self.homography @ np.array([[across, 0, m * (1 - across)], [0, down, m * (1 - down)], [0, 0, 1.0]]))
+
+    def shifted(self, right: float, down: float) -> "Place":
+        """Return the place shifted by cells.
+
+        Parameters
+        ----------
+        right, down
+            Cells along the array's rows and columns.
+        """
+        return Place(self.homography @ np.array([[1, 0, right], [0, 1, down], [0, 0, 1.0]]))
+
     def cell_px(self, side: int) -> float:
         """Return the mean side of a cell in px.
 
@@ -142,6 +165,12 @@ class Seen:
     cells: Floats
     misfit: float
     saturated: float
+
+    @property
+    def ring(self) -> Floats:
+        """(4 n,) light of the ring's cells but for its corners."""
+        inner = slice(RING, -RING)
+        return np.concatenate([self.cells[0, inner], self.cells[-1, inner], self.cells[inner, 0], self.cells[inner, -1]])
 
     @property
     def light(self) -> Floats:

@@ -1,18 +1,24 @@
 """Where a screen's array is: the quadrilateral in which everything changes."""
 
 from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
+
+Pixels32 = NDArray[np.float32]
+"""Gray levels or light of pixels, (rows, columns)."""
 
 COARSE_PX = 480
 """Most columns of the reduced frames in which changes are looked for: an array of 50 px in a frame of 1280 px has 19 there.
 Half as many would leave it a pixel for each of the header's cells."""
 
-LEAST_CHANGE = 3.0
-"""Least rms change of an array in gray levels. Chosen: noise has 1 to 2, and codecs leave less of it."""
+LEAST_CHANGE = 4.0
+"""Least mean change of an array in thousandths of full scale: of 2 patterns a second at 30 frames a second it is 20."""
 
 LEAST_SIDE = 9
 """Least side of an array in reduced pixels. Chosen: about two for each of the header's cells."""
@@ -26,14 +32,14 @@ FOUR = 4
 PROFILES = 32
 """Places along a side where its edge is looked for. Chosen: lines through them are right to a tenth of a pixel."""
 
-REACH = 0.12
-"""Pixels across a side, as a part of the side's length, within which its edge is looked for."""
+REACH = 2.5
+"""Reduced pixels across a side within which its edge is looked for: corners are right to one or two of them."""
 
 AGREES = 2.0
 """Px from the line at which an edge counts half: cells at the rim that hardly changed show none."""
 
 
-def reduced(pixels: Floats) -> tuple[Floats, int]:
+def reduced(pixels: Pixels32) -> tuple[Pixels32, int]:
     """Return a frame reduced for the search, and by what factor.
 
     Parameters
@@ -47,13 +53,32 @@ def reduced(pixels: Floats) -> tuple[Floats, int]:
     return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), np.float32), factor
 
 
-def quadrilaterals(changes: Floats, factor: int) -> list[Floats]:
+def changing(frames: Sequence[Pixels32]) -> Pixels32:
+    """Return how much each pixel changes from frame to frame: an array again and again, an edge that moves but once.
+
+    Parameters
+    ----------
+    frames
+        Light of frames in full scales, (rows, columns) each, two or more.
+
+    Returns
+    -------
+    (rows, columns) mean change in thousandths of full scale, less the noise.
+    """
+    total = np.zeros_like(frames[0])
+    for one, next_one in pairwise(frames):
+        total += np.abs(next_one - one)
+    total *= 1000 / (len(frames) - 1)
+    return np.maximum(total - np.float32(np.median(total)), 0)
+
+
+def quadrilaterals(changes: Pixels32, factor: int) -> list[Floats]:
     """Find areas that change, the strongest first.
 
     Parameters
     ----------
     changes
-        (rows, columns) rms change of reduced frames in gray levels.
+        (rows, columns) change of reduced frames, of `changing`.
     factor
         By what they are reduced.
 
@@ -89,16 +114,16 @@ def quadrilaterals(changes: Floats, factor: int) -> list[Floats]:
     return kept[:CANDIDATES]
 
 
-def _corners(hull: Sequence[Sequence[int]]) -> Floats:
+def _corners(hull: Any) -> Floats:
     """The four corners of a convex outline, by the coarsest polygon that has four."""
-    length = cv2.arcLength(np.asarray(hull), True)
+    length = cv2.arcLength(hull, True)
     for fraction in np.geomspace(0.01, 0.15, 24):
-        polygon = cv2.approxPolyDP(np.asarray(hull), fraction * length, True)[:, 0]
+        polygon = cv2.approxPolyDP(hull, fraction * length, True)[:, 0]
         if len(polygon) == FOUR:
             return np.asarray(polygon, np.float64)
         if len(polygon) < FOUR:
             break
-    return np.asarray(cv2.boxPoints(cv2.minAreaRect(np.asarray(hull))), np.float64)
+    return np.asarray(cv2.boxPoints(cv2.minAreaRect(hull)), np.float64)
 
 
 def _ordered(corners: Floats) -> Floats:
@@ -109,20 +134,23 @@ def _ordered(corners: Floats) -> Floats:
     return np.roll(corners, -int(np.argmin(corners.sum(axis=1))), axis=0)
 
 
-def sharpened(changes: Floats, corners: Floats) -> Floats:
+def sharpened(changes: Pixels32, corners: Floats, factor: int) -> Floats:
     """Return corners as the edges of an area show them where frames are not reduced.
 
     Parameters
     ----------
     changes
-        (rows, columns) rms change of frames in gray levels.
+        (rows, columns) change of frames, of `changing`.
     corners
-        (4, 2) corners in px, clockwise, off by a tenth of a side at most.
+        (4, 2) corners in px, clockwise.
+    factor
+        By what the frames were reduced in which they were found.
     """
+    reach = REACH * factor + 1
     for _ in range(3):
-        lines = [_edge(changes, corners[k], corners[(k + 1) % FOUR], corners.mean(0)) for k in range(FOUR)]
+        lines = [_edge(changes, corners[k], corners[(k + 1) % FOUR], corners.mean(0), reach) for k in range(FOUR)]
         moved = np.array([_crossing(lines[k - 1], lines[k]) for k in range(FOUR)])
-        if not np.isfinite(moved).all() or np.abs(moved - corners).max() > np.ptp(corners, axis=0).max() / 2:
+        if not np.isfinite(moved).all() or np.abs(moved - corners).max() > 2 * reach:
             return corners
         done = np.abs(moved - corners).max() < 0.1
         corners = moved
@@ -131,18 +159,18 @@ def sharpened(changes: Floats, corners: Floats) -> Floats:
     return corners
 
 
-def _edge(changes: Floats, start: Floats, end: Floats, middle: Floats) -> tuple[Floats, Floats]:
+def _edge(changes: Pixels32, start: Floats, end: Floats, middle: Floats, reach: float) -> tuple[Floats, Floats]:
     """A point and the direction of the edge beside a side."""
     length = float(np.linalg.norm(end - start))
     along = (end - start) / max(length, TINY)
     out = np.array([along[1], -along[0]])
     if (start - middle) @ out < 0:
         out = -out
-    reach = max(REACH * length, 3.0)
     across = np.linspace(-reach, reach, 2 * int(4 * reach) + 1)
     places = np.linspace(0.06, 0.94, PROFILES) * length
     points = start + places[:, None, None] * along + across[:, None] * out
-    seen = cv2.remap(changes, *(np.asarray(points[..., k], np.float32) for k in (0, 1)), cv2.INTER_LINEAR)
+    x, y = (np.asarray(points[..., k], np.float32) for k in (0, 1))
+    seen = np.asarray(cv2.remap(changes, x, y, cv2.INTER_LINEAR), np.float64)
     inside = np.median(seen[:, : len(across) // 3], axis=1)
     outside = np.median(seen[:, -len(across) // 4 :], axis=1)
     strong = inside - outside > 0.4 * np.median(inside)

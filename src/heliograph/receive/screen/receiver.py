@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,8 @@ from heliograph.receive.image.fit import Fit
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.packets import Packet, Status
 from heliograph.receive.screen.follow import Follower, Sample
-from heliograph.receive.screen.grid import RING, Look, Place
-from heliograph.receive.screen.outline import quadrilaterals, reduced, sharpened
+from heliograph.receive.screen.grid import RING, Look, Place, inside
+from heliograph.receive.screen.outline import changing, quadrilaterals, reduced, sharpened
 from heliograph.receive.screen.reader import PacketReading, ReadPacket
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
@@ -35,11 +36,29 @@ SEARCH_EVERY = 6
 FIRST_SEARCH = 12
 """Frames before the first search: four patterns at three frames a pattern."""
 
-WINDOWS = (16, 64)
+WINDOWS = (8, 16, 64)
 """Latest frames whose changes are looked at: few, as a hand moves the array meanwhile; many, where patterns are slow."""
 
 BLURS_PX = (1.0, 0.6, 1.6, 2.4, 3.5)
 """Blurs that are tried in px."""
+
+DOUBTFUL = 0.2
+"""Misfit above which other places are tried: of an array in its place it is 0.06 to 0.15."""
+
+SWAY_PX = 14.0
+"""Px by which an array may seem larger. Chosen: a hand moves a phone's picture by about 8 px in 0.25 s at most."""
+
+SMALLEST = 0.75
+"""Least scale that is tried. Chosen."""
+
+SCALES = 0.9
+"""Cells from one size that is tried to the next: the fit finds one that is half a cell off at either edge."""
+
+TRIAL_FRAMES = 5
+"""Frames in which a place is tried. Chosen: two patterns, one of which has contrast."""
+
+SETTLING = 10
+"""Most steps of a place that is tried. Chosen: it may be a cell off."""
 
 LOST_S = 1.0
 """Seconds out of sight after which an array is looked for anew. Chosen."""
@@ -152,10 +171,10 @@ class ScreenReceiver:
     def _search(self) -> Iterator[Packet]:
         """Look for an array in the frames kept."""
         for count in WINDOWS:
-            if count > WINDOWS[0] and len(self._small) <= WINDOWS[0]:
+            if count > 2 * len(self._small):
                 return
             latest = list(self._small)[-count:]
-            changes = 255 * np.std(latest, axis=0)
+            changes = changing(latest)
             for corners in quadrilaterals(changes, self._factor):
                 taken = self._taken(corners, count)
                 if taken is not None:
@@ -167,33 +186,44 @@ class ScreenReceiver:
         frames = list(self._frames)
         middle = max(len(frames) - min(count, len(frames)) // 2 - 1, 0)
         latest = frames[-count:]
-        linear = np.stack([self._linear(one) for one in latest[:: max(1, len(latest) // 16)]])
-        corners = sharpened(np.asarray(255 * linear.std(axis=0), np.float32), corners)
-        place = Place.of(corners, self._signal.side)
-        best: _Taken | None = None
-        least = np.inf
+        linear = [self._linear(one) for one in latest[:: max(1, len(latest) // 16)]]
+        sharp = sharpened(changing(linear), corners, self._factor)
         assert self._light is not None
-        for blur in BLURS_PX:
-            look = Look(self._signal.side, blur, self._light)
-            start = self._settled(look, place, frames[middle])
-            follower = Follower(look, start)
-            some = [follower.take(one) for one in frames[middle : middle + 6]]
-            seen = [one.seen.misfit for one in some if one is not None]
-            if len(seen) == len(some) and np.mean(seen) < 0.98 * least:
-                least, best = float(np.mean(seen)), _Taken(Follower(look, start), [])
-        if best is None:
-            return None
-        return self._whole(best, frames, middle)
+        looks = [Look(self._signal.side, blur, self._light) for blur in BLURS_PX]
+        some = frames[middle : middle + TRIAL_FRAMES]
+        starts = [Place.of(one, self._signal.side) for one in (sharp, corners)]
+        best = min((self._trial(looks[0], one, some) for one in starts), key=lambda one: one[0])
+        if best[0] > DOUBTFUL:
+            best = min(best, self._tried(looks[0], starts[1], some), key=lambda one: one[0])
+        tried = [(*self._trial(look, best[1], some), look) for look in looks]
+        misfit, start, look = min(tried, key=lambda one: one[0])
+        return self._whole(look, start, frames, middle) if np.isfinite(misfit) else None
 
-    def _settled(self, look: Look, place: Place, frame: Frame) -> Place:
+    def _tried(self, look: Look, place: Place, frames: list[Frame]) -> tuple[float, Place]:
+        """The best of many places about one: a hand that sways makes an array seem larger."""
+        n, (wide, high) = self._signal.side, _motion(place, self._signal.side, self._factor)
+        found: list[tuple[float, Place]] = []
+        for x, y in product(np.arange(1.0, wide, -SCALES / n), np.arange(1.0, high, -SCALES / n)):
+            for right, down in product((0.0, 0.5), (0.0, 0.5)):
+                one = place.scaled(x, y, n).shifted(right, down)
+                if inside(one, n, frames[0].pixels.shape):
+                    seen = look(frames[0].pixels, one, SETTLING)
+                    found.append((seen.misfit, seen.place))
+        found.sort(key=lambda one: one[0])
+        return min((self._trial(look, one, frames) for _, one in found[:3]), key=lambda one: one[0], default=(np.inf, place))
+
+    def _trial(self, look: Look, place: Place, frames: list[Frame]) -> tuple[float, Place]:
+        """How well cells fit some frames from a place on, and where they are in the first of them."""
         try:
-            return look(frame.pixels, place, 12).place
+            start = look(frames[0].pixels, place, SETTLING).place
         except np.linalg.LinAlgError:
-            return place
+            return np.inf, place
+        follower = Follower(look, start)
+        seen = [follower.take(one) for one in frames]
+        return float(np.mean([np.inf if one is None else one.seen.misfit for one in seen])), start
 
-    def _whole(self, taken: _Taken, frames: list[Frame], middle: int) -> _Taken | None:
+    def _whole(self, look: Look, start: Place, frames: list[Frame], middle: int) -> _Taken | None:
         """Follow an array back to the first frame kept and on to the last; shift it where a rim does not change."""
-        look, start = taken.follower._look, taken.follower.place
         for _ in range(3):
             back = Follower(look, start)
             before = [back.take(one) for one in frames[middle::-1]]
@@ -205,7 +235,7 @@ class ScreenReceiver:
             shift = rim_shift(np.stack([one.seen.cells for one in samples]))
             if not any(shift):
                 return _Taken(ahead, samples)
-            start = Place(start.homography @ np.array([[1, 0, shift[0]], [0, 1, shift[1]], [0, 0, 1.0]]))
+            start = start.shifted(*shift)
         return None
 
     def _take_up(self, taken: _Taken) -> Iterator[Packet]:
@@ -282,6 +312,13 @@ class ScreenReceiver:
             np.ones((side, side)),
             one.header.orientation,
         )
+
+
+def _motion(place: Place, side: int, factor: int) -> tuple[float, float]:
+    """Least scales, across and down, of an array that seems larger by the motion of a hand."""
+    size = max(place.cell_px(side) * side, 1.0)
+    least = max(1 - (SWAY_PX + factor) / size, SMALLEST)
+    return least, least
 
 
 def rim_shift(cells: Floats) -> tuple[int, int]:
