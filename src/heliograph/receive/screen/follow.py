@@ -99,7 +99,7 @@ class Follower:
         self.lost_since = None
         middle = np.array([self._look.side / 2] * 2)
         self._motion = seen.place.at(middle) - self.place.at(middle)
-        self.dbg=(round(seen.misfit,3),round(self._strangeness(seen),3),self.lost_since); self.place = seen.place
+        self.place = seen.place
         self._learn(seen)
         return Sample(frame.index, frame.time_s, self.place.at(self._middles)[..., 1], seen)
 

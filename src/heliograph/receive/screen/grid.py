@@ -46,6 +46,9 @@ NARROWEST = 0.05
 SATURATED = 0.985
 """Light in full scales from which a sample counts as saturated: the highest levels of 8 bits, less a codec's error."""
 
+EVEN = 0.5
+"""Rms of random data about their mean, by that mean: levels of 0 to 4 have the standard deviation 1."""
+
 FIRM = (0.0, 0.03, 0.03, 0.0, 0.03, 0.03, 0.2, 0.2)
 """Weight, as a part of the image's own, that holds the shape of the array from frame to frame: a hand turns a phone by
 hundredths of a degree a frame."""
@@ -156,7 +159,7 @@ class Seen:
     cells
         (n + 2, n + 2) light of its cells, and of the ring around, in full scales.
     misfit
-        Rms of what the cells do not explain, as a part of the rms of the picture about its mean.
+        Rms of what the cells do not explain, as a part of the rms of the picture about its mean, or of data's.
     saturated
         Part of the array that is at full scale.
     """
@@ -276,7 +279,9 @@ class Look:
                 break
         core = slice(RING * S, -RING * S)
         inner = seen[core, core]
-        misfit = float(np.sqrt(np.mean(left[core, core] ** 2)) / max(inner.std(), TINY))
+        # from a pattern to its inverse all cells are alike for a moment, and tell nothing
+        contrast = max(float(inner.std()), EVEN * float(inner.mean()), TINY)
+        misfit = float(np.sqrt(np.mean(left[core, core] ** 2))) / contrast
         return Seen(place, x, misfit, float(np.mean(inner > SATURATED)))
 
     def _around(self, pixels: Pixels, place: Place) -> tuple[Floats, Place]:

@@ -97,7 +97,8 @@ def quadrilaterals(changes: Pixels32, factor: int) -> list[Floats]:
         kernel = np.ones((3, 3), np.uint8)
         lit = np.asarray(cv2.morphologyEx(lit, cv2.MORPH_CLOSE, kernel), np.uint8)
         lit = np.asarray(cv2.morphologyEx(lit, cv2.MORPH_OPEN, kernel), np.uint8)
-        outlines, _ = cv2.findContours(lit, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        # the rim of a screen that moves surrounds the array
+        outlines, _ = cv2.findContours(lit, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         for one in outlines:
             corners = _corners(cv2.convexHull(one))
             sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)

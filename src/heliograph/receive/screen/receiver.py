@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame, check_next
 from heliograph.receive.acquire.detection import Detection
@@ -39,11 +39,18 @@ FIRST_SEARCH = 12
 WINDOWS = (8, 16, 64)
 """Latest frames whose changes are looked at: few, as a hand moves the array meanwhile; many, where patterns are slow."""
 
-BLURS_PX = (1.0, 0.6, 1.6, 2.4, 3.5)
+BLURS_PX = (1.0, 0.6, 1.6, 2.4)
 """Blurs that are tried in px."""
 
-DOUBTFUL = 0.2
-"""Misfit above which other places are tried: of an array in its place it is 0.06 to 0.15."""
+WIDEST = 0.45
+"""Largest blur that is tried in cells: a wider one lets cells explain anything."""
+
+TRIED = 8
+"""Best places of one frame that are tried in several."""
+
+DOUBTFUL = 0.3
+"""Misfit, and change of the ring by that of the array, above which other places are tried: of an array in its place both are
+0.15 to 0.25 together."""
 
 SWAY_PX = 14.0
 """Px by which an array may seem larger. Chosen: a hand moves a phone's picture by about 8 px in 0.25 s at most."""
@@ -54,8 +61,8 @@ SMALLEST = 0.75
 SCALES = 0.9
 """Cells from one size that is tried to the next: the fit finds one that is half a cell off at either edge."""
 
-TRIAL_FRAMES = 5
-"""Frames in which a place is tried. Chosen: two patterns, one of which has contrast."""
+TRIAL_FRAMES = 8
+"""Frames in which a place is tried. Chosen: two to four patterns, at 30 frames a second."""
 
 SETTLING = 10
 """Most steps of a place that is tried. Chosen: it may be a cell off."""
@@ -84,6 +91,15 @@ def screen_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: 
     if signal.modulation != "haar" or signal.header != "m_sequence":
         raise SettingsError('the receiver screen reads signal.modulation = "haar" with signal.header = "m_sequence"')
     return ScreenReceiver(signal, settings, observe)
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """What may be an array: how badly its cells fit, where it is in the latest frames but a few, and by which blur."""
+
+    score: float
+    place: Place
+    look: Look
 
 
 @dataclass(frozen=True)
@@ -175,16 +191,18 @@ class ScreenReceiver:
                 return
             latest = list(self._small)[-count:]
             changes = changing(latest)
-            for corners in quadrilaterals(changes, self._factor):
-                taken = self._taken(corners, count)
+            places = quadrilaterals(changes, self._factor)
+            tried = sorted((self._placed(one, count) for one in places), key=lambda one: one.score)
+            for one in tried:
+                taken = self._whole(one) if np.isfinite(one.score) else None
                 if taken is not None:
                     yield from self._take_up(taken)
                     return
 
-    def _taken(self, corners: Floats, count: int) -> _Taken | None:
-        """Follow what may be an array through the frames kept; None where its cells do not show."""
+    def _placed(self, corners: Floats, count: int) -> _Placed:
+        """Where what may be an array fits best, and how well."""
         frames = list(self._frames)
-        middle = max(len(frames) - min(count, len(frames)) // 2 - 1, 0)
+        middle = max(len(frames) - TRIAL_FRAMES, 0)
         latest = frames[-count:]
         linear = [self._linear(one) for one in latest[:: max(1, len(latest) // 16)]]
         sharp = sharpened(changing(linear), corners, self._factor)
@@ -195,9 +213,9 @@ class ScreenReceiver:
         best = min((self._trial(looks[0], one, some) for one in starts), key=lambda one: one[0])
         if best[0] > DOUBTFUL:
             best = min(best, self._tried(looks[0], starts[1], some), key=lambda one: one[0])
-        tried = [(*self._trial(look, best[1], some), look) for look in looks]
-        misfit, start, look = min(tried, key=lambda one: one[0])
-        return self._whole(look, start, frames, middle) if np.isfinite(misfit) else None
+        cell = best[1].cell_px(self._signal.side)
+        tried = [_Placed(*self._trial(one, best[1], some), one) for one in looks if one.blur_px < WIDEST * cell]
+        return min(tried, key=lambda one: one.score, default=_Placed(*best, looks[0]))
 
     def _tried(self, look: Look, place: Place, frames: list[Frame]) -> tuple[float, Place]:
         """The best of many places about one: a hand that sways makes an array seem larger."""
@@ -210,7 +228,7 @@ class ScreenReceiver:
                     seen = look(frames[0].pixels, one, SETTLING)
                     found.append((seen.misfit, seen.place))
         found.sort(key=lambda one: one[0])
-        return min((self._trial(look, one, frames) for _, one in found[:3]), key=lambda one: one[0], default=(np.inf, place))
+        return min((self._trial(look, one, frames) for _, one in found[:TRIED]), key=lambda one: one[0], default=(np.inf, place))
 
     def _trial(self, look: Look, place: Place, frames: list[Frame]) -> tuple[float, Place]:
         """How well cells fit some frames from a place on, and where they are in the first of them."""
@@ -219,11 +237,19 @@ class ScreenReceiver:
         except np.linalg.LinAlgError:
             return np.inf, place
         follower = Follower(look, start)
-        seen = [follower.take(one) for one in frames]
-        return float(np.mean([np.inf if one is None else one.seen.misfit for one in seen])), start
+        seen = [one for one in map(follower.take, frames) if one is not None]
+        if len(seen) < len(frames):
+            return np.inf, start
+        change = np.stack([one.seen.cells for one in seen]).std(axis=0)
+        inner = change[RING:-RING, RING:-RING]
+        ring = (change.sum() - inner.sum()) / (change.size - inner.size)
+        # beside the array nothing changes
+        return float(np.mean([one.seen.misfit for one in seen]) + ring / max(float(inner.mean()), TINY)), start
 
-    def _whole(self, look: Look, start: Place, frames: list[Frame], middle: int) -> _Taken | None:
+    def _whole(self, placed: _Placed) -> _Taken | None:
         """Follow an array back to the first frame kept and on to the last; shift it where a rim does not change."""
+        frames, look, start = list(self._frames), placed.look, placed.place
+        middle = max(len(frames) - TRIAL_FRAMES, 0)
         for _ in range(3):
             back = Follower(look, start)
             before = [back.take(one) for one in frames[middle::-1]]
