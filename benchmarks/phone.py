@@ -1,11 +1,10 @@
 """Screens filmed by phones, under conditions drawn at random.
 
-`python -m benchmarks.phone [FILMS] [SEED] [RATE ...]`, RATE of `phone`, `phone-15`, `phone-60`, `phone-240`. Each film is
-written as a phone writes it (H.264 or H.265 at a bit rate, 4:2:0, limited range) and read by the receiver "screen" with its
-default settings. Drawn are the size of the array and the frame, place, perspective and sway, blur, rolling shutter, exposure,
-response and backlight of the display, gamma, automatic exposure, phases and clocks, unevenness of the frames, lost frames,
-codec and bit rate.
-"""
+`python -m benchmarks.phone [FILMS] [SEED] [RATE ...] [cells=N] [show]`, RATE of `phone`, `phone-15`, `phone-60`,
+`phone-240`. Each film is written as a phone writes it (H.264 or H.265 at a bit rate, 4:2:0, limited range) and read by
+the receiver "screen" with its default settings. Drawn are the size of the array and the frame, place, perspective and
+sway, blur, rolling shutter, exposure, response and backlight of the display, gamma, automatic exposure, phases and
+clocks, unevenness of the frames, lost frames, codec and bit rate."""
 
 import sys
 import time
@@ -67,10 +66,10 @@ class Condition:
         s = self.settings
         c, e, one = s.channel.camera, s.channel.emitter, s.channel.arrays[0]
         return (
-            f"{self.side_px:4.0f} px in {c.height}p, blur {c.blur_px:.1f} px, rows {1e3 * c.row_time_s * c.height:.0f} ms, exposure "
-            f"{1e3 * c.exposure_s:.1f} ms, response {1e3 * e.response_s:.0f} ms, backlight {e.backlight_hz:.0f} Hz "
-            f"{e.backlight_duty:.1f}, gamma {s.channel.sensor.gamma:.2f}, swing {c.gain_swing:.2f}, tilt {one.yaw_deg:.0f} "
-            f"{one.pitch_deg:.0f} {one.roll_deg:.0f}, sway {s.channel.hand_deg:.2f} deg, {self.codec['codec']} "
+            f"{self.side_px:4.0f} px in {c.height}p, blur {c.blur_px:.1f} px, rows "
+            f"{1e3 * c.row_time_s * c.height:.0f} ms, exposure {1e3 * c.exposure_s:.1f} ms, response {1e3 * e.response_s:.0f} ms, backlight {e.backlight_hz:.0f} Hz "
+            f"{e.backlight_duty:.1f}, gamma {s.channel.sensor.gamma:.2f}, swing {c.gain_swing:.2f}, tilt "
+            f"{one.yaw_deg:.0f} {one.pitch_deg:.0f} {one.roll_deg:.0f}, sway {s.channel.hand_deg:.2f} deg, {self.codec['codec']} "
             f"{self.codec['mbit_s']:.0f} Mbit/s"
         )
 
@@ -210,7 +209,9 @@ def counted(one: Condition, seed: int, counts: Counts) -> str:
     got: Counter[str] = Counter()
     whole = 0
     for start in begins:
-        near = [p for p in packets if abs(p.start_time_s - start) < period / 4 and p.identity == s.transmit.identities[0]]
+        near = [
+            p for p in packets if abs(p.start_time_s - start) < period / 4 and p.identity == s.transmit.identities[0]
+        ]
         good = {name: sum(w.status == "ok" for w in near[0].layers.get(name, ())) if near else 0 for name in LAYERS}
         got.update(good)
         whole += all(good[name] == layer.codewords for name, layer in layers.items())
@@ -282,8 +283,9 @@ def main() -> None:
         gross = cells**2 / (2 * s.signal.pattern_period_s)
         net = sum(8 * one.payload_bytes * one.codewords for one in layers.values()) / s.signal.packet_s
         print(
-            f"{rate}, {cells} x {cells} cells: {1 / s.signal.pattern_period_s:g} patterns/s at {s.channel.camera.fps:g} frames/s, "
-            f"{s.signal.packet_s:g} s a packet, {gross / 1e3:.2f} kbit/s gross, {net / 1e3:.2f} kbit/s of payload: {counts}; "
+            f"{rate}, {cells} x {cells} cells: {1 / s.signal.pattern_period_s:g} patterns/s at "
+            f"{s.channel.camera.fps:g} frames/s, {s.signal.packet_s:g} s a packet, {gross / 1e3:.2f} kbit/s gross, "
+            f"{net / 1e3:.2f} kbit/s of payload: {counts}; "
             f"{1e3 * counts.seconds / max(counts.frames, 1):.0f} ms of processor time a frame"
         )
 

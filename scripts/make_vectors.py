@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from heliograph.signal import haar, pwm
 from heliograph.signal.block import Block, pack, symbol_bytes, whitening
-from heliograph.signal.formats import Format, format_of, words
+from heliograph.signal.formats import SHORT_PAIRS, Format, format_of, words
 from heliograph.signal.fountain.cauchy import CauchyEncoder
 from heliograph.signal.fountain.files import FileCarousel, SentFile
 from heliograph.signal.header import IDENTITIES, header_cells, header_levels, identity, signalling_levels
@@ -110,7 +110,7 @@ def formats_vector() -> Vector:
     return {
         "about": "Formats: mode, rates of the high, middle and low layer (null for the agreed one), the word by cell "
         "(1 has half the contrast), and the later header pairs' pattern of identity 7 on a 8 x 8 array.",
-        "cases": [case(number) for number in (0, 1, 0o12, 0o123, 0o765, 0o1000, 0o1765)],
+        "cases": [case(number) for number in (0, 1, 0o12, 0o123, 0o765, 0o1000, 0o1765, 0o2000, 0o2222)],
     }
 
 
@@ -235,9 +235,9 @@ def small_packet() -> Vector:
     }
 
 
-def named_packets(formats: Sequence[Format], count: int, shown: int) -> Vector:
+def named_packets(formats: Sequence[Format], count: int, shown: int, pairs: int = 21) -> Vector:
     """Packets of a carousel that take formats in turn, the first patterns of each in full."""
-    settings = SignalSettings(side=8, header_pairs=2, data_pairs=21)
+    settings = SignalSettings(side=8, header_pairs=2, data_pairs=pairs)
     sender = Transmitter(settings, 15, MESSAGES, formats)
     packets = sender.packets()
 
@@ -282,6 +282,13 @@ def single_packet() -> Vector:
     }
 
 
+def short_packet() -> Vector:
+    return {
+        "about": "Packets 0 and 1 of the short mode on a 8 x 8 array, all patterns, rows joined by /.",
+        **named_packets((Format(mode="short", high=0.5, middle=0.5, low=0.5),), 2, 30, SHORT_PAIRS),
+    }
+
+
 def ook_packet() -> Vector:
     head, made = packet_case(SignalSettings(side=4, header_pairs=1, data_pairs=84, modulation="ook"), 3)
     return {
@@ -315,6 +322,7 @@ def vectors() -> dict[str, str]:
         "packet_small": small_packet(),
         "packet_formats": formats_packet(),
         "packet_single": single_packet(),
+        "packet_short": short_packet(),
         "packet_ook": ook_packet(),
         "packet_default": default_packet(),
     }

@@ -292,7 +292,8 @@ def blocks_of(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0
 
 def sizes_of(case: dict[str, Any], form: int, layer: int) -> tuple[int, int, int]:
     """Section 9.1: W, K and E of a layer in a packet of a format."""
-    single, rate = form >> 9, rates_of(case, form)[layer]
+    single, rate = form >> 9 == 1, rates_of(case, form)[layer]
+    assert form >> 9 != 2 or case["data_pairs"] == 13
     pairs = case["data_pairs"] * (1 + single)
     return plan(case["side"] // 2, pairs, (1, 2, 1)[layer], rate, column=int(single and layer == 0))
 
@@ -311,7 +312,7 @@ def rates_of(case: dict[str, Any], form: int) -> list[float]:
 def packet(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0) -> list[Matrix]:
     """Section 12; of the single mode packets before this one are of this mode too."""
     n, form = case["side"], forms[number % len(forms)]
-    single = form >> 9
+    single = form >> 9 == 1
     h, pairs = n // 2, case["data_pairs"] * (1 + single)
     d = [[[0] * n for _ in range(n)] for _ in range(pairs)]
     for layer, sent in enumerate(blocks_of(case, forms, number)):
@@ -393,7 +394,7 @@ def test_formats() -> None:
         assert text_rows(dimmed_pattern(7, case["format"], 8)) == case["levels_side_8"]
 
 
-@pytest.mark.parametrize(("name", "count"), [("packet_formats", 2), ("packet_single", 1)])
+@pytest.mark.parametrize(("name", "count"), [("packet_formats", 2), ("packet_single", 1), ("packet_short", 1)])
 def test_packets_that_name_their_format(name: str, count: int) -> None:
     case = load(name)
     forms = [sent["format"] for sent in case["packets"][:count]]

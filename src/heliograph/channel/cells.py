@@ -18,8 +18,8 @@ from heliograph.channel.settings import EmitterSettings
 from heliograph.signal.pwm import SLOTS
 
 SAMPLES = 3
-"""Samples of a pixel's side: an edge of a cell is right to a ninth of its height, and blurred by the lens after that. At
-half the value, 2, the error of an edge is twice as large; at twice a frame takes four times as long."""
+"""Samples of a pixel's side: an edge of a cell is right to a ninth of its height, and blurred by the lens after that.
+At half the value, 2, the error of an edge is twice as large; at twice a frame takes four times as long."""
 
 SETTLED = 8.0
 """Time constants after which a response has ended: 3e-4 of a step is left."""

@@ -97,7 +97,8 @@ def _flicker(link: "LinkSettings") -> "dict[str, tuple[Flicker, float]]":
     found: dict[str, tuple[Flicker, float]] = {}
     packets = max(1, math.ceil(FLICKER_S / link.signal.packet_s))
     formats = link.transmit.formats
-    for mode in MODES:
+    # the short mode has the light of the paired one
+    for mode in MODES if formats else ("paired", "single"):
         named = tuple(one for one in formats if one.mode == mode) if formats else (Format(mode=mode),)
         if formats and not named:
             continue

@@ -330,7 +330,7 @@ class Reach:
         if asked not in self._known:
             if distance_m not in self._looks:
                 self._looks[distance_m] = looks_at(self._channel, self._signal, distance_m)
-            snr = self._snr * (math.sqrt(2) if mode == "paired" else 1.0)
+            snr = self._snr * (1.0 if mode == "single" else math.sqrt(2))
             self._known[asked] = self._looks[distance_m].information(kind, LAYERS.index(layer), snr)
         return self._known[asked]
 

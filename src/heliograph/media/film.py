@@ -201,8 +201,8 @@ def create_film(
     lossless
         Whether H.264 keeps every bit: faster than FFV1, but few players show it.
     mbit_s
-        Bit rate of H.264 or H.265 in Mbit/s, 0.1 to 1000: the film is written as a phone writes it, in 4:2:0 and limited
-        range. None for a constant quality.
+        Bit rate of H.264 or H.265 in Mbit/s, 0.1 to 1000: the film is written as a phone writes it, in 4:2:0 and
+        limited range. None for a constant quality.
 
     Returns
     -------

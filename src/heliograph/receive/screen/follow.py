@@ -9,8 +9,8 @@ from heliograph.base.frames import Frame
 from heliograph.receive.screen.grid import Look, Place, Seen, inside
 
 LARGEST_MISFIT = 0.6
-"""Largest part of a picture that cells may leave unexplained, by its rms. Chosen: 0.06 to 0.3 is seen of an array in its
-place, 0.6 to 0.9 of one that is half a cell off."""
+"""Largest part of a picture that cells may leave unexplained, by its rms. Chosen: 0.06 to 0.3 is seen of an array in
+its place, 0.6 to 0.9 of one that is half a cell off."""
 
 FORGOTTEN = 0.5
 """Part of a motion that is expected to go on from frame to frame. Chosen: sway goes on, tremor turns back."""
@@ -39,8 +39,8 @@ class Sample:
 
 
 STRANGE = 0.3
-"""Rms by which a side of the ring around an array may differ from what it usually shows, by the array's light. Cells of the
-array there, a cell off, differ by 0.5 to 1."""
+"""Rms by which a side of the ring around an array may differ from what it usually shows, by the array's light. Cells of
+the array there, a cell off, differ by 0.5 to 1."""
 
 GROWTH = 1.03
 """Factor by which the usual misfit follows that of a frame. Chosen: in 30 frames it has doubled."""
@@ -52,8 +52,8 @@ SHIFTS = tuple((x, y) for x in (0, -0.6, 0.6, -1.2, 1.2) for y in (0, -0.6, 0.6,
 """Cells, right and down, by which a place may have slipped: the fit finds one that is half a cell off."""
 
 POOR = 1.8
-"""Misfit by the usual one from which a frame is tried from other places. Chosen: a frame of a header or one that is smeared
-has up to 1.5."""
+"""Misfit by the usual one from which a frame is tried from other places. Chosen: a frame of a header or one that is
+smeared has up to 1.5."""
 
 
 class Follower:

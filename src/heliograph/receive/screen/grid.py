@@ -1,8 +1,8 @@
 """The cells of an array in one frame: their light by least squares, and their place by how well it fits.
 
-The frame is drawn upright, S samples a cell, with a ring of one cell around. Drawn so it is B X B^T: X the light of the cells
-and of the ring, B how a cell is spread over samples by the blur. Least squares give X; what is left, against the derivatives of
-B X B^T by the place, moves the place.
+The frame is drawn upright, S samples a cell, with a ring of one cell around. Drawn so it is B X B^T: X the light of the
+cells and of the ring, B how a cell is spread over samples by the blur. Least squares give X; what is left, against the
+derivatives of B X B^T by the place, moves the place.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,8 @@ RING = 1
 """Cells around the array that are drawn too: what shines there is spread into the array."""
 
 LOADING = 1e-3
-"""Loading of the least squares, by the weight of a cell: cells smaller than the blur would amplify noise without bounds."""
+"""Loading of the least squares, by the weight of a cell: cells smaller than the blur would amplify noise without
+bounds."""
 
 CELL_PX = 10.0
 """Px a cell above which frames are reduced before they are drawn: S samples see them then without gaps."""
@@ -124,7 +125,9 @@ class Place:
             Cells in a row, n.
         """
         m = side / 2
-        return Place(self.homography @ np.array([[across, 0, m * (1 - across)], [0, down, m * (1 - down)], [0, 0, 1.0]]))
+        return Place(
+            self.homography @ np.array([[across, 0, m * (1 - across)], [0, down, m * (1 - down)], [0, 0, 1.0]])
+        )
 
     def shifted(self, right: float, down: float) -> "Place":
         """Return the place shifted by cells.
@@ -173,7 +176,9 @@ class Seen:
     def ring(self) -> Floats:
         """(4 n,) light of the ring's cells but for its corners."""
         inner = slice(RING, -RING)
-        return np.concatenate([self.cells[0, inner], self.cells[-1, inner], self.cells[inner, 0], self.cells[inner, -1]])
+        return np.concatenate(
+            [self.cells[0, inner], self.cells[-1, inner], self.cells[inner, 0], self.cells[inner, -1]]
+        )
 
     @property
     def light(self) -> Floats:
@@ -202,7 +207,7 @@ def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
     return b, slope, weights
 
 
-def _drawn(part: Floats, homography: Floats, side: int) -> Floats:
+def _drawn(part: NDArray[np.float32], homography: Floats, side: int) -> Floats:
     """An array drawn upright, with its ring, of the light of a part of a frame and its place there."""
     cells = side + 2 * RING
     # sample (i + 1/2) / S - RING cells
@@ -284,7 +289,7 @@ class Look:
         misfit = float(np.sqrt(np.mean(left[core, core] ** 2))) / contrast
         return Seen(place, x, misfit, float(np.mean(inner > SATURATED)))
 
-    def _around(self, pixels: Pixels, place: Place) -> tuple[Floats, Place]:
+    def _around(self, pixels: Pixels, place: Place) -> tuple[NDArray[np.float32], Place]:
         """Light of the part of a frame about an array, reduced where its cells are large, and the place in it."""
         corners, cell = place.corners(self.side), place.cell_px(self.side)
         rim = 2 * cell + 2

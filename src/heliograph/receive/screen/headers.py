@@ -10,8 +10,8 @@ from heliograph.signal.formats import ALL_MODES, DIMMED, words
 from heliograph.signal.header import CELLS, all_header_cells
 
 LEAST_MATCH = 0.75
-"""Least correlation of a pair with a header. A pair of random data of 8 x 8 cells has a standard deviation of 0.125, and
-is compared with 240 turned headers: six of them are 0.75."""
+"""Least correlation of a pair with a header. A pair of random data of 8 x 8 cells has a standard deviation of 0.125,
+and is compared with 240 turned headers: six of them are 0.75."""
 
 TIES = 0.03
 """Correlations this near are of headers that look alike in several orientations; the data tell which is right."""

@@ -14,8 +14,8 @@ Pixels32 = NDArray[np.float32]
 """Gray levels or light of pixels, (rows, columns)."""
 
 COARSE_PX = 480
-"""Most columns of the reduced frames in which changes are looked for: an array of 50 px in a frame of 1280 px has 19 there.
-Half as many would leave it a pixel for each of the header's cells."""
+"""Most columns of the reduced frames in which changes are looked for: an array of 50 px in a frame of 1280 px has 19
+there. Half as many would leave it two pixels for each of the header's cells."""
 
 LEAST_CHANGE = 4.0
 """Least mean change of an array in thousandths of full scale: of 2 patterns a second at 30 frames a second it is 20."""

@@ -10,23 +10,26 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.base.errors import SettingsError
 from heliograph.receive.coming import ENOUGH_SEEN
 from heliograph.receive.decode.codeword import Decoding, decode_packet
+from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.packets import Words
 from heliograph.receive.screen.follow import Sample
-from heliograph.receive.screen.headers import HeaderSeen, headers, named_format
+from heliograph.receive.screen.headers import TIES, HeaderSeen, headers, named_format
 from heliograph.receive.screen.timing import Bins, Clock, Samples, Solved, refined, searched, solved
 from heliograph.signal.formats import AGREED, SHORT_PAIRS, Format, format_of
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
 RATES = (10.0, 15.0, 30.0, 60.0, 5.0, 20.0, 12.0, 7.5, 6.0, 4.0, 3.0, 2.0, 24.0, 1.0)
-"""Patterns a second that are tried beside the nominal ones: those that divide a display's 60 Hz, and the commonest rates of
-films."""
+"""Patterns a second that are tried beside the nominal ones: those that divide a display's 60 Hz, and the commonest
+rates of films."""
 
 EXPLAINED = 0.3
-"""Largest part of what changes that a clock may leave unexplained. Of a right one it is 0.003 to 0.1, of a wrong one 0.4 to 1."""
+"""Largest part of what changes that a clock may leave unexplained. Of a right one it is 0.003 to 0.1, of a wrong one
+0.4 to 1."""
 
 ENOUGH_PATTERNS, ENOUGH_FRAMES = 10, 16
-"""Least patterns and frames from which a clock is found. Chosen: the five numbers of a clock want some pairs of data."""
+"""Least patterns and frames from which a clock is found. Chosen: the five numbers of a clock want some pairs of
+data."""
 
 LONGEST_SEARCH_S = 6.0
 """Seconds within which a clock is looked for: ten patterns at 2 a second last 5 s."""
@@ -123,12 +126,7 @@ class PacketReading:
         self._header: HeaderSeen | None = None
         self._form = AGREED
         self._lost = 0
-        self.settled = False
-
-    @property
-    def clock(self) -> Clock | None:
-        """The light's clock, once it is known."""
-        return self._clock
+        self._orientation: Orientation | None = None
 
     def take(self, sample: Sample) -> Iterator[ReadPacket]:
         """Take what the next frame shows; yield the packets that it completes.
@@ -260,7 +258,7 @@ class PacketReading:
             return
         _, clock = refined(Bins(samples), clock, self._frame_s, self._height, self._row_s)
         found = self._solved(samples, clock)
-        yield from self._taken(found, samples, clock)
+        yield from self._taken(found, clock)
 
     def _solved(self, samples: Samples, clock: Clock) -> Solved:
         """Pairs with the gain of each row, and without frames that do not fit."""
@@ -276,7 +274,7 @@ class PacketReading:
             found = solved(samples, clock, weights)
         return found
 
-    def _taken(self, found: Solved, samples: Samples, clock: Clock) -> Iterator[ReadPacket]:
+    def _taken(self, found: Solved, clock: Clock) -> Iterator[ReadPacket]:
         first = round(clock.pair_at(self._next or 0.0))
         place = first - found.pairs[0]
         head = self._signal.header_pairs
@@ -287,8 +285,8 @@ class PacketReading:
         if seen:
             self._header, self._lost = replace(seen[0], place=place), 0
             self._form = self._named(self._header, found.change)
-            ties = [replace(one, place=place) for one in seen if one.score > seen[0].score - 0.03]
-            if self.settled and self._header is not None:
+            ties = [replace(one, place=place) for one in seen if one.score > seen[0].score - TIES]
+            if self._orientation is not None:
                 ties = [one for one in ties if one.orientation == self._orientation] or ties
         else:
             self._lost += 1
@@ -300,7 +298,7 @@ class PacketReading:
         self._next = clock.begins(first + head + self._pairs)
         self._clock = replace(clock, start_s=self._next)
         if _good(packet):
-            self.settled, self._orientation = True, packet.header.orientation
+            self._orientation = packet.header.orientation
             self._header = packet.header
         yield packet
         self._drop_before(self._next - 8 * clock.period_s)

@@ -21,14 +21,14 @@ from heliograph.receive.image.pose import Pose
 from heliograph.receive.packets import Packet, Status
 from heliograph.receive.screen.follow import Follower, Sample
 from heliograph.receive.screen.grid import RING, Look, Place, inside
-from heliograph.receive.screen.outline import changing, quadrilaterals, reduced, sharpened
+from heliograph.receive.screen.outline import Pixels32, changing, quadrilaterals, reduced, sharpened
 from heliograph.receive.screen.reader import PacketReading, ReadPacket
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
 KEPT_FRAMES = 64
-"""Frames that are kept while an array is looked for: 2 s at 30 frames a second, 16 patterns of 60 a second at 240. They take
-60 MB at 1280 x 720."""
+"""Frames that are kept while an array is looked for: 2 s at 30 frames a second, 16 patterns of 60 a second at 240. They
+take 60 MB at 1280 x 720."""
 
 SEARCH_EVERY = 6
 """Frames from one search to the next. Chosen: a fifth of a second at 30 frames a second."""
@@ -37,7 +37,8 @@ FIRST_SEARCH = 12
 """Frames before the first search: four patterns at three frames a pattern."""
 
 WINDOWS = (8, 16, 64)
-"""Latest frames whose changes are looked at: few, as a hand moves the array meanwhile; many, where patterns are slow."""
+"""Latest frames whose changes are looked at: few, as a hand moves the array meanwhile; many, where patterns are
+slow."""
 
 BLURS_PX = (1.0, 0.6, 1.6, 2.4)
 """Blurs that are tried in px."""
@@ -49,8 +50,8 @@ TRIED = 8
 """Best places of one frame that are tried in several."""
 
 DOUBTFUL = 0.3
-"""Misfit, and change of the ring by that of the array, above which other places are tried: of an array in its place both are
-0.15 to 0.25 together."""
+"""Misfit, and change of the ring by that of the array, above which other places are tried: of an array in its place
+both are 0.06 to 0.25 together."""
 
 SWAY_PX = 14.0
 """Px by which an array may seem larger. Chosen: a hand moves a phone's picture by about 8 px in 0.25 s at most."""
@@ -123,7 +124,7 @@ class ScreenReceiver:
         self._signal, self._settings, self._observe = signal, settings, observe
         self._options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
         self._frames: deque[Frame] = deque(maxlen=KEPT_FRAMES)
-        self._small: deque[Floats] = deque(maxlen=KEPT_FRAMES)
+        self._small: deque[Pixels32] = deque(maxlen=KEPT_FRAMES)
         self._factor = 1
         self._since = 0
         self._last: Frame | None = None
@@ -174,11 +175,12 @@ class ScreenReceiver:
                 self._since = 0
                 yield from self._search()
 
-    def _linear(self, frame: Frame) -> Floats:
+    def _linear(self, frame: Frame) -> Pixels32:
         if self._light is None:
             levels = np.arange(frame.full_scale + 1) / frame.full_scale
             self._light = (levels**self._settings.screen.gamma).astype(np.float32)
-        return self._light[frame.pixels]
+        linear: Pixels32 = self._light[frame.pixels]
+        return linear
 
     @property
     def _frame_s(self) -> float:
@@ -228,7 +230,11 @@ class ScreenReceiver:
                     seen = look(frames[0].pixels, one, SETTLING)
                     found.append((seen.misfit, seen.place))
         found.sort(key=lambda one: one[0])
-        return min((self._trial(look, one, frames) for _, one in found[:TRIED]), key=lambda one: one[0], default=(np.inf, place))
+        return min(
+            (self._trial(look, one, frames) for _, one in found[:TRIED]),
+            key=lambda one: one[0],
+            default=(np.inf, place),
+        )
 
     def _trial(self, look: Look, place: Place, frames: list[Frame]) -> tuple[float, Place]:
         """How well cells fit some frames from a place on, and where they are in the first of them."""

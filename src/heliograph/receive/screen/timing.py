@@ -4,10 +4,10 @@ A pair of patterns is 2 + d and 2 - d in levels, so that a cell shows
 
     y_i = g_i (c + sum_p d_p q(t_i + r y - 2 p T)),   q = w(t) - w(t - T)
 
-w(t) is the mean of one pattern's light over an exposure that begins t after it, t_i the time of frame i, r y that of the cell's
-row of pixels, T the pattern period and g_i the camera's gain. Given phase, row time, exposure and response the d are linear
-least squares. What they leave unexplained judges the rest: variable projection. No header is needed for it.
-"""
+w(t) is the mean of one pattern's light over an exposure that begins t after it, t_i the time of frame i, r y that of
+the cell's row of pixels, T the pattern period and g_i the camera's gain. Given phase, row time, exposure and response
+the d are linear least squares. What they leave unexplained judges the rest: variable projection. No header is needed
+for it. """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -17,10 +17,11 @@ import numpy as np
 from heliograph.base.arrays import TINY, Floats
 
 BINS = 8
-"""Groups of cells by row of pixels that are taken at one time. Chosen: an eighth of a frame's readout is 4 ms at most."""
+"""Groups of cells by row of pixels that are taken at one time. Chosen: an eighth of a frame's readout is 4 ms at
+most."""
 
 PHASES = 16
-"""Phases of a pair that are tried: an eighth of a pattern apart, which loses little of a match; then they are refined."""
+"""Phases of a pair that are tried: an eighth of a pattern apart, which loses little of a match; they are refined."""
 
 READOUTS_S = (0.0, 0.008, 0.016, 0.024)
 """Times for all rows of a frame that are tried: phones take 5 to 30 ms."""
@@ -32,7 +33,8 @@ RESPONSE_S = 0.005
 """Response of a display that a search begins with: 2 to 15 ms."""
 
 LOADING = 1e-3
-"""Loading of the least squares, by the power of a frame: a pair that hardly any frame shows must not be made of noise."""
+"""Loading of the least squares, by the power of a frame: a pair that hardly any frame shows must not be made of
+noise."""
 
 LONGEST_READOUT = 1.0
 """Longest readout of a frame in frame periods."""
