@@ -4,7 +4,8 @@
 `phone-240`. Each film is written as a phone writes it (H.264 or H.265 at a bit rate, 4:2:0, limited range) and read by
 the receiver "screen" with its default settings. Drawn are the size of the array and the frame, place, perspective and
 sway, blur, rolling shutter, exposure, response and backlight of the display, gamma, automatic exposure, phases and
-clocks, unevenness of the frames, lost frames, codec and bit rate."""
+clocks, unevenness of the frames, lost frames, codec and bit rate.
+"""
 
 import sys
 import time

@@ -26,15 +26,15 @@ class Sample:
         Number of the frame.
     time_s
         Start of its first row's exposure by the camera's clock.
-    rows
-        (n, n) row of pixels of each cell.
+    at
+        (n, n, 2) x and y of each cell in px.
     seen
         The cells' light, and their place.
     """
 
     index: int
     time_s: float
-    rows: Floats
+    at: Floats
     seen: Seen
 
 
@@ -101,7 +101,7 @@ class Follower:
         self._motion = seen.place.at(middle) - self.place.at(middle)
         self.place = seen.place
         self._learn(seen)
-        return Sample(frame.index, frame.time_s, self.place.at(self._middles)[..., 1], seen)
+        return Sample(frame.index, frame.time_s, self.place.at(self._middles), seen)
 
     def _slipped(self, frame: Frame, place: Place, steps: int, seen: Seen | None) -> Seen | None:
         """The best that is seen about a place, of the shape that the array had when it was last seen well."""

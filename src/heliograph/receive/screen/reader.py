@@ -86,6 +86,41 @@ class ReadPacket:
     noise: float
 
 
+@dataclass(frozen=True)
+class Readout:
+    """The way in which a frame is read out, as pictures that are turned upright show it.
+
+    Attributes
+    ----------
+    axis
+        0 where columns are read one after the other, 1 where rows are.
+    back
+        Whether the last one is read first.
+    length
+        Columns or rows of a frame.
+    """
+
+    axis: int
+    back: bool
+    length: int
+
+    def rows(self, at: Floats) -> Floats:
+        """Return how many rows of the sensor are read before some places.
+
+        Parameters
+        ----------
+        at
+            (..., 2) x and y in px.
+        """
+        row = at[..., self.axis]
+        return self.length - 1 - row if self.back else row
+
+
+BETTER = 0.8
+"""Part of what is unexplained that another way of reading out must leave at most. Chosen: of a global shutter all are
+alike."""
+
+
 class PacketReading:
     """Reads packets from samples as they come.
 
@@ -97,8 +132,8 @@ class PacketReading:
         How codewords are decoded.
     frame_s
         Frame period in s.
-    height
-        Rows of a frame.
+    shape
+        Rows and columns of a frame.
     row_s
         Time from row to row; None to find it.
     fixed
@@ -110,12 +145,14 @@ class PacketReading:
         signal: SignalSettings,
         options: Decoding,
         frame_s: float,
-        height: int,
+        shape: tuple[int, ...],
         row_s: float | None,
         fixed: bool,
     ):
         self._signal, self._options = signal, options
-        self._frame_s, self._height, self._row_s = frame_s, height, row_s
+        self._frame_s, self._row_s = frame_s, row_s
+        self._readouts = [Readout(axis, back, shape[1 - axis]) for axis in (1, 0) for back in (False, True)]
+        self._readout = self._readouts[0]
         others = [] if fixed else [1 / rate for rate in RATES if abs(rate * signal.pattern_period_s - 1) > 0.02]
         self._periods = [[signal.pattern_period_s], others]
         self._samples: deque[Sample] = deque()
@@ -162,19 +199,34 @@ class PacketReading:
             longest = max(2 * ENOUGH_PATTERNS * min(fit), ENOUGH_PATTERNS * max(fit)) * 1.2
             samples = self._gathered(last - longest, last)
             samples = samples.evened(samples.light.mean((1, 2)))
-            found = searched(samples, fit, self._frame_s, self._height, self._row_s)
+            found = searched(samples, fit, self._frame_s, self._readout.length, self._row_s)
             if found and found[0][0] < EXPLAINED:
-                self._clock = found[0][1]
+                self._settle_readout(*found[0], last - longest, last)
                 return
         if length > LONGEST_SEARCH_S * 2:
             self._drop_before(last - LONGEST_SEARCH_S)
             self._tried_s = 0.0
 
+    def _settle_readout(self, left: float, clock: Clock, start_s: float, end_s: float) -> None:
+        """Take the way of reading out that explains most: phones film upright pictures with a sensor on its side."""
+        first = self._readout
+        best = left, clock, first
+        for one in self._readouts:
+            self._readout = one
+            samples = self._gathered(start_s, end_s)
+            bins = Bins(samples.evened(samples.light.mean((1, 2))))
+            begun = replace(clock, row_s=clock.row_s * first.length / one.length)
+            least = best[0] if one is first else BETTER * best[0]
+            now, refined_clock = refined(bins, begun, self._frame_s, one.length, self._row_s)
+            if now < least:
+                best = now, refined_clock, one
+        _, self._clock, self._readout = best
+
     def _gathered(self, start_s: float, end_s: float) -> Samples:
         kept = [one for one in self._samples if start_s <= one.time_s <= end_s]
         return Samples(
             np.array([one.time_s for one in kept]),
-            np.stack([one.rows for one in kept]),
+            np.stack([self._readout.rows(one.at) for one in kept]),
             np.stack([one.seen.light for one in kept]),
         )
 
@@ -185,7 +237,7 @@ class PacketReading:
     def _read(self, now_s: float, final: bool = False) -> Iterator[ReadPacket]:
         """Packets that are complete at a time."""
         while (clock := self._clock) is not None:
-            late = clock.row_s * self._height + clock.exposure_s + 2 * clock.response_s
+            late = clock.row_s * self._readout.length + clock.exposure_s + 2 * clock.response_s
             if self._next is None:
                 if not self._find_header(now_s - late, final):
                     return
@@ -216,7 +268,7 @@ class PacketReading:
             return False
         self._searched_s = now_s
         samples = self._evened(first, now_s + step, clock)
-        _, clock = refined(Bins(samples), clock, self._frame_s, self._height, self._row_s)
+        _, clock = refined(Bins(samples), clock, self._frame_s, self._readout.length, self._row_s)
         pairs = solved(samples, clock)
         whole = [
             k
@@ -256,7 +308,7 @@ class PacketReading:
         if len(samples.times_s) < ENOUGH_FRAMES // 2:
             self._next = None
             return
-        _, clock = refined(Bins(samples), clock, self._frame_s, self._height, self._row_s)
+        _, clock = refined(Bins(samples), clock, self._frame_s, self._readout.length, self._row_s)
         found = self._solved(samples, clock)
         yield from self._taken(found, clock)
 

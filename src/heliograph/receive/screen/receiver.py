@@ -272,10 +272,10 @@ class ScreenReceiver:
 
     def _take_up(self, taken: _Taken) -> Iterator[Packet]:
         self._follower = taken.follower
-        height = int(self._frames[-1].pixels.shape[0])
+        shape = self._frames[-1].pixels.shape
         screen = self._settings.screen
         self._reading = PacketReading(
-            self._signal, self._options, self._frame_s, height, screen.row_time_s, not screen.find_rate
+            self._signal, self._options, self._frame_s, shape, screen.row_time_s, not screen.find_rate
         )
         for sample in taken.samples:
             yield from self._read(sample)

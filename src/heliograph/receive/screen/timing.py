@@ -7,7 +7,8 @@ A pair of patterns is 2 + d and 2 - d in levels, so that a cell shows
 w(t) is the mean of one pattern's light over an exposure that begins t after it, t_i the time of frame i, r y that of
 the cell's row of pixels, T the pattern period and g_i the camera's gain. Given phase, row time, exposure and response
 the d are linear least squares. What they leave unexplained judges the rest: variable projection. No header is needed
-for it. """
+for it.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
