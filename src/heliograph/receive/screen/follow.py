@@ -42,6 +42,10 @@ STRANGE = 0.3
 """Rms by which a side of the ring around an array may differ from what it usually shows, by the array's light. Cells of
 the array there, a cell off, differ by 0.5 to 1."""
 
+DARK = 0.15
+"""Light of an array by that of the brightest frames below which it tells nothing. Chosen: 2 % of the weight of
+others."""
+
 GROWTH = 1.03
 """Factor by which the usual misfit follows that of a frame. Chosen: in 30 frames it has doubled."""
 
@@ -75,6 +79,7 @@ class Follower:
         self._ring: Floats | None = None
         self._usual = LARGEST_MISFIT / POOR
         self._sure = place
+        self._bright = 0.0
         self.lost_since: float | None = None
 
     def take(self, frame: Frame, steps: int = 4) -> Sample | None:
@@ -89,6 +94,8 @@ class Follower:
         """
         expected = self.place.moved(FORGOTTEN * self._motion)
         seen = self._seen(frame, expected, steps)
+        if seen is not None and float(seen.light.mean()) < DARK * self._bright:
+            return None  # the backlight was off
         if seen is None or self._doubt(seen) > 1:
             seen = self._slipped(frame, expected, steps, seen)
         if seen is None:
@@ -130,6 +137,7 @@ class Follower:
         if self._doubt(seen) < 1:
             self._ring = (1 - USUAL) * self._ring + USUAL * seen.ring
             self._sure = seen.place
+        self._bright = max(float(seen.light.mean()), self._bright / GROWTH)
         # a camera that loses focus is believed in the end
         self._usual = float(np.clip(seen.misfit, self._usual / GROWTH, self._usual * GROWTH))
 

@@ -118,11 +118,14 @@ class Samples:
         (frames, n, n) row of pixels of each cell.
     light
         (frames, n, n) light in any unit, linear.
+    weights
+        (frames,) inverse variance of the light, in any unit.
     """
 
     times_s: Floats
     rows: Floats
     light: Floats
+    weights: Floats
 
     def between(self, start_s: float, end_s: float) -> "Samples":
         """Return those of frames between two times.
@@ -133,7 +136,7 @@ class Samples:
             First and last time.
         """
         kept = (self.times_s >= start_s) & (self.times_s <= end_s)
-        return Samples(self.times_s[kept], self.rows[kept], self.light[kept])
+        return Samples(self.times_s[kept], self.rows[kept], self.light[kept], self.weights[kept])
 
     def evened(self, gains: Floats) -> "Samples":
         """Return the same without the camera's gain.
@@ -143,9 +146,11 @@ class Samples:
         gains
             (frames,) or (frames, n, n) gain.
         """
-        return replace(
-            self, light=self.light / gains.reshape(len(gains), *([1, 1] if gains.ndim == 1 else gains.shape[1:]))
-        )
+        whole = np.maximum(gains if gains.ndim == 1 else gains.mean((1, 2)), TINY)
+        # what is divided by a small gain is noisy
+        weights = self.weights * np.clip(whole / np.median(whole), 0, 1) ** 2
+        shape = (len(gains), 1, 1) if gains.ndim == 1 else gains.shape
+        return replace(self, light=self.light / np.maximum(gains.reshape(shape), TINY), weights=weights + TINY)
 
 
 class Bins:
@@ -165,7 +170,9 @@ class Bins:
         flat, rows = (one.reshape(len(samples.times_s), -1) for one in (samples.light, samples.rows))
         self.times_s = samples.times_s
         self.rows = np.stack([rows[:, g].mean(1) for g in groups])  # (bins, frames)
-        seen = [flat[:, g] - flat[:, g].mean(0) for g in groups]
+        self._share = samples.weights[:, None] / samples.weights.sum()
+        self._root = np.sqrt(self._share * len(samples.weights))
+        seen = [self._root * (flat[:, g] - (self._share * flat[:, g]).sum(0)) for g in groups]
         self.gram = np.stack([one @ one.T for one in seen])  # (bins, frames, frames)
         self.power = float(np.trace(self.gram, axis1=1, axis2=2).sum())
 
@@ -185,7 +192,7 @@ class Bins:
         if len(pairs) + 1 >= frames - 1:
             return 1.0
         m = clock.design(self.times_s + clock.row_s * self.rows, pairs)
-        m -= m.mean(1, keepdims=True)
+        m = self._root * (m - (self._share * m).sum(1, keepdims=True))
         gram = m.transpose(0, 2, 1) @ m
         loading = LOADING * 2 * frames / len(pairs) * np.eye(len(pairs))
         b = m.transpose(0, 2, 1) @ self.gram @ m
@@ -361,12 +368,12 @@ def solved(samples: Samples, clock: Clock, weights: Floats | None = None) -> Sol
     clock
         The light's clock.
     weights
-        (frames,) weight of each frame; None for equal ones.
+        (frames,) how far each frame is trusted, 0 to 1; None for all alike.
     """
     frames, n = len(samples.times_s), samples.light.shape[-1]
     late = clock.row_s * float(samples.rows.max())
     pairs = pairs_between(clock, float(samples.times_s[0]), float(samples.times_s[-1]), late)
-    w = np.ones(frames) if weights is None else weights
+    w = samples.weights / samples.weights.mean() * (1.0 if weights is None else weights)
     y = samples.light.reshape(frames, -1).T  # (cells, frames)
     # cells of one row of the array, or fewer, share their times
     at = samples.times_s + clock.row_s * samples.rows.reshape(frames, -1).T
