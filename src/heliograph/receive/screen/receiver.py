@@ -46,6 +46,9 @@ BLURS_PX = (1.0, 0.6, 1.6, 2.4)
 WIDEST = 0.45
 """Largest blur that is tried in cells: a wider one lets cells explain anything."""
 
+VAIN = 4
+"""Thorough searches in vain after which they become rarer: each takes a second. Chosen."""
+
 TRIED = 8
 """Best places of one frame that are tried in several."""
 
@@ -126,7 +129,7 @@ class ScreenReceiver:
         self._frames: deque[Frame] = deque(maxlen=KEPT_FRAMES)
         self._small: deque[Pixels32] = deque(maxlen=KEPT_FRAMES)
         self._factor = 1
-        self._since = 0
+        self._since = self._vain = 0
         self._last: Frame | None = None
         self._light: NDArray[np.float32] | None = None
         self._follower: Follower | None = None
@@ -195,6 +198,8 @@ class ScreenReceiver:
             changes = changing(latest)
             places = quadrilaterals(changes, self._factor)
             tried = sorted((self._placed(one, count) for one in places), key=lambda one: one.score)
+            if tried and tried[0].score > DOUBTFUL and not self._hopeless():
+                tried = [self._searched(tried[0]), *tried]
             for one in tried:
                 taken = self._whole(one) if np.isfinite(one.score) else None
                 if taken is not None:
@@ -213,14 +218,19 @@ class ScreenReceiver:
         some = frames[middle : middle + TRIAL_FRAMES]
         starts = [Place.of(one, self._signal.side) for one in (sharp, corners)]
         best = min((self._trial(looks[0], one, some) for one in starts), key=lambda one: one[0])
-        if best[0] > DOUBTFUL:
-            best = min(best, self._tried(looks[0], starts[1], some), key=lambda one: one[0])
         cell = best[1].cell_px(self._signal.side)
         tried = [_Placed(*self._trial(one, best[1], some), one) for one in looks if one.blur_px < WIDEST * cell]
         return min(tried, key=lambda one: one.score, default=_Placed(*best, looks[0]))
 
-    def _tried(self, look: Look, place: Place, frames: list[Frame]) -> tuple[float, Place]:
+    def _hopeless(self) -> bool:
+        """Whether too much was tried in vain of late."""
+        self._vain += 1
+        return self._vain > VAIN and self._vain & (self._vain - 1) != 0
+
+    def _searched(self, placed: _Placed) -> _Placed:
         """The best of many places about one: a hand that sways makes an array seem larger."""
+        look, place = placed.look, placed.place
+        frames = list(self._frames)[max(len(self._frames) - TRIAL_FRAMES, 0) :]
         n, (wide, high) = self._signal.side, _motion(place, self._signal.side, self._factor)
         found: list[tuple[float, Place]] = []
         for x, y in product(np.arange(1.0, wide, -SCALES / n), np.arange(1.0, high, -SCALES / n)):
@@ -230,11 +240,8 @@ class ScreenReceiver:
                     seen = look(frames[0].pixels, one, SETTLING)
                     found.append((seen.misfit, seen.place))
         found.sort(key=lambda one: one[0])
-        return min(
-            (self._trial(look, one, frames) for _, one in found[:TRIED]),
-            key=lambda one: one[0],
-            default=(np.inf, place),
-        )
+        tried = [_Placed(*self._trial(look, one, frames), look) for _, one in found[:TRIED]]
+        return min((placed, *tried), key=lambda one: one.score)
 
     def _trial(self, look: Look, place: Place, frames: list[Frame]) -> tuple[float, Place]:
         """How well cells fit some frames from a place on, and where they are in the first of them."""

@@ -1,0 +1,140 @@
+"""A screen's cells, and a rolling shutter: what rows of pixels see at times of their own."""
+
+import itertools
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from heliograph.base.arrays import Floats
+from heliograph.base.config import from_mapping
+from heliograph.base.errors import SettingsError
+from heliograph.channel import ChannelSettings, film
+
+SIDE, PERIOD_S = 4, 0.1
+STILL = {
+    "distance_m": 1.0,
+    "speed_m_s": 0,
+    "shake": "none",
+    "arrays": [{"x_m": 0, "y_m": 0}],
+    "sensor": {"full_well_e": 1e7, "dark_noise_e": 0},
+    "background": {"level": 0.0},
+}
+CAMERA = {"fps": 30, "exposure_s": 0.01, "width": 80, "height": 80, "focal_m": 0.005, "pixel_m": 1e-5, "blur_px": 0.3}
+SCREEN = {"pitch_m": 0.02, "shape": "cell", "all_on": 0.8, "panel_level": 0.0}
+"""Cells of 10 px."""
+
+
+def shoot(
+    patterns: Iterable[int], frames: int, camera: dict[str, Any], emitter: dict[str, Any], **more: Any
+) -> list[Floats]:
+    """Light of a film of an array whose cells all show one level after the other, in full scales."""
+    tree = {
+        **STILL,
+        "duration_s": frames / 30,
+        "camera": {**CAMERA, **camera},
+        "emitter": {**SCREEN, **emitter},
+        **more,
+    }
+    lights = (np.full((SIDE, SIDE), level, np.uint8) for level in patterns)
+    shot = film(
+        from_mapping(ChannelSettings, tree),
+        [lights],
+        np.random.default_rng(3),
+        pattern_period_s=PERIOD_S,
+        steady=True,
+    )
+    return [frame.pixels / 255 for frame, _ in shot]
+
+
+def middle(image: NDArray[np.float64]) -> float:
+    """Light of the middle row."""
+    return float(image[38:42, 30:50].mean())
+
+
+@pytest.mark.parametrize("level", range(5))
+def test_a_level_is_a_luminance(level: int) -> None:
+    (image,) = shoot(itertools.repeat(level), 1, {}, {})
+    assert image[25:55, 25:55] == pytest.approx(0.8 * level / 4, abs=0.004)
+    assert image[:15].max() < 0.004
+
+
+def test_a_slow_display_nears_a_level() -> None:
+    # 4 until 0.1 s, then 0: an exposure from 0.1 s on sees the mean of exp(-t / tau)
+    tau = 0.02
+    images = shoot([4, 4, 0, 0, 0], 9, {"start_s": 0.2 - 4 / 30 + 1e-9}, {"response_s": tau})
+    seen = middle(images[4])
+    assert seen == pytest.approx(0.8 * tau / 0.01 * (1 - np.exp(-0.01 / tau)), abs=0.004)
+
+
+def test_a_switched_backlight_shows_as_bands() -> None:
+    rolled = {"row_time_s": 2e-4, "exposure_s": 1e-3}
+    (image,) = shoot(itertools.repeat(4), 1, rolled, {"backlight_hz": 250.0, "backlight_duty": 0.5})
+    rows = image[25:55, 30:50].mean(1)
+    # 4 ms are 20 rows; the mean stays
+    assert rows.min() < 0.05
+    assert np.ptp(rows) > 0.9
+    whole = shoot(itertools.repeat(4), 1, {"exposure_s": 0.012}, {"backlight_hz": 250.0, "backlight_duty": 0.5})[0]
+    assert middle(whole) == pytest.approx(0.8, abs=0.01)
+
+
+@pytest.mark.parametrize("shape", ["cell", "disc"])
+def test_a_row_sees_a_pattern_at_its_own_time(shape: str) -> None:
+    rolled = {"row_time_s": 4e-4, "exposure_s": 1e-3, "start_s": 0.1 - 0.4 * 0.04}
+    (image,) = shoot([4, 0, 0, 0, 0], 1 + 3, rolled, {"shape": shape})[:1]
+    rows = image[20:60, 20:60].mean(1)
+    # row 40 is exposed from 0.1 s on, when level 4 has ended
+    assert (rows[21:] < 0.01).all()
+    assert rows[:18].max() > 0.1
+
+
+def test_the_display_takes_a_pattern_row_by_row() -> None:
+    (image,) = shoot([0, 4, 4, 4], 4, {"exposure_s": 1e-3, "start_s": 0.1 + 0.025}, {"scan_s": 0.04})[:1]
+    # rows of cells take it after 0, 10, 20 and 30 ms
+    levels = [float(image[y - 2 : y + 3, 30:50].mean()) for y in (25, 35, 45, 55)]
+    assert levels == pytest.approx([0.8, 0.8, 0.8, 0.0], abs=0.02)
+
+
+def test_gray_levels_are_those_of_the_gamma() -> None:
+    (image,) = shoot(itertools.repeat(1), 1, {}, {}, sensor={**STILL["sensor"], "gamma": 2.2})  # type: ignore[dict-item]
+    assert middle(image) == pytest.approx(0.2 ** (1 / 2.2), abs=0.005)
+
+
+def test_automatic_exposure_swings() -> None:
+    images = shoot(itertools.repeat(2), 30, {"gain_swing": 0.2, "gain_period_s": 1.0}, {})
+    light = np.array([middle(image) for image in images])
+    assert light.max() == pytest.approx(0.48, abs=0.01)
+    assert light.min() == pytest.approx(0.32, abs=0.01)
+
+
+def test_a_variable_frame_rate_is_told_by_the_stamps() -> None:
+    tree = {**STILL, "duration_s": 1.0, "camera": {**CAMERA, "uneven_s": 0.004}, "emitter": SCREEN}
+    lights = [itertools.repeat(np.full((SIDE, SIDE), 2, np.uint8))]
+    settings = from_mapping(ChannelSettings, tree)
+    shot = list(film(settings, lights, np.random.default_rng(3), pattern_period_s=PERIOD_S, steady=True))
+    late = np.array([frame.time_s - frame.index / 30 for frame, _ in shot])
+    assert 0.002 < late.std() < 0.006
+    assert [truth.time_s for _, truth in shot] == pytest.approx([frame.time_s for frame, _ in shot])
+
+
+def test_a_hand_sways() -> None:
+    tree = {**STILL, "shake": "hand", "hand_deg": 0.5, "duration_s": 3.0, "camera": CAMERA, "emitter": SCREEN}
+    lights = [itertools.repeat(np.full((SIDE, SIDE), 2, np.uint8))]
+    shot = film(from_mapping(ChannelSettings, tree), lights, np.random.default_rng(3), pattern_period_s=PERIOD_S)
+    x = np.array([truth.arrays[0].x for _, truth in shot])
+    # 500 px of focal length by 0.5 degrees
+    assert 1.5 < x.std() < 9
+
+
+@pytest.mark.parametrize(
+    ("camera", "emitter", "said"),
+    [
+        ({"row_time_s": 1e-3}, {}, "row_time_s times height is at most 1 / fps"),
+        ({}, {"shape": "disc", "response_s": 0.01}, "are of a screen"),
+    ],
+)
+def test_what_no_camera_or_display_does_is_refused(camera: dict[str, Any], emitter: dict[str, Any], said: str) -> None:
+    with pytest.raises(SettingsError, match=said):
+        shoot([0], 1, camera, emitter)

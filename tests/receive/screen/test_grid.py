@@ -1,0 +1,70 @@
+"""Cells and their place in drawn frames."""
+
+import cv2
+import numpy as np
+import pytest
+
+from heliograph.base.arrays import Floats
+from heliograph.base.frames import Pixels
+from heliograph.receive.screen.grid import Look, Place
+from heliograph.receive.screen.outline import changing, quadrilaterals, reduced, sharpened
+
+SIDE = 16
+LINEAR = (np.arange(256) / 255).astype(np.float32)
+CORNERS = np.array([[60.0, 41.0], [225.0, 50.0], [216.0, 212.0], [52.0, 203.0]])
+
+
+def levels(seed: int) -> Floats:
+    """Random levels of data."""
+    return np.random.default_rng(seed).binomial(4, 0.5, (SIDE, SIDE)).astype(float)
+
+
+def drawn(cells: Floats, corners: Floats = CORNERS, blur: float = 1.0) -> Pixels:
+    """A frame of an array on a dark ground."""
+    fine = np.kron(cells, np.ones((16, 16))) / 4
+    n = 16 * SIDE
+    square = np.array([[0, 0], [n, 0], [n, n], [0, n]], np.float32) - 0.5
+    four = cv2.getPerspectiveTransform(square.astype(np.float32), (4 * corners + 1.5).astype(np.float32))
+    large = cv2.warpPerspective(fine.astype(np.float32), four, (1280, 1040), flags=cv2.INTER_LINEAR, borderValue=0.02)
+    light = cv2.GaussianBlur(cv2.resize(large, (320, 260), interpolation=cv2.INTER_AREA), (0, 0), blur)
+    noise = np.random.default_rng(5).normal(0, 0.01, light.shape)
+    out: Pixels = np.clip(255 * (0.05 + 0.8 * light + noise), 0, 255).astype(np.uint8)
+    return out
+
+
+def test_cells_are_seen_at_their_place() -> None:
+    cells = levels(1)
+    seen = Look(SIDE, 1.0, LINEAR)(drawn(cells), Place.of(CORNERS, SIDE), 0)
+    assert seen.light == pytest.approx(0.05 + 0.2 * cells, abs=0.04)
+    assert seen.misfit < 0.15
+    assert seen.saturated == 0
+
+
+@pytest.mark.parametrize("off", [(0.0, 0.0), (3.0, -2.0), (-4.0, 4.0)])
+def test_a_place_is_found_from_half_a_cell_away(off: tuple[float, float]) -> None:
+    look = Look(SIDE, 1.0, LINEAR)
+    seen = look(drawn(levels(2)), Place.of(CORNERS + off, SIDE), 10)
+    assert np.abs(seen.place.corners(SIDE) - CORNERS).max() < 0.5
+
+
+def test_an_array_is_outlined_where_it_changes() -> None:
+    frames = [LINEAR[drawn(levels(k))] for k in range(6)]
+    small = [reduced(one) for one in frames]
+    found = quadrilaterals(changing([one for one, _ in small]), small[0][1])
+    assert np.abs(found[0] - CORNERS).max() < 6
+    sharp = sharpened(changing(frames), found[0], small[0][1])
+    assert np.abs(sharp - CORNERS).max() < 2.5
+
+
+def test_where_nothing_changes_there_is_no_array() -> None:
+    still = LINEAR[drawn(levels(1))]
+    assert quadrilaterals(changing([still, still, still]), 1) == []
+
+
+def test_places_are_moved_and_scaled() -> None:
+    place = Place.of(CORNERS, SIDE)
+    assert place.moved(np.array([3.0, 4.0])).corners(SIDE) == pytest.approx(CORNERS + [3, 4], abs=1e-3)
+    middle = np.array([SIDE / 2, SIDE / 2])
+    assert place.scaled(0.9, 0.8, SIDE).at(middle) == pytest.approx(place.at(middle))
+    assert place.shifted(1, 0).at(np.zeros(2)) == pytest.approx(place.at(np.array([1.0, 0.0])))
+    assert place.cell_px(SIDE) == pytest.approx(163.8 / 16, abs=0.1)

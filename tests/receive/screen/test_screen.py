@@ -1,0 +1,119 @@
+"""Whole films of screens: phones at their rates, turned, of other rates than was said, and lost on the way."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import heliograph
+from heliograph.base.errors import SettingsError
+from heliograph.base.frames import Frame, Pixels
+from heliograph.link.film import write_film
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import default_messages, simulate
+from heliograph.receive import Packet
+from heliograph.receive.events import DecodeEvent, DetectEvent, LostEvent
+from heliograph.signal.settings import SignalSettings
+
+SMALL = (
+    "channel.camera.width=480",
+    "channel.camera.height=270",
+    "channel.camera.pixel_m=1.1e-5",
+    "channel.distance_m=0.75",
+)
+"""An array of 155 px in a small frame, for speed; the readout of all rows stays as it was."""
+
+
+def link(preset: str, packets: float, *changes: str) -> LinkSettings:
+    """A link of a small frame."""
+    base = load_settings(preset)
+    readout = base.channel.camera.row_time_s * base.channel.camera.height
+    rows = f"channel.camera.row_time_s={readout / 270}"
+    return load_settings(preset, None, [*SMALL, rows, f"channel.duration_s={packets * base.signal.packet_s}", *changes])
+
+
+def frames(settings: LinkSettings, seed: int = 3) -> list[Frame]:
+    """Frames of a film."""
+    return [frame for frame, _ in simulate(settings, default_messages(settings), seed)]
+
+
+def read(settings: LinkSettings, film: list[Frame], signal: SignalSettings | None = None) -> list[Packet]:
+    """Packets of a film."""
+    return list(heliograph.receive_frames(film, signal or settings.signal, settings.receive))
+
+
+@pytest.mark.parametrize("preset", ["phone", "phone-15", "phone-60", "phone-240"])
+@pytest.mark.slow
+def test_phones_read_at_their_rates(preset: str) -> None:
+    settings = link(preset, 2.2 if preset == "phone-240" else 1.2)
+    packets = read(settings, frames(settings))
+    assert packets
+    assert packets[0].status == "ok"
+    assert packets[0].format.mode == "short"
+    assert packets[0].distance_m == pytest.approx(0.75, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("turn", "said"),
+    [
+        (lambda p: np.rot90(p), "turned 270"),
+        (lambda p: p[::-1, ::-1], "turned 180"),
+        (lambda p: p[:, ::-1], "mirrored"),
+    ],
+)
+@pytest.mark.slow
+def test_a_turned_phone_reads_columns_as_rows(turn: Callable[[Pixels], Pixels], said: str) -> None:
+    settings = link("phone-60", 1.2)
+    turned = [replace(one, pixels=np.ascontiguousarray(turn(one.pixels))) for one in frames(settings)]
+    packets = read(settings, turned)
+    assert [packet.status for packet in packets] == ["ok"]
+    assert str(packets[0].orientation) == said
+
+
+@pytest.mark.slow
+def test_the_rate_and_the_length_are_found() -> None:
+    settings = link("phone-60", 1.3, "signal.side=8", "channel.emitter.pitch_m=0.04")
+    other = replace(settings.signal, pattern_period_s=0.1, data_pairs=48)
+    packets = read(settings, frames(settings), other)
+    assert [packet.status for packet in packets] == ["ok"]
+
+
+@pytest.mark.slow
+def test_a_film_as_phones_write_it(tmp_path: Path) -> None:
+    settings = link("phone-60", 1.2, "channel.emitter.backlight_hz=240", "channel.emitter.backlight_duty=0.6")
+    events: list[object] = []
+    write_film(tmp_path / "phone.mp4", settings, default_messages(settings), 3, mbit_s=4)
+    with heliograph.open_film(tmp_path / "phone.mp4") as film:
+        packets = list(heliograph.receive_frames(film, settings.signal, settings.receive, events.append))
+    assert [packet.status for packet in packets] == ["ok"]
+    assert [type(event) for event in events] == [DetectEvent, DecodeEvent, LostEvent]
+
+
+@pytest.mark.slow
+def test_any_chunks_give_the_same_packets_and_copies_do_no_harm() -> None:
+    settings = link("phone-60", 1.2)
+    film = frames(settings)
+    twice = [one for k, frame in enumerate(film) for one in ([frame] if k % 9 else [frame, _copy(frame)])]
+    receiver = heliograph.make_receiver(settings.signal, settings.receive)
+    packets = [packet for frame in twice for packet in receiver.push(frame)] + list(receiver.finish())
+    assert [packet.status for packet in packets] == ["ok"]
+
+
+def _copy(frame: Frame) -> Frame:
+    return replace(frame, time_s=frame.time_s + 0.003)
+
+
+def test_noise_is_no_array() -> None:
+    rng, settings = np.random.default_rng(1), load_settings("phone")
+    film = [Frame(k, k / 30, rng.integers(90, 110, (120, 160), dtype=np.uint8)) for k in range(40)]
+    assert read(settings, film) == []
+
+
+def test_what_it_cannot_read_is_refused() -> None:
+    settings = load_settings("phone")
+    with pytest.raises(SettingsError, match="the receiver screen reads"):
+        heliograph.make_receiver(replace(settings.signal, modulation="ook"), settings.receive)
+    with pytest.raises(SettingsError, match="has no effect"):
+        load_settings("paper", None, ["receive.screen.gamma=2.0"])
