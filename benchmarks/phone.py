@@ -97,7 +97,8 @@ def drawn(rate: str, rng: np.random.Generator, cells: int = 16, *changes: str) -
     focal_px, pitch = 0.75 * width, 0.32 / cells
     distance = 0.32 * focal_px / side
     # all of it stays in the picture while a hand sways
-    room = np.maximum((np.array([width, height]) - 1.25 * side) / 2 - 30, 0) / focal_px * distance
+    room = np.maximum((np.array([width, height]) - 1.5 * side) / 2 - 30, 0) / focal_px * distance
+    tilt, roll = (20, 15) if side < 0.55 * height else (8, 4)
     x, y = rng.uniform(-room, room)
     readout = min(rng.uniform(0.005, 0.03), 0.98 / fps)
     pwm = rng.random() < 0.5
@@ -110,9 +111,9 @@ def drawn(rate: str, rng: np.random.Generator, cells: int = 16, *changes: str) -
         "channel.hand_deg": rng.uniform(0.1, 0.4),
         "channel.arrays.0.x_m": x,
         "channel.arrays.0.y_m": y,
-        "channel.arrays.0.yaw_deg": rng.uniform(-20, 20),
-        "channel.arrays.0.pitch_deg": rng.uniform(-20, 20),
-        "channel.arrays.0.roll_deg": rng.uniform(-15, 15),
+        "channel.arrays.0.yaw_deg": rng.uniform(-tilt, tilt),
+        "channel.arrays.0.pitch_deg": rng.uniform(-tilt, tilt),
+        "channel.arrays.0.roll_deg": rng.uniform(-roll, roll),
         "channel.arrays.0.clock_ppm": rng.uniform(-100, 100),
         "channel.arrays.0.start_s": -rng.uniform(0, base.signal.packet_s),
         "channel.camera.width": width,

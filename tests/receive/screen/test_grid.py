@@ -63,7 +63,7 @@ def test_where_nothing_changes_there_is_no_array() -> None:
 
 def test_places_are_moved_and_scaled() -> None:
     place = Place.of(CORNERS, SIDE)
-    assert place.moved(np.array([3.0, 4.0])).corners(SIDE) == pytest.approx(CORNERS + [3, 4], abs=1e-3)
+    assert place.moved(np.array([3.0, 4.0])).corners(SIDE) == pytest.approx(CORNERS + np.array([3, 4]), abs=1e-3)
     middle = np.array([SIDE / 2, SIDE / 2])
     assert place.scaled(0.9, 0.8, SIDE).at(middle) == pytest.approx(place.at(middle))
     assert place.shifted(1, 0).at(np.zeros(2)) == pytest.approx(place.at(np.array([1.0, 0.0])))

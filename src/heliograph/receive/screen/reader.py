@@ -34,6 +34,9 @@ data."""
 LONGEST_SEARCH_S = 6.0
 """Seconds within which a clock is looked for: ten patterns at 2 a second last 5 s."""
 
+PARTLY = 0.45
+"""Part of a pair that a film's start may cut off: of its first pattern a tenth is left at least."""
+
 GAIN_STEPS = 3
 """Times that the gain of each row is estimated anew. Chosen: each takes three quarters of what is left of bands."""
 
@@ -287,7 +290,7 @@ class PacketReading:
         whole = [
             k
             for k, p in enumerate(pairs.pairs)
-            if clock.begins(p) >= first - 0.2 * step and clock.begins(p + 1) <= now_s
+            if clock.begins(p) >= first - PARTLY * step and clock.begins(p + 1) <= now_s
         ]
         if not whole:
             return False
