@@ -66,12 +66,21 @@ class Condition:
         """What was drawn, in a line."""
         s = self.settings
         c, e, one = s.channel.camera, s.channel.emitter, s.channel.arrays[0]
-        return (
-            f"{self.side_px:4.0f} px in {c.height}p, blur {c.blur_px:.1f} px, rows "
-            f"{1e3 * c.row_time_s * c.height:.0f} ms, exposure {1e3 * c.exposure_s:.1f} ms, response {1e3 * e.response_s:.0f} ms, backlight {e.backlight_hz:.0f} Hz "
-            f"{e.backlight_duty:.1f}, gamma {s.channel.sensor.gamma:.2f}, swing {c.gain_swing:.2f}, tilt "
-            f"{one.yaw_deg:.0f} {one.pitch_deg:.0f} {one.roll_deg:.0f}, sway {s.channel.hand_deg:.2f} deg, {self.codec['codec']} "
-            f"{self.codec['mbit_s']:.0f} Mbit/s"
+        readout, angles = 1e3 * c.row_time_s * c.height, f"{one.yaw_deg:.0f} {one.pitch_deg:.0f} {one.roll_deg:.0f}"
+        return ", ".join(
+            [
+                f"{self.side_px:4.0f} px in {c.height}p",
+                f"blur {c.blur_px:.1f} px",
+                f"rows {readout:.0f} ms",
+                f"exposure {1e3 * c.exposure_s:.1f} ms",
+                f"response {1e3 * e.response_s:.0f} ms",
+                f"backlight {e.backlight_hz:.0f} Hz {e.backlight_duty:.1f}",
+                f"gamma {s.channel.sensor.gamma:.2f}",
+                f"swing {c.gain_swing:.2f}",
+                f"tilt {angles}",
+                f"sway {s.channel.hand_deg:.2f} deg",
+                f"{self.codec['codec']} {self.codec['mbit_s']:.0f} Mbit/s",
+            ]
         )
 
 

@@ -224,8 +224,10 @@ def developed(
 
     Parameters
     ----------
-    light, sensor, seed, frame, corner
-        As of `read_out`.
+    light, sensor
+        Light of the pixels, and settings of the sensor with its gamma, as of `read_out`.
+    seed, frame, corner
+        Numbers that select the noise, and the window's corner, as of `read_out`.
 
     Returns
     -------

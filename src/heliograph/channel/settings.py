@@ -197,8 +197,8 @@ class ChannelSettings:
     duration_s: Annotated[float, Field(gt=0, le=3600)] | None = None
     speed_profile: tuple[tuple[Annotated[float, Field(ge=-1e6, le=1e6)], Annotated[float, Field(le=60)]], ...] = ()
     shake: Annotated[str, AfterValidator(MOTIONS.check)] = "road"
-    road_class: Literal["A", "B", "C", "D"] = "B"
     hand_deg: Annotated[float, Field(ge=0, le=10)] = 0.3
+    road_class: Literal["A", "B", "C", "D"] = "B"
     imu_start_s: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     arrays: tuple[Placement, ...] = (Placement(),)
     camera: CameraSettings = CameraSettings()

@@ -88,7 +88,7 @@ class Follower:
         Parameters
         ----------
         frame
-            The next frame.
+            The next frame of the camera, in the order of time.
         steps
             Most steps of its place.
         """

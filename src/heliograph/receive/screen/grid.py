@@ -18,17 +18,17 @@ from heliograph.base.frames import Pixels
 S = 6
 """Samples of a cell's side. Chosen: a blur of a third of a cell is drawn right to 1 %."""
 
-RING = 1
+RIM_CELLS = 1
 """Cells around the array that are drawn too: what shines there is spread into the array."""
 
-LOADING = 1e-3
+CELL_LOADING = 1e-3
 """Loading of the least squares, by the weight of a cell: cells smaller than the blur would amplify noise without
 bounds."""
 
 CELL_PX = 10.0
 """Px a cell above which frames are reduced before they are drawn: S samples see them then without gaps."""
 
-STEPS = 4
+PLACE_STEPS = 4
 """Most steps of a place in a frame. Chosen: from frame to frame it moves by less than half a cell, and each step halves
 the rest at least."""
 
@@ -158,7 +158,7 @@ class Seen:
     Attributes
     ----------
     place
-        Where it was.
+        Where it was, as least squares found it.
     cells
         (n + 2, n + 2) light of its cells, and of the ring around, in full scales.
     misfit
@@ -175,7 +175,7 @@ class Seen:
     @property
     def ring(self) -> Floats:
         """(4 n,) light of the ring's cells but for its corners."""
-        inner = slice(RING, -RING)
+        inner = slice(RIM_CELLS, -RIM_CELLS)
         return np.concatenate(
             [self.cells[0, inner], self.cells[-1, inner], self.cells[inner, 0], self.cells[inner, -1]]
         )
@@ -183,7 +183,7 @@ class Seen:
     @property
     def light(self) -> Floats:
         """(n, n) light of its cells in full scales."""
-        return self.cells[RING:-RING, RING:-RING]
+        return self.cells[RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS]
 
 
 @lru_cache(maxsize=64)
@@ -191,7 +191,7 @@ def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
     """B, its derivative by the place in cells, and the least squares' weights, for a blur in cells."""
     from scipy.special import ndtr
 
-    cells = side + 2 * RING
+    cells = side + 2 * RIM_CELLS
     at = (np.arange(cells * S) + 0.5) / S
     edge = np.arange(cells + 1.0)
     z = (at[:, None] - edge) / width
@@ -203,15 +203,15 @@ def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
     slope = bell[:, :-1] - bell[:, 1:]
     slope[:, 0], slope[:, -1] = -bell[:, 1], bell[:, -2]
     gram = b.T @ b
-    weights = np.linalg.solve(gram + LOADING * S * np.eye(cells), b.T)
+    weights = np.linalg.solve(gram + CELL_LOADING * S * np.eye(cells), b.T)
     return b, slope, weights
 
 
 def _drawn(part: NDArray[np.float32], homography: Floats, side: int) -> Floats:
     """An array drawn upright, with its ring, of the light of a part of a frame and its place there."""
-    cells = side + 2 * RING
-    # sample (i + 1/2) / S - RING cells
-    to_cells = np.array([[1 / S, 0, 0.5 / S - RING], [0, 1 / S, 0.5 / S - RING], [0, 0, 1]])
+    cells = side + 2 * RIM_CELLS
+    # sample (i + 1/2) / S - RIM_CELLS cells
+    to_cells = np.array([[1 / S, 0, 0.5 / S - RIM_CELLS], [0, 1 / S, 0.5 / S - RIM_CELLS], [0, 0, 1]])
     size = (cells * S, cells * S)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return np.asarray(
@@ -226,7 +226,7 @@ def inside(place: Place, side: int, shape: tuple[int, ...]) -> bool:
     Parameters
     ----------
     place
-        Where it is.
+        Where the array is expected.
     side
         Cells in a row, n.
     shape
@@ -254,7 +254,7 @@ class Look:
     def __init__(self, side: int, blur_px: float, light: NDArray[np.float32]):
         self.side, self.blur_px, self.light = side, blur_px, light
 
-    def __call__(self, pixels: Pixels, place: Place, steps: int = STEPS) -> Seen:
+    def __call__(self, pixels: Pixels, place: Place, steps: int = PLACE_STEPS) -> Seen:
         """Find the cells and the place in a frame.
 
         Parameters
@@ -282,7 +282,7 @@ class Look:
             place = Place(place.homography @ delta)
             if np.abs(delta - np.eye(3))[:2].max() < ENOUGH:
                 break
-        core = slice(RING * S, -RING * S)
+        core = slice(RIM_CELLS * S, -RIM_CELLS * S)
         inner = seen[core, core]
         # from a pattern to its inverse all cells are alike for a moment, and tell nothing
         contrast = max(float(inner.std()), EVEN * float(inner.mean()), TINY)
@@ -309,9 +309,9 @@ class Look:
 
 def _step(left: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> Floats:
     """A small homography in cells that lessens what is left, (3, 3)."""
-    core = slice(RING * S - S // 2, -(RING * S - S // 2))
+    core = slice(RIM_CELLS * S - S // 2, -(RIM_CELLS * S - S // 2))
     across, down = (b @ x @ slope.T)[core, core], (slope @ x @ b.T)[core, core]
-    at = (np.arange(b.shape[0])[core] + 0.5) / S - RING - side / 2
+    at = (np.arange(b.shape[0])[core] + 0.5) / S - RIM_CELLS - side / 2
     u, v = (one / side for one in np.meshgrid(at, at))
     # x' = x + a + b u + c v + g u^2 + h u v, y' = y + d + e u + f v + g u v + h v^2, in cells
     rows = np.stack(

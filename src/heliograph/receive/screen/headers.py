@@ -78,7 +78,7 @@ def named_format(header: HeaderSeen, change: Floats, pairs: int) -> int:
     Parameters
     ----------
     header
-        The header.
+        The header, with its place among the pairs.
     change
         (pairs, n, n) as for `headers`.
     pairs

@@ -32,7 +32,7 @@ FOUR = 4
 PROFILES = 32
 """Places along a side where its edge is looked for. Chosen: lines through them are right to a tenth of a pixel."""
 
-REACH = 2.5
+EDGE_REACH = 2.5
 """Reduced pixels across a side within which its edge is looked for: corners are right to one or two of them."""
 
 AGREES = 2.0
@@ -147,7 +147,7 @@ def sharpened(changes: Pixels32, corners: Floats, factor: int) -> Floats:
     factor
         By what the frames were reduced in which they were found.
     """
-    reach = REACH * factor + 1
+    reach = EDGE_REACH * factor + 1
     for _ in range(3):
         lines = [_edge(changes, corners[k], corners[(k + 1) % FOUR], corners.mean(0), reach) for k in range(FOUR)]
         moved = np.array([_crossing(lines[k - 1], lines[k]) for k in range(FOUR)])

@@ -23,7 +23,7 @@ RATES = (10.0, 15.0, 30.0, 60.0, 5.0, 20.0, 12.0, 7.5, 6.0, 4.0, 3.0, 2.0, 24.0,
 """Patterns a second that are tried beside the nominal ones: those that divide a display's 60 Hz, and the commonest
 rates of films."""
 
-EXPLAINED = 0.3
+MOST_UNEXPLAINED = 0.3
 """Largest part of what changes that a clock may leave unexplained. Of a right one it is 0.003 to 0.1, of a wrong one
 0.4 to 1."""
 
@@ -40,7 +40,7 @@ PARTLY = 0.45
 GAIN_STEPS = 3
 """Times that the gain of each row is estimated anew. Chosen: each takes three quarters of what is left of bands."""
 
-HELD_GAIN = 0.3
+UNIT_GAIN = 0.3
 """Weight of a gain of 1, by the power of a frame's contrast: a frame between pattern and inverse has none. Chosen."""
 
 FLICKER = 0.15
@@ -61,13 +61,13 @@ class ReadPacket:
     Attributes
     ----------
     header
-        Its header.
+        Its header, of score 0 where it was not seen.
     form
         The format that it names.
     reason
         Why nothing was read, empty otherwise.
     words
-        Codewords by layer.
+        Codewords by layer, empty where nothing was read.
     start_s, end_s
         Times between which it was shown, by the camera's clock.
     first, last
@@ -77,7 +77,7 @@ class ReadPacket:
     seen
         (pairs,) whether a data pair was seen.
     clock
-        The light's clock.
+        The light's clock as the packet showed it.
     noise
         Rms of what a cell shows that the pairs do not explain, in levels.
     """
@@ -137,7 +137,7 @@ class PacketReading:
     Parameters
     ----------
     signal
-        The light's signal.
+        The light's signal; its period and number of data pairs are first guesses alone.
     options
         How codewords are decoded.
     frame_s
@@ -181,7 +181,7 @@ class PacketReading:
         Parameters
         ----------
         sample
-            What it shows.
+            What it shows; frames come in the order of time.
         """
         self._samples.append(sample)
         if self._clock is None:
@@ -212,7 +212,7 @@ class PacketReading:
             samples = self._gathered(last - longest, last)
             samples = samples.evened(samples.light.mean((1, 2)))
             found = searched(samples, fit, self._frame_s, self._readout.length, self._row_s)
-            if found and found[0][0] < EXPLAINED:
+            if found and found[0][0] < MOST_UNEXPLAINED:
                 self._settle_readout(*found[0], last - longest, last)
                 return
         if length > LONGEST_SEARCH_S * 2:
@@ -282,7 +282,7 @@ class PacketReading:
         self._searched_s = now_s
         samples = self._evened(first, now_s + step, clock)
         left, clock = refined(Bins(samples), clock, self._frame_s, self._readout.length, self._row_s)
-        if left > EXPLAINED and len(samples.times_s) >= ENOUGH_FRAMES:
+        if left > MOST_UNEXPLAINED and len(samples.times_s) >= ENOUGH_FRAMES:
             # a header alone is explained by half its rate's period too
             self._clock, self._tried_s = None, 0.0
             return False
@@ -411,7 +411,7 @@ def _contrast_gain(light: Floats, fitted: Floats) -> Floats:
     """Gain of each frame by its contrast: its mean may be that of the data."""
     seen, known = (one - one.mean((1, 2), keepdims=True) for one in (light, fitted))
     power = (known**2).sum((1, 2))
-    held = HELD_GAIN * max(float(np.median(power)), TINY)
+    held = UNIT_GAIN * max(float(np.median(power)), TINY)
     return np.clip(((seen * known).sum((1, 2)) + held) / (power + held), 0.5, 2.0)
 
 

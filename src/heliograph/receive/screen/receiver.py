@@ -20,7 +20,7 @@ from heliograph.receive.image.fit import Fit
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.packets import Packet, Status
 from heliograph.receive.screen.follow import Follower, Sample
-from heliograph.receive.screen.grid import RING, Look, Place, inside
+from heliograph.receive.screen.grid import RIM_CELLS, Look, Place, inside
 from heliograph.receive.screen.outline import Pixels32, changing, quadrilaterals, reduced, sharpened
 from heliograph.receive.screen.reader import PacketReading, ReadPacket
 from heliograph.receive.settings import ReceiveSettings
@@ -120,7 +120,7 @@ class ScreenReceiver:
     Parameters
     ----------
     signal, settings, observe
-        As of `screen_receiver`.
+        The light's signal, settings of the receiver and an observer, as of `screen_receiver`.
     """
 
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Observer):
@@ -254,7 +254,7 @@ class ScreenReceiver:
         if len(seen) < len(frames):
             return np.inf, start
         change = np.stack([one.seen.cells for one in seen]).std(axis=0)
-        inner = change[RING:-RING, RING:-RING]
+        inner = change[RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS]
         ring = (change.sum() - inner.sum()) / (change.size - inner.size)
         # beside the array nothing changes
         return float(np.mean([one.seen.misfit for one in seen]) + ring / max(float(inner.mean()), TINY)), start
@@ -369,8 +369,8 @@ def rim_shift(cells: Floats) -> tuple[int, int]:
         (frames, n + 2, n + 2) light of the cells and the ring around them.
     """
     change = cells.std(axis=0)
-    typical = float(np.median(change[RING:-RING, RING:-RING]))
-    inner = slice(RING, -RING)
+    typical = float(np.median(change[RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS]))
+    inner = slice(RIM_CELLS, -RIM_CELLS)
     lines = {
         "left": (change[inner, 0], change[inner, 1]),
         "right": (change[inner, -1], change[inner, -2]),

@@ -27,13 +27,13 @@ PHASES = 16
 READOUTS_S = (0.0, 0.008, 0.016, 0.024)
 """Times for all rows of a frame that are tried: phones take 5 to 30 ms."""
 
-EXPOSURES = (0.3, 0.9)
+TRIED_EXPOSURES = (0.3, 0.9)
 """Exposures that are tried, in frame periods."""
 
 RESPONSE_S = 0.005
 """Response of a display that a search begins with: 2 to 15 ms."""
 
-LOADING = 1e-3
+PAIR_LOADING = 1e-3
 """Loading of the least squares, by the power of a frame: a pair that hardly any frame shows must not be made of
 noise."""
 
@@ -50,11 +50,11 @@ class Clock:
     start_s
         Time of a pair's start by the camera's clock.
     period_s
-        Pattern period T.
+        Pattern period T by the camera's clock.
     row_s
         Time from a row of pixels to the next.
     exposure_s
-        Exposure.
+        Exposure of each row of pixels.
     response_s
         Time constant of the display.
     """
@@ -93,7 +93,7 @@ class Clock:
         times_s
             (...) starts of exposures.
         pairs
-            Numbers of pairs.
+            Numbers of the pairs that are asked for.
         """
         t = times_s[..., None] - self.start_s - 2 * self.period_s * np.asarray(pairs)
         # q is the second difference of the integral of the step response
@@ -194,7 +194,7 @@ class Bins:
         m = clock.design(self.times_s + clock.row_s * self.rows, pairs)
         m = self._root * (m - (self._share * m).sum(1, keepdims=True))
         gram = m.transpose(0, 2, 1) @ m
-        loading = LOADING * 2 * frames / len(pairs) * np.eye(len(pairs))
+        loading = PAIR_LOADING * 2 * frames / len(pairs) * np.eye(len(pairs))
         b = m.transpose(0, 2, 1) @ self.gram @ m
         got = float(np.trace(np.linalg.solve(gram + loading, b), axis1=1, axis2=2).sum())
         left = max(self.power - got, 0.0) / max(self.power, TINY)
@@ -207,7 +207,7 @@ def pairs_between(clock: Clock, first_s: float, last_s: float, late_s: float = 0
     Parameters
     ----------
     clock
-        The light's clock.
+        The light's clock, with response and exposure.
     first_s, last_s
         Times of the first and the last frame.
     late_s
@@ -250,7 +250,7 @@ def searched(
             Clock(float(samples.times_s[0]) + 2 * period * k / PHASES, period, row, min(part * frame_s, period))
             for k in range(PHASES)
             for row in rows
-            for part in EXPOSURES
+            for part in TRIED_EXPOSURES
         ]
         ranked = sorted(((bins.unexplained(one), k) for k, one in enumerate(tried)))
         best = min((refined(bins, tried[k], frame_s, height, row_s) for _, k in ranked[:2]), key=lambda one: one[0])
@@ -270,7 +270,7 @@ def refined(
     Parameters
     ----------
     bins
-        What is seen.
+        What is seen, by groups of rows.
     clock
         Clock to begin with.
     frame_s
@@ -280,7 +280,7 @@ def refined(
     row_s
         Time from row to row where it is known; None to find it.
     steps
-        Most evaluations.
+        Most evaluations of a clock.
 
     Returns
     -------
@@ -366,7 +366,7 @@ def solved(samples: Samples, clock: Clock, weights: Floats | None = None) -> Sol
     samples
         What is seen, the camera's gain taken out.
     clock
-        The light's clock.
+        The light's clock, as `refined` gives it.
     weights
         (frames,) how far each frame is trusted, 0 to 1; None for all alike.
     """
@@ -383,7 +383,7 @@ def solved(samples: Samples, clock: Clock, weights: Floats | None = None) -> Sol
     for group in np.array_split(order, max(n, 2 * BINS)):
         m = np.concatenate([np.ones((frames, 1)), clock.design(at[group].mean(0), pairs)], axis=1)
         mw = m * w[:, None]
-        loading = LOADING * 2 * frames / len(pairs) * np.eye(len(pairs) + 1)
+        loading = PAIR_LOADING * 2 * frames / len(pairs) * np.eye(len(pairs) + 1)
         loading[0, 0] = 0
         gram = mw.T @ m + loading
         inverse = np.linalg.inv(gram)
