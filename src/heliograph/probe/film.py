@@ -23,6 +23,7 @@ from heliograph.probe.reach import Reach, reaches
 from heliograph.probe.reading import Asked
 from heliograph.probe.region_causes import SATURATED, region_causes
 from heliograph.probe.regions import Region, regions_of
+from heliograph.probe.screens import screen_causes
 from heliograph.probe.trials import SURE_HEADER, is_blurred, other_packets, what_reads
 from heliograph.probe.turned import what_reads_turned
 from heliograph.receive import Packet, ReceiveSettings, make_receiver
@@ -230,7 +231,9 @@ def _findings(watch: _Watch, film: Film, asked: Asked, broken: BaseException | N
     noise = watch.noise.noise(levels.ceiling)
     arrays = {one.identity: one for one in watch.arrays.arrays(last.full_scale)}
     stretch = watch.stretches.best()
-    regions, count = regions_of(stretch, levels.ceiling) if stretch else ([], 0)
+    screen = asked.settings.receiver == "screen"
+    # a near screen is all of what changes: its own receiver tells why it is not read
+    regions, count = regions_of(stretch, levels.ceiling) if stretch and not screen else ([], 0)
     seen = list[RegionSeen]()
     for region in regions:
         assert stretch is not None
@@ -247,7 +250,9 @@ def _findings(watch: _Watch, film: Film, asked: Asked, broken: BaseException | N
     rates = [one.rate for one in seen if one.rate is not None]
     rate = max(rates, key=lambda one: one.explained) if rates else None
     causes = film_causes(times, levels, asked, watch.error, rate)
-    if not seen and not arrays and stretch is not None:
+    if screen and not arrays and stretch is not None:
+        causes = (*screen_causes(stretch.frames, asked), *causes)
+    elif not seen and not arrays and stretch is not None:
         causes = (still(asked), *causes)
     return Findings(
         path=str(film.path), width=last.pixels.shape[1], height=last.pixels.shape[0], bits=last.bits, asked=asked,

@@ -82,6 +82,11 @@ class Follower:
         self._bright = 0.0
         self.lost_since: float | None = None
 
+    @property
+    def blur_px(self) -> float:
+        """Standard deviation of the blur in px by which cells are found."""
+        return self._look.blur_px
+
     def take(self, frame: Frame, steps: int = 4) -> Sample | None:
         """Find the array in the next frame; None where it is not seen.
 

@@ -175,6 +175,11 @@ class PacketReading:
         self._lost = 0
         self._orientation: Orientation | None = None
 
+    @property
+    def clocked(self) -> bool:
+        """Whether the light's clock is known."""
+        return self._clock is not None
+
     def take(self, sample: Sample) -> Iterator[ReadPacket]:
         """Take what the next frame shows; yield the packets that it completes.
 

@@ -98,6 +98,31 @@ def screen_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: 
 
 
 @dataclass(frozen=True)
+class Sight:
+    """What a receiver sees of the array that it follows, for those who ask why nothing is read.
+
+    Attributes
+    ----------
+    cell_px
+        Mean side of a cell in px.
+    blur_px
+        Standard deviation of the blur in px by which the cells fit best.
+    misfit
+        Rms of what the cells do not explain, as a part of the picture's contrast.
+    saturated
+        Part of the array that is at full scale.
+    clocked
+        Whether the light's clock is known.
+    """
+
+    cell_px: float
+    blur_px: float
+    misfit: float
+    saturated: float
+    clocked: bool
+
+
+@dataclass(frozen=True)
 class _Placed:
     """What may be an array: how badly its cells fit, where it is in the latest frames but a few, and by which blur."""
 
@@ -135,6 +160,7 @@ class ScreenReceiver:
         self._follower: Follower | None = None
         self._reading: PacketReading | None = None
         self._identity: int | None = None
+        self._sample: Sample | None = None
         self._periods: deque[float] = deque(maxlen=KEPT_FRAMES)
 
     def push(self, frame: Frame) -> Iterator[Packet]:
@@ -150,6 +176,15 @@ class ScreenReceiver:
     def finish(self) -> Iterator[Packet]:
         """End of the film: yield the packet in progress if enough of it was seen."""
         return in_one_thread(self._finish())
+
+    @property
+    def sight(self) -> Sight | None:
+        """What is seen of the array that is followed; None where none is."""
+        if self._follower is None or self._reading is None or self._sample is None:
+            return None
+        seen = self._sample.seen
+        cell = seen.place.cell_px(self._signal.side)
+        return Sight(cell, self._follower.blur_px, seen.misfit, seen.saturated, self._reading.clocked)
 
     def _finish(self) -> Iterator[Packet]:
         if self._follower is None and len(self._frames) >= FIRST_SEARCH:
@@ -301,6 +336,7 @@ class ScreenReceiver:
 
     def _read(self, sample: Sample) -> Iterator[Packet]:
         assert self._reading is not None
+        self._sample = sample
         for one in self._reading.take(sample):
             yield self._packet(one)
 
