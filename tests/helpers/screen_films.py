@@ -1,0 +1,151 @@
+"""A screen as a phone films it: pictures grabbed of it at any times, made the phone's frames, and these a film.
+
+It knows nothing of the package: what it films may be a browser's canvas.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Gray = NDArray[np.uint8]
+Light = NDArray[np.float32]
+
+GAMMA = 2.2
+"""Of the screen, and of the phone's pictures."""
+
+TICKS = 90_000
+"""Units of a film's times in a second, as phones have them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grabs:
+    """What a screen showed: from each time to the next the same.
+
+    Attributes
+    ----------
+    times_s
+        (k,) times in s, in order.
+    pictures
+        (k, rows, columns) pixel values of the screen.
+    """
+
+    times_s: NDArray[np.float64]
+    pictures: Gray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Phone:
+    """How a phone films; the defaults are a hand before a laptop.
+
+    Attributes
+    ----------
+    fps
+        Frames a second, of which each comes earlier or later by up to `jitter_s`.
+    width, height
+        Columns and rows of its frames.
+    side_px
+        Side of the screen's picture in them.
+    exposure_s, readout_s
+        How long a row sees the light, and how much later the last row does than the first.
+    jitter_s
+        Largest departure of a frame's time from an even beat; the film says its true time.
+    shake_px
+        How far the hand goes to either side.
+    blur_px
+        Standard deviation of the lens' blur.
+    noise
+        Standard deviation of a gray level.
+    glare
+        Light of the room on the screen, as a fraction of its full light.
+    mbit_s
+        Rate of the film.
+    seed
+        Of place, perspective, times and noise.
+    """
+
+    fps: float = 30.0
+    width: int = 640
+    height: int = 480
+    side_px: float = 320.0
+    exposure_s: float = 0.010
+    readout_s: float = 0.015
+    jitter_s: float = 0.002
+    shake_px: float = 2.0
+    blur_px: float = 1.2
+    noise: float = 2.0
+    glare: float = 0.03
+    mbit_s: float = 10.0
+    seed: int = 1
+
+
+def phone_frames(grabs: Grabs, phone: Phone) -> Iterator[tuple[float, Gray]]:
+    """Yield time and gray levels of each frame that a phone takes while the screen is grabbed."""
+    rng = np.random.default_rng(phone.seed)
+    corners, phase, beat = _corners(phone, rng), rng.uniform(0, 2 * np.pi, 2), rng.uniform(0.6, 1.1, 2)
+    first = float(grabs.times_s[0]) + rng.uniform(0, 1 / phone.fps)
+    for k in range(10**9):
+        time_s = first + k / phone.fps + rng.uniform(-1, 1) * phone.jitter_s
+        if time_s + phone.exposure_s + phone.readout_s > grabs.times_s[-1]:
+            return
+        way = phone.shake_px * np.sin(2 * np.pi * beat * (time_s - first) + phase)
+        light = _light(grabs, phone, time_s, corners + way.astype(np.float32))
+        gray = 255 * np.clip(light, 0, 1) ** (1 / GAMMA) + rng.normal(0, phone.noise, light.shape)
+        yield time_s - first, np.clip(np.rint(gray), 0, 255).astype(np.uint8)
+
+
+def _corners(phone: Phone, rng: np.random.Generator) -> Light:
+    """Where the phone sees the corners of the screen's picture, each off a square by up to 4 % of it."""
+    middle = np.array([phone.width, phone.height]) / 2 + rng.uniform(-0.04, 0.04, 2) * phone.height
+    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * phone.side_px / 2
+    return np.float32(middle + square + rng.uniform(-0.04, 0.04, (4, 2)) * phone.side_px)
+
+
+def _light(grabs: Grabs, phone: Phone, time_s: float, corners: Light) -> Light:
+    """(height, width) light of a frame: each row sees what was shown during its own exposure."""
+    rows = time_s + phone.readout_s * np.arange(phone.height) / phone.height
+    ends = np.append(grabs.times_s[1:], np.inf)
+    size = grabs.pictures.shape[2], grabs.pictures.shape[1]
+    from_screen = np.float32([(0, 0), (size[0], 0), size, (0, size[1])])
+    warp = cv2.getPerspectiveTransform(from_screen, corners)
+    light = np.zeros((phone.height, phone.width), np.float32)
+    for k in np.flatnonzero((ends > rows[0]) & (grabs.times_s < rows[-1] + phone.exposure_s)):
+        seen_s = np.minimum(rows + phone.exposure_s, ends[k]) - np.maximum(rows, grabs.times_s[k])
+        shown = (grabs.pictures[k].astype(np.float32) / 255) ** GAMMA
+        seen = cv2.warpPerspective(shown, warp, (phone.width, phone.height), flags=cv2.INTER_AREA)
+        light += seen * np.float32(np.maximum(seen_s, 0) / phone.exposure_s)[:, None]
+    return cv2.GaussianBlur(light, (0, 0), phone.blur_px) * (0.9 - phone.glare) + phone.glare
+
+
+def write_phone_film(path: Path, frames: Iterable[tuple[float, Gray]], phone: Phone) -> int:
+    """Write frames at their own times as H.264 in colour and in the limited range; return how many there were."""
+    count = 0
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream("libx264", rate=round(phone.fps))
+        stream.width, stream.height, stream.pix_fmt = phone.width, phone.height, "yuv420p"
+        stream.bit_rate, stream.time_base = int(phone.mbit_s * 1e6), Fraction(1, TICKS)
+        stream.codec_context.time_base = Fraction(1, TICKS)
+        stream.options = {"preset": "veryfast", "tune": "zerolatency"}
+        stream.codec_context.color_range = 1  # limited
+        for count, (time_s, gray) in enumerate(frames, 1):
+            picture = av.VideoFrame.from_ndarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2RGB), "rgb24")
+            coded = picture.reformat(format="yuv420p", dst_color_range="MPEG")
+            coded.pts, coded.time_base = round(time_s * TICKS), Fraction(1, TICKS)
+            out.mux(stream.encode(coded))
+        out.mux(stream.encode())
+    return count
+
+
+def write_webcam(path: Path, frames: Iterable[tuple[float, Gray]]) -> int:
+    """Write frames as Chromium's fake webcam shows them, over and over at 30 a second: a stream of JPEGs."""
+    count = 0
+    with path.open("wb") as out:
+        for count, (_, gray) in enumerate(frames, 1):
+            coded = cv2.imencode(".jpg", cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), [cv2.IMWRITE_JPEG_QUALITY, 92])[1]
+            out.write(coded.tobytes())
+    return count
