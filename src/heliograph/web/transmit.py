@@ -1,5 +1,153 @@
-"""The server's part of page *Transmit*."""
+"""The server's part of page *Transmit*: a text or file comes in, packets of patterns go out."""
 
-from fastapi import APIRouter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from secrets import token_hex
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi.responses import FileResponse
+from starlette.background import BackgroundTask
+from starlette.concurrency import run_in_threadpool
+
+from heliograph.base.errors import MediaError
+from heliograph.media import create_film
+from heliograph.web.screen import LEAST_RATE_HZ, MOST_RATE_HZ
+from heliograph.web.sending import LED_PX, MARGIN, MOST_PACKETS, MOST_SENT, Sending, Sendings, sending_of
+from heliograph.web.shared import Places, shared_of
+
+MOST_FILM_S = 600.0
+"""Longest film of patterns in s: larger files come in parts, as any packets will do."""
+
+MOST_FILM_PATTERNS = 36_000
+"""Most patterns of a film: ten minutes at 60 a second, half a minute's work."""
+
+FILMS_AT_ONCE = 2
+"""Films that are written at once; whoever asks for more is told to come again."""
 
 router = APIRouter(prefix="/api/transmit")
+
+_films = Places(FILMS_AT_ONCE, "films of patterns")
+
+
+def sendings_of(request: Request) -> Sendings:
+    """What this server's pages send.
+
+    Parameters
+    ----------
+    request
+        Any request to the server.
+    """
+    state = request.app.state
+    if not hasattr(state, "sendings"):
+        state.sendings = Sendings()
+    sendings: Sendings = state.sendings
+    return sendings
+
+
+Known = Annotated[Sendings, Depends(sendings_of)]
+Rate = Annotated[float, Query(ge=LEAST_RATE_HZ, le=MOST_RATE_HZ)]
+
+
+@router.post("", status_code=201)
+async def begin(
+    request: Request,
+    known: Known,
+    rate_hz: Rate = 10.0,
+    side: Annotated[int, Query(ge=8, le=32, multiple_of=4)] = 16,
+    name: Annotated[str | None, Query(max_length=400)] = None,
+) -> dict[str, Any]:
+    """Take a text or a file as the body of a request; say how it will be sent, and by what name its packets are had.
+
+    Parameters
+    ----------
+    request
+        Its body is the text in UTF-8, or the file.
+    known
+        Where it is kept.
+    rate_hz
+        Patterns a second.
+    side
+        Cells in a row and in a column.
+    name
+        The file's name; none of a text.
+    """
+    data = bytearray()
+    async for part in request.stream():
+        data += part
+        if len(data) > MOST_SENT:
+            raise MediaError(f"a screen sends at most {MOST_SENT >> 10} kB: choose a smaller file")
+    sending = await run_in_threadpool(sending_of, bytes(data), name, side, rate_hz)
+    return {"sending": known.add(sending), **sending.facts()}
+
+
+@router.get("/{name}/packets")
+def packets(
+    name: str,
+    known: Known,
+    first: Annotated[int, Query(ge=0, le=10**9)] = 0,
+    count: Annotated[int, Query(ge=1, le=MOST_PACKETS)] = 1,
+) -> Response:
+    """Give packets: the levels 0 to 4 of all cells, a byte each, row by row, pattern by pattern.
+
+    Parameters
+    ----------
+    name
+        What `begin` called it.
+    known
+        Where it is kept.
+    first
+        Number of the first packet.
+    count
+        How many.
+    """
+    return Response(known.of(name).packets(first, count).tobytes(), media_type="application/octet-stream")
+
+
+@router.get("/{name}/film")
+async def film(
+    request: Request,
+    name: str,
+    known: Known,
+    seconds: Annotated[float, Query(gt=0, le=MOST_FILM_S)] = 30.0,
+    gamma: Annotated[float, Query(ge=1, le=4)] = 2.2,
+) -> FileResponse:
+    """Give the patterns as a video, for any screen that plays one.
+
+    Parameters
+    ----------
+    request
+        The request.
+    name
+        What `begin` called it.
+    known
+        Where it is kept.
+    seconds
+        Its length.
+    gamma
+        Of the display that is to play it.
+    """
+    sending = known.of(name)
+    if seconds * sending.rate_hz > MOST_FILM_PATTERNS:
+        raise MediaError(f"such a film has at most {MOST_FILM_PATTERNS} patterns: ask for fewer seconds")
+    path = shared_of(request).uploads.folder() / f"patterns-{token_hex(8)}.mp4"
+    with _films.take(), _gone_if_it_fails(path):
+        await run_in_threadpool(_write, path, sending, seconds, gamma)
+    return FileResponse(path, filename="patterns.mp4", background=BackgroundTask(path.unlink, missing_ok=True))
+
+
+@contextmanager
+def _gone_if_it_fails(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
+
+
+def _write(path: Path, sending: Sending, seconds: float, gamma: float) -> None:
+    edge = (sending.side + 2 * MARGIN) * LED_PX
+    with create_film(path, width=edge, height=edge, rate_hz=sending.rate_hz) as out:
+        for frame in sending.frames(seconds, gamma):
+            out.write(frame)
