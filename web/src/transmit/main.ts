@@ -21,7 +21,7 @@ const array = one("array", HTMLCanvasElement);
 const chart = one("chart", HTMLCanvasElement);
 const pauseButton = one("pause", HTMLButtonElement);
 const said = one("said", HTMLElement);
-const notice = new Notice(form);
+const notice = new Notice(one("notices", HTMLElement));
 
 /** Rate that is chosen first: each pattern is then in three frames of a phone's 30 a second. */
 const FIRST_HZ = 10;
@@ -31,6 +31,7 @@ const FILM_S = 30;
 
 let player: Player | null = null;
 let facts: Facts | null = null;
+let packets: Packets | null = null;
 let refresh = 60;
 let awake: WakeLockSentinel | null = null;
 
@@ -62,7 +63,8 @@ function showFacts(): void {
     rows.at(-1)?.setAttribute("data-lost", String(lost));
   }
   one("facts", HTMLElement).replaceChildren(...rows);
-  showSkipped();
+  if (packets?.failed) notice.fail(packets.failed);
+  else showSkipped();
 }
 
 function showSkipped(): void {
@@ -94,7 +96,7 @@ async function send(): Promise<void> {
   const query = new URLSearchParams({ side: side.value, rate_hz: String(refresh / lasts), ...(name === null ? {} : { name }) });
   const answer = await ask(`transmit?${query}`, { method: "POST", body: data });
   facts = (await answer.json()) as Facts;
-  const packets = new Packets(facts);
+  packets = new Packets(facts);
   await packets.begin();
   player ??= new Player(array, 1000 / refresh, lasts, light());
   player.onChange = showFacts;
@@ -184,7 +186,7 @@ async function prepare(): Promise<void> {
   const first = rates.reduce((best, n) => (Math.abs(refresh / n - FIRST_HZ) < Math.abs(refresh / best - FIRST_HZ) ? n : best));
   rate.replaceChildren(...rates.map((n) => {
     const hz = refresh / n;
-    return make("option", { value: n, selected: n === first }, `${hz.toFixed(hz % 1 > 0.005 && hz % 1 < 0.995 ? 1 : 0)}`);
+    return make("option", { value: n, selected: n === first }, `${hz.toFixed(Math.abs(hz - Math.round(hz)) > 0.005 ? 1 : 0)}`);
   }));
   advise();
   showFacts();

@@ -7,7 +7,7 @@ const USUAL = [1, 2, 5, 10, 15, 20, 30, 60, 120];
 const MEASURED = 32;
 
 /** Rates of displays that are taken for meant where one is near. */
-const DISPLAYS = [24, 25, 30, 48, 50, 59.94, 60, 72, 75, 90, 100, 120, 144, 165, 180, 200, 240];
+const DISPLAYS = [24, 25, 30, 48, 50, 60, 72, 75, 90, 100, 120, 144, 165, 180, 200, 240];
 
 export function median(values: number[]): number {
   const sorted = [...values].sort((a, b) => a - b);

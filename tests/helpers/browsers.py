@@ -1,0 +1,112 @@
+"""A real browser, headless, before pages that a real server serves."""
+
+import base64
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+from screen_films import Grabs
+
+CHROMIUM = next((found for name in ("chromium", "chromium-browser") if (found := shutil.which(name))), None)
+
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: apt-get install chromium")
+
+SWITCHES = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+    "--autoplay-policy=no-user-gesture-required",
+)
+
+GRABBED = """
+async ([seconds, size]) => {
+  const canvas = document.getElementById("array");
+  const small = new OffscreenCanvas(size, size).getContext("2d", { willReadFrequently: true, alpha: false });
+  const times = [], pictures = [];
+  const from = performance.now();
+  let last = new Uint8Array(size * size);
+  for (let now = from; now - from < 1000 * seconds; now = performance.now()) {
+    small.drawImage(canvas, 0, 0, size, size);
+    const pixels = small.getImageData(0, 0, size, size).data;
+    const gray = Uint8Array.from({ length: size * size }, (_, k) => pixels[4 * k + 1]);
+    if (gray.some((level, k) => level !== last[k])) {
+      times.push((now - from) / 1000);
+      pictures.push(gray);
+      last = gray;
+    }
+    await new Promise((done) => setTimeout(done, 2 + 9 * Math.random()));
+  }
+  const all = new Blob(pictures);
+  const read = new FileReader();
+  await new Promise((done) => { read.onload = done; read.readAsDataURL(all); });
+  return [times, seconds, read.result.split(",")[1] ?? ""];
+}
+"""
+"""Grabs the canvas at any times, and keeps what changed."""
+
+
+@contextmanager
+def served(*options: str) -> Iterator[str]:
+    """Serve the pages by the command; the address that it prints."""
+    command = [sys.executable, "-m", "heliograph", "serve", "--port", "0", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout is not None
+            said = re.search(r"http://\S+/", server.stdout.readline())
+            assert said is not None
+            yield said[0]
+        finally:
+            server.terminate()
+            server.wait(10)
+
+
+@contextmanager
+def browser(*switches: str) -> Iterator[Browser]:
+    """A headless browser."""
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=[*SWITCHES, *switches])
+        try:
+            yield found
+        finally:
+            found.close()
+
+
+@contextmanager
+def quiet_page(found: Browser, address: str, **options: object) -> Iterator[Page]:
+    """A page, of which nothing may complain on the console."""
+    page = found.new_page(**options)  # type: ignore[arg-type]
+    complaints: list[str] = []
+    page.on("console", lambda said: complaints.append(said.text) if said.type in ("error", "warning") else None)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto(address)
+    try:
+        yield page
+    finally:
+        page.close()
+    assert not complaints
+
+
+def webcam_of(path: Path) -> Sequence[str]:
+    """Switches by which a stream of JPEGs is the browser's webcam, which nobody is asked about."""
+    return (
+        "--use-fake-device-for-media-stream",
+        "--use-fake-ui-for-media-stream",
+        f"--use-file-for-fake-video-capture={path}",
+    )
+
+
+def grabbed(page: Page, seconds: float, size: int = 240) -> Grabs:
+    """The canvas of page *Transmit*, grabbed at any times for some seconds."""
+    times, until, data = page.evaluate(GRABBED, [seconds, size])
+    pictures = np.frombuffer(base64.b64decode(data), np.uint8).reshape(-1, size, size)
+    return Grabs(np.array([*times, until]), np.concatenate([pictures, pictures[-1:]]))
