@@ -22,8 +22,8 @@ HEAD = struct.Struct("<dIHH")
 LEAST_SIDE, MOST_SIDE = 32, 2048
 """Columns and rows that are taken. Chosen: more pixels than a message may have bytes find no place anyway."""
 
-MOST_WAITING = 64
-"""Frames that wait at most; a page that follows the rules has fewer on their way. Chosen: two seconds."""
+MOST_WAITING = 96
+"""Frames that wait at most; a page that follows the rules has fewer on their way. Chosen: three seconds."""
 
 MOST_KEPT_BYTES = 64 << 20
 """Most bytes of the last frames that are kept: 9 s of 480 x 480 pixels at 30 frames a second."""

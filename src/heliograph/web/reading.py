@@ -17,6 +17,7 @@ from heliograph.media import FilmReader, open_film
 from heliograph.probe import probe_film
 from heliograph.probe.words import in_short
 from heliograph.receive import make_receiver
+from heliograph.receive.events import DetectEvent
 from heliograph.web.camera_frames import CameraFrames
 from heliograph.web.pace import patterns_per_s
 from heliograph.web.screen import screen_settings
@@ -45,6 +46,9 @@ AGAIN_S = 2.0
 
 PATIENCE_S = 12.0
 """Seconds without a codeword after which it is said why, and the light is looked for anew: three packets. Chosen."""
+
+MOST_MISSING = 8
+"""Frames that may be missing among those by which a light is looked for. Chosen: a quarter of a second."""
 
 WHY_FRAMES = 128
 """Frames that are looked at to tell why nothing is read. Chosen: some seconds of work."""
@@ -163,6 +167,8 @@ def _awaited(frames: Iterator[Frame], asked: Asked, tell: Tell) -> Iterator[Fram
     """The first frames that show a light; all that there were where the camera ends before."""
     window, next_s = list[Frame](), None
     for frame in frames:
+        if window and frame.index - window[-1].index > MOST_MISSING:
+            window.clear()
         window.append(frame)
         next_s = frame.time_s + LOOK_S if next_s is None else next_s
         while window[-1].time_s - window[0].time_s > LOOK_S or len(window) * frame.pixels.size > LOOK_BYTES:
@@ -198,14 +204,19 @@ def _side_of(frames: list[Frame], rate_hz: float, tell: Tell) -> int | None:
     for side in SIDES_TRIED:
         tell({"event": "trying", "side": side})
         settings = screen_settings(side, rate_hz)
-        receiver = make_receiver(settings.signal, settings.receive)
+        found = list[DetectEvent]()
+        receiver = make_receiver(
+            settings.signal,
+            settings.receive,
+            lambda event, to=found: to.append(event) if isinstance(event, DetectEvent) else None,
+        )
         try:
-            for packet in chain.from_iterable(map(receiver.push, frames)):
-                if any(word.block for words in packet.layers.values() for word in words):
-                    return side
-            if any(word.block for packet in receiver.finish() for words in packet.layers.values() for word in words):
+            packets = chain(chain.from_iterable(map(receiver.push, frames)), receiver.finish())
+            if any(word.block for packet in packets for words in packet.layers.values() for word in words):
                 return side
         except HeliographError:  # such as too few frames for such a rate: reading says so
+            return None
+        if not found:  # headers of all sizes look alike
             return None
     return None
 

@@ -1,7 +1,7 @@
 // The browser's camera as gray frames for the server: the square in the middle, reduced, no more on the way than it takes.
 
-/** Frames on the way that the server has not taken yet, at most; it takes them in batches. */
-const ON_THE_WAY = 24;
+/** Frames on the way that the server has not taken yet, at most: it looks at some seconds of them at once. */
+const ON_THE_WAY = 80;
 
 /** Bytes before the pixels of a frame: time, number, columns, rows. */
 const HEAD = 16;
