@@ -12,11 +12,17 @@ from heliograph.probe.regions import regions_of
 from heliograph.receive.timing.camera_clock import frame_period
 from heliograph.signal.pwm import SLOT_ORDER
 
-USUAL_HZ = (1, 2, 3, 4, 5, 6, 7.5, 8, 10, 12, 15, 20, 24, 25, 30, 40, 48, 50, 60, 72, 80, 120)
-"""Patterns a second that are taken for meant where one is near: those that divide usual displays' rates."""
+DISPLAYS_HZ = (50, 60, 72, 75, 90, 100, 120, 144, 165, 240)
+"""Refreshes a second of usual displays."""
 
-NEAR = 0.015
-"""Departure from a usual rate, as a fraction, that is taken for the measurement's."""
+OFFERED_HZ = (1, 2, 5, 10, 15, 20, 30, 60, 120)
+"""Patterns a second about which page *Transmit* offers those that divide the display's refreshes."""
+
+USUAL_HZ = sorted({display / max(1, round(display / rate)) for display in DISPLAYS_HZ for rate in OFFERED_HZ})
+"""Patterns a second that are taken for meant where one is near."""
+
+NEAR = 0.01
+"""Departure from a usual rate, as a fraction, that is taken for the measurement's. Chosen: three times that of 7 s."""
 
 THINNED = (1, 4)
 """Every so many frames are looked at: a pattern of 1 s lasts 30 frames, more than `light_rate` tries."""

@@ -19,6 +19,7 @@ from heliograph.probe.words import in_short
 from heliograph.receive import make_receiver
 from heliograph.receive.events import DetectEvent
 from heliograph.web.camera_frames import CameraFrames
+from heliograph.web.cells import cells_of_a_side
 from heliograph.web.pace import patterns_per_s
 from heliograph.web.screen import screen_settings
 
@@ -201,24 +202,32 @@ def _found(frames: list[Frame], asked: Asked, tell: Tell) -> LinkSettings:
 
 def _side_of(frames: list[Frame], rate_hz: float, tell: Tell) -> int | None:
     """The size whose packets are read; None where none is."""
-    for side in SIDES_TRIED:
+    likely = cells_of_a_side(frames)
+    for side in dict.fromkeys(SIDES_TRIED if likely is None else (likely, *SIDES_TRIED)):
         tell({"event": "trying", "side": side})
-        settings = screen_settings(side, rate_hz)
-        found = list[DetectEvent]()
-        receiver = make_receiver(
-            settings.signal,
-            settings.receive,
-            lambda event, to=found: to.append(event) if isinstance(event, DetectEvent) else None,
-        )
         try:
-            packets = chain(chain.from_iterable(map(receiver.push, frames)), receiver.finish())
-            if any(word.block for packet in packets for words in packet.layers.values() for word in words):
-                return side
+            found, read = _tried(frames, screen_settings(side, rate_hz))
         except HeliographError:  # such as too few frames for such a rate: reading says so
             return None
+        if read:
+            return side
         if not found:  # headers of all sizes look alike
             return None
     return None
+
+
+def _tried(frames: list[Frame], settings: LinkSettings) -> tuple[bool, bool]:
+    """Whether a header is found in some frames, and whether a codeword is read."""
+    found = list[DetectEvent]()
+
+    def observe(event: object) -> None:
+        if isinstance(event, DetectEvent):
+            found.append(event)
+
+    receiver = make_receiver(settings.signal, settings.receive, observe)
+    packets = chain(chain.from_iterable(map(receiver.push, frames)), receiver.finish())
+    read = any(word.block for packet in packets for words in packet.layers.values() for word in words)
+    return bool(found), read
 
 
 def _read(film: FrameSource, settings: LinkSettings, reception: Reception, tell: Tell, count: int | None) -> None:
