@@ -12,13 +12,13 @@ from heliograph.probe.regions import regions_of
 from heliograph.receive.timing.camera_clock import frame_period
 from heliograph.signal.pwm import SLOT_ORDER
 
-DISPLAYS_HZ = (50, 60, 72, 75, 90, 100, 120, 144, 165, 240)
-"""Refreshes a second of usual displays."""
+DISPLAYS_HZ = (60, 50, 72, 75, 90, 100, 120, 144, 165, 240)
+"""Refreshes a second of usual displays, the most usual one first."""
 
 OFFERED_HZ = (1, 2, 5, 10, 15, 20, 30, 60, 120)
 """Patterns a second about which page *Transmit* offers those that divide the display's refreshes."""
 
-USUAL_HZ = sorted({display / max(1, round(display / rate)) for display in DISPLAYS_HZ for rate in OFFERED_HZ})
+USUAL_HZ = [display / max(1, round(display / rate)) for display in DISPLAYS_HZ for rate in OFFERED_HZ]
 """Patterns a second that are taken for meant where one is near."""
 
 NEAR = 0.01
@@ -64,5 +64,8 @@ def usual(rate_hz: float) -> float:
     rate_hz
         Patterns a second as measured.
     """
-    nearest = min(USUAL_HZ, key=lambda one: abs(one / rate_hz - 1))
-    return float(nearest if abs(nearest / rate_hz - 1) < NEAR else rate_hz)
+    for known, near in ((USUAL_HZ[: len(OFFERED_HZ)], NEAR / 2), (USUAL_HZ, NEAR)):
+        nearest = min(known, key=lambda one: abs(one / rate_hz - 1))
+        if abs(nearest / rate_hz - 1) < near:
+            return float(nearest)
+    return rate_hz
