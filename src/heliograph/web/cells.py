@@ -38,7 +38,7 @@ def cells_of_a_side(frames: Sequence[Frame]) -> int | None:
     changes = np.asarray(pixels.std(axis=0), np.float64)
     small, factor = reduced(changes)
     for corners in quadrilaterals(np.asarray(small, np.float64), factor):
-        lines = _lines(pixels, sharpened(np.asarray(changes, np.float32), corners))
+        lines = _lines(pixels, sharpened(np.asarray(changes, np.float32), corners, factor))
         like = {side: _like(lines, side) for side in SIDES}
         best = max(like, key=lambda side: like[side])
         if like[best] >= (LEAST_LIKE_8 if best == SIDES[0] else LEAST_LIKE):

@@ -1,0 +1,122 @@
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from heliograph.base.errors import HeliographError
+from heliograph.link.codec import decode
+from heliograph.media import open_film
+from heliograph.signal.fountain.files import FileGatherer
+from heliograph.signal.settings import LAYERS, RateSettings
+from heliograph.web import sending, transmit
+from heliograph.web.app import create_app
+from heliograph.web.screen import SIDES, screen_settings
+from heliograph.web.sending import MOST_KEPT, MOST_SENT, sending_of
+
+OWN = "http://127.0.0.1:8000"
+
+
+@pytest.fixture
+def client() -> Iterator[TestClient]:
+    with TestClient(create_app(), base_url=OWN) as made:
+        yield made
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_patterns_of_a_text_give_it_back(client: TestClient, side: int) -> None:
+    facts = client.post(f"/api/transmit?side={side}&rate_hz=12", content="für 12 s".encode()).json()
+    answer = client.get(f"/api/transmit/{facts['sending']}/packets?first=3&count=2")
+    patterns = np.frombuffer(answer.content, np.uint8).reshape(-1, side, side)
+    assert len(patterns) == 2 * facts["packet_patterns"]
+    settings = screen_settings(side, 12.0)
+    (form,) = settings.transmit.formats
+    named = {layer: getattr(form, layer) or getattr(settings.signal.rate, layer) for layer in LAYERS}
+    signal = replace(settings.signal, rate=RateSettings(**named))
+    read = {message.data.decode() for message in decode(patterns, signal)}
+    assert read == {"für 12 s"}
+
+
+def test_a_packet_takes_three_seconds_at_most_at_ten_patterns_a_second() -> None:
+    lasting = [sending_of(b"x", None, side, 10.0).facts()["packet_s"] for side in SIDES if side > 8]
+    assert max(lasting) <= 3.0
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_file_comes_whole_from_any_packets(side: int) -> None:
+    data = np.random.default_rng(side).bytes(300)
+    made = sending_of(data, "../up/picture.jpg", side, 10.0)
+    files, needed = FileGatherer(), made.facts()["packets"]
+    whole = [
+        progress.whole
+        for number in range(5, 5 + 2 * needed)
+        for layer in made.transmitter.blocks(number).values()
+        for block in layer
+        if (progress := files.add(block)) is not None and progress.whole  # type: ignore[arg-type]
+    ]
+    assert [(one.name, one.data) for one in whole] == [("picture.jpg", data)]
+
+
+def test_a_long_text_goes_as_a_file() -> None:
+    assert not sending_of(b"x" * 100, None, 16, 10.0).as_file
+    assert sending_of(b"x" * 5000, None, 16, 10.0).as_file
+
+
+@pytest.mark.parametrize(
+    ("query", "content", "status"),
+    [
+        ("", b"", 400),
+        ("", b"x" * (MOST_SENT + 1), 400),
+        ("?side=10", b"x", 422),
+        ("?side=64", b"x", 422),
+        ("?rate_hz=0", b"x", 422),
+        ("?rate_hz=nan", b"x", 422),
+        ("?rate_hz=1e9", b"x", 422),
+        (f"?name={'n' * 500}", b"x", 422),
+    ],
+)
+def test_what_cannot_be_sent_is_refused_in_words(client: TestClient, query: str, content: bytes, status: int) -> None:
+    answer = client.post(f"/api/transmit{query}", content=content)
+    assert answer.status_code == status
+    assert answer.json()["error"]
+
+
+def test_packets_are_asked_for_by_a_name_that_is_known(client: TestClient) -> None:
+    assert client.get("/api/transmit/nothing/packets").status_code == 400
+    name = client.post("/api/transmit", content=b"x").json()["sending"]
+    assert client.get(f"/api/transmit/{name}/packets?first=-1").status_code == 422
+    assert client.get(f"/api/transmit/{name}/packets?count=99").status_code == 422
+    for _ in range(MOST_KEPT):
+        client.post("/api/transmit", content=b"x")
+    assert client.get(f"/api/transmit/{name}/packets").status_code == 400
+
+
+@pytest.mark.slow
+def test_patterns_are_saved_as_a_video_that_leaves_nothing(client: TestClient, tmp_path: Path) -> None:
+    facts = client.post("/api/transmit?rate_hz=10&side=8", content=b"x").json()
+    answer = client.get(f"/api/transmit/{facts['sending']}/film?seconds=6&gamma=1")
+    film = tmp_path / "patterns.mp4"
+    film.write_bytes(answer.content)
+    with open_film(film) as read:
+        assert read.rate_hz == pytest.approx(10.0)
+        frames = list(read)
+    levels = np.frombuffer(client.get(f"/api/transmit/{facts['sending']}/packets").content, np.uint8).reshape(-1, 8, 8)
+    middles = (np.arange(8) + sending.MARGIN) * sending.LED_PX + sending.LED_PX // 2
+    seen = np.stack([frame.pixels[np.ix_(middles, middles)] for frame in frames[: len(levels)]])
+    np.testing.assert_allclose(seen, levels * (255 / 4), atol=6)
+    assert not list(client.app.state.shared.uploads.folder().iterdir())  # type: ignore[attr-defined]
+
+
+def test_a_film_is_bounded(client: TestClient) -> None:
+    name = client.post("/api/transmit?rate_hz=240", content=b"x").json()["sending"]
+    assert client.get(f"/api/transmit/{name}/film?seconds=600").status_code == 400
+    assert client.get(f"/api/transmit/{name}/film?seconds=1e9").status_code == 422
+    with transmit._films.take(), transmit._films.take():
+        assert client.get(f"/api/transmit/{name}/film?seconds=1").status_code == 503
+
+
+def test_sizes_and_rates_that_are_none_are_refused() -> None:
+    with pytest.raises(HeliographError):
+        screen_settings(10, 10.0)
