@@ -103,7 +103,7 @@ def _corners(phone: Phone, rng: np.random.Generator) -> Light:
     """Where the phone sees the corners of the screen's picture, each off a square by up to 4 % of it."""
     middle = np.array([phone.width, phone.height]) / 2 + rng.uniform(-0.04, 0.04, 2) * phone.height
     square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * phone.side_px / 2
-    return np.float32(middle + square + rng.uniform(-0.04, 0.04, (4, 2)) * phone.side_px)
+    return (middle + square + rng.uniform(-0.04, 0.04, (4, 2)) * phone.side_px).astype(np.float32)
 
 
 def _light(grabs: Grabs, phone: Phone, time_s: float, corners: Light) -> Light:
@@ -111,7 +111,7 @@ def _light(grabs: Grabs, phone: Phone, time_s: float, corners: Light) -> Light:
     rows = time_s + phone.readout_s * np.arange(phone.height) / phone.height
     ends = np.append(grabs.times_s[1:], np.inf)
     size = grabs.pictures.shape[2], grabs.pictures.shape[1]
-    from_screen = np.float32([(0, 0), (size[0], 0), size, (0, size[1])])
+    from_screen = np.array([(0, 0), (size[0], 0), size, (0, size[1])], np.float32)
     warp = cv2.getPerspectiveTransform(from_screen, corners)
     light = np.zeros((phone.height, phone.width), np.float32)
     for k in np.flatnonzero((ends > rows[0]) & (grabs.times_s < rows[-1] + phone.exposure_s)):
@@ -124,7 +124,7 @@ def _light(grabs: Grabs, phone: Phone, time_s: float, corners: Light) -> Light:
 
 def write_phone_film(path: Path, frames: Iterable[tuple[float, Gray]], phone: Phone) -> int:
     """Write frames at their own times as H.264 in colour and in the limited range; return how many there were."""
-    count = 0
+    written = 0
     with av.open(str(path), "w") as out:
         stream = out.add_stream("libx264", rate=round(phone.fps))
         stream.width, stream.height, stream.pix_fmt = phone.width, phone.height, "yuv420p"
@@ -132,20 +132,21 @@ def write_phone_film(path: Path, frames: Iterable[tuple[float, Gray]], phone: Ph
         stream.codec_context.time_base = Fraction(1, TICKS)
         stream.options = {"preset": "veryfast", "tune": "zerolatency"}
         stream.codec_context.color_range = 1  # limited
-        for count, (time_s, gray) in enumerate(frames, 1):
-            picture = av.VideoFrame.from_ndarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2RGB), "rgb24")
+        for time_s, gray in frames:
+            picture = av.VideoFrame.from_ndarray(gray[..., None].repeat(3, axis=2), "rgb24")
             coded = picture.reformat(format="yuv420p", dst_color_range="MPEG")
             coded.pts, coded.time_base = round(time_s * TICKS), Fraction(1, TICKS)
             out.mux(stream.encode(coded))
+            written += 1
         out.mux(stream.encode())
-    return count
+    return written
 
 
 def write_webcam(path: Path, frames: Iterable[tuple[float, Gray]]) -> int:
     """Write frames as Chromium's fake webcam shows them, over and over at 30 a second: a stream of JPEGs."""
-    count = 0
+    written = 0
     with path.open("wb") as out:
-        for count, (_, gray) in enumerate(frames, 1):
+        for _, gray in frames:
             coded = cv2.imencode(".jpg", cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), [cv2.IMWRITE_JPEG_QUALITY, 92])[1]
-            out.write(coded.tobytes())
-    return count
+            written += out.write(coded.tobytes()) > 0
+    return written

@@ -9,7 +9,6 @@ pytest.importorskip("playwright", reason="playwright is not installed: pip insta
 
 from browsers import browser, grabbed, needs_chromium, quiet_page, served
 from cli_runs import heliograph
-from playwright.sync_api import Page
 from screen_films import Phone, phone_frames, write_phone_film, write_webcam
 
 pytestmark = [pytest.mark.slow, needs_chromium]

@@ -140,6 +140,7 @@ def probe_film(
     reading: bool = True,
     every: int = 1,
     most: int | None = None,
+    trials: bool = True,
 ) -> Findings:
     """Tell what a film shows, and why it is not read where it is not.
 
@@ -159,6 +160,8 @@ def probe_film(
         Every so many stretches of a long film one is looked at.
     most
         Most frames that are looked at; None for all.
+    trials
+        Whether other settings are tried on what is like an array; that takes up to minutes.
 
     Returns
     -------
@@ -181,7 +184,7 @@ def probe_film(
         broken = error
     if watch.last is None:
         raise broken or MediaError(f"{film.path} holds no frames: record it again")
-    return _findings(watch, film, Asked(signal, settings, watch.frames.times().rate_hz), broken)
+    return _findings(watch, film, Asked(signal, settings, watch.frames.times().rate_hz), broken, trials)
 
 
 class _Watch:
@@ -222,7 +225,7 @@ class _Watch:
             self.arrays.found(event.detection)
 
 
-def _findings(watch: _Watch, film: Film, asked: Asked, broken: BaseException | None) -> Findings:
+def _findings(watch: _Watch, film: Film, asked: Asked, broken: BaseException | None, trials: bool) -> Findings:
     """What was found, once all frames were gone through."""
     watch.finish()
     last = watch.last
@@ -240,7 +243,7 @@ def _findings(watch: _Watch, film: Film, asked: Asked, broken: BaseException | N
         identity = watch.arrays.at(region, stretch.frames)
         array = None if identity is None else arrays[identity]
         try:
-            one = _looked_into(region, stretch, array, asked, noise, levels)
+            one = _looked_into(region, stretch, array, asked, noise, levels, trials)
         except (MemoryError, KeyboardInterrupt) as error:
             broken = error
             break
@@ -262,7 +265,8 @@ def _findings(watch: _Watch, film: Film, asked: Asked, broken: BaseException | N
 
 
 def _looked_into(
-    region: Region, stretch: Stretch, array: ArraySeen | None, asked: Asked, noise: NoiseFound, levels: Levels
+    region: Region, stretch: Stretch, array: ArraySeen | None, asked: Asked, noise: NoiseFound, levels: Levels,
+    trials: bool,
 ) -> RegionSeen:  # fmt: skip
     """All that can be told of a region, and of the array that it is."""
     quiet = float(np.median(stretch.noise))
@@ -278,12 +282,10 @@ def _looked_into(
     if region.side < largest and len(patterns) >= 4:
         header = header_seen(patterns, (region.x, region.y), region.side, asked.signal.side, speed)
     found = None
-    if header is not None:
+    if header is not None and trials:
         whole = not region.at_border and region.saturated < 0.5 and region.speed_px < 1
         found = what_reads(frames, asked, rate, header, _noise_of(region, noise, quiet, header.fit.gain), whole)
-    # what a lens out of focus leaves of an outline is round: it shows no turn
-    round_one = header is not None and header.score >= SURE_HEADER and is_blurred(header.fit.pose)
-    if found is None and rate is not None and not region.at_border and region.speed_px < 1 and not round_one:
+    if found is None and trials and rate is not None and not region.at_border and region.speed_px < 1:
         form = other_packets(header, asked.signal, rate.frames) if header is not None else {}
         found = what_reads_turned(frames, asked, rate, (region.x, region.y), form)
     lamp = lamp_period(region.brightness)

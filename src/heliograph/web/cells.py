@@ -36,7 +36,7 @@ def cells_of_a_side(frames: Sequence[Frame]) -> int | None:
     some = frames[-4 * LOOKED_AT :][:: max(1, min(len(frames) // LOOKED_AT, 4))]
     pixels = np.stack([frame.pixels for frame in some]).astype(np.float32)
     changes = np.asarray(pixels.std(axis=0), np.float64)
-    small, factor = reduced(changes)
+    small, factor = reduced(np.asarray(changes, np.float32))
     for corners in quadrilaterals(np.asarray(small, np.float64), factor):
         lines = _lines(pixels, sharpened(np.asarray(changes, np.float32), corners, factor))
         like = {side: _like(lines, side) for side in SIDES}

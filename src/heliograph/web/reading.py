@@ -15,13 +15,13 @@ from heliograph.measure.journal import Journal
 from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import FilmReader, open_film
 from heliograph.probe import probe_film
-from heliograph.probe.words import in_short
 from heliograph.receive import make_receiver
 from heliograph.receive.events import DetectEvent
 from heliograph.web.camera_frames import CameraFrames
 from heliograph.web.cells import cells_of_a_side
 from heliograph.web.pace import patterns_per_s
 from heliograph.web.screen import screen_settings
+from heliograph.web.words import why_unread
 
 Tell = Callable[[Mapping[str, Any]], None]
 """Tells a page something; what it raises ends the reading."""
@@ -248,8 +248,8 @@ def _tell_why(frames: list[Frame], settings: LinkSettings, tell: Tell) -> None:
     tell({"event": "asking why"})
     try:
         shown = Frames("the film", frames, _rate_of(frames), len(frames))
-        found = probe_film(shown, settings.signal, settings.receive, reading=False, most=WHY_FRAMES)
-        lines = list(in_short(found))
+        found = probe_film(shown, settings.signal, settings.receive, reading=False, most=WHY_FRAMES, trials=False)
+        lines = why_unread(found)
     except HeliographError as error:
         lines = [str(error)]
     tell({"event": "why", "lines": lines})
