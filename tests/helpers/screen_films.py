@@ -94,25 +94,25 @@ def phone_frames(grabs: Grabs, phone: Phone) -> Iterator[tuple[float, Gray]]:
         if time_s + phone.exposure_s + phone.readout_s > grabs.times_s[-1]:
             return
         way = phone.shake_px * np.sin(2 * np.pi * beat * (time_s - first) + phase)
-        light = _light(grabs, phone, time_s, corners + way.astype(np.float32))
+        light = _light(grabs, phone, time_s, corners + way)
         gray = 255 * np.clip(light, 0, 1) ** (1 / GAMMA) + rng.normal(0, phone.noise, light.shape)
         yield time_s - first, np.clip(np.rint(gray), 0, 255).astype(np.uint8)
 
 
-def _corners(phone: Phone, rng: np.random.Generator) -> Light:
+def _corners(phone: Phone, rng: np.random.Generator) -> NDArray[np.float64]:
     """Where the phone sees the corners of the screen's picture, each off a square by up to 4 % of it."""
     middle = np.array([phone.width, phone.height]) / 2 + rng.uniform(-0.04, 0.04, 2) * phone.height
     square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * phone.side_px / 2
-    return (middle + square + rng.uniform(-0.04, 0.04, (4, 2)) * phone.side_px).astype(np.float32)
+    return middle + square + rng.uniform(-0.04, 0.04, (4, 2)) * phone.side_px
 
 
-def _light(grabs: Grabs, phone: Phone, time_s: float, corners: Light) -> Light:
+def _light(grabs: Grabs, phone: Phone, time_s: float, corners: NDArray[np.float64]) -> Light:
     """(height, width) light of a frame: each row sees what was shown during its own exposure."""
     rows = time_s + phone.readout_s * np.arange(phone.height) / phone.height
     ends = np.append(grabs.times_s[1:], np.inf)
     size = grabs.pictures.shape[2], grabs.pictures.shape[1]
     from_screen = np.array([(0, 0), (size[0], 0), size, (0, size[1])], np.float32)
-    warp = cv2.getPerspectiveTransform(from_screen, corners)
+    warp = cv2.getPerspectiveTransform(from_screen, corners.astype(np.float32))
     light = np.zeros((phone.height, phone.width), np.float32)
     for k in np.flatnonzero((ends > rows[0]) & (grabs.times_s < rows[-1] + phone.exposure_s)):
         seen_s = np.minimum(rows + phone.exposure_s, ends[k]) - np.maximum(rows, grabs.times_s[k])

@@ -104,7 +104,7 @@ def test_patterns_are_saved_as_a_video_that_leaves_nothing(client: TestClient, t
         frames = list(read)
     levels = np.frombuffer(client.get(f"/api/transmit/{facts['sending']}/packets").content, np.uint8).reshape(-1, 8, 8)
     middles = (np.arange(8) + sending.MARGIN) * sending.LED_PX + sending.LED_PX // 2
-    seen = np.stack([frame.pixels[np.ix_(middles, middles)] for frame in frames[: len(levels)]])
+    seen = np.stack([frame.pixels[np.ix_(middles, middles)].astype(float) for frame in frames[: len(levels)]])
     assert np.abs(seen - levels.astype(float) * (255 / 4)).max() < 6
     assert not list(client.app.state.shared.uploads.folder().iterdir())  # type: ignore[attr-defined]
 

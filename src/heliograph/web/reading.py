@@ -29,6 +29,9 @@ Tell = Callable[[Mapping[str, Any]], None]
 SIDES_TRIED = (16, 8, 32, 24, 12, 20, 28)
 """Cells of a side in the order in which they are tried where nobody says. Chosen: by what the page offers first."""
 
+USUAL_HZ = 10.0
+"""Patterns a second that are taken where nothing tells: those that page *Transmit* offers first."""
+
 LOOK_S = 7.0
 """Seconds of a film by which rate and size are found: two packets of 3 s and a rest, so that one is whole."""
 
@@ -166,12 +169,13 @@ class _Patient:
 
 def _awaited(frames: Iterator[Frame], asked: Asked, tell: Tell) -> Iterator[Frame]:
     """The first frames that show a light; all that there were where the camera ends before."""
-    window, next_s = list[Frame](), None
+    window, next_s, why_s = list[Frame](), None, None
     for frame in frames:
         if window and frame.index - window[-1].index > MOST_MISSING:
             window.clear()
         window.append(frame)
-        next_s = frame.time_s + LOOK_S if next_s is None else next_s
+        if next_s is None or why_s is None:
+            next_s, why_s = frame.time_s + LOOK_S, frame.time_s + PATIENCE_S
         while window[-1].time_s - window[0].time_s > LOOK_S or len(window) * frame.pixels.size > LOOK_BYTES:
             window.pop(0)
         if frame.time_s < next_s:
@@ -180,6 +184,9 @@ def _awaited(frames: Iterator[Frame], asked: Asked, tell: Tell) -> Iterator[Fram
         if asked.rate_hz is not None or patterns_per_s(window) is not None:
             break
         tell({"event": "light", "rate_hz": None})
+        if frame.time_s >= why_s:
+            why_s = frame.time_s + PATIENCE_S
+            _tell_why(window[-WHY_FRAMES:], screen_settings(asked.side or SIDES_TRIED[0], USUAL_HZ), tell)
     return iter(window)
 
 
@@ -197,7 +204,7 @@ def _found(frames: list[Frame], asked: Asked, tell: Tell) -> LinkSettings:
     side = asked.side or (_side_of(frames, rate, tell) if rate else None)
     if rate:
         tell({"event": "light", "rate_hz": rate, "side": side})
-    return screen_settings(side or SIDES_TRIED[0], rate or 10.0)
+    return screen_settings(side or SIDES_TRIED[0], rate or USUAL_HZ)
 
 
 def _side_of(frames: list[Frame], rate_hz: float, tell: Tell) -> int | None:

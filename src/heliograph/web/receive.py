@@ -19,7 +19,7 @@ from starlette.websockets import WebSocketDisconnect
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.camera_frames import CameraFrames, KeptFrames, MessageError
-from heliograph.web.reading import Asked, read_camera, read_upload
+from heliograph.web.reading import SIDES_TRIED, USUAL_HZ, Asked, read_camera, read_upload
 from heliograph.web.screen import LEAST_RATE_HZ, MOST_RATE_HZ, SIDES, screen_settings
 from heliograph.web.security import PROTOCOL
 from heliograph.web.shared import Shared, shared_of
@@ -183,7 +183,7 @@ async def _film(socket: WebSocket, shared: Shared, wish: Wish) -> None:
 
 async def _camera(socket: WebSocket, kept: Kept, wish: Wish) -> None:
     told, camera = Told(socket), CameraFrames()
-    signal: list[SignalSettings] = [screen_settings(wish.side or 16, wish.rate_hz or 10.0).signal]
+    signal: list[SignalSettings] = [screen_settings(wish.side or SIDES_TRIED[0], wish.rate_hz or USUAL_HZ).signal]
 
     def take(message: bytes | str) -> dict[str, Any] | None:
         if isinstance(message, bytes):

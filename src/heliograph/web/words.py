@@ -52,7 +52,7 @@ def _array_words(seen: RegionSeen, found: Findings) -> Iterator[str]:
     if seen.region.saturated > BURNT:
         yield "Exposure: cells are white blots. Lower the brightness on page Transmit, or touch them on the phone."
     elif header is not None and header.fit.gain < WEAK * found.levels.full_scale:
-        yield "Glare: the patterns hardly stand out. Turn off lamps, turn the screen from windows, raise its brightness."
+        yield "Glare: the patterns hardly stand out. Turn off lamps, turn the screen from windows, make it brighter."
     if cell_px < FEWEST_PX:
         yield f"Resolution: a cell has {cell_px:.1f} px. Come nearer, take fewer cells, or film in 1080p."
     elif header is not None and header.fit.pose.blur > BLURRED * header.fit.pose.pitch:
