@@ -102,7 +102,7 @@ def phone_frames(grabs: Grabs, phone: Phone) -> Iterator[tuple[float, Gray]]:
 def _corners(phone: Phone, rng: np.random.Generator) -> NDArray[np.float64]:
     """Where the phone sees the corners of the screen's picture, each off a square by up to 4 % of it."""
     middle = np.array([phone.width, phone.height]) / 2 + rng.uniform(-0.04, 0.04, 2) * phone.height
-    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * phone.side_px / 2
+    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64) * phone.side_px / 2
     return middle + square + rng.uniform(-0.04, 0.04, (4, 2)) * phone.side_px
 
 

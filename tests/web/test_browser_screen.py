@@ -1,20 +1,25 @@
-"""A text goes from page *Transmit* over a phone's film to page *Receive*, in a real browser."""
+"""Text and picture go from page *Transmit* over a phone's film to page *Receive*, in a real browser."""
 
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 pytest.importorskip("playwright", reason="playwright is not installed: pip install playwright")
 
-from browsers import browser, grabbed, needs_chromium, quiet_page, served
-from cli_runs import heliograph
-from screen_films import Phone, phone_frames, write_phone_film, write_webcam
+from browsers import browser, grabbed, needs_chromium, quiet_page, served, webcam_of
+from cli_runs import called
+from playwright.sync_api import Browser, Page, expect
+from screen_films import Gray, Phone, phone_frames, write_phone_film, write_webcam
 
 pytestmark = [pytest.mark.slow, needs_chromium]
 
 TEXT = "Grüße vom Bildschirm: 18 °C, 42 % ☀"
 PHONE = Phone(seed=3)
+WHOLE_MS = 60_000
+"""Longest time for what takes seconds where nothing else runs."""
 
 
 @pytest.fixture(scope="module")
@@ -24,22 +29,127 @@ def address() -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def films(address: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    folder = tmp_path_factory.mktemp("screen")
-    with browser() as found, quiet_page(found, f"{address}transmit") as page:
-        page.wait_for_selector("#rate option", state="attached")
+def plain(address: str) -> Iterator[Browser]:
+    with browser() as found:
+        yield found
+
+
+def transmitting(page: Page, cells: str = "16") -> None:
+    page.wait_for_selector("#rate option", state="attached")
+    page.select_option("#rate", label="15")
+    page.select_option("#side", cells)
+    page.click("#send")
+    page.wait_for_selector("#pause:enabled")
+
+
+def filmed(page: Page, seconds: float) -> list[tuple[float, Gray]]:
+    return list(phone_frames(grabbed(page, seconds), PHONE))
+
+
+@pytest.fixture(scope="module")
+def text_frames(plain: Browser, address: str) -> list[tuple[float, Gray]]:
+    with quiet_page(plain, f"{address}transmit") as page:
+        page.wait_for_selector("#text")
         page.fill("#text", TEXT)
-        page.select_option("#rate", label="15")
-        page.click("#send")
-        page.wait_for_selector("#pause:enabled")
-        frames = list(phone_frames(grabbed(page, 7.0), PHONE))
-    film, webcam = folder / "phone.mp4", folder / "phone.mjpeg"
-    write_phone_film(film, frames, PHONE)
-    write_webcam(webcam, frames)
-    return film, webcam
+        transmitting(page)
+        return filmed(page, 9.0)
 
 
-def test_the_command_reads_what_a_phone_films_of_the_page(films: tuple[Path, Path], tmp_path: Path) -> None:
-    got = heliograph("receive", films[0], "--preset", "phone-15", "--output", tmp_path, cwd=tmp_path)
+@pytest.fixture(scope="module")
+def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("picture") / "sun.png"
+    drawn = np.full((24, 24), 30, np.uint8)
+    cv2.circle(drawn, (12, 12), 8, 220, -1)
+    cv2.imwrite(str(path), drawn)
+    return path
+
+
+def test_the_command_reads_what_a_phone_films_of_the_page(
+    text_frames: list[tuple[float, Gray]], tmp_path: Path, capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    film = tmp_path / "phone.mp4"
+    write_phone_film(film, text_frames, PHONE)
+    out = tmp_path / "got"
+    got = called(
+        "receive", film, "--preset", "phone-15", "--output", out, capfd=capfd, monkeypatch=monkeypatch
+    )  # fmt: skip
     assert got.returncode == 0, got.stderr
-    assert (tmp_path / "array-0-high-0.bin").read_bytes() == TEXT.encode()
+    assert {path.read_bytes().decode() for path in out.glob("array-0-*.bin")} == {TEXT}
+
+
+def test_the_browsers_camera_reads_the_same(
+    text_frames: list[tuple[float, Gray]], address: str, tmp_path: Path
+) -> None:
+    webcam = tmp_path / "phone.mjpeg"
+    write_webcam(webcam, text_frames)
+    with browser(*webcam_of(webcam)) as found, quiet_page(found, f"{address}receive") as page:
+        page.click("#start")
+        expect(page.locator(".text")).to_have_text(TEXT, timeout=WHOLE_MS)
+        page.click("#stop")
+        expect(page.locator("#state")).to_contain_text("The end.", timeout=WHOLE_MS)
+        expect(page.locator("#counts")).to_contain_text("sent")
+
+
+def test_a_picture_is_uploaded_as_a_film_and_shown(plain: Browser, address: str, picture: Path, tmp_path: Path) -> None:
+    film = tmp_path / "phone.mp4"
+    with quiet_page(plain, f"{address}transmit") as page:
+        page.check("input[value=file]")
+        page.set_input_files("#file", picture)
+        transmitting(page, "20")
+        expect(page.locator("#facts")).to_contain_text("as a file")
+        write_phone_film(film, filmed(page, 9.0), PHONE)
+    with quiet_page(plain, f"{address}receive") as page:
+        page.set_input_files("#film", film)
+        shown = page.locator("#got img")
+        expect(shown).to_be_visible(timeout=WHOLE_MS)
+        expect(page.locator("#got")).to_contain_text("File sun.png")
+        expect(page.locator("#state")).to_contain_text("The end.", timeout=WHOLE_MS)
+        with page.expect_download() as saved:
+            page.get_by_role("button", name="Save sun.png").click()
+        assert Path(saved.value.path()).read_bytes() == picture.read_bytes()
+
+
+def test_transmit_is_used_by_keys_alone_and_tells_what_it_skips(plain: Browser, address: str) -> None:
+    with quiet_page(plain, f"{address}transmit") as page:
+        page.wait_for_selector("#rate option", state="attached")
+        page.focus("#send")
+        page.keyboard.press("Enter")
+        expect(page.locator("#pause")).to_be_enabled()
+        page.focus("#main")
+        page.keyboard.press("Space")
+        expect(page.locator("#pause")).to_have_text("Go on")
+        page.keyboard.press("Space")
+        expect(page.locator("#pause")).to_have_text("Pause")
+        page.keyboard.press("f")
+        page.wait_for_function("document.fullscreenElement !== null")
+        page.keyboard.press("f")
+        page.wait_for_function("document.fullscreenElement === null")
+        page.evaluate("() => { const until = performance.now() + 900; while (performance.now() < until); }")
+        expect(page.locator(".notice")).to_contain_text("Choose a lower rate")
+        assert int(page.inner_text("[data-lost] td")) >= 3
+
+
+def test_a_fail_is_said_in_words(plain: Browser, address: str, tmp_path: Path) -> None:
+    none = tmp_path / "none.mp4"
+    none.write_bytes(b"no film at all")
+    with quiet_page(plain, f"{address}receive") as page:
+        page.set_input_files("#film", none)
+        expect(page.locator(".notice.bad")).to_be_visible(timeout=WHOLE_MS)
+
+
+@pytest.mark.parametrize("page_name", ["transmit", "receive"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_screen_reader_finds_its_way(plain: Browser, address: str, page_name: str, scheme: str) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    with quiet_page(plain, address + page_name, color_scheme=scheme, viewport={"width": 390, "height": 800}) as page:
+        for details in page.locator("details").all():
+            details.evaluate("one => { one.open = true; }")
+        if page_name == "transmit":
+            transmitting(page)
+        else:
+            page.evaluate("() => { document.getElementById('why').hidden = false; }")
+        found = axe.Axe().run(page)
+        assert found.violations_count == 0, found.generate_report()
+        wide = page.evaluate("document.documentElement.scrollWidth")
+        assert wide <= 390
