@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, Playwright
 from screen_films import Grabs
 
 CHROMIUM = next((found for name in ("chromium", "chromium-browser") if (found := shutil.which(name))), None)
@@ -71,14 +71,13 @@ def served(*options: str) -> Iterator[str]:
 
 
 @contextmanager
-def browser(*switches: str) -> Iterator[Browser]:
+def browser(playwright: Playwright, *switches: str) -> Iterator[Browser]:
     """A headless browser."""
-    with sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=[*SWITCHES, *switches])
-        try:
-            yield found
-        finally:
-            found.close()
+    found = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=[*SWITCHES, *switches])
+    try:
+        yield found
+    finally:
+        found.close()
 
 
 @contextmanager

@@ -118,7 +118,7 @@ def _light(grabs: Grabs, phone: Phone, time_s: float, corners: NDArray[np.float6
         seen_s = np.minimum(rows + phone.exposure_s, ends[k]) - np.maximum(rows, grabs.times_s[k])
         shown = (grabs.pictures[k].astype(np.float32) / 255) ** GAMMA
         seen = cv2.warpPerspective(shown, warp, (phone.width, phone.height), flags=cv2.INTER_AREA)
-        light += seen * np.float32(np.maximum(seen_s, 0) / phone.exposure_s)[:, None]
+        light += seen * (np.maximum(seen_s, 0) / phone.exposure_s).astype(np.float32)[:, None]
     return cv2.GaussianBlur(light, (0, 0), phone.blur_px) * (0.9 - phone.glare) + phone.glare
 
 

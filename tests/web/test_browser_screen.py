@@ -11,7 +11,7 @@ pytest.importorskip("playwright", reason="playwright is not installed: pip insta
 
 from browsers import browser, grabbed, needs_chromium, quiet_page, served, webcam_of
 from cli_runs import called
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, Playwright, expect, sync_playwright
 from screen_films import Gray, Phone, phone_frames, write_phone_film, write_webcam
 
 pytestmark = [pytest.mark.slow, needs_chromium]
@@ -29,8 +29,14 @@ def address() -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def plain(address: str) -> Iterator[Browser]:
-    with browser() as found:
+def playwright() -> Iterator[Playwright]:
+    with sync_playwright() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def plain(playwright: Playwright) -> Iterator[Browser]:
+    with browser(playwright) as found:
         yield found
 
 
@@ -79,11 +85,11 @@ def test_the_command_reads_what_a_phone_films_of_the_page(
 
 
 def test_the_browsers_camera_reads_the_same(
-    text_frames: list[tuple[float, Gray]], address: str, tmp_path: Path
+    text_frames: list[tuple[float, Gray]], playwright: Playwright, address: str, tmp_path: Path
 ) -> None:
     webcam = tmp_path / "phone.mjpeg"
     write_webcam(webcam, text_frames)
-    with browser(*webcam_of(webcam)) as found, quiet_page(found, f"{address}receive") as page:
+    with browser(playwright, *webcam_of(webcam)) as found, quiet_page(found, f"{address}receive") as page:
         page.click("#start")
         expect(page.locator(".text")).to_have_text(TEXT, timeout=WHOLE_MS)
         page.click("#stop")

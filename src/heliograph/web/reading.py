@@ -181,13 +181,18 @@ def _awaited(frames: Iterator[Frame], asked: Asked, tell: Tell) -> Iterator[Fram
         if frame.time_s < next_s:
             continue
         next_s = frame.time_s + AGAIN_S
-        if asked.rate_hz is not None or patterns_per_s(window) is not None:
+        if _shows_light(window, asked):
             break
         tell({"event": "light", "rate_hz": None})
         if frame.time_s >= why_s:
             why_s = frame.time_s + PATIENCE_S
             _tell_why(window[-WHY_FRAMES:], screen_settings(asked.side or SIDES_TRIED[0], USUAL_HZ), tell)
     return iter(window)
+
+
+def _shows_light(frames: list[Frame], asked: Asked) -> bool:
+    """Whether it is worth while to look for packets; a display that skips refreshes has no rate, but lines of cells."""
+    return asked.rate_hz is not None or patterns_per_s(frames) is not None or cells_of_a_side(frames) is not None
 
 
 def _told_of(camera: CameraFrames, tell: Tell) -> Iterator[Frame]:
@@ -201,8 +206,9 @@ def _found(frames: list[Frame], asked: Asked, tell: Tell) -> LinkSettings:
     """The link that some frames show; the usual one where they do not tell."""
     rate = asked.rate_hz or patterns_per_s(frames)
     tell({"event": "light", "rate_hz": rate})
-    side = asked.side or (_side_of(frames, rate, tell) if rate else None)
-    if rate:
+    # a receiver that is told a wrong rate finds the right one, but later
+    side = asked.side or _side_of(frames, rate or USUAL_HZ, tell)
+    if rate or side:
         tell({"event": "light", "rate_hz": rate, "side": side})
     return screen_settings(side or SIDES_TRIED[0], rate or USUAL_HZ)
 

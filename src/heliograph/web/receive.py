@@ -143,7 +143,7 @@ async def receive(socket: WebSocket, shared: Here, kept: Frames) -> None:
     except (HeliographError, ValidationError) as error:
         await _close(socket, error)
     except (WebSocketDisconnect, TimeoutError, RuntimeError):  # the page is gone, or as good as that
-        with contextlib.suppress(RuntimeError):
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
             await socket.close(1001)
 
 

@@ -76,8 +76,7 @@ function take(row: Row): void {
   results.take(row);
   switch (row.event) {
     case "light":
-      if (row.rate_hz === null) say("Nothing blinks as patterns do yet: hold the camera so that it sees them.");
-      else say(`The screen shows ${Number(row.rate_hz.toFixed(2))} patterns a second${row.side ? `, ${row.side} × ${row.side} cells` : ""}. Reading …`);
+      say(lightWords(row));
       break;
     case "trying":
       say(`Trying ${row.side} × ${row.side} cells …`);
@@ -108,6 +107,12 @@ function take(row: Row): void {
       break;
     default:
   }
+}
+
+function lightWords({ rate_hz: rate, side }: Row & { event: "light" }): string {
+  if (rate === null && !side) return "Nothing blinks as patterns do yet: hold the camera so that it sees them.";
+  const shown = [...(rate === null ? [] : [`${Number(rate.toFixed(2))} patterns a second`]), ...(side ? [`${side} × ${side} cells`] : [])];
+  return `The screen shows ${shown.join(", ")}. Reading …`;
 }
 
 function ending(row: Row & { event: "end" }): string {
