@@ -157,6 +157,12 @@ def transmit(
     packets: Annotated[int, typer.Option(min=1, help="Packets to write.")] = 10,
     identity: Annotated[int, typer.Option(min=0, max=29, help="Identity of the array.")] = 0,
     slots: Annotated[bool, typer.Option("--slots", help="Write on and off by PWM slot instead of levels.")] = False,
+    gamma: Annotated[
+        float,
+        typer.Option(
+            min=1, max=4, help="Gamma of the display that a film is for, usually 2.2; 1 writes the levels themselves."
+        ),
+    ] = 1.0,
     preset: options.Preset = "paper",
     settings: options.SettingsFile = None,
     assignments: options.Assignments = None,
@@ -171,7 +177,7 @@ def transmit(
     from heliograph.cli.transmit import run_transmit
 
     sent = options.Sent(high, middle, low, tuple(file or ()), file_code, junction)
-    run_transmit(output, packets, identity, slots, preset, settings, assignments, sent)
+    run_transmit(output, packets, identity, slots, preset, settings, assignments, sent, gamma)
 
 
 def receive(

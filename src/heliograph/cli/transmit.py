@@ -28,13 +28,17 @@ def run_transmit(
     file: Path | None,
     assignments: list[str] | None,
     sent: options.Sent,
+    gamma: float = 1.0,
 ) -> None:
     """Write the patterns of a transmission: levels, or on and off by slot, as drivers take them."""
     from heliograph.link.simulate import transmitters
+    from heliograph.media.film import FILM_SUFFIXES
     from heliograph.media.slots import SUFFIXES, SlotForm, file_size, write_slots
     from heliograph.signal import pwm
 
     options.refuse_to_replace(output, (*sent.inputs, file))
+    if gamma != 1 and output.suffix.lower() not in FILM_SUFFIXES:
+        raise MediaError(f"--gamma is that of a display, which plays films: leave it out, or write {FILM_SUFFIXES[0]}")
     # one array speaks, however many the preset's scene has
     changes = [*(assignments or ()), "channel.arrays=[{}]", f"transmit.identities=[{identity}]"]
     settings = options.settings_from(preset, file, changes)
@@ -53,7 +57,7 @@ def run_transmit(
         if form:
             write_slots(output, _counted(patterns, advance), form)
         else:
-            _write(output, _counted(patterns, advance), (count, settings.signal.side), period, brightest)
+            _write(output, _counted(patterns, advance), (count, settings.signal.side), (period, brightest, gamma))
     console.say(
         f"{output}: {count} {'slots' if brightest == 1 else 'patterns'} of {period * 1e3:g} ms, {count * period:g} s"
     )
@@ -65,12 +69,14 @@ def _least_bytes(output: Path, count: int, side: int) -> int:
     return count * kinds.get(output.suffix.lower(), LEAST_PICTURE)
 
 
-def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], period: float, top: int) -> None:
+def _write(
+    output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int, int], light: tuple[float, int, float]
+) -> None:
     from heliograph.media.film import FILM_SUFFIXES
     from heliograph.media.slot_table import write_table
     from heliograph.media.slots import SUFFIXES
 
-    kind = output.suffix.lower()
+    (period, top, _), kind = light, output.suffix.lower()
     if kind == ".npy":
         with whole_file(output) as partial:
             _write_npy(partial, patterns, size)
@@ -78,7 +84,7 @@ def _write(output: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[int,
         with whole_file(output) as partial:
             write_table(partial, patterns, size[1], period, slots=top == 1)
     elif kind in FILM_SUFFIXES:
-        _write_film(output, patterns, size[1], period, top)
+        _write_film(output, patterns, size[1], light)
     else:
         known = ", ".join((".npy", ".csv", *SUFFIXES, *FILM_SUFFIXES))
         raise MediaError(f"unknown kind of file {output.name!r}: the name must end in one of {known}")
@@ -94,15 +100,16 @@ def _write_npy(path: Path, patterns: Iterator[NDArray[np.uint8]], size: tuple[in
             file.write(pattern.tobytes())
 
 
-def _write_film(path: Path, patterns: Iterator[NDArray[np.uint8]], side: int, period: float, top: int) -> None:
-    """A film of the array itself, for a screen; gray stands for the fraction of the time that an LED is lit."""
+def _write_film(path: Path, patterns: Iterator[NDArray[np.uint8]], side: int, light: tuple[float, int, float]) -> None:
+    """A film of the array itself, for a screen; gray is the time that an LED is lit, to the power of 1 / gamma."""
+    period, top, gamma = light
+    grays = np.array([255 * (level / top) ** (1 / gamma) for level in range(top + 1)]).astype(np.uint8)
     from heliograph.media import create_film
 
     edge, block = side * LED_PX, np.ones((LED_PX, LED_PX), dtype=np.uint8)
     with create_film(path, width=edge, height=edge, rate_hz=1 / period) as film:
         for index, pattern in enumerate(patterns):
-            gray = (pattern.astype(np.uint16) * 255 // top).astype(np.uint8)
-            film.write(Frame(index, index * period, np.kron(gray, block)))
+            film.write(Frame(index, index * period, np.kron(grays[pattern], block)))
 
 
 def _counted(patterns: Iterator[NDArray[np.uint8]], advance: Callable[[int], None]) -> Iterator[NDArray[np.uint8]]:
