@@ -6,12 +6,12 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, Playwright
+from playwright.sync_api import Browser, Page, Playwright, sync_playwright
 from screen_films import Grabs
 
 CHROMIUM = next((found for name in ("chromium", "chromium-browser") if (found := shutil.which(name))), None)
@@ -71,13 +71,14 @@ def served(*options: str) -> Iterator[str]:
 
 
 @contextmanager
-def browser(playwright: Playwright, *switches: str) -> Iterator[Browser]:
-    """A headless browser."""
-    found = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=[*SWITCHES, *switches])
-    try:
-        yield found
-    finally:
-        found.close()
+def browser(*switches: str, under: Playwright | None = None) -> Iterator[Browser]:
+    """A headless browser; a second one at the same time takes the first one's Playwright."""
+    with nullcontext(under) if under is not None else sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=[*SWITCHES, *switches])
+        try:
+            yield found
+        finally:
+            found.close()
 
 
 @contextmanager

@@ -36,7 +36,7 @@ def playwright() -> Iterator[Playwright]:
 
 @pytest.fixture(scope="module")
 def plain(playwright: Playwright) -> Iterator[Browser]:
-    with browser(playwright) as found:
+    with browser(under=playwright) as found:
         yield found
 
 
@@ -99,7 +99,7 @@ def test_the_browsers_camera_reads_the_same(
 ) -> None:
     webcam = tmp_path / "phone.mjpeg"
     write_webcam(webcam, text_frames)
-    with browser(playwright, *webcam_of(webcam)) as found, quiet_page(found, f"{address}receive") as page:
+    with browser(*webcam_of(webcam), under=playwright) as found, quiet_page(found, f"{address}receive") as page:
         page.click("#start")
         expect(page.locator(".text")).to_have_text(TEXT, timeout=WHOLE_MS)
         page.click("#stop")
