@@ -178,7 +178,14 @@ async def _wish(socket: WebSocket) -> Wish:
 async def _film(socket: WebSocket, shared: Shared, wish: Wish) -> None:
     told = Told(socket)
     with shared.uploads.reading(wish.film) as path:
-        await _work(socket, told, lambda: read_upload(path, _asked(wish), told.tell), _refuse)
+
+        def work() -> None:
+            try:
+                read_upload(path, _asked(wish), told.tell)
+            except HeliographError as error:  # where it lies is nobody's business
+                raise MediaError(str(error).replace(str(path), "the film")) from None
+
+        await _work(socket, told, work, _refuse)
 
 
 async def _camera(socket: WebSocket, kept: Kept, wish: Wish) -> None:
