@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable, MutableMapping, Sequence
+from collections.abc import Awaitable, Iterable, MutableMapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,10 @@ from fastapi import FastAPI
 from benchmarks._fuzz_films import RATE_HZ, film_seeds
 from benchmarks.fuzz import mutated
 from heliograph.web.app import create_app
+from heliograph.web.camera_frames import HEAD
 from heliograph.web.limits import Limits
 from heliograph.web.security import LOOPBACK, Door
+from heliograph.web.sending import Sendings, sending_of
 
 LIMITS = Limits(film_bytes=1 << 16, films=4, body_bytes=2048, idle_s=0.05, upload_s=1.0)
 """Small ones, so that cases go beyond them."""
@@ -54,6 +56,22 @@ QUIET = (
 
 DRIVE = {"do": "open", "source": {"kind": "drive", "preset": "static", "distance_m": 50.0, "seed": 1, "street": False}}
 """A command that begins one."""
+
+WISHES = (
+    {"kind": "camera"}, {"kind": "camera", "side": 16, "rate_hz": 10.0}, {"kind": "camera", "side": 8, "rate_hz": None},
+    {"kind": "film", "film": "0" * 32},
+)  # fmt: skip
+"""First messages to page *Receive*."""
+
+SENT = (
+    "/api/transmit?side=16&rate_hz=10", "/api/transmit?side=8&rate_hz=30&name=a.jpg", "/api/receive/kept/{}",
+    "/api/transmit/{}/packets?first=7", "/api/transmit/{}/packets?first=0&count=2",
+    "/api/transmit/{}/film?seconds=1&gamma=2",
+)  # fmt: skip
+"""Requests of pages *Transmit* and *Receive*; a name stands in for the braces."""
+
+MADE = 0.01
+"""Part of the requests of a film that are made as they stand: each writes one."""
 
 FILMS = ("h5", "mkv", "mp4", "npy", "cine", "tif", "y4m")
 """Kinds of films that are damaged."""
@@ -99,15 +117,19 @@ async def answer(
 
 
 async def talk(
-    app: FastAPI, messages: Iterable[MutableMapping[str, Any]], token: str = TOKEN, to_the_end: bool = False
+    app: FastAPI,
+    messages: Iterable[MutableMapping[str, Any]],
+    token: str = TOKEN,
+    to_the_end: bool = False,
+    path: str = "/api/watch",
 ) -> list[str]:
-    """What the WebSocket of page *Watch* sends while it hears some messages: events, "bytes", or how it closed.
+    """What a page's WebSocket sends while it hears some messages: events, "bytes", or how it closed.
 
     The page goes at once, or at the end of its reception.
     """
     scope = {
-        "type": "websocket", "asgi": {"version": "3.0"}, "http_version": "1.1", "scheme": "ws", "path": "/api/watch",
-        "raw_path": b"/api/watch", "root_path": "", "query_string": b"", "headers": [(b"host", b"127.0.0.1:8000")],
+        "type": "websocket", "asgi": {"version": "3.0"}, "http_version": "1.1", "scheme": "ws", "path": path,
+        "raw_path": path.encode(), "root_path": "", "query_string": b"", "headers": [(b"host", b"127.0.0.1:8000")],
         "client": ("127.0.0.1", 1), "server": ("127.0.0.1", 8000), "subprotocols": ["heliograph", f"token.{token}"],
     }  # fmt: skip
     waiting, said, over = [{"type": "websocket.connect"}, *messages], [], asyncio.Event()
@@ -185,6 +207,51 @@ async def fuzz_messages(app: FastAPI, cases: int, rng: random.Random) -> Counter
     return found
 
 
+def sent_case(rng: random.Random, name: str) -> tuple[str, str, bytes]:
+    """A request of page *Transmit* or *Receive*, mostly changed: its method, its path, its body."""
+    path = rng.choice(SENT).replace("{}", name)
+    if rng.random() < (1 - MADE if "film" in path else 0.7):
+        path = mutated(path.encode(), rng).decode("utf-8", "replace")
+    path = path if path.startswith("/") else f"/{path}"
+    return rng.choice(("POST", "GET")), path, rng.randbytes(int(2 ** rng.uniform(0, 9)))
+
+
+def camera_case(rng: random.Random, number: int) -> MutableMapping[str, Any]:
+    """A frame of a browser's camera, mostly changed, or a word."""
+    if rng.random() < 0.1:
+        return {"type": "websocket.receive", "text": rng.choice(("save", "end", "halt", ""))}
+    data = HEAD.pack(number / 30, number, 64, 48) + rng.randbytes(64 * 48)
+    return {"type": "websocket.receive", "bytes": mutated(data, rng) if rng.random() < 0.3 else data}
+
+
+async def fuzz_screen(app: FastAPI, cases: int, rng: random.Random) -> Counter[str]:
+    """What became of requests and conversations of pages *Transmit* and *Receive*."""
+    found: Counter[str] = Counter()
+    headers = [HEADERS[0], HEADERS[4]]
+    name = app.state.sendings.add(sending_of(b"a text", None, 8, 60.0))
+    case: Awaitable[int | list[str]]
+    while found.total() < cases:
+        if rng.random() < 0.3:
+            method, path, body = sent_case(rng, name)
+            case, count = answer(app, method, path, [*headers, (b"content-length", b"%d" % len(body))], [body]), 1
+        else:
+            count = min(rng.randrange(1, 12), cases - found.total())
+            wish = json.dumps(rng.choice(WISHES)).encode()
+            path = (mutated(wish, rng) if rng.random() < 0.5 else wish).decode("utf-8", "replace")
+            messages = [{"type": "websocket.receive", "text": path}, *(camera_case(rng, k) for k in range(count - 1))]
+            case = talk(app, messages, path="/api/receive")
+        try:
+            became = await case
+            if isinstance(became, list):
+                found["let go" if any(one.startswith("close") for one in became) else "ended"] += count
+            else:
+                good = 200 <= became < 500 or became == 503
+                found[f"{became // 100}xx" if good else f"{became} of {path}"] += count
+        except Exception as error:
+            found[f"{type(error).__name__}: {error} of {path}"[:300]] += count
+    return found
+
+
 async def fuzz_films(app: FastAPI, cases: int, rng: random.Random) -> Counter[str]:
     """What became of films that are damaged, uploaded and watched: "end", "failed", or what it should not be."""
     found: Counter[str] = Counter()
@@ -212,11 +279,13 @@ async def fuzz_films(app: FastAPI, cases: int, rng: random.Random) -> Counter[st
 async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
     """Run the cases: requests, messages, and a part of damaged films; nothing may be left over of what broke off."""
     app, films = served(), round(cases * FILM_PART)
-    half = (cases - films) // 2
+    part = (cases - films) // 3
+    app.state.sendings = Sendings()
     async with app.router.lifespan_context(app):
         found = {
-            "requests": await fuzz_requests(app, half, random.Random(f"requests {seed}")),
-            "messages": await fuzz_messages(app, cases - films - half, random.Random(f"messages {seed}")),
+            "requests": await fuzz_requests(app, part, random.Random(f"requests {seed}")),
+            "messages": await fuzz_messages(app, cases - films - 2 * part, random.Random(f"messages {seed}")),
+            "screen": await fuzz_screen(app, part, random.Random(f"screen {seed}")),
             "films": await fuzz_films(app, films, random.Random(f"films {seed}")),
         }
         left = [path for path in app.state.shared.uploads.folder().iterdir() if path.is_file()]

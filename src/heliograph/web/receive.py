@@ -142,7 +142,9 @@ async def receive(socket: WebSocket, shared: Here, kept: Frames) -> None:
         await socket.close()
     except (HeliographError, ValidationError) as error:
         await _close(socket, error)
-    except (WebSocketDisconnect, TimeoutError, RuntimeError):  # the page is gone, or as good as that
+    except WebSocketDisconnect:
+        pass
+    except (TimeoutError, RuntimeError):  # the page is as good as gone
         with contextlib.suppress(RuntimeError, WebSocketDisconnect):
             await socket.close(1001)
 
