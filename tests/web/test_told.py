@@ -1,0 +1,71 @@
+import asyncio
+import threading
+from typing import Any
+
+import pytest
+
+from heliograph.web import told
+from heliograph.web.told import MOST_WAITING, GoneError, Told
+
+
+class Page:
+    """A page that takes nothing until it is let."""
+
+    def __init__(self) -> None:
+        self.rows: list[Any] = []
+        self.may = asyncio.Event()
+
+    async def send_json(self, row: Any) -> None:
+        await self.may.wait()
+        self.rows.append(row)
+
+
+def test_a_slow_page_holds_up_its_own_worker_alone_and_loses_nothing() -> None:
+    async def run() -> tuple[int, list[Any]]:
+        page, sent = Page(), [0]
+        rows = Told(page)  # type: ignore[arg-type]
+
+        def work() -> None:
+            for k in range(MOST_WAITING + 50):
+                rows.tell({"row": k})
+                sent[0] = k + 1
+
+        worker, forward = threading.Thread(target=work), asyncio.ensure_future(rows.forward())
+        worker.start()
+        await asyncio.sleep(0.3)  # the loop is free meanwhile
+        held = sent[0]
+        page.may.set()
+        await asyncio.to_thread(worker.join)
+        await rows.end()
+        await forward
+        return held, page.rows
+
+    held, rows = asyncio.run(run())
+    assert held <= MOST_WAITING + 1
+    assert [row["row"] for row in rows] == list(range(MOST_WAITING + 50))
+
+
+def test_a_page_that_takes_nothing_is_taken_for_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(told, "PATIENCE_S", 0.05)
+
+    async def run() -> None:
+        rows = Told(Page())  # type: ignore[arg-type]
+
+        def work() -> None:
+            for k in range(MOST_WAITING + 1):
+                rows.tell({"row": k})
+
+        await asyncio.to_thread(work)
+
+    with pytest.raises(GoneError):
+        asyncio.run(run())
+
+
+def test_a_worker_ends_where_its_page_is_gone() -> None:
+    async def run() -> None:
+        rows = Told(Page())  # type: ignore[arg-type]
+        rows.gone()
+        await asyncio.to_thread(rows.tell, {"row": 0})
+
+    with pytest.raises(GoneError):
+        asyncio.run(run())
