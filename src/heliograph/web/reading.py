@@ -2,8 +2,9 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -104,20 +105,23 @@ def read_upload(path: Path, asked: Asked, tell: Tell) -> None:
     MediaError
         It is no film, or breaks off at once.
     """
-    binnings = _binnings(path)
-    reception, why = Reception(), None
-    for binning in binnings:
+    doubted, reception = set[int](), Reception()
+    for binning, again in product(_binnings(path), (False, True)):
         with open_film(path, expand_range=True, binning=binning) as film:
             head = list(_first(film, LOOK_S, LOOK_BYTES))
-        settings = _found(head, asked, tell)
+        if again and asked.side is not None:
+            continue
+        settings = _found(head, asked, tell, doubted if again else frozenset())
+        if again and settings.signal.side in doubted:
+            continue
         reception = Reception()
         with open_film(path, expand_range=True, binning=binning) as film:
             _read(film, settings, reception, tell, film.frame_count)
-        if _is_read(reception):
+        if _words(reception):
             break
-        why = head
-    if not _is_read(reception) and why is not None:
-        _tell_why(why, settings, tell)
+        doubted.add(settings.signal.side)
+    else:
+        _tell_why(head, settings, tell)
     tell({"event": "end", **_counts(reception)})
 
 
@@ -135,14 +139,15 @@ def read_camera(camera: CameraFrames, asked: Asked, tell: Tell, look: Callable[[
     look
         Gets the settings of the link that is looked for, whenever they change.
     """
-    reception, frames = Reception(), _told_of(camera, tell)
+    reception, frames, doubted = Reception(), _told_of(camera, tell), set[int]()
     while window := list(_awaited(frames, asked, tell)):
-        settings = _found(window, asked, tell)
+        settings = _found(window, asked, tell, doubted)
         look(settings)
         patient = _Patient(chain(window, frames), reception)
         _read(Frames("the camera", patient), settings, reception, tell, None)
         if not patient.ran_out:
             break
+        doubted = {settings.signal.side} - doubted
         _tell_why(patient.last, settings, tell)
     tell({"event": "end", **_counts(reception)})
 
@@ -202,21 +207,23 @@ def _told_of(camera: CameraFrames, tell: Tell) -> Iterator[Frame]:
         yield frame
 
 
-def _found(frames: list[Frame], asked: Asked, tell: Tell) -> LinkSettings:
+def _found(frames: list[Frame], asked: Asked, tell: Tell, doubted: AbstractSet[int] = frozenset()) -> LinkSettings:
     """The link that some frames show; the usual one where they do not tell."""
     rate = asked.rate_hz or patterns_per_s(frames)
     tell({"event": "light", "rate_hz": rate})
     # a receiver that is told a wrong rate finds the right one, but later
-    side = asked.side or _side_of(frames, rate or USUAL_HZ, tell)
+    side = asked.side or _side_of(frames, rate or USUAL_HZ, tell, doubted)
     if rate or side:
         tell({"event": "light", "rate_hz": rate, "side": side})
     return screen_settings(side or SIDES_TRIED[0], rate or USUAL_HZ)
 
 
-def _side_of(frames: list[Frame], rate_hz: float, tell: Tell) -> int | None:
-    """The size whose packets are read; None where none is."""
+def _side_of(frames: list[Frame], rate_hz: float, tell: Tell, doubted: AbstractSet[int]) -> int | None:
+    """The size by the lines between cells, else the one whose packets are read; None where there is none."""
     likely = cells_of_a_side(frames)
-    for side in dict.fromkeys(SIDES_TRIED if likely is None else (likely, *SIDES_TRIED)):
+    if likely is not None and likely not in doubted:
+        return likely
+    for side in (side for side in SIDES_TRIED if side not in doubted):
         tell({"event": "trying", "side": side})
         try:
             found, read = _tried(frames, screen_settings(side, rate_hz))
@@ -296,10 +303,6 @@ def _rate_of(frames: list[Frame]) -> float:
 
 def _words(reception: Reception) -> int:
     return sum(layer.ok for array in reception.arrays.values() for layer in array.layers.values())
-
-
-def _is_read(reception: Reception) -> bool:
-    return _words(reception) > 0
 
 
 def _counts(reception: Reception) -> dict[str, Any]:
