@@ -98,6 +98,9 @@ def test_where_nothing_is_read_it_is_said_why_and_the_frames_are_saved(client: T
         socket.send_text("save")
         while (row := socket.receive_json())["event"] != "kept":
             pass
+        socket.send_text("end")
+        while socket.receive_json()["event"] != "end":
+            pass
     answer = client.get(f"/api/receive/kept/{row['name']}")
     film = tmp_path / "unread.mkv"
     film.write_bytes(answer.content)
