@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, product
 from pathlib import Path
 from typing import Any
@@ -268,7 +268,9 @@ def _tell_why(frames: list[Frame], settings: LinkSettings, tell: Tell) -> None:
     tell({"event": "asking why"})
     try:
         shown = Frames("the film", frames, _rate_of(frames), len(frames))
-        found = probe_film(shown, settings.signal, settings.receive, reading=False, most=WHY_FRAMES, trials=False)
+        # regions are looked into for a receiver of arrays alone
+        receiver = replace(settings.receive, receiver="soft")
+        found = probe_film(shown, settings.signal, receiver, reading=False, most=WHY_FRAMES, trials=False)
         lines = why_unread(found)
     except HeliographError as error:
         lines = [str(error)]
