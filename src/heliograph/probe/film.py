@@ -285,7 +285,10 @@ def _looked_into(
     if header is not None and trials:
         whole = not region.at_border and region.saturated < 0.5 and region.speed_px < 1
         found = what_reads(frames, asked, rate, header, _noise_of(region, noise, quiet, header.fit.gain), whole)
-    if found is None and trials and rate is not None and not region.at_border and region.speed_px < 1:
+    # what a lens out of focus leaves of an outline is round: it shows no turn
+    round_one = header is not None and header.score >= SURE_HEADER and is_blurred(header.fit.pose)
+    turnable = rate is not None and not region.at_border and region.speed_px < 1 and not round_one
+    if found is None and trials and rate is not None and turnable:
         form = other_packets(header, asked.signal, rate.frames) if header is not None else {}
         found = what_reads_turned(frames, asked, rate, (region.x, region.y), form)
     lamp = lamp_period(region.brightness)
