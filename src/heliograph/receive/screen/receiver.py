@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame, check_next
+from heliograph.base.threads import in_one_thread
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.coming import ENOUGH_SEEN, HEADER_SEEN
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.equalise.threads import in_one_thread
 from heliograph.receive.events import DecodeEvent, DetectEvent, LostEvent, Observer
 from heliograph.receive.image.fit import Fit
 from heliograph.receive.image.pose import Pose
