@@ -8,6 +8,7 @@ import pytest
 from fastapi.testclient import TestClient
 from screen_films import Grabs, Phone, phone_frames, write_phone_film
 from screen_light import shown
+from starlette.testclient import WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
 from heliograph.base.frames import Frame
@@ -39,16 +40,21 @@ def client() -> Iterator[TestClient]:
 
 def said(client: TestClient, wish: dict[str, Any], messages: list[bytes | str] = ()) -> list[dict[str, Any]]:  # type: ignore[assignment]
     """All rows that a page hears, until it is let go."""
-    rows = []
     with client.websocket_connect(SOCKET, ["heliograph"]) as socket:
         socket.send_text(json.dumps(wish))
         for message in messages:
             socket.send_bytes(message) if isinstance(message, bytes) else socket.send_text(message)
-        while True:
-            try:
-                rows.append(socket.receive_json())
-            except WebSocketDisconnect:
-                return rows
+        return to_the_end(socket)
+
+
+def to_the_end(socket: WebSocketTestSession) -> list[dict[str, Any]]:
+    """What is still said until the server closes: a client that goes before ends the server's task within a worker."""
+    rows = []
+    while True:
+        try:
+            rows.append(socket.receive_json())
+        except WebSocketDisconnect:
+            return rows
 
 
 def message(time_s: float, pixels: np.ndarray[Any, np.dtype[np.uint8]], number: int = 0) -> bytes:
@@ -82,6 +88,7 @@ def test_a_camera_is_read_as_it_films(client: TestClient) -> None:
                     socket.send_text("end")
             rows.append(socket.receive_json())
             taken = rows[-1]["frames"] if rows[-1]["event"] == "took" else taken
+        assert not to_the_end(socket)
     assert {row["text"] for row in rows if row["event"] == "message"} == {TEXT}
     assert rows[-2]["dropped"] == 0 if rows[-2]["event"] == "took" else True
 
@@ -99,8 +106,7 @@ def test_where_nothing_is_read_it_is_said_why_and_the_frames_are_saved(client: T
         while (row := socket.receive_json())["event"] != "kept":
             pass
         socket.send_text("end")
-        while socket.receive_json()["event"] != "end":
-            pass
+        assert to_the_end(socket)[-1]["event"] == "end"
     answer = client.get(f"/api/receive/kept/{row['name']}")
     film = tmp_path / "unread.mkv"
     film.write_bytes(answer.content)
