@@ -69,10 +69,12 @@ class Follower:
         Finds cells in a frame.
     place
         Where the array is in the first frame.
+    firm
+        Whether other places are tried where it may have slipped; False while places are tried anyway.
     """
 
-    def __init__(self, look: Look, place: Place):
-        self._look, self.place = look, place
+    def __init__(self, look: Look, place: Place, firm: bool = True):
+        self._look, self.place, self._firm = look, place, firm
         n = look.side
         self._middles = np.stack(np.meshgrid(np.arange(n) + 0.5, np.arange(n) + 0.5), axis=-1)
         self._motion = np.zeros(2)
@@ -101,7 +103,7 @@ class Follower:
         seen = self._seen(frame, expected, steps)
         if seen is not None and float(seen.light.mean()) < DARK * self._bright:
             return None  # the backlight was off
-        if seen is None or self._doubt(seen) > 1:
+        if self._firm and (seen is None or self._doubt(seen) > 1):
             seen = self._slipped(frame, expected, steps, seen)
         if seen is None:
             self._motion = np.zeros(2)

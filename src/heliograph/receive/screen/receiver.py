@@ -233,7 +233,7 @@ class ScreenReceiver:
             changes = changing(latest)
             places = quadrilaterals(changes, self._factor)
             tried = sorted((self._placed(one, count) for one in places), key=lambda one: one.score)
-            if tried and tried[0].score > DOUBTFUL and not self._hopeless():
+            if tried and DOUBTFUL < tried[0].score < np.inf and not self._hopeless():
                 tried = [self._searched(tried[0]), *tried]
             for one in tried:
                 taken = self._whole(one) if np.isfinite(one.score) else None
@@ -284,7 +284,7 @@ class ScreenReceiver:
             start = look(frames[0].pixels, place, SETTLING).place
         except np.linalg.LinAlgError:
             return np.inf, place
-        follower = Follower(look, start)
+        follower = Follower(look, start, firm=False)
         seen = [one for one in map(follower.take, frames) if one is not None]
         if len(seen) < len(frames):
             return np.inf, start

@@ -24,6 +24,9 @@ most."""
 PHASES = 16
 """Phases of a pair that are tried: an eighth of a pattern apart, which loses little of a match; they are refined."""
 
+STARTS = 2
+"""Clocks of a rate from which a search is refined. Chosen: phase and readout of one may lie on the wrong side."""
+
 READOUTS_S = (0.0, 0.008, 0.016, 0.024)
 """Times for all rows of a frame that are tried: phones take 5 to 30 ms."""
 
@@ -238,9 +241,9 @@ def searched(
 
     Returns
     -------
-    Clocks with what they leave unexplained, refined, one for each period that a film could show.
+    Some clocks with what they leave unexplained, refined; none where a film could show none of the periods.
     """
-    bins, found = Bins(samples), []
+    bins, found, begun = Bins(samples), list[tuple[float, Clock]](), list[tuple[float, Clock]]()
     readouts = [r for r in READOUTS_S if r <= LONGEST_READOUT * frame_s * 1.01] or [0.0]
     rows = [r / height for r in readouts] if row_s is None else [row_s]
     for period in periods:
@@ -253,8 +256,11 @@ def searched(
             for part in TRIED_EXPOSURES
         ]
         ranked = sorted(((bins.unexplained(one), k) for k, one in enumerate(tried)))
-        best = min((refined(bins, tried[k], frame_s, height, row_s) for _, k in ranked[:2]), key=lambda one: one[0])
-        found.append(best)
+        begun += [(left, tried[k]) for left, k in ranked[:STARTS]]
+    begun.sort(key=lambda one: one[0])
+    # a wrong rate leaves so much that it need not be refined
+    for _, clock in begun[: 2 * STARTS]:
+        found.append(refined(bins, clock, frame_s, height, row_s))
     return sorted(found, key=lambda one: one[0])
 
 
