@@ -115,10 +115,9 @@ def chosen_codec(
     name = name or ("h264" if mbit_s is not None and "h264" in known else known[0])
     if name not in known:
         raise MediaError(f"codec {name!r} does not go into {suffix}: choose one of {', '.join(known)}")
-    if name not in _RATED and (crf is not None or mbit_s is not None):
-        raise MediaError(
-            f"crf and mbit_s are settings of h264 and h265, the codec of this film is {name}: leave it out"
-        )
+    given = "crf" if crf is not None else "mbit_s" if mbit_s is not None else ""
+    if name not in _RATED and given:
+        raise MediaError(f"{given} is a setting of h264 and h265, the codec of this film is {name}: leave it out")
     if mbit_s is not None and (crf is not None or lossless):
         raise MediaError("give one of mbit_s, crf and lossless: each of them decides the size of the film")
     if mbit_s is not None and not (isinstance(mbit_s, Real) and _LEAST_MBIT <= mbit_s <= _MOST_MBIT):
