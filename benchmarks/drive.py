@@ -129,7 +129,7 @@ def main() -> None:
     parser.add_argument("film", type=Path)
     parser.add_argument("--seconds", type=float, default=6.6)
     parser.add_argument("--preset", default="paper")
-    parser.add_argument("--set", action="append", dest="changes", metavar="KEY=VALUE")
+    parser.add_argument("--set", action="append", default=[], dest="changes", metavar="KEY=VALUE")
     parser.add_argument("--rate", type=float, default=1000.0, help="frames a second")
     asked = parser.parse_args()
     limit_threads()
