@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from heliograph.base.compiled import compiled
-from heliograph.receive.image.median import median
+from heliograph.receive.image.median import median, smallest
 
 USUAL_RATE, COVERED_RATE = 0.1, 0.02
 """Weights of a pair in what a line usually shows: of lines as usual, and of covered ones.
@@ -172,6 +172,44 @@ def power_within(change, x, y, most):
                 power += change[i, j] ** 2
                 count += 1
     return power, count
+
+
+@compiled()
+def recent_change(before, change, noise, x, y, axes, width, least, bright, most, rate, out):
+    """Recent change of each LED, with that of one more pair; see `sight.recent_change`.
+
+    Parameters
+    ----------
+    before
+        (n, n) float64 the same before the pair.
+    change
+        (rows, columns) float64 pattern less inverse in gray levels.
+    noise
+        Standard deviation of its noise in gray levels.
+    x, y, axes, width
+        Centre, steps and square as of `power_around`.
+    least
+        Power in squared gray levels that an LED in sight has at least.
+    bright
+        Place, of all LEDs by their power, of the one that stands for those in sight.
+    most
+        Most that a pair counts for, as a multiple of that one's power.
+    rate
+        Weight of the pair.
+    out
+        (n, n), overwritten.
+    """
+    side = before.shape[0]
+    around, powers = np.empty((side, side)), np.empty(side * side)
+    power_around(change, noise, x, y, axes, width, around)
+    for u in range(side):
+        for v in range(side):
+            powers[u * side + v] = around[u, v]
+    others = max(smallest(powers, bright), least)
+    for u in range(side):
+        for v in range(side):
+            shown = min(around[u, v] / others, most)
+            out[u, v] = before[u, v] + rate * (shown - before[u, v])
 
 
 @compiled()

@@ -90,12 +90,10 @@ def recent_change(
     -------
     (n, n), 0 to `MOST_CHANGE`.
     """
-    around = np.empty(before.shape)
-    place = pose.x - corner[0], pose.y - corner[1]
-    kernels.power_around(change, noise, *place, pose.axes, _square(pose, len(before)), around)
-    bright = int(BRIGHT_QUANTILE * (around.size - 1))
-    others = max(float(np.partition(around, bright, axis=None)[bright]), least**2)
-    return before + RECENT_PAIR_WEIGHT * (np.minimum(around / others, MOST_CHANGE) - before)
+    place, out = (pose.x - corner[0], pose.y - corner[1]), np.empty(before.shape)
+    taken = least**2, int(BRIGHT_QUANTILE * (before.size - 1)), MOST_CHANGE, RECENT_PAIR_WEIGHT
+    kernels.recent_change(before, change, noise, *place, pose.axes, _square(pose, len(before)), *taken, out)
+    return out
 
 
 def in_sight(change: Floats) -> Floats:

@@ -61,6 +61,16 @@ class Track:
         return self.in_sight if self.clear is None else self.in_sight * self.clear
 
     @cached_property
+    def hidden(self) -> bool:
+        """Whether something hides or covers an LED."""
+        return not self.unhidden.all()
+
+    @cached_property
+    def sound(self) -> bool:
+        """Whether no LED is dead."""
+        return bool(self.led_gains.all())
+
+    @cached_property
     def shining(self) -> Floats:
         """Gains of the LEDs, 0 where something hides them, (n, n)."""
         return self.led_gains * self.in_sight

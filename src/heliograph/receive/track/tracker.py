@@ -146,9 +146,8 @@ class Tracker:
         clear, lines = clear_leds(total, pose, corner, track.lines, light, in_sight(change))
         covered = None if clear.all() else clear
         track = replace(track, pairs=track.pairs + 1, change=change, lines=lines, clear=covered)
-        open_leds = track.unhidden
-        hides = not open_leds.all()
-        unhidden = self._unhidden(track, open_leds, pose, corner, up.shape)
+        open_leds, hides = track.unhidden, track.hidden
+        unhidden = self._unhidden(track, open_leds, pose, corner, up.shape) if hides or not track.sound else None
         if (hides and open_leds.mean() < LEAST_IN_SIGHT) or (unhidden is not None and not unhidden.any()):
             return _coasted(before, replace(track, state=predicted))
         # (pattern) + (inverse) = every LED on, Fig. 9
