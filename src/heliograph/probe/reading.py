@@ -121,7 +121,7 @@ def read(frames: Sequence[Frame], signal: SignalSettings, settings: ReceiveSetti
         if isinstance(event, DetectEvent):
             detections.append(event.detection)
         if isinstance(event, DecodeEvent):
-            cutouts.extend(one for one in event.cutouts if one is not None)
+            cutouts.extend(one.steady for one in event.cutouts if one is not None)
             if event.exposure_range is not None:
                 exposures[event.identity] = event.exposure_range
         if isinstance(event, TrackEvent):

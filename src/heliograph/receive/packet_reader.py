@@ -214,7 +214,7 @@ class SoftReader:
             if pair.combination is not None or np.any(np.abs(weights) != 1):
                 # combined frames do not show it; dimmed cells are another pattern than those that are summed up
                 break
-            cutout = self._cutout(pair, track, led_gains)
+            cutout = self._cutout(pair, track, led_gains).steady
             if cutout.apart:
                 # light smears within an exposure: LEDs would seem dim, the pose be found without them, and more seem so
                 break
@@ -241,7 +241,7 @@ class SoftReader:
         return DecisionDirectedTracker(self._parts.tracker, times, headers, track.data_gain, track.shining)
 
     def _cutout(self, pair: FramePair, track: Track, led_gains: LedGains) -> Cutout:
-        """Cut-out of a pair where the data's light was, the background's motion compensated."""
+        """Cut-out of a pair where the data's light was; the background's motion is not compensated yet."""
         late_s, combination = (self._late_s, self._late_s), pair.combination
         if combination is not None:
             period_s = self._parts.form.settings.pattern_period_s
@@ -251,7 +251,7 @@ class SoftReader:
         cutout = take_cutout(pair, poses, self._side)
         if not track.in_sight.all():
             cutout = beside_what_hides(cutout, track.in_sight)
-        return cutout.motion_compensated(track.gain, led_gains.values)
+        return replace(cutout, background=(track.gain, led_gains.values))
 
     def _gains(self) -> LedGains:
         return self._led_gains or LedGains.sound(self._side)

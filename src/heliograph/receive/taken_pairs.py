@@ -1,6 +1,7 @@
 """What the soft receiver took of a packet, and its decoding: all frames equalised and decoded together."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -137,10 +138,11 @@ class TakenPairs:
     def decode(self, observe: Observer, /) -> Decoded:
         """Codewords by layer, of all pairs kept; see `TakenPacket`."""
         check_mode(self.mode)
-        buffer, first = self.reading.buffer, Assumption(self._gains(), self._cutouts())
-        shown, new = self._led_by_led(first), self.led_gains is not None and not self.proven
+        buffer, as_kept = self.reading.buffer, Assumption(self._gains(), self._cutouts())
+        shown, new = self._led_by_led(as_kept), self.led_gains is not None and not self.proven
         if shown is not None and not open_words(shown) and not new:
-            return Decoded(shown, lesson=Lesson(self._brightness_learnt(first, shown), self.proven))
+            return Decoded(shown, lesson=Lesson(self._brightness_learnt(as_kept, shown), self.proven))
+        first = replace(as_kept, cutouts=steady(as_kept.cutouts))
         earlier = None if buffer is None else buffer.content
 
         def read(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
@@ -221,7 +223,7 @@ class TakenPairs:
         ]
         if all(cutout is None for cutout in kept):
             return self.led_gains
-        decoded = self._decode(replace(assumed, cutouts=kept), None, shown, ignore)
+        decoded = self._decode(replace(assumed, cutouts=steady(kept)), None, shown, ignore)
         return _learnt_from(decoded, assumed.led_gains, stride=1)
 
     def _gains(self) -> LedGains:
@@ -234,6 +236,17 @@ class TakenPairs:
     @property
     def _side(self) -> int:
         return self.form.settings.side
+
+
+def steady(cutouts: Sequence[Cutout | None]) -> list[Cutout | None]:
+    """Cut-outs without the background's light that moves with the array.
+
+    Parameters
+    ----------
+    cutouts
+        One per pair; None where the array was not seen.
+    """
+    return [None if one is None else one.steady for one in cutouts]
 
 
 def _learnt_from(decoded: DecodedPacket[ObservedPacket], led_gains: LedGains, stride: int | None = None) -> LedGains:

@@ -55,6 +55,9 @@ class Cutout:
         Variance of a pixel of the difference, in units of that of a difference of two frames; above 0.
     in_sight
         (n, n) 1 for LEDs in sight, 0 for those that something hides; None if all are in sight.
+    background
+        Gray levels of the sum of a pair with all LEDs on, and (n, n) gains of these, by which `steady` takes the moving
+        background off; None where that is done, or not to be done.
     """
 
     total: Floats
@@ -66,6 +69,17 @@ class Cutout:
     covered: tuple[Floats, Floats] | None = None
     noise: float = 1.0
     in_sight: Floats | None = None
+    background: tuple[float, Floats] | None = None
+
+    @property
+    def steady(self) -> "Cutout":
+        """The cut-out without the background's light that moves with the array, as `motion_compensated` takes it off.
+
+        That takes as long as to follow the array, and LEDs that are read one by one need none of it.
+        """
+        if self.background is None:
+            return self
+        return replace(self.motion_compensated(*self.background), background=None)
 
     @property
     def apart(self) -> bool:
