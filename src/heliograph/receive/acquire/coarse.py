@@ -113,8 +113,8 @@ ALTERNATION: FrameWeights = (0.25, -0.75, 0.75, -0.25)
 """Of four frames, (f0 - 3 f1 + 3 f2 - f3) / 4: a header stays, and what stands still, drifts or accelerates evenly
 cancels."""
 
-DIFFERENCE: FrameWeights = (1.0, -1.0, 0.0, 0.0)
-"""Of two frames."""
+DIFFERENCE: FrameWeights = (0.5, -0.5, 0.5, -0.5)
+"""Of two frames that both come twice, f0 f1 f0 f1."""
 
 
 def alternation_of(frames: Sequence[Frame]) -> NDArray[np.float32]:
@@ -196,13 +196,15 @@ def combined_means(frames: Sequence[Frame], weights: FrameWeights) -> NDArray[np
 
 
 @lru_cache
-def _whole(weights: FrameWeights) -> tuple[NDArray[np.int16], np.float32] | None:
-    """Whole numbers (4,) in proportion to weights, and what they are multiplied by; None where they are too large."""
+def _whole(weights: FrameWeights) -> tuple[np.int16, np.int16, np.float32] | None:
+    """Weights a, b, -b, -a as whole numbers a and b in proportion, and what they are multiplied by; None of others."""
+    if (weights[0], weights[1]) != (-weights[3], -weights[2]):
+        return None
     for parts in (1, 2, 4):
         numbers = np.array(weights) * parts
         # a column of a block sums to less than 2^16
         if (numbers == np.rint(numbers)).all() and np.abs(numbers).sum() * 255 * BLOCK_PX < 1 << 16:
-            return numbers.astype(np.int16), np.float32(1 / parts)
+            return np.int16(numbers[0]), np.int16(numbers[1]), np.float32(1 / parts)
     return None
 
 
@@ -346,6 +348,7 @@ def _span(busy: NDArray[np.bool_], reach: int) -> tuple[int, int]:
     return max(int(places[0]) - reach, 0), min(int(places[-1]) + 1 + reach, busy.size)
 
 
+@lru_cache(maxsize=64)  # a frame is searched by several detectors
 def _spans(pose: Pose, side: int, origin: tuple[int, int]) -> tuple[int, int, int, int]:
     """First row and column of the blocks of an array that is followed, and those after its last."""
     x0, y0, width, height = window_around(pose, side, BLOCK_PX)

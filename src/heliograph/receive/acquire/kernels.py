@@ -63,22 +63,21 @@ def combined_means(f0, f1, f2, f3, weights, size, out):
 
 
 @compiled()
-def integer_means(f0, f1, f2, f3, weights, scale, out):
-    """`combined_means` over blocks of `BLOCK_PX` of frames of 8 bits with whole weights, in integers of 16 bits.
+def integer_means(f0, f1, f2, f3, outer, inner, scale, out):
+    """`combined_means` over blocks of `BLOCK_PX` of a (f0 - f3) + b (f1 - f2) of frames of 8 bits, in 16 bits.
 
     Parameters
     ----------
     f0, f1, f2, f3
         (rows, columns) uint8 gray levels.
-    weights
-        (4,) int16; a block's column of weighted sums stays below 65536.
+    outer, inner
+        a and b, int16; a block's column of weighted sums stays below 65536.
     scale
         float32 that the sums are multiplied by.
     out
         (blocks down, blocks across) float32, overwritten.
     """
     rows, cols = f0.shape
-    w0, w1, w2, w3 = weights[0], weights[1], weights[2], weights[3]
     sums = np.empty(out.shape[1] * BLOCK_PX, np.uint16)
     for bi in range(out.shape[0]):
         sums[:] = 0
@@ -86,9 +85,8 @@ def integer_means(f0, f1, f2, f3, weights, scale, out):
             a, b, c, d = f0[i], f1[i], f2[i], f3[i]
             for j in range(cols):
                 # each step is told its type: Numba would go on in 64 bits
-                one, two = np.int16(w0 * np.int16(a[j])), np.int16(w1 * np.int16(b[j]))
-                three, four = np.int16(w2 * np.int16(c[j])), np.int16(w3 * np.int16(d[j]))
-                whole = np.int16(np.int16(one + two) + np.int16(three + four))
+                ends, within = np.int16(np.int16(a[j]) - np.int16(d[j])), np.int16(np.int16(b[j]) - np.int16(c[j]))
+                whole = np.int16(np.int16(outer * ends) + np.int16(inner * within))
                 sums[j] = np.uint16(sums[j] + np.uint16(np.int16(-whole) if whole < 0 else whole))
         for bj in range(out.shape[1]):
             # so many columns, known to the compiler, are added at once
