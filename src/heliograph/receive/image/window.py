@@ -99,13 +99,22 @@ def covered(
     -------
     1 where all frames have the column, (columns,), and the row, (rows,), else 0; None if they have the whole window.
     """
+    (x, y), (rows, columns) = corner, shape
+    if all(_holds(frame, x, y, x + columns, y + rows) for frame in frames):
+        return None
     sides = []
     for axis in (0, 1):
         first = max(frame.origin[axis] for frame in frames)
         end = min(frame.origin[axis] + frame.pixels.shape[1 - axis] for frame in frames)
         place = corner[axis] + np.arange(shape[1 - axis])
         sides.append(((place >= first) & (place < end)).astype(np.float64))
-    return None if sides[0].all() and sides[1].all() else (sides[0], sides[1])
+    return sides[0], sides[1]
+
+
+def _holds(frame: PlacedPixels, left: int, top: int, right: int, low: int) -> bool:
+    """Whether a frame has all pixels of a window."""
+    (x, y), (rows, columns) = frame.origin, frame.pixels.shape
+    return x <= left and y <= top and right <= x + columns and low <= y + rows
 
 
 def common(frames: Sequence[Frame]) -> list[Frame]:

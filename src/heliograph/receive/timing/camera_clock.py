@@ -1,7 +1,6 @@
 """The camera's own clock: times of frames, even though stamps jitter, frames are missing or come twice."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -205,7 +204,7 @@ class CameraClock:
         self._time_s += steps * self.period_s + k0 * error
         self.period_s += k1 * error
         self._covariance = p00 - k0 * p00, p01 - k0 * p01, p11 - k1 * p01
-        return replace(frame, time_s=self._time_s)
+        return frame.at_time(self._time_s)
 
 
 def frame_period(gaps: NDArray[np.float64]) -> float:

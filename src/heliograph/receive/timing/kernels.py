@@ -12,7 +12,7 @@ def means_at_leds(image, x, y, axes, width, rim, side):
     Parameters
     ----------
     image
-        (rows, columns) float64 gray levels; beyond it its border is repeated.
+        (rows, columns) gray levels of any type; beyond it its border is repeated.
     x, y
         Column and row of the array's centre in px.
     axes

@@ -18,7 +18,6 @@ from math import hypot
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import RIM_PX, cut_out, window_around
 from heliograph.receive.timing import kernels
 from heliograph.receive.timing.frame_pair import PoseAt, is_data
 from heliograph.signal.header import header_levels
@@ -195,11 +194,10 @@ class SlipWatch:
 
     def _viewed(self, frame: Frame, number: int, pose: Pose) -> _Held:
         """What a frame shows of an array at a pose."""
-        side, window = self._signal.side, window_around(pose, self._signal.side, RIM_PX)
-        place = pose.x - window[0], pose.y - window[1]
+        side, place = self._signal.side, (pose.x - frame.origin[0], pose.y - frame.origin[1])
         # over all of an LED's square: motion shifts the light of each by its own part of a pattern
         width = 2 * int((pose.pitch + WIDER_PX) / 2) + 1
-        shown = kernels.means_at_leds(cut_out(frame, window), *place, pose.axes, width, self._rim, side)
+        shown = kernels.means_at_leds(frame.pixels, *place, pose.axes, width, self._rim, side)
         if self._mean is None:
             return _Held(frame, number, pose, shown, None, 0.0, False)
         about = shown - self._mean
