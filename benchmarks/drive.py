@@ -39,8 +39,8 @@ from heliograph.receive import Packet, make_receiver
 from heliograph.receive.coming import DecodedPacket, Work
 
 RUNS = 3
-WAITED_FOR = 2
-"""First packets of an array that following waits for: only then is it beyond doubt that it is there."""
+WAITED_FOR = 1
+"""First packets of an array that following waits for: it is then beyond doubt that it is there."""
 
 WARM_FRAMES = 330
 """Frames read before time is taken: three packets, so that all machine code is loaded."""
