@@ -9,7 +9,7 @@ from scipy.special import ndtr
 from heliograph.receive import Pose
 from heliograph.receive.image import kernels, reference
 from heliograph.receive.image.footprint import footprints
-from heliograph.receive.image.median import median
+from heliograph.receive.image.median import median, smallest
 from heliograph.receive.image.normal import normal
 
 Floats = NDArray[np.float64]
@@ -138,6 +138,8 @@ def test_the_median_is_numpy_s(seed: int) -> None:
         for values in (rng.normal(size=count), rng.integers(0, 3, count).astype(float), np.arange(count) * -1.0,
                        np.where(rng.uniform(size=count) < 0.2, np.inf, rng.normal(size=count))):  # fmt: skip
             assert median(values.copy()) == np.median(values)
+            place = int(0.8 * (len(values) - 1))
+            assert smallest(values.copy(), place) == np.sort(values)[place]
 
 
 def test_the_median_ends_where_a_number_is_none() -> None:

@@ -87,6 +87,11 @@ def test_what_moves_with_the_array_is_taken_off() -> None:
     # the sensor's noise alone is 1.8 gray levels
     assert before > 3.5
     assert after < 2.2
+    # taken off later, it is the same
+    kept = replace(cutout, background=(0.6 * 255, ALL_ON))
+    assert np.array_equal(kept.steady.difference, compensated.difference)
+    assert kept.steady.background is None
+    assert cutout.steady is cutout
     # a single frame has no second one to differ from
     single = replace(cutout, poses=poses[:1])
     assert single.motion_compensated(0.6 * 255, ALL_ON) is single

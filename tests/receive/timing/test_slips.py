@@ -92,5 +92,6 @@ def test_the_kernel_does_what_the_reference_does(width: int) -> None:
     image, pose = rng.uniform(0, 255, (25, 24)), Pose(11.3, 12.9, 1.7, 0.06, 0.5, 0.03, -0.02)
     for rim in (0, 2):
         where = pose.x, pose.y, pose.axes, width, rim, SIDE
-        got = kernels.means_at_leds(image, *where)
-        assert got == pytest.approx(reference.means_at_leds(image, *where), rel=1e-9)
+        for pixels in (image, image.astype(np.uint8)):
+            got = kernels.means_at_leds(pixels, *where)
+            assert got == pytest.approx(reference.means_at_leds(pixels.astype(np.float64), *where), rel=1e-9)

@@ -97,3 +97,8 @@ def test_kernels_do_what_the_reference_does(seed: int) -> None:
         kernels.power_around(change, 5.0, *place, pose.axes, width, around)
         want = reference.power_around(change, 5.0, *place, pose.axes, width, SIDE)
         assert around == pytest.approx(want, rel=1e-4)
+        # the least power as what is around it, and far above
+        for least in (1.0, 1e4):
+            before, got = rng.uniform(0, 2, (SIDE, SIDE)), np.empty((SIDE, SIDE))
+            kernels.recent_change(before, change, 5.0, *place, pose.axes, width, least, 204, 2.0, 0.25, got)
+            assert got == pytest.approx(reference.recent_change(before, around, least, 204, 2.0, 0.25), rel=1e-12)

@@ -71,6 +71,28 @@ def power_around(change: Floats, noise: float, x: float, y: float, axes: Floats,
     return np.asarray(squares.mean((2, 3)))
 
 
+def recent_change(before: Floats, around: Floats, least: float, bright: int, most: float, rate: float) -> Floats:
+    """Recent change of each LED, with that of one more pair, (n, n).
+
+    Parameters
+    ----------
+    before
+        (n, n) the same before the pair.
+    around
+        (n, n) of `power_around`.
+    least
+        Power that an LED in sight has at least.
+    bright
+        Place, of all LEDs by their power, of the one that stands for those in sight.
+    most
+        Most that a pair counts for, as a multiple of that one's power.
+    rate
+        Weight of the pair.
+    """
+    others = max(float(np.sort(around, axis=None)[bright]), least)
+    return before + rate * (np.minimum(around / others, most) - before)
+
+
 def _away(change: Floats, x: float, y: float) -> Floats:
     """Distance of each pixel from a point, along a row or a column, whichever is larger."""
     rows, cols = np.indices(change.shape)
