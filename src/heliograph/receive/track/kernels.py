@@ -197,7 +197,7 @@ def recent_change(before, change, noise, x, y, axes, width, least, bright, most,
     rate
         Weight of the pair.
     out
-        (n, n), overwritten.
+        (n, n) recent change after the pair, overwritten.
     """
     side = before.shape[0]
     around, powers = np.empty((side, side)), np.empty(side * side)
