@@ -143,16 +143,13 @@ class _EveryFrame:
 
     def __init__(self, detectors: Sequence[_FrameDetector], period_s: float):
         self.detectors, self._period_s = detectors, period_s
-        self._last: Frame | None = None
+        self._number, self._time_s = 0, 0.0
 
     def push(self, frame: Frame) -> Frame:
         """Number the frame; one that was dropped leaves a gap."""
-        last, number = self._last, frame.index
-        if last is not None:
-            number = last.index + max(1, round((frame.time_s - last.time_s) / self._period_s))
-        # a camera's own numbers are mostly these
-        self._last = frame if number == frame.index else replace(frame, index=number)
-        return self._last
+        self._number += max(1, round((frame.time_s - self._time_s) / self._period_s))
+        self._time_s = frame.time_s
+        return replace(frame, index=self._number)
 
 
 class _Nearest:
