@@ -4,7 +4,6 @@ A BLAS that shares matrices of 256 rows among threads is many times slower, and 
 """
 
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -13,12 +12,6 @@ from typing import Any, TypeVar
 from threadpoolctl import ThreadpoolController
 
 Item = TypeVar("Item")
-
-
-ASKED_AGAIN_S = 0.5
-"""Seconds for which BLAS is taken to have one thread still, once it had. Chosen: asking it each frame takes 5 % of the
-plain receiver's time, and whoever changes it meanwhile has results that are right, if slower.
-"""
 
 
 @lru_cache(maxsize=1)  # finding the libraries takes some milliseconds
@@ -33,22 +26,15 @@ class _Holders:
     def __init__(self) -> None:
         self._lock, self._count = threading.Lock(), 0
         self._before: list[int] = []
-        self._asked_s = -ASKED_AGAIN_S
 
     def enter(self) -> None:
         with self._lock:
-            if not self._count and not self._known_single():
+            if not self._count:
                 self._before = [library.num_threads for library in _libraries()]
-                self._asked_s = time.monotonic()
                 for library, before in zip(_libraries(), self._before, strict=True):
                     if before != 1:
                         _set(library, 1)
             self._count += 1
-
-    def _known_single(self) -> bool:
-        """Whether BLAS had one thread a moment ago, so that there is nothing to limit."""
-        single = all(before == 1 for before in self._before)
-        return single and time.monotonic() - self._asked_s < ASKED_AGAIN_S
 
     def leave(self) -> None:
         with self._lock:
