@@ -16,28 +16,6 @@ FORGOTTEN = 0.5
 """Part of a motion that is expected to go on from frame to frame. Chosen: sway goes on, tremor turns back."""
 
 
-@dataclass(frozen=True)
-class Sample:
-    """What a frame shows of an array.
-
-    Attributes
-    ----------
-    index
-        Number of the frame.
-    time_s
-        Start of its first row's exposure by the camera's clock.
-    at
-        (n, n, 2) x and y of each cell in px.
-    seen
-        The cells' light, and their place.
-    """
-
-    index: int
-    time_s: float
-    at: Floats
-    seen: Seen
-
-
 STRANGE = 0.3
 """Rms by which a side of the ring around an array may differ from what it usually shows, by the array's light. Cells of
 the array there, a cell off, differ by 0.5 to 1."""
@@ -58,6 +36,28 @@ SHIFTS = tuple((x, y) for x in (0, -0.6, 0.6, -1.2, 1.2) for y in (0, -0.6, 0.6,
 POOR = 1.8
 """Misfit by the usual one from which a frame is tried from other places. Chosen: a frame of a header or one that is
 smeared has up to 1.5."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What a frame shows of an array.
+
+    Attributes
+    ----------
+    index
+        Number of the frame.
+    time_s
+        Start of its first row's exposure by the camera's clock.
+    at
+        (n, n, 2) x and y of each cell in px.
+    seen
+        The cells' light, and their place.
+    """
+
+    index: int
+    time_s: float
+    at: Floats
+    seen: Seen
 
 
 class Follower:
