@@ -14,10 +14,10 @@ from starlette.websockets import WebSocketDisconnect
 from heliograph.base.frames import Frame
 from heliograph.link.notes import signal_of
 from heliograph.media import open_film
+from heliograph.probe.cells import cells_of_a_side
+from heliograph.probe.pace import patterns_per_s, usual
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD, MOST_WAITING, CameraFrames, MessageError
-from heliograph.web.cells import cells_of_a_side
-from heliograph.web.pace import patterns_per_s, usual
 from heliograph.web.reading import _tell_why
 from heliograph.web.screen import screen_settings
 from heliograph.web.sending import sending_of

@@ -16,11 +16,11 @@ from heliograph.measure.journal import Journal
 from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import FilmReader, open_film
 from heliograph.probe import probe_film
+from heliograph.probe.cells import cells_of_a_side
+from heliograph.probe.pace import patterns_per_s
 from heliograph.receive import make_receiver
 from heliograph.receive.events import DetectEvent
 from heliograph.web.camera_frames import CameraFrames
-from heliograph.web.cells import cells_of_a_side
-from heliograph.web.pace import patterns_per_s
 from heliograph.web.screen import screen_settings
 from heliograph.web.words import why_unread
 

@@ -17,10 +17,11 @@ from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocketDisconnect
 
 from heliograph.base.errors import HeliographError, MediaError
+from heliograph.probe.cells import SIDES
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.camera_frames import CameraFrames, KeptFrames, MessageError
 from heliograph.web.reading import SIDES_TRIED, USUAL_HZ, Asked, read_camera, read_upload
-from heliograph.web.screen import LEAST_RATE_HZ, MOST_RATE_HZ, SIDES, screen_settings
+from heliograph.web.screen import LEAST_RATE_HZ, MOST_RATE_HZ, screen_settings
 from heliograph.web.security import PROTOCOL
 from heliograph.web.shared import Shared, shared_of
 from heliograph.web.told import GoneError, Told

@@ -6,9 +6,6 @@ from typing import Any
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.signal.formats import SHORT_PAIRS
 
-SIDES = range(8, 33, 4)
-"""Cells of a side that the pages offer."""
-
 LEAST_RATE_HZ, MOST_RATE_HZ = 0.5, 240.0
 """Patterns a second that the pages take: from remote desktops to the fastest displays."""
 
@@ -24,7 +21,7 @@ def screen_settings(side: int, rate_hz: float) -> LinkSettings:
     Parameters
     ----------
     side
-        Cells in a row and in a column, one of `SIDES`.
+        Cells in a row and in a column, one of `probe.cells.SIDES`.
     rate_hz
         Patterns a second, `LEAST_RATE_HZ` to `MOST_RATE_HZ`.
 

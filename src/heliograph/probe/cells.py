@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.screen.outline import quadrilaterals, reduced, sharpened
-from heliograph.web.screen import SIDES
+
+SIDES = range(8, 33, 4)
+"""Cells of a side that are told apart."""
 
 AREA_PX = 672
 """Side to which the array's area is stretched: a whole number of pixels for each cell of 8, 12, 16, 24, 28 and 32."""
