@@ -35,6 +35,9 @@ SOCKET_FRAMES, LEAST_SOCKET = 8, 1 << 20
 """Frames, and least bytes, that the system keeps of a stream; it may grant less (net.core.rmem_max). Chosen."""
 
 
+LOOKS = 3
+"""Times that a camera is looked for: its answer to one look may come late. Chosen."""
+
 LOOPBACK = "127."
 """How addresses of this very machine begin (RFC 1122, section 3.2.1.3)."""
 
@@ -125,14 +128,15 @@ class AravisCamera:
         """
         if self._address.startswith(LOOPBACK):
             return self._address
-        calls.update_device_list()
-        for number in range(calls.get_n_devices()):
-            names = [_decoded(call(number)) for call in (calls.get_device_id, calls.get_device_serial_nbr)]
-            address = _decoded(calls.get_device_address(number))
-            if self._address in ("", *names) and address.startswith(LOOPBACK):
-                return address
-            if not self._address:
-                return names[0]
+        for _ in range(LOOKS):
+            calls.update_device_list()
+            for number in range(calls.get_n_devices()):
+                names = [_decoded(call(number)) for call in (calls.get_device_id, calls.get_device_serial_nbr)]
+                address = _decoded(calls.get_device_address(number))
+                if self._address in ("", *names) and address.startswith(LOOPBACK):
+                    return address
+                if self._address in ("", *names):
+                    return names[0]
         return self._address
 
     def _set(self, settings: CameraSettings, asked: Asked) -> None:
