@@ -19,7 +19,7 @@ from heliograph.receive.events import Event, Observer
 from heliograph.receive.lost_pair import decode_renumbered
 from heliograph.receive.packets import Packet, Status, Words
 from heliograph.receive.reader_protocol import Decoded, TakenPacket
-from heliograph.signal.formats import ReservedModeError
+from heliograph.signal.formats import UnreadableModeError
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
@@ -90,7 +90,7 @@ class Work:
                 renumbered, decoded = decode_renumbered(self.taken, self.signal.data_pairs, events.append)
             else:
                 decoded = self.taken.decode(events.append)
-        except (np.linalg.LinAlgError, ReservedModeError) as error:
+        except (np.linalg.LinAlgError, UnreadableModeError) as error:
             words = unread(PacketFormat(self.signal, self.taken.format), self.identity)
             return DecodedPacket(Decoded(words), tuple(events), error)
         return DecodedPacket(decoded, tuple(events), None, renumbered)
@@ -247,7 +247,7 @@ class ComingPacket:
         if failure is None:
             return ""
         # of a header that something hides, any mode may be read
-        level = logging.INFO if isinstance(failure, ReservedModeError) else logging.WARNING
+        level = logging.INFO if isinstance(failure, UnreadableModeError) else logging.WARNING
         place = self._seen.identity, self._seen.first_frame
         LOG.log(level, "array %d, packet at frame %d is not read: %s", *place, failure)
         return str(failure)

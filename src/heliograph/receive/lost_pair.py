@@ -39,7 +39,7 @@ def decode_renumbered(taken: TakenPacket, pairs: int, observe: Observer) -> tupl
     ------
     numpy.linalg.LinAlgError
         The packet's numbers give no solution.
-    heliograph.signal.formats.ReservedModeError
+    heliograph.signal.formats.UnreadableModeError
         Its header asks for a mode that no receiver may read.
     """
     best: tuple[TakenPacket, Decoded] | None = None

@@ -123,7 +123,7 @@ class SoftReader:
                 self._header,
                 shining=track.shining,
                 pairs=(*self._header.pairs, seen),
-                format=known_format(self._format_reader.number(track.data_gain)),
+                format=self._shown_format(track.data_gain),
             )
         # the later pairs are dimmed where a format is signalled
         signalled = self.format.number if number else 0
@@ -141,8 +141,7 @@ class SoftReader:
         self._header = replace(self._header, even=take_cutout(header.pair, (pose, pose), self._side))
         if self._header.pairs:
             self._format_reader.take_frames(header.frames, self._header.shining)
-            shown = known_format(self._format_reader.number(self._light.gain))
-            self._header = replace(self._header, format=shown)
+            self._header = replace(self._header, format=self._shown_format(self._light.gain))
 
     def follow(self, pair: FramePair, track: Track) -> TrackedPair:
         """Find the array by the sum, or where there are no inverses by decisions; see `PacketReader`."""
@@ -252,6 +251,10 @@ class SoftReader:
         if not track.in_sight.all():
             cutout = beside_what_hides(cutout, track.in_sight)
         return replace(cutout, background=(track.gain, led_gains.values))
+
+    def _shown_format(self, gain: float) -> Format:
+        """The format that the header shows so far, by the light of data in gray levels."""
+        return known_format(self._format_reader.number(gain), self._parts.form.settings.data_pairs)
 
     def _gains(self) -> LedGains:
         return self._led_gains or LedGains.sound(self._side)

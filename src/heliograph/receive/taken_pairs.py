@@ -137,7 +137,7 @@ class TakenPairs:
     @one_thread()
     def decode(self, observe: Observer, /) -> Decoded:
         """Codewords by layer, of all pairs kept; see `TakenPacket`."""
-        check_mode(self.mode)
+        check_mode(self.mode, self.form.settings.data_pairs)
         buffer, as_kept = self.reading.buffer, Assumption(self._gains(), self._cutouts())
         shown, new = self._led_by_led(as_kept), self.led_gains is not None and not self.proven
         if shown is not None and not open_words(shown) and not new:

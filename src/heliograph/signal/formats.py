@@ -137,36 +137,51 @@ def mode_number(number: int) -> int:
     return number >> 3 * RATE_BITS
 
 
-class ReservedModeError(ValueError):
-    """A packet is of a mode that this version does not know; it must be ignored (section 15)."""
+class UnreadableModeError(ValueError):
+    """A packet's mode is not known to this version, or does not go with the settings: it is ignored (section 15)."""
 
 
-def check_mode(number: int) -> None:
-    """Check that a format's mode is known.
+def check_mode(number: int, data_pairs: int) -> None:
+    """Check that packets of a format's mode can be read.
 
     Parameters
     ----------
     number
         Number of the format, 0 to 2047.
+    data_pairs
+        Data pairs of a packet that are expected.
 
     Raises
     ------
-    ReservedModeError
-        The mode is 3.
+    UnreadableModeError
+        The mode is 3; or it is the short one, and another number of pairs is expected.
     """
     if mode_number(number) >= len(MODES):
-        raise ReservedModeError(f"its mode, {mode_number(number)}, is not known to this version")
+        raise UnreadableModeError(f"its mode, {mode_number(number)}, is not known to this version")
+    if not _is_readable(number, data_pairs):
+        raise UnreadableModeError(
+            f"its mode, short, has {SHORT_PAIRS} data pairs, and signal.data_pairs is {data_pairs}: set it to "
+            f"{SHORT_PAIRS}"
+        )
 
 
-def known_format(number: int) -> Format:
-    """Return the format of a number; the agreed one for a reserved mode, of which nothing is known.
+def known_format(number: int, data_pairs: int) -> Format:
+    """Return the format of a number; the agreed one for a mode that cannot be read, see `check_mode`.
 
     Parameters
     ----------
     number
         Number of the format, 0 to 2047.
+    data_pairs
+        Data pairs of a packet that are expected.
     """
-    return AGREED if mode_number(number) >= len(MODES) else format_of(number)
+    return format_of(number) if _is_readable(number, data_pairs) else AGREED
+
+
+def _is_readable(number: int, data_pairs: int) -> bool:
+    if mode_number(number) >= len(MODES):
+        return False
+    return MODES[mode_number(number)] != "short" or data_pairs == SHORT_PAIRS
 
 
 @lru_cache(maxsize=2)

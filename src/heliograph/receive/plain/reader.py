@@ -195,7 +195,7 @@ class TakenLuminances:
         for place, lone in self.lone.items():
             if (shown := self._read_lone(place, lone)) is not None:
                 luminances[place], seen[place] = shown, True
-        check_mode(self.mode)
+        check_mode(self.mode, self.form.settings.data_pairs)
         words = decode_packet(luminances, seen, self.form, self.identity, self.options)
         return Decoded(words, luminances=luminances)
 

@@ -24,7 +24,7 @@ most."""
 PHASES = 16
 """Phases of a pair that are tried: an eighth of a pattern apart, which loses little of a match; they are refined."""
 
-STARTS = 2
+BEST_CLOCKS = 2
 """Clocks of a rate from which a search is refined. Chosen: phase and readout of one may lie on the wrong side."""
 
 READOUTS_S = (0.0, 0.008, 0.016, 0.024)
@@ -256,10 +256,10 @@ def searched(
             for part in TRIED_EXPOSURES
         ]
         ranked = sorted(((bins.unexplained(one), k) for k, one in enumerate(tried)))
-        begun += [(left, tried[k]) for left, k in ranked[:STARTS]]
+        begun += [(left, tried[k]) for left, k in ranked[:BEST_CLOCKS]]
     begun.sort(key=lambda one: one[0])
     # a wrong rate leaves so much that it need not be refined
-    for _, clock in begun[: 2 * STARTS]:
+    for _, clock in begun[: 2 * BEST_CLOCKS]:
         found.append(refined(bins, clock, frame_s, height, row_s))
     return sorted(found, key=lambda one: one[0])
 
