@@ -296,7 +296,7 @@ def test_shells_complete_commands_options_and_names(tmp_path: Path) -> None:
         ("heliograph receive --tr", "--truth"),
         ("heliograph demo --preset t", "two-arrays"),
         ("heliograph presets mo", "motorway"),
-        ("heliograph receive film.h5 --receiver s", "soft"),
+        ("heliograph receive film.h5 --receiver so", "soft"),
     ):
         asked = {
             "_HELIOGRAPH_COMPLETE": "complete_bash",

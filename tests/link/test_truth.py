@@ -93,7 +93,8 @@ def test_numpy_reads_it_too(path: Path) -> None:
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_the_settings_survive_the_file(name: str, path: Path) -> None:
-    settings = load_settings(name, None, ["channel.duration_s=0.001"])
+    camera = load_settings(name).channel.camera
+    settings = load_settings(name, None, [f"channel.duration_s={camera.start_s + 1 / camera.fps}"])
     write(path, settings)
     assert open_truth(path).settings == settings
 
