@@ -99,7 +99,7 @@ class SoftReader:
         # the data's light was in the middle of the exposure, or about it
         self._late_s = (data - 0.5) * parts.form.settings.pattern_period_s
         self._led_gains, self._proven = led_gains, proven
-        self._format_reader = FormatReader(identity, self._side)
+        self._format_reader = FormatReader(identity, self._side, parts.form.settings.data_pairs)
         self._decisions: DecisionDirectedTracker | None = None
         self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), Light(), KeptPairs()
 

@@ -158,7 +158,7 @@ def check_mode(number: int, data_pairs: int) -> None:
     """
     if mode_number(number) >= len(MODES):
         raise UnreadableModeError(f"its mode, {mode_number(number)}, is not known to this version")
-    if not _is_readable(number, data_pairs):
+    if not readable(data_pairs)[number]:
         raise UnreadableModeError(
             f"its mode, short, has {SHORT_PAIRS} data pairs, and signal.data_pairs is {data_pairs}: set it to "
             f"{SHORT_PAIRS}"
@@ -175,13 +175,26 @@ def known_format(number: int, data_pairs: int) -> Format:
     data_pairs
         Data pairs of a packet that are expected.
     """
-    return format_of(number) if _is_readable(number, data_pairs) else AGREED
+    return format_of(number) if readable(data_pairs)[number] else AGREED
 
 
-def _is_readable(number: int, data_pairs: int) -> bool:
-    if mode_number(number) >= len(MODES):
-        return False
-    return MODES[mode_number(number)] != "short" or data_pairs == SHORT_PAIRS
+@lru_cache
+def readable(data_pairs: int) -> NDArray[np.bool_]:
+    """Tell which formats can be read.
+
+    Parameters
+    ----------
+    data_pairs
+        Data pairs of a packet that are expected; the short mode has 13.
+
+    Returns
+    -------
+    (2048,) by format number, read-only.
+    """
+    modes = np.repeat(np.arange(ALL_MODES), 1 << 3 * RATE_BITS)
+    found = (modes < len(MODES)) & ((modes != MODES.index("short")) | (data_pairs == SHORT_PAIRS))
+    found.setflags(write=False)
+    return found
 
 
 @lru_cache(maxsize=2)

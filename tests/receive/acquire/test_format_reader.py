@@ -9,7 +9,7 @@ from scenes import draw, frame_of, pitch_at
 from heliograph.receive import Pose
 from heliograph.receive.acquire.format_reader import FormatReader
 from heliograph.receive.timing.frame_pair import FramePair
-from heliograph.signal.formats import AGREED, ALL_MODES, words
+from heliograph.signal.formats import AGREED, ALL_MODES, SHORT_PAIRS, words
 from heliograph.signal.header import header_levels, signalling_levels
 
 SOUND = np.ones((16, 16))
@@ -45,13 +45,13 @@ def test_formats_are_read(distance_m: float) -> None:
     # far away a mode that is not known must not be taken out of noise
     last = len(words(ALL_MODES) if distance_m < 200 else words()) - 1
     for number in (*range(1, last, 37), last):
-        reader = FormatReader(7, 16)
+        reader = FormatReader(7, 16, SHORT_PAIRS)
         show(number, reader, (0, 1), distance_m, seed=number)
         assert reader.number(GAIN) == number
 
 
 def test_the_gain_decides_where_the_first_pair_was_not_seen() -> None:
-    reader = FormatReader(7, 16)
+    reader = FormatReader(7, 16, 48)
     show(0o765, reader, (1,), 120.0)
     assert reader.number(GAIN) == 0o765
     # with all cells dimmed or none, the gain decides
@@ -59,7 +59,7 @@ def test_the_gain_decides_where_the_first_pair_was_not_seen() -> None:
 
 
 def test_without_a_later_pair_the_agreed_format_is_assumed() -> None:
-    reader = FormatReader(7, 16)
+    reader = FormatReader(7, 16, 48)
     assert reader.number(GAIN) == AGREED.number
     show(0o765, reader, (0,), 80.0)
     assert reader.number(GAIN) == AGREED.number
@@ -70,7 +70,7 @@ def test_hidden_cells_are_not_taken_for_dimmed_ones() -> None:
     gains = SOUND.copy()
     gains[:4, :12] = 0.0
     for number in (0, 0o765, 0o123):
-        reader = FormatReader(7, 16)
+        reader = FormatReader(7, 16, 48)
         show(number, reader, (0, 1), 60.0, seed=number, led_gains=gains)
         assert reader.number(GAIN) == number
 
@@ -83,7 +83,7 @@ def test_cells_that_are_hidden_in_part_are_not_taken_for_dimmed_ones(distance_m:
     gains[:, :hidden] = 0.0
     # with more than a cell's width hidden no other format can be told for sure
     for number in (0, 0o765, 0o123) if hidden < 4 else (0,):
-        reader = FormatReader(7, 16)
+        reader = FormatReader(7, 16, 48)
         show(number, reader, (0, 1), distance_m, seed=number, led_gains=gains, known_gains=SOUND)
         assert reader.number(GAIN) == number
 
@@ -92,7 +92,7 @@ def test_cells_that_are_hidden_in_part_are_not_taken_for_dimmed_ones(distance_m:
 @pytest.mark.parametrize("first", range(32, 48, 4))
 def test_light_that_no_cells_give_names_no_format(first: int, width: int) -> None:
     """A bright bar that moves before the array by two pixels a frame."""
-    reader, rng = FormatReader(7, 16), np.random.default_rng(3)
+    reader, rng = FormatReader(7, 16, 48), np.random.default_rng(3)
     pose = Pose(40.2, 39.8, pitch_at(80.0), 0.01, 0.52)
     for pair in (0, 1):
         frames = []

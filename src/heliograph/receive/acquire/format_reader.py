@@ -28,7 +28,7 @@ from heliograph.receive.image.gauss_newton import LEAST_VARIANCE
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import RIM_PX, Window, cut_out, window_around
 from heliograph.receive.timing.frame_pair import FramePair, HeaderFrames
-from heliograph.signal.formats import AGREED, ALL_MODES, DIMMED, words
+from heliograph.signal.formats import AGREED, ALL_MODES, DIMMED, readable, words
 from heliograph.signal.header import CELLS, header_cells
 
 CELL_COUNT = CELLS * CELLS
@@ -158,10 +158,12 @@ class FormatReader:
         Number of the array, 0 to 29.
     side
         LEDs in a row, a multiple of 4.
+    data_pairs
+        Data pairs of a packet that are expected.
     """
 
-    def __init__(self, identity: int, side: int):
-        self._side = side
+    def __init__(self, identity: int, side: int, data_pairs: int):
+        self._side, self._readable = side, readable(data_pairs)
         self._cells = header_cells(identity).reshape(CELL_COUNT).astype(np.float64)
         self._masks = np.kron(
             np.eye(CELL_COUNT).reshape(CELL_COUNT, CELLS, CELLS), np.ones((side // CELLS, side // CELLS))
@@ -227,8 +229,8 @@ class FormatReader:
         unexplained = sum(one.unexplained for one in self._evidence.values())
         margin = UNDECIDED * float(np.max(g)) ** 2 * least + UNEXPLAINED * unexplained
         explained[AGREED.number] += margin
-        # a mode that is not known must show as clearly: noise alone must not have a packet ignored
-        explained[len(words()) :] -= margin
+        # a mode that cannot be read must show as clearly: noise alone must not have a packet ignored
+        explained[~self._readable] -= margin
         return int(np.argmax(explained))
 
     def _of_pair(self, contrast: float, pair: FramePair, poses: tuple[Pose, Pose], led_gains: Floats) -> _PairEvidence:

@@ -58,7 +58,7 @@ class PlainReader:
         pairs, side = form.settings.data_pairs, form.settings.side
         self._luminances = np.zeros((pairs, side, side))
         self._seen = np.zeros(pairs, dtype=bool)
-        self._format_reader = FormatReader(identity, side)
+        self._format_reader = FormatReader(identity, side, pairs)
         self._gain = 0.0
         self._lone: dict[int, LoneFrame] = {}
         self._states: dict[int, PoseState] = {}
