@@ -40,7 +40,7 @@ from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header, fit_moving
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, Hypothesis, headers
 from heliograph.receive.acquire.slots import Due, Slots, alike, before, filled, in_common
-from heliograph.receive.image.fit import Fit, header_amplitude
+from heliograph.receive.image.fit import Fit, header_amplitudes
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.image.pose import Pose
 from heliograph.signal.settings import SignalSettings
@@ -285,7 +285,8 @@ class Detector:
         self, slots: Slots, pose: Pose, weights: NDArray[np.float64], hypotheses: tuple[Hypothesis, ...], tilt: float
     ) -> Detection | None:
         """Where the header begins, the start at which its frames alternate most; and the pose in just those frames."""
-        shown = [None if frame is None else header_amplitude(frame, pose, weights) for frame in slots]
+        amplitudes = iter(header_amplitudes([frame for frame in slots if frame is not None], pose, weights).tolist())
+        shown = [None if frame is None else next(amplitudes) for frame in slots]
         sign = 1 - 2 * (np.arange(self._header) % 2)
         windows = [filled(shown[k : k + self._header]) for k in range(len(slots) - self._header + 1)]
         sums = [-np.inf if window is None else float(sign @ window) for window in windows]

@@ -18,12 +18,13 @@ A camera out of step shows dimmed cells in some of its frames only. There each f
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.image import kernels
+from heliograph.receive.image.footprint import images_of
 from heliograph.receive.image.gauss_newton import LEAST_VARIANCE
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import RIM_PX, Window, cut_out, window_around
@@ -94,9 +95,13 @@ class _PairEvidence:
     def moments(self, cells: Floats, brightness: Floats) -> Floats:
         """<d, B v + o> and |B v + o|^2 of each format, (2, formats); `cells` (16,) of the header, +-1."""
         contrast, light = self.dimmed
-        v = np.where(words(ALL_MODES), contrast * cells + light, cells) * brightness
-        match, norm = v @ self.matched + self.cross, ((v @ self.gram) * v).sum(1)
-        return np.stack([match, norm + 2 * v @ self.offset + self.offset_power])
+        # v = a + W b, W being the words
+        a, b, word = cells * brightness, ((contrast - 1) * cells + light) * brightness, _words()
+        match = a @ self.matched + self.cross + word @ (b * self.matched)
+        linear = word @ (2 * b * (self.gram @ a + self.offset))
+        squares = np.einsum("fi,fi->f", word @ (b[:, None] * self.gram * b), word)
+        constant = a @ (self.gram @ a + 2 * self.offset) + self.offset_power
+        return np.stack([match, constant + linear + squares])
 
     def brightness(self, cells: Floats, gain: float) -> Floats:
         """Brightness (16,) of each cell, 0 or more, by a pair without dimmed ones; `gain` is that of the array."""
@@ -149,6 +154,12 @@ class _FramesEvidence:
         return np.stack([match, ((v @ self.gram) * v).sum((1, 2))])
 
 
+@lru_cache(maxsize=1)
+def _words() -> Floats:
+    """Words of all formats as floating-point numbers, (2048, 16)."""
+    return words(ALL_MODES).astype(np.float64)
+
+
 class FormatReader:
     """Reads the format of one packet from its header.
 
@@ -165,8 +176,8 @@ class FormatReader:
     def __init__(self, identity: int, side: int, data_pairs: int):
         self._side, self._readable = side, readable(data_pairs)
         self._cells = header_cells(identity).reshape(CELL_COUNT).astype(np.float64)
-        self._masks = np.kron(
-            np.eye(CELL_COUNT).reshape(CELL_COUNT, CELLS, CELLS), np.ones((side // CELLS, side // CELLS))
+        self._cell_of_led = np.kron(
+            np.arange(CELL_COUNT).reshape(CELLS, CELLS), np.ones((side // CELLS, side // CELLS), np.int64)
         )
         self._first: tuple[FramePair, tuple[Pose, Pose]] | None = None
         self._evidence: dict[int, _PairEvidence | _FramesEvidence] = {}
@@ -248,8 +259,5 @@ class FormatReader:
     def _images(self, pose: Pose, led_gains: Floats, window: Window) -> Floats:
         """Image of each cell with all its LEDs on, (16, pixels)."""
         x0, y0, cols, rows = window
-        out, images = np.empty((6, rows, cols)), np.empty((CELL_COUNT, rows * cols))
-        for mask, image in zip(self._masks, images, strict=True):
-            kernels.render(pose.full_vector(), mask * led_gains, float(x0), float(y0), out)
-            image[:] = out[0].ravel()
-        return images
+        images = images_of(led_gains, self._cell_of_led, CELL_COUNT, pose, (x0, y0), (rows, cols))
+        return images.reshape(CELL_COUNT, -1)

@@ -1,9 +1,11 @@
 """The header in a pair of frames: its luminances, and how much of it the pair shows."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.image.fit import header_amplitude
+from heliograph.receive.image.fit import header_amplitudes
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.timing.combination import Combination
 from heliograph.receive.timing.frame_pair import FramePair
@@ -25,7 +27,7 @@ def header_weights(identity: int, form: int, side: int, combination: Combination
         How the pair was combined; combined frames show dimmed cells otherwise than a pattern and its inverse do.
     """
     if combination is None:
-        return signalling_levels(identity, form, side) / 2.0 - 1.0
+        return _in_step(identity, form, side)
     signs = header_levels(identity, side) / 2.0 - 1.0
     contrast, light = combination.dimmed
     return np.where(dimmed_leds(form, side), contrast * signs + light, signs)
@@ -45,5 +47,13 @@ def header_score(pair: FramePair, pose: Pose, weights: Floats, gain: float) -> f
     gain
         Gray levels of the sum of a pair with all LEDs on.
     """
-    change = header_amplitude(pair.pattern, pose, weights) - header_amplitude(pair.inverted, pose, weights)
-    return change / max(gain, TINY)
+    up, down = header_amplitudes((pair.pattern, pair.inverted), pose, weights)
+    return float(up - down) / max(gain, TINY)
+
+
+@lru_cache(maxsize=64)  # an array's headers are alike
+def _in_step(identity: int, form: int, side: int) -> Floats:
+    """`header_weights` of two frames in step, not writeable."""
+    weights = signalling_levels(identity, form, side) / 2.0 - 1.0
+    weights.setflags(write=False)
+    return weights

@@ -31,7 +31,7 @@ from heliograph.receive.acquire.detector import distinct
 from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, headers
 from heliograph.receive.acquire.slots import alike
-from heliograph.receive.image.fit import Fit, header_amplitude
+from heliograph.receive.image.fit import Fit, header_amplitudes
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import common
@@ -157,6 +157,6 @@ class StraddledDetector:
 
     def _regularity(self, frames: Sequence[Frame], fit: Fit, weights: NDArray[np.float64]) -> float:
         """Weaker over mean amplitude of the frames over the beginning and the end, about the mean of those within."""
-        seen = np.array([header_amplitude(frame, fit.pose, weights) for frame in frames])
+        seen = header_amplitudes(frames, fit.pose, weights)
         ends = np.array([1, -1]) * (seen[[0, -1]] - seen[1:-1].mean())
         return float(ends.min() / ends.mean()) if ends.mean() > 0 else 0.0

@@ -1,12 +1,14 @@
 """Fit of the array's image to pixels: position, pitch, rotation and blur to a hundredth of a pixel."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.image import gauss_newton, kernels
+from heliograph.receive.image import gauss_newton
+from heliograph.receive.image.footprint import image_of
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import PlacedPixels, cut_out, plane, window_around
 
@@ -151,25 +153,40 @@ def _kernels_kind(values: Floats) -> Floats:
     return np.ascontiguousarray(values, np.float64)
 
 
-def header_amplitude(frame: PlacedPixels, pose: Pose, weights: Floats) -> float:
-    """Amplitude with which a frame shows a pattern.
+def header_amplitudes(frames: Sequence[PlacedPixels], pose: Pose, weights: Floats) -> Floats:
+    """Amplitude with which each of some frames shows a pattern.
 
     Parameters
     ----------
-    frame
-        Frame in which the array is; what lies beyond it repeats its border.
+    frames
+        Frames in which the array is, one at least; what lies beyond them repeats their border.
     pose
-        Pose of the array's image on the sensor.
+        Pose of the array's image on the sensor, the same in all.
     weights
         (n, n) luminances of the pattern less its inverse, +-1 with mean 0; 0 for LEDs that are left out.
 
     Returns
     -------
-    Least squares amplitude in gray levels; positive where the frame shows the pattern, negative for its inverse.
+    (frames,) least squares amplitudes in gray levels; positive where a frame shows the pattern, negative for its
+    inverse.
     """
     window = window_around(pose, weights.shape[0], AMPLITUDE_MARGIN_PX)
-    cut = cut_out(frame, window)
-    model = np.empty((6, *cut.shape))
-    kernels.render(pose.full_vector(), weights, float(window[0]), float(window[1]), model)
-    shape = model[0] - model[0].mean()
-    return float((cut * shape).sum() / max((shape * shape).sum(), TINY))
+    model = image_of(weights, pose, window[:2], window[:1:-1]).ravel()
+    shape = model - model.mean()
+    shown = np.array([cut_out(frame, window).ravel() @ shape for frame in frames])
+    return shown / max(float(shape @ shape), TINY)
+
+
+def header_amplitude(frame: PlacedPixels, pose: Pose, weights: Floats) -> float:
+    """Amplitude with which one frame shows a pattern, as `header_amplitudes` has it.
+
+    Parameters
+    ----------
+    frame
+        Frame in which the array is.
+    pose
+        Pose of the array's image on the sensor.
+    weights
+        (n, n) luminances of the pattern less its inverse, +-1 with mean 0; 0 for LEDs that are left out.
+    """
+    return float(header_amplitudes([frame], pose, weights)[0])

@@ -5,7 +5,7 @@ blur matrix A, (pixels, LEDs), is therefore kept as two narrow arrays, an LED's 
 """
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +90,7 @@ class Footprints(NamedTuple):
         kernels.add_image(np.full(len(self.across), level), *self, image)
 
 
-def by_squares(grid: Floats) -> Floats:
+def by_squares(grid: NDArray[Any]) -> NDArray[Any]:
     """Put values of LEDs in the order of `footprints`, square by square of 2 x 2, (n n,).
 
     Parameters
@@ -135,6 +135,35 @@ def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[i
     image = np.zeros(shape)
     kernels.add_image(by_squares(levels), *footprints(pose, corner, shape, len(levels)), image)
     return image
+
+
+def images_of(
+    levels: Floats, parts: NDArray[Any], count: int, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]
+) -> Floats:
+    """Images of the parts of an array, each without the light of the others.
+
+    Parameters
+    ----------
+    levels
+        (n, n) luminances of the LEDs, 0 to 1, or their gains, at least 0, 1 for the median LED.
+    parts
+        (n, n) number of each LED's part, 0 to count - 1.
+    count
+        Number of parts.
+    pose
+        Pose of the array's image on the sensor.
+    corner
+        (x, y) on the sensor of the window's first pixel.
+    shape
+        Rows and columns of the window in px.
+
+    Returns
+    -------
+    (count, rows, columns).
+    """
+    images, numbers = np.zeros((count, *shape)), by_squares(parts).astype(np.int64)
+    kernels.add_parts(by_squares(levels), numbers, *footprints(pose, corner, shape, len(levels)), images)
+    return images
 
 
 @lru_cache(maxsize=512)  # a packet's poses are asked for again and again

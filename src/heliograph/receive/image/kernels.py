@@ -292,6 +292,31 @@ def add_image(leds, across, down, first, out):
                 out[y + i, x + j] += w * across[n, j]
 
 
+@compiled()
+def add_parts(leds, parts, across, down, first, out):
+    """Add each LED's light to the image of its part of an array.
+
+    Parameters
+    ----------
+    leds
+        (n n,) luminances in the order of `footprints`.
+    parts
+        (n n,) int64 number of each LED's part, in the same order.
+    across, down, first
+        Footprints of the LEDs, as of `footprints`.
+    out
+        (parts, rows, columns) images to which the light is added.
+    """
+    width = across.shape[1]
+    rows, cols = out.shape[1], out.shape[2]
+    for n in range(leds.shape[0]):
+        x, y, part = first[n, 0], first[n, 1], parts[n]
+        for i in range(max(0, -y), min(width, rows - y)):
+            w = leds[n] * down[n, i]
+            for j in range(max(0, -x), min(width, cols - x)):
+                out[part, y + i, x + j] += w * across[n, j]
+
+
 @compiled(inline="always")
 def _overlap(a, b, shift, width):
     """Sum of a[i + shift] b[i]."""

@@ -158,7 +158,9 @@ class Cutout:
         return replace(self, poses=tuple(Pose.from_vector(pose.full_vector() + step) for pose in self.poses))
 
 
-def take_cutout(pair: FramePair, poses: tuple[Pose, Pose], side: int) -> Cutout:
+def take_cutout(
+    pair: FramePair, poses: tuple[Pose, Pose], side: int, background: tuple[float, Floats] | None = None
+) -> Cutout:
     """Cut a pair of frames out.
 
     Parameters
@@ -169,6 +171,8 @@ def take_cutout(pair: FramePair, poses: tuple[Pose, Pose], side: int) -> Cutout:
         Where the data's light was in each.
     side
         LEDs in a row.
+    background
+        By what the moving background is taken off later; see `Cutout`.
 
     Returns
     -------
@@ -178,4 +182,5 @@ def take_cutout(pair: FramePair, poses: tuple[Pose, Pose], side: int) -> Cutout:
     up, down = (cut_out(frame, window) for frame in frames)
     corner = window[0], window[1]
     inside = covered(frames, corner, (window[3], window[2]))
-    return Cutout(up + down, up - down, corner, poses, combination=pair.combination, covered=inside)
+    total, difference, combination = up + down, up - down, pair.combination
+    return Cutout(total, difference, corner, poses, combination=combination, covered=inside, background=background)

@@ -135,14 +135,14 @@ class ClockedPairing:
             if frame.time_s < self._start_s + awaited * self._signal.pattern_period_s:
                 return
             self._clock = self._begin()
-        yield from self._due(self._clock, float(self._clock.pattern_at(frame.time_s)) - PATTERNS_AFTER)
+        yield from self._due(self._clock, self._clock.pattern_at(frame.time_s) - PATTERNS_AFTER)
 
     def flush(self) -> Iterator[int]:
         """Yield the numbers of the pairs that can still be read, as there will be no more frames."""
         if self._clock is None and len(self._frames) > self._header:
             self._clock = self._begin()
         if self._clock is not None and self._frames:
-            end = float(self._clock.pattern_at(self._frames[-1].time_s)) + self._clock.exposure
+            end = self._clock.pattern_at(self._frames[-1].time_s) + self._clock.exposure
             yield from self._due(self._clock, end)
 
     def header(
@@ -198,7 +198,7 @@ class ClockedPairing:
         inside = self._frames_of(clock, place - NEAREST_PATTERNS, place + 1 + NEAREST_PATTERNS)
         if len(inside) != 1:
             return None
-        start = round(float(clock.pattern_at(inside[0].time_s)) - place, TICKS)
+        start = round(clock.pattern_at(inside[0].time_s) - place, TICKS)
         inverted = start > NEAREST_PATTERNS
         # in step it would be with its other half in its place
         two = (start - 1, start) if inverted else (start, start + 1)
@@ -239,8 +239,8 @@ class ClockedPairing:
 
     def _combination(self, clock: LightClock, frames: list[Frame], pattern: int) -> Combination | None:
         """How frames combine for the pair that begins with a pattern."""
-        starts = np.round(_starts(clock, frames) - pattern, TICKS)
-        return _pair_combination(tuple(starts.tolist()), clock.exposure, self._light)
+        starts = tuple(round(start - pattern, TICKS) for start in clock.patterns_at([f.time_s for f in frames]))
+        return _pair_combination(starts, clock.exposure, self._light)
 
     def _header_combination(
         self, clock: LightClock, first: int, part: tuple[int, int]
@@ -332,4 +332,4 @@ def _cut(frames: list[Frame], window: tuple[int, int, int, int]) -> NDArray[np.f
 
 def _starts(clock: LightClock, frames: list[Frame]) -> NDArray[np.float64]:
     """Starts of exposures in patterns."""
-    return np.asarray(clock.pattern_at(np.array([f.time_s for f in frames])))
+    return np.array(clock.patterns_at([f.time_s for f in frames]))

@@ -103,7 +103,7 @@ class Combination:
         """Noise variance of the sum, 1 for a sum of two frames."""
         return float(0.5 * (self.total**2).sum())
 
-    @property
+    @cached_property
     def departure(self) -> float:
         """How far two frames depart from pattern and inverse, as a fraction of T_b; infinite for other frames."""
         ideal = np.zeros((3, SLOTS))

@@ -81,20 +81,18 @@ def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
 
     The fraction of its pixels that clip.
     """
-    from heliograph.receive.image import kernels  # Numba is slow to import
+    from heliograph.receive.image.footprint import images_of  # Numba is slow to import
 
     window = window_around(pose, len(lit), SURROUNDINGS_PX)
     x0, y0, width, height = window
-    cut = cut_out(frame, window)
-    model = np.empty((2, 6, height, width))
-    kernels.render(pose.full_vector(), lit, float(x0), float(y0), model[0])
-    kernels.render(pose.full_vector(), np.abs(lit), float(x0), float(y0), model[1])
-    columns = np.stack([model[0, 0].ravel(), model[1, 0].ravel(), np.ones(cut.size)], axis=1)
-    inside = model[1, 0] >= HALF_LIT * model[1, 0].max()
-    clipped = (cut[inside] >= frame.full_scale).mean()
+    pixels = cut_out(frame, window).ravel()
+    on, off = images_of(np.abs(lit), lit < 0, 2, pose, (x0, y0), (height, width)).reshape(2, -1)
+    columns = np.stack([on - off, on + off, np.ones(pixels.size)])
+    all_on = columns[1]
+    clipped = (pixels[all_on >= HALF_LIT * all_on.max()] >= frame.full_scale).mean()
     # where only lit LEDs or only dark ones are left, the two images are one: the pseudo-inverse decides
-    header = np.linalg.lstsq(columns, cut.ravel(), rcond=RCOND)[0][0]
-    all_on = columns[:, 1]
+    gram, matched = columns @ columns.T, columns @ pixels
+    header = np.linalg.lstsq(gram, matched, rcond=RCOND)[0][0]
     # of the background, which may move, only what blur mixes in counts
-    light = all_on @ (cut.ravel() - header * columns[:, 0]) / max(float(all_on @ all_on), TINY)
+    light = (matched[1] - header * gram[0, 1]) / max(float(gram[1, 1]), TINY)
     return np.array([header, light, clipped])

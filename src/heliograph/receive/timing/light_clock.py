@@ -14,6 +14,10 @@ over the grid is the measurement. The exposure is constant, so its log likelihoo
 start goes into a Kalman filter of time and rate.
 """
 
+import math
+from collections.abc import Sequence
+from functools import cached_property
+
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
@@ -111,6 +115,8 @@ class LightClock:
         Gray levels of the array with all LEDs on in the last header.
     explained
         Part of the power of the frames around the last header that the header explains, 0 to 1.
+    exposure
+        Exposure in T_b, the mean over its posterior.
     """
 
     def __init__(
@@ -136,6 +142,7 @@ class LightClock:
         self._evidence = LONGER * self._exposures / longest
         self._evidence[-1] += WHOLE_PERIOD
         self._prior = self._evidence
+        self.exposure = self._mean_exposure()
 
     @property
     def period_s(self) -> float:
@@ -145,13 +152,7 @@ class LightClock:
     @property
     def deviation(self) -> float:
         """Standard deviation in T_b of the patterns' starts, by the last header."""
-        return float(np.sqrt(self._covariance[0, 0])) / self.period_s
-
-    @property
-    def exposure(self) -> float:
-        """Exposure in T_b, the mean over its posterior."""
-        chance = np.exp(self._evidence - self._evidence.max())
-        return float(chance @ self._exposures / chance.sum())
+        return math.sqrt(self._covariance[0, 0]) / self.period_s
 
     @property
     def exposure_range(self) -> tuple[float, float]:
@@ -172,15 +173,26 @@ class LightClock:
         """
         return self.start_s + (pattern - self._pattern) * self.period_s
 
-    def pattern_at(self, time_s: float | Floats) -> Floats:
-        """Patterns from the start of the detection's header to times, of their shape.
+    def pattern_at(self, time_s: float) -> float:
+        """Patterns from the start of the detection's header to a time.
 
         Parameters
         ----------
         time_s
-            Times in seconds by the camera's clock, of any shape.
+            Time in seconds by the camera's clock.
         """
-        return np.asarray(self._pattern + (np.asarray(time_s) - self.start_s) / self.period_s)
+        return self._pattern + (time_s - self.start_s) / self.period_s
+
+    def patterns_at(self, times_s: Sequence[float]) -> list[float]:
+        """The same of several times, (times,).
+
+        Parameters
+        ----------
+        times_s
+            Times in seconds by the camera's clock.
+        """
+        pattern, start_s, period_s = self._pattern, self.start_s, self.period_s
+        return [pattern + (time_s - start_s) / period_s for time_s in times_s]
 
     def header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
         """What frames show of a header.
@@ -197,7 +209,7 @@ class LightClock:
         Amplitude of the header less its inverse, -1 to 1, and mean light, 0 to 1, (frames,) each.
         """
         edges, wave, bright = self._header(dimmed)
-        shown, light = (_mean_over(starts, self.exposure, edges, values) for values in (wave, bright))
+        shown, light = _mean_over(starts, self.exposure, edges, np.stack([wave, bright]))
         return shown, 0.5 + light
 
     def measure(self, amplitudes: HeaderAmplitudes, pattern: int, again: bool = False) -> bool:
@@ -236,12 +248,17 @@ class LightClock:
             cost = cost - self._in_step(amplitudes.times_s, offset)
         by_exposure = -cost.min(1) + np.log(np.exp(cost.min(1)[:, None] - cost).sum(1))
         self._evidence = self._evidence + by_exposure - by_exposure.max()
+        self.exposure = self._mean_exposure()
         chance = np.exp((self._evidence - self._evidence.max() - by_exposure)[:, None] - cost)
         chance = chance.sum(0) / chance.sum()
         mean = float(chance @ offset)
         variance = float(chance @ (offset - mean) ** 2) + LEAST_DEVIATION**2
         self._take(mean * self.period_s, variance * self.period_s**2)
         return True
+
+    def _mean_exposure(self) -> float:
+        chance = np.exp(self._evidence - self._evidence.max())
+        return float(chance @ self._exposures / chance.sum())
 
     def _in_step(self, times_s: Floats, offset: Floats) -> Floats:
         """Prior log odds of starts (offsets,) where frames about a first header are missing, which may say little.
@@ -284,19 +301,21 @@ class LightClock:
         brighter = amplitudes.brightness - amplitudes.brightness.mean()
         shown = np.concatenate([2 * amplitudes.alternation, amplitudes.trust * brighter])
         # a header of gain g: alternation g wave / 2, brightness g bright and a constant, both linear in what is dimmed
-        model = np.stack([self._model(starts, *dim) for dim in ((0, 0), (1, 0), (0, 1))])
+        model = self._model(starts)
         model[..., len(place) :] *= amplitudes.trust
         if amplitudes.clipped:
             shown, model = shown[: len(place)], model[..., : len(place)]
         model[1:] -= model[0]
+        energy, grid = float((shown**2).sum()), model.shape[1:3]
+        # v match and v norm v of every word's v = (1, part, lit)
         match, norm = model @ shown, np.einsum("aeof,beof->abeo", model, model)
-        energy, left, gain = float((shown**2).sum()), np.full(match.shape[1:], np.inf), np.zeros(match.shape[1:])
-        for part, lit in self._dimmed:
-            v = np.array([1.0, part, lit])
-            m, n = np.maximum(np.tensordot(v, match, 1), 0), np.maximum(np.einsum("a,b,abeo->eo", v, v, norm), TINY)
-            better = energy - m**2 / n < left
-            left[better], gain[better] = (energy - m**2 / n)[better], (m / n)[better]
-        best = np.unravel_index(np.argmin(left), left.shape)
+        words = np.concatenate([np.ones((len(self._dimmed), 1)), self._dimmed], axis=1)
+        m = np.maximum(words @ match.reshape(3, -1), 0)
+        n = np.maximum((words[:, :, None] * words[:, None]).reshape(-1, 9) @ norm.reshape(9, -1), TINY)
+        explained, gains = m**2 / n, m / n
+        word = explained.argmax(0)[None]
+        left, gain = (np.take_along_axis(one, word, 0).reshape(grid) for one in (energy - explained, gains))
+        best = np.unravel_index(np.argmin(left), grid)
         # whatever the model does not explain counts as noise
         freedom = max(len(shown) - 4, 1)
         self.gain = float(gain[best])
@@ -304,16 +323,22 @@ class LightClock:
         variance = max((DEVIATION * self.gain) ** 2, float(left[best]) / freedom, TINY)
         return np.asarray(0.5 * left / variance)
 
-    def _model(self, starts: Floats, part: float, lit: float) -> Floats:
-        """Twice the alternation, and the brightness but for a constant, of a header of gain 1 dimmed as in `_header`.
+    def _model(self, starts: Floats) -> Floats:
+        """Twice the alternation, and the brightness but for a constant, of headers of gain 1 dimmed in three ways.
 
-        `starts` is (offsets, frames), the result (exposures, offsets, 2 frames).
+        `starts` is (offsets, frames), the result (3, exposures, offsets, 2 frames); the ways are those of `_dimmings`.
         """
-        edges, wave, bright = self._header(part, lit)
-        exposures = self._exposures[:, None, None]
-        light = _mean_over(starts, exposures, edges, bright)
-        light -= light.mean(-1, keepdims=True)
-        return np.concatenate([_mean_over(starts, exposures, edges, wave), light], axis=-1)
+        edges, waves, brights = self._dimmings
+        shown = _mean_over(starts, self._exposures[:, None, None], edges, np.concatenate([waves, brights]))
+        wave, light = shown[: len(waves)], shown[len(waves) :]
+        return np.concatenate([wave, light - light.mean(-1, keepdims=True)], axis=-1)
+
+    @cached_property
+    def _dimmings(self) -> tuple[Floats, Floats, Floats]:
+        """`_header` of no dimmed cell, of all dimmed, and of lit ones dimmed more than dark: edges, (3, slots)."""
+        (edges, *first), *others = (self._header(*way) for way in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
+        waves, brights = zip(first, *(shown for _, *shown in others), strict=True)
+        return edges, np.stack(waves), np.stack(brights)
 
     def _header(self, part: float, lit: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Edges of slots in patterns from a header's start, the header less its inverse, and the mean light less 1/2.
@@ -336,9 +361,18 @@ class LightClock:
 
 
 def _mean_over(starts: Floats, exposure: Floats | float, edges: Floats, values: Floats) -> Floats:
-    """Mean over exposures of a function that is constant between edges and 0 outside.
+    """Means over exposures of functions that are constant between even edges and 0 outside.
 
-    Starts and exposures broadcast.
+    Starts and exposures broadcast; `values` is (functions, slots), the result (functions, ...).
     """
-    integral = np.concatenate([[0.0], np.cumsum(values * np.diff(edges))])
-    return np.asarray((np.interp(starts + exposure, edges, integral) - np.interp(starts, edges, integral)) / exposure)
+    step, none = edges[1] - edges[0], np.zeros((1, len(values)))
+    # in each slot a start and a slope; from the last edge on the integral stays as it is
+    integral, slopes = np.concatenate([none, np.cumsum(values.T, axis=0)]), np.concatenate([values.T, none])
+
+    def up_to(times: Floats) -> Floats:
+        place = np.clip((times - edges[0]) / step, 0, len(edges) - 1)
+        slot = place.astype(np.intp)
+        return np.asarray(integral[slot] + (place - slot)[..., None] * slopes[slot])
+
+    means = (up_to(starts + exposure) - up_to(starts)) * (step / np.asarray(exposure)[..., None])
+    return np.moveaxis(means, -1, 0)

@@ -26,6 +26,72 @@ LEAST_OPEN_LINES = 0.25
 
 
 @compiled()
+def look(
+    up,
+    down,
+    middle,
+    axes,
+    beside,
+    before,
+    least,
+    width,
+    bright,
+    most,
+    rate,
+    sight_from,
+    away,
+    changed,
+    usual,
+    differs,
+    total,
+    after,
+    sight,
+    clear,
+):
+    """All that two frames of a pair show of an array before its pose is found in them.
+
+    Parameters
+    ----------
+    up, down
+        (rows, columns) float64 gray levels of pattern and inverse about the array.
+    middle, axes, away
+        Centre, steps and lines beside the array, as of `uncover`.
+    beside
+        Distance of a pixel from the centre above which it is beside the array, as of `noise_beside`.
+    before, least, width, bright, most, rate
+        Change of the LEDs in earlier pairs, and how that of this pair counts, as of `recent_change`.
+    sight_from
+        Recent change from which on an LED is in sight.
+    changed
+        Least change in gray levels of a covered line, as of `uncover`.
+    usual
+        (2, n + 2) what lines usually show, as of `uncover`; overwritten.
+    differs, total
+        (rows, columns) pattern less inverse and their sum, overwritten.
+    after
+        (n, n) recent change after the pair, overwritten.
+    sight
+        (n, n) overwritten: 1 for LEDs in sight, 0 for those that something hides.
+    clear
+        (n, n) overwritten: 0 for LEDs that something covers from a side, else 1.
+
+    Returns
+    -------
+    Standard deviation of the noise of the difference in gray levels.
+    """
+    for i in range(up.shape[0]):
+        for j in range(up.shape[1]):
+            differs[i, j], total[i, j] = up[i, j] - down[i, j], up[i, j] + down[i, j]
+    noise = noise_beside(differs, middle[0], middle[1], beside)
+    recent_change(before, differs, noise, middle[0], middle[1], axes, width, least, bright, most, rate, after)
+    for u in range(after.shape[0]):
+        for v in range(after.shape[1]):
+            sight[u, v], clear[u, v] = 1.0 if after[u, v] >= sight_from else 0.0, 1.0
+    uncover(total, middle, axes, away, changed, sight, usual, clear)
+    return noise
+
+
+@compiled()
 def uncover(image, middle, axes, away, least, in_sight, usual, clear):
     """Mark LEDs before which something came from a side, and renew what lines usually show.
 

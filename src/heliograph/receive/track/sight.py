@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.track import kernels
 
 SQUARE_LEDS, SQUARE_PX = 5, 4.0
 """Side of the square about an LED whose change counts, in LEDs, and at least in px.
@@ -66,43 +65,13 @@ in all, one in 500 has as many dead ones about it.
 """
 
 
-def recent_change(
-    before: Floats, change: Floats, noise: float, pose: Pose, corner: tuple[int, int], least: float
-) -> Floats:
-    """Recent change of each LED, as a fraction of that of LEDs in sight.
-
-    Parameters
-    ----------
-    before
-        (n, n) the same before the pair.
-    change
-        (rows, columns) pattern less inverse in gray levels.
-    noise
-        Standard deviation of its noise in gray levels.
-    pose
-        Pose of the array, in the middle of the pair.
-    corner
-        (x, y) on the sensor of the first pixel.
-    least
-        Change of an LED in gray levels, rms, below which none is in sight.
-
-    Returns
-    -------
-    (n, n), 0 to `MOST_CHANGE`.
-    """
-    place, out = (pose.x - corner[0], pose.y - corner[1]), np.empty(before.shape)
-    taken = least**2, int(BRIGHT_QUANTILE * (before.size - 1)), MOST_CHANGE, RECENT_PAIR_WEIGHT
-    kernels.recent_change(before, change, noise, *place, pose.axes, _square(pose, len(before)), *taken, out)
-    return out
-
-
 def in_sight(change: Floats) -> Floats:
     """1 for LEDs in sight, 0 for those that something hides, (n, n).
 
     Parameters
     ----------
     change
-        (n, n) of `recent_change`.
+        (n, n) of `Track.change`.
     """
     return (change >= LEAST_CHANGE_IN_SIGHT).astype(np.float64)
 
@@ -117,12 +86,20 @@ def around_leds(values: Floats, pose: Pose) -> Floats:
     pose
         Pose of the array, whose pitch says how many LEDs a square holds.
     """
-    width = _square(pose, len(values))
+    width = square_leds(pose, len(values))
     return np.asarray(cv2.blur(values, (width, width), borderType=cv2.BORDER_REFLECT), np.float64)
 
 
-def _square(pose: Pose, side: int) -> int:
-    """LEDs in a row of the square about one."""
+def square_leds(pose: Pose, side: int) -> int:
+    """LEDs in a row of the square about one, whose change counts for it.
+
+    Parameters
+    ----------
+    pose
+        Pose of the array, whose pitch says how many LEDs a square holds.
+    side
+        LEDs in a row of the array.
+    """
     return min(max(SQUARE_LEDS, ceil(SQUARE_PX / pose.pitch) | 1), side - 1 | 1)
 
 

@@ -27,16 +27,17 @@ class Track:
     last_seen_s
         Time in seconds when it was last in sight.
     change
-        (n, n) of `recent_change`: how much each LED changed from pattern to inverse in recent pairs.
+        (n, n) how much each LED changed from pattern to inverse in recent pairs, as a fraction of LEDs in sight, 0 to
+        `sight.MOST_CHANGE`.
     score
         Correlation of recent sums with the array's image; 1 before the first.
     pairs
         Pairs that were followed so far.
     lines
-        (2, n + 2) gray levels that sums usually show along columns and rows and beside them, by `clear_leds`; None
-        before the first.
+        (2, n + 2) gray levels that sums usually show along columns, from left to right, and rows, from top to
+        bottom, and beside them; NaN where nothing was seen yet; None before the first pair.
     clear
-        (n, n) 1 for LEDs before which nothing has come from a side, else 0, by `clear_leds`; None if all are.
+        (n, n) 1 for LEDs before which nothing has come from a side, else 0; None if all are.
     """
 
     state: PoseState
@@ -49,6 +50,43 @@ class Track:
     pairs: int = 0
     lines: Floats | None = None
     clear: Floats | None = None
+
+    def looked_at(self, change: Floats, lines: Floats, clear: Floats | None) -> "Track":
+        """The track after one more pair was looked at.
+
+        Parameters
+        ----------
+        change
+            (n, n) of `Track.change` with the pair.
+        lines
+            (2, n + 2) of `Track.lines` with the pair.
+        clear
+            (n, n) of `Track.clear` by the pair; None if all LEDs are clear.
+        """
+        gains = self.state, self.gain, self.data_gain, self.led_gains, self.last_seen_s
+        return Track(*gains, change, self.score, self.pairs + 1, lines, clear)
+
+    def found(self, state: PoseState, gain: float, score: float, seen_s: float) -> "Track":
+        """The track after its pose was found; what is known of its LEDs need not be worked out again.
+
+        Parameters
+        ----------
+        state
+            Pose and rates.
+        gain
+            Gray levels of a pair's sum with all LEDs on.
+        score
+            Correlation of recent sums with the array's image.
+        seen_s
+            Time in seconds when it was last in sight.
+        """
+        after = Track(
+            state, gain, self.data_gain, self.led_gains, seen_s, self.change, score, self.pairs, self.lines, self.clear
+        )
+        for name in ("in_sight", "unhidden", "hidden", "sound", "shining"):
+            if name in self.__dict__:
+                after.__dict__[name] = self.__dict__[name]
+        return after
 
     @cached_property
     def in_sight(self) -> Floats:

@@ -13,8 +13,7 @@ from heliograph.receive.image.fit import Fit, Prior, fit_array
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import cut_out, window_around
 from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
-from heliograph.receive.track.activity import contrast, is_active, noise_around
-from heliograph.receive.track.beside import clear_leds
+from heliograph.receive.track.activity import is_active, noise_around
 from heliograph.receive.track.kalman import (
     HEADER_OBSERVATION,
     POSE_SIZE,
@@ -24,14 +23,8 @@ from heliograph.receive.track.kalman import (
     Tilt,
     sum_observation,
 )
-from heliograph.receive.track.sight import (
-    LEAST_DATA_POWER,
-    around_leds,
-    dark_zone,
-    in_sight,
-    open_pixels,
-    recent_change,
-)
+from heliograph.receive.track.look import look
+from heliograph.receive.track.sight import around_leds, dark_zone, open_pixels
 from heliograph.receive.track.track import Track, TrackedPair
 
 WINDOW_MARGIN_PITCHES, WINDOW_MARGIN_PX = 1.5, 1.5
@@ -66,12 +59,6 @@ MOST_SMEAR_PX = 2.0
 
 LEAST_IN_SIGHT = 0.25
 """Least fraction of the LEDs in sight by which a pose is found: with less an array's place has no hold."""
-
-USUAL_PAIRS = 50
-"""Pairs after which it is known what an array and its surroundings usually show in sums: a packet.
-
-Of arrays found while a post was leaving them, what it had covered was taken for covered when it came to light.
-"""
 
 GAIN_RATE = 0.1
 """Weight of a pair's gain in the tracker's: sums of about ten pairs count."""
@@ -137,15 +124,8 @@ class Tracker:
         predicted = self.predict(track, pair.time_s)
         pose = predicted.pose
         corner, up, down = self._cut(pair, pose)
-        differs = up - down
-        noise = noise_around(differs, pose, corner, self._side)
-        before, total = track, up + down
-        change = self._changed(track, differs, noise, pose, corner)
-        # an array just found may be covered in part: what is usual shows later
-        light = max(track.gain, track.data_gain) if track.pairs >= USUAL_PAIRS else np.inf
-        clear, lines = clear_leds(total, pose, corner, track.lines, light, in_sight(change))
-        covered = None if clear.all() else clear
-        track = replace(track, pairs=track.pairs + 1, change=change, lines=lines, clear=covered)
+        seen = look(track, up, down, corner, pose)
+        before, track, total = track, seen.track, seen.total
         open_leds, hides = track.unhidden, track.hidden
         unhidden = self._unhidden(track, open_leds, pose, corner, up.shape) if hides or not track.sound else None
         if (hides and open_leds.mean() < LEAST_IN_SIGHT) or (unhidden is not None and not unhidden.any()):
@@ -171,19 +151,20 @@ class Tracker:
         if self._unsure(predicted) and (hides or not _as_expected(track, pose, fit)):
             # a start of its own saves a step
             fit = sums_fit(PAIR_STEPS - 1, start=self._unresolved(total, corner, prior, track.shining, unhidden))
-        seen = _inside(fit, pair.pattern) and is_active(differs, noise, fit.pose, corner, self._side, track.gain)
-        if seen:
+        pose, gain = fit.pose, track.gain
+        there = _inside(pose, pair.pattern) and is_active(seen.differs, seen.noise, pose, corner, self._side, gain)
+        if there:
             shown = fit.vector[:POSE_SIZE].copy()
             blur = float(predicted.mean[4])
             shown[4] = min(max(shown[4], blur - MOST_SUM_BLUR), blur + MOST_SUM_BLUR)
             state = predicted.condition(shown, fit.covariance, observation)
             # what hides a part of the array has light of its own
-            gain = track.gain if hides else self._gain(track, fit)
+            gain = gain if hides else self._gain(track, fit)
             score = track.score + GAIN_RATE * (fit.score - track.score)
-            after = replace(track, state=state, last_seen_s=predicted.time_s, gain=gain, score=score)
+            after = track.found(state, gain, score, predicted.time_s)
         else:
             after = replace(track, state=predicted)
-        return TrackedPair(before, after, fit, seen)
+        return TrackedPair(before, after, fit, there)
 
     def refine(self, track: Track, pair: FramePair, weights: Floats) -> Track:
         """Refine pitch, roll, blur and tilt by a header, after its sum was followed.
@@ -224,7 +205,8 @@ class Tracker:
         """
         corner, up, down = self._cut(pair, track.state.pose)
         noise = noise_around(up - down, track.state.pose, corner, self._side)
-        return _inside(fit, pair.pattern) and is_active(up - down, noise, fit.pose, corner, self._side, track.gain)
+        pose = fit.pose
+        return _inside(pose, pair.pattern) and is_active(up - down, noise, pose, corner, self._side, track.gain)
 
     def predict(self, track: Track, time_s: float) -> PoseState:
         """State at a time; before the track's own time the state is taken as it is.
@@ -261,8 +243,9 @@ class Tracker:
     def _smear(self, state: PoseState) -> tuple[float, float]:
         """Standard deviations in px of the array's motion while a pair's light shone: evenly over two patterns."""
         # (2 v T_b)^2 / 12, v by the filter
-        x, y = (2 * self._model.period_s / sqrt(12) * abs(rate) for rate in state.mean[RATE_STATES][:2].tolist())
-        return min(x, MOST_SMEAR_PX), min(y, MOST_SMEAR_PX)
+        x, y, *_ = state.mean[RATE_STATES].tolist()
+        spread = 2 * self._model.period_s / sqrt(12)
+        return min(spread * abs(x), MOST_SMEAR_PX), min(spread * abs(y), MOST_SMEAR_PX)
 
     def _unsure(self, predicted: PoseState) -> bool:
         """Whether the prediction may be a pitch off, so that resolved LEDs would be taken for their neighbours."""
@@ -306,12 +289,6 @@ class Tracker:
             sure = open_leds
         return None if sure.all() else open_pixels(sure, pose, corner, shape)
 
-    def _changed(self, track: Track, change: Floats, noise: float, pose: Pose, corner: tuple[int, int]) -> Floats:
-        """The recent change of the track's LEDs, with that of one more pair."""
-        # random data change the light by half of it
-        least = LEAST_DATA_POWER**0.5 * 0.5 * contrast(pose) * track.data_gain
-        return recent_change(track.change, change, noise, pose, corner, least)
-
     def _cut(self, pair: FramePair, pose: Pose) -> tuple[tuple[int, int], Floats, Floats]:
         """The array's surroundings in both frames, and their corner."""
         window = window_around(pose, self._side, WINDOW_MARGIN_PITCHES * pose.pitch + WINDOW_MARGIN_PX)
@@ -320,7 +297,8 @@ class Tracker:
 
 def _as_expected(track: Track, predicted: Pose, fit: Fit) -> bool:
     """Whether a fit lies where it was expected and is as good as recent ones: no LED is taken for its neighbour."""
-    away = max(abs(fit.pose.x - predicted.x), abs(fit.pose.y - predicted.y))
+    x, y, *_ = fit.vector.tolist()
+    away = max(abs(x - predicted.x), abs(y - predicted.y))
     return away < AS_EXPECTED_PITCHES * predicted.pitch and fit.score > track.score - LESS_ALIKE
 
 
@@ -345,7 +323,7 @@ def _coasted(before: Track, track: Track) -> TrackedPair:
     return TrackedPair(before, track, fit, seen=False)
 
 
-def _inside(fit: Fit, frame: AnyFrame) -> bool:
+def _inside(pose: Pose, frame: AnyFrame) -> bool:
     """Whether the array's centre is in the frame."""
-    x, y = fit.vector[0] - frame.origin[0], fit.vector[1] - frame.origin[1]
-    return bool(0 <= x < frame.pixels.shape[1] and 0 <= y < frame.pixels.shape[0])
+    x, y = pose.x - frame.origin[0], pose.y - frame.origin[1]
+    return 0 <= x < frame.pixels.shape[1] and 0 <= y < frame.pixels.shape[0]
