@@ -99,3 +99,4 @@ def test_a_frame_at_another_time_is_the_same_otherwise() -> None:
     frame = Frame(7, 0.5, GRAY.astype(np.uint16), 12, (3, 4))
     assert frame.at_time(0.75) == replace(frame, time_s=0.75)
     assert frame.at_time(0.75).pixels is frame.pixels
+    assert frame.numbered(9) == replace(frame, index=9)

@@ -79,10 +79,25 @@ class Frame:
         time_s
             Start of the exposure in seconds.
         """
-        frame = object.__new__(Frame)
-        for name, value in zip(_FIELDS, (self.index, time_s, self.pixels, self.bits, self.origin), strict=True):
-            object.__setattr__(frame, name, value)
-        return frame
+        return _unchecked(self.index, time_s, self)
+
+    def numbered(self, index: int) -> "Frame":
+        """The same frame with another number, which is not checked: a search numbers each frame by its pattern.
+
+        Parameters
+        ----------
+        index
+            Number of the frame.
+        """
+        return _unchecked(index, self.time_s, self)
+
+
+def _unchecked(index: int, time_s: float, of: Frame) -> Frame:
+    """A frame with the pixels of another, which were checked."""
+    frame = object.__new__(Frame)
+    for name, value in zip(_FIELDS, (index, time_s, of.pixels, of.bits, of.origin), strict=True):
+        object.__setattr__(frame, name, value)
+    return frame
 
 
 _FIELDS = Frame.__slots__

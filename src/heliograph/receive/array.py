@@ -87,7 +87,7 @@ class ArrayReceiver:
         observe: Observer,
         view: View = CAMERA,
     ):
-        self.found, self._view = detection, view
+        self.found, self._view, self._as_camera = detection, view, view == CAMERA
         self._pairing, self._tracker, self._reader, self._decoders = pairing, tracker, reader, decoders
         self._signal, self._calibration, self._coast_s, self._observe = signal, calibration, coast_s, observe
         self._track = tracker.start(detection)
@@ -186,7 +186,7 @@ class ArrayReceiver:
             The frame, with the time that the clock gives it.
         """
         paired = self._reader.format.mode != "single"
-        seen = frame if self._view == CAMERA else self._view.frame(frame, self.pose, self._signal.side)
+        seen = frame if self._as_camera else self._view.frame(frame, self.pose, self._signal.side)
         for one in self._slips.push(seen, self._pairing.origin_s, self._pose_at, paired):
             yield from self._take_all(self._pairing.push(one))
 
@@ -253,7 +253,9 @@ class ArrayReceiver:
             self._poses[number] = self._track.state.pose_at
         # the light's clock asks for those around a header
         oldest = number + 1 - self._signal.header_pairs - PATTERNS_AROUND
-        self._poses = {k: pose for k, pose in self._poses.items() if k >= oldest}
+        # pairs come in the order of their numbers
+        while self._poses and (first := next(iter(self._poses))) < oldest:
+            del self._poses[first]
         if in_packet == self._pairs - 1 and self._gathered.poses:
             yield self._finish()
         elif in_packet == self._pairs - 1 and self._gathered.frames:

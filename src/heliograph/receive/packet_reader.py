@@ -154,13 +154,14 @@ class SoftReader:
     def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
         """Keep a pair; see `PacketReader`."""
         track = tracked.track
-        self._light = replace(self._light, gain=track.data_gain, full_scale=pair.pattern.full_scale)
+        sum_gain = self._light.sum_gain
         if tracked.cutouts:
             cutouts, self._data = tracked.cutouts, self._data.with_patterns(place, tracked.cutouts)
         else:
             cutouts, in_step = (self._cutout(pair, track, self._gains()),), pair.combination is None
             self._data = self._data.with_pair(place, cutouts[0], track, in_step)
-            self._light = replace(self._light, sum_gain=track.gain) if in_step else self._light
+            sum_gain = track.gain if in_step else sum_gain
+        self._light = Light(track.data_gain, pair.pattern.full_scale, sum_gain)
         poses = tuple(pose for cutout in cutouts for pose in cutout.poses)
         self._parts.observe(ExtractEvent(self._identity, (pair.pattern, pair.inverted), poses))
 

@@ -10,7 +10,7 @@ from scenes import SIDE, draw, pitch_at
 
 from heliograph.receive import Pose
 from heliograph.receive.image import reference
-from heliograph.receive.image.footprint import by_squares, footprints, image_of, to_grid
+from heliograph.receive.image.footprint import by_squares, footprints, image_of, images_of, to_grid
 
 Floats = NDArray[np.float64]
 
@@ -80,3 +80,11 @@ def test_footprints_are_shared_and_so_not_writeable() -> None:
     for part in first:
         with pytest.raises(ValueError, match="read-only"):
             part[0, 0] = 0
+
+
+def test_images_of_parts_are_those_of_an_array_with_the_others_off() -> None:
+    rng, pose = np.random.default_rng(5), Pose(9.3, 8.1, 1.1, 0.03, 0.6)
+    levels, parts = rng.random((16, 16)), rng.integers(0, 3, (16, 16))
+    got = images_of(levels, parts, 3, pose, (2, 1), (17, 16))
+    for number, image in enumerate(got):
+        assert image == pytest.approx(image_of(levels * (parts == number), pose, (2, 1), (17, 16)), abs=1e-12)

@@ -7,11 +7,13 @@ from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
 
 from heliograph.receive import Pose
 from heliograph.receive.timing.frame_pair import FramePair
-from heliograph.receive.track.beside import clear_leds
+from heliograph.receive.track import kernels
+from heliograph.receive.track.beside import LEAST_CHANGED, line_distance
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.kernels import COVERED_RATE, USUAL_RATE
+from heliograph.receive.track.look import USUAL_PAIRS
 from heliograph.receive.track.track import Track
-from heliograph.receive.track.tracker import USUAL_PAIRS, Tracker
+from heliograph.receive.track.tracker import Tracker
 
 Floats = NDArray[np.float64]
 
@@ -35,8 +37,14 @@ def scene(pose: Pose, reach: float | None = None, level: float = 1.0, side: str 
     return np.asarray(np.rot90(turned + hides * (level - turned), -turns), np.float64)
 
 
-def cleared(pose: Pose, light: Floats, usual: Floats | None, in_sight: Floats = ALL_ON) -> tuple[Floats, Floats]:
-    return clear_leds(2 * 255 * light, pose, (0, 0), usual, GAIN, in_sight)
+def cleared(
+    pose: Pose, light: Floats, usual: Floats | None, in_sight: Floats = ALL_ON, gain: float = GAIN
+) -> tuple[Floats, Floats]:
+    """LEDs that nothing covers, and what lines then usually show."""
+    clear, lines = np.ones((SIDE, SIDE)), np.full((2, SIDE + 2), np.nan) if usual is None else usual.copy()
+    middle, away = np.array([pose.x, pose.y]), line_distance(pose, SIDE)
+    kernels.uncover(2 * 255 * light, middle, pose.axes, away, LEAST_CHANGED * gain, in_sight, lines, clear)
+    return clear, lines
 
 
 @pytest.mark.parametrize("distance_m", [20.0, 50.0, 95.0])
@@ -116,8 +124,8 @@ def test_hidden_leds_come_back_as_they_were() -> None:
 def test_of_an_array_just_found_it_is_not_known_what_is_usual() -> None:
     """It may have been found behind a post: what comes to light is not taken for covered."""
     pose = pose_at(50.0)
-    _, usual = clear_leds(2 * 255 * scene(pose, -0.5), pose, (0, 0), None, np.inf, ALL_ON)
-    clear, after = clear_leds(2 * 255 * scene(pose), pose, (0, 0), usual, np.inf, ALL_ON)
+    _, usual = cleared(pose, scene(pose, -0.5), None, gain=np.inf)
+    clear, after = cleared(pose, scene(pose), usual, gain=np.inf)
     assert clear.all()
     assert after[0, 0] - usual[0, 0] == pytest.approx(-USUAL_RATE * 2 * 255 * 0.9, rel=0.05)
 

@@ -9,7 +9,14 @@ from heliograph.receive import Pose
 from heliograph.receive.image.fit import Prior, fit_array
 from heliograph.receive.timing.frame_pair import FramePair
 from heliograph.receive.track import kernels, reference
-from heliograph.receive.track.sight import LEAST_CHANGE_IN_SIGHT, open_pixels, recent_change
+from heliograph.receive.track.sight import (
+    BRIGHT_QUANTILE,
+    LEAST_CHANGE_IN_SIGHT,
+    MOST_CHANGE,
+    RECENT_PAIR_WEIGHT,
+    open_pixels,
+    square_leds,
+)
 
 Floats = NDArray[np.float64]
 
@@ -40,6 +47,13 @@ def change_of(pair: FramePair) -> Floats:
     return np.asarray(pair.pattern.pixels, np.float64) - pair.inverted.pixels
 
 
+def changed(before: Floats, pair: FramePair, pose: Pose) -> Floats:
+    """Recent change of the LEDs with one more pair, whose noise is 2 gray levels; LEDs in sight change by 5."""
+    out, taken = np.empty_like(before), (25.0, int(BRIGHT_QUANTILE * (SIDE**2 - 1)), MOST_CHANGE, RECENT_PAIR_WEIGHT)
+    kernels.recent_change(before, change_of(pair), 2.0, pose.x, pose.y, pose.axes, square_leds(pose, SIDE), *taken, out)
+    return out
+
+
 @pytest.mark.parametrize("distance_m", [25.0, 50.0, 95.0])
 def test_what_a_post_hides_does_not_change(distance_m: float) -> None:
     rng, pose = np.random.default_rng(3), pose_at(distance_m)
@@ -47,7 +61,7 @@ def test_what_a_post_hides_does_not_change(distance_m: float) -> None:
     post = slice(0, round(pose.x))
     change = np.ones((SIDE, SIDE))
     for _ in range(30):
-        change = recent_change(change, change_of(pair_of(pose, rng, post)), 2.0, pose, (0, 0), 5.0)
+        change = changed(change, pair_of(pose, rng, post), pose)
     seen = change >= LEAST_CHANGE_IN_SIGHT
     assert not seen[:, :4].any()
     assert seen[:, 9:].all()
@@ -61,7 +75,7 @@ def test_an_array_in_clear_sight_stays_in_sight() -> None:
     change = np.ones((SIDE, SIDE))
     least = np.inf
     for _ in range(200):
-        change = recent_change(change, change_of(pair_of(pose, rng)), 2.0, pose, (0, 0), 5.0)
+        change = changed(change, pair_of(pose, rng), pose)
         least = min(least, float(change.min()))
     assert least >= LEAST_CHANGE_IN_SIGHT
 

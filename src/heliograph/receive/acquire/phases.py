@@ -3,7 +3,6 @@
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Protocol
 
 from heliograph.base.errors import HeliographError
@@ -149,7 +148,7 @@ class _EveryFrame:
         """Number the frame; one that was dropped leaves a gap."""
         self._number += max(1, round((frame.time_s - self._time_s) / self._period_s))
         self._time_s = frame.time_s
-        return replace(frame, index=self._number)
+        return frame.numbered(self._number)
 
 
 class _Nearest:
@@ -167,7 +166,7 @@ class _Nearest:
         off, kept = abs(place - number), self._best
         another = kept is None or kept.index != number
         if another or off < self._off:
-            self._best, self._off = replace(frame, index=number), off
+            self._best, self._off = frame.numbered(number), off
         return kept if another else None
 
 

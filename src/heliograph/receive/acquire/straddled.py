@@ -111,8 +111,9 @@ class StraddledDetector:
         busy = busy_blocks(
             means, frames[0], taken, self._side, self._parameters.min_contrast, self._parameters.everywhere
         )
-        if busy.any():
-            busy &= self._quiet(frames, means)
+        if not busy.any():
+            return []
+        busy &= self._quiet(frames, means)
         if not busy.any():
             return []
         ends, busy = searched_part(ends, busy, self._sides[-1])

@@ -10,12 +10,18 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.image import gauss_newton
 from heliograph.receive.image.footprint import image_of
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import PlacedPixels, cut_out, plane, window_around
+from heliograph.receive.image.window import PlacedPixels, Window, cut_out, plane, window_around
 
 PANEL_MARGINS = (0.75, 2.0)
 """Rims in pitches of two squares around the LEDs; their combination stands for a panel of unknown width and gray."""
 
 _PANEL, _NO_PANEL, _ALL_COUNT = np.array(PANEL_MARGINS), np.empty(0), np.empty((0, 0))
+
+HELD_PX = 0.5
+"""Pixels by which an array's rim may leave its place in a window before another one is cut out."""
+
+SMEAR_ALIKE = 0.005
+"""Variance in px^2 by which the motion may differ for which images were drawn: 1 % of a blur of 0.6 px and a pixel."""
 
 AMPLITUDE_MARGIN_PX = 1.0
 """Pixels beyond the array in which a header's amplitude is measured.
@@ -70,6 +76,68 @@ class Prior:
     gain: float = 0.0
 
 
+class Drawn:
+    """Images of an array as they were last drawn, for fits of poses nearby.
+
+    Attributes
+    ----------
+    anchor, at
+        (7,) pose vectors at which the slopes and the images were drawn, overwritten by fits; NaN where none were.
+    """
+
+    def __init__(self) -> None:
+        self.anchor, self.at = np.full(7, np.nan), np.full(7, np.nan)
+        self._corner, self._smear, self._weights = (0, 0), (0.0, 0.0), np.empty((0, 0))
+        self._shapes = np.empty((0, 0, 0, 0))
+        self._window: Window = (0, 0, 0, 0)
+        self._middle: tuple[float, float, float] | None = None
+
+    def window(self, pose: Pose, side: int, margin: float) -> Window:
+        """Pixels around an array: those of a pose before, as long as they hold it, so that images need not be redrawn.
+
+        Parameters
+        ----------
+        pose
+            Pose of the array's image on the sensor.
+        side
+            LEDs in a row.
+        margin
+            Pixels more on each side, at least 0; half a pixel of them may be missing.
+        """
+        x, y, half = pose.x, pose.y, 0.5 * side * pose.pitch
+        middle = self._middle
+        if middle is None or max(abs(x - middle[0]), abs(y - middle[1])) + abs(half - middle[2]) > HELD_PX:
+            self._window, self._middle = window_around(pose, side, margin), (x, y, half)
+        return self._window
+
+    def images(
+        self, corner: tuple[int, int], smear: tuple[float, float], weights: Floats, shape: tuple[int, ...]
+    ) -> Floats:
+        """Images for a fit: those that were drawn, or others that are still to be.
+
+        Parameters
+        ----------
+        corner
+            (x, y) on the sensor of the first pixel.
+        smear
+            Standard deviations in px of the motion while the pixels were taken.
+        weights
+            (n, n) luminance of each LED.
+        shape
+            Number of images, of each and its slopes, rows and columns.
+        """
+        wider = max(abs(a**2 - b**2) for a, b in zip(smear, self._smear, strict=True))
+        same = self._corner == corner and self._shapes.shape == shape and np.array_equal(weights, self._weights)
+        if not same or wider > SMEAR_ALIKE:
+            self._shapes, self._corner, self._smear, self._weights = np.empty(shape), corner, smear, weights
+            self.forget()
+        return self._shapes
+
+    def forget(self) -> None:
+        """Have the images drawn anew by the next fit."""
+        self.anchor.fill(np.nan)
+
+
 def fit_array(
     image: Floats,
     corner: tuple[int, int],
@@ -81,6 +149,7 @@ def fit_array(
     resolved: bool = True,
     open_pixels: Floats | None = None,
     smear: tuple[float, float] = (0.0, 0.0),
+    drawn: Drawn | None = None,
 ) -> Fit:
     """Most probable pose of LEDs of known luminances, by Gauss-Newton with robust weights.
 
@@ -107,6 +176,9 @@ def fit_array(
         (rows, columns) 1 for pixels that count, 0 for those that something hides; None if all count.
     smear
         Standard deviations in px along x and y of the array's motion while the image was taken.
+    drawn
+        Images of the same LEDs that an earlier fit has drawn, which stand for a pose nearby; overwritten. None draws
+        them anew.
 
     Returns
     -------
@@ -125,7 +197,11 @@ def fit_array(
     if open_pixels is not None:
         # a pixel that is 0 in all images says nothing
         image, background = image * open_pixels, background * open_pixels
-    shapes = np.empty((1 + len(margins), 1 + free, *image.shape))
+    drawn = Drawn() if drawn is None else drawn
+    shapes = drawn.images(corner, smear, weights, (1 + len(margins), 1 + free, *image.shape))
+    if open_pixels is not None:
+        # of hidden pixels images are 0, and others are hidden in each pair
+        drawn.forget()
     vector = (prior.vector if start is None else start).copy()
     covariance, linear, score = gauss_newton.fit(
         _kernels_kind(image),
@@ -142,7 +218,11 @@ def fit_array(
         iterations,
         vector,
         shapes,
+        drawn.anchor,
+        drawn.at,
     )
+    if open_pixels is not None:
+        drawn.forget()
     if not isfinite(linear.sum()):
         raise np.linalg.LinAlgError("the fit of an array's pose has no solution")
     return Fit(vector, covariance, float(linear[0]), float(score))

@@ -44,6 +44,14 @@ The next steps are a tenth of these, so what is left is below the error that noi
 While the gain is wrong all steps are too short or too long, so a fit goes on until it is right.
 """
 
+NEAR_PX, NEAR_BLUR = 0.1, 0.02
+"""Distance of an array's rim in px, and difference of ln blur, from a pose at which its images were drawn, up to which
+these stand for it with their slopes.
+
+What they leave out is half of the curvature times 0.1^2: 0.3 gray levels at the edge of an array of 120 levels and of a
+blur of 0.6 px. It looks like a blur that is 1 % wider, and moves no pose.
+"""
+
 LONGEST_PX = 0.8
 """Longest step of the centre in px, half a pitch where that is more: the width of an edge of the array."""
 
@@ -74,6 +82,8 @@ def fit(
     steps,
     vector,
     shapes,
+    anchor,
+    drawn,
 ):
     """Most probable pose of LEDs in pixels, by Gauss-Newton with robust weights.
 
@@ -104,7 +114,10 @@ def fit(
     vector
         (5,) or (7,) pose vector to start from; overwritten with the pose found.
     shapes
-        (1 + k, 1 + p, rows, columns) scratch; it holds the images of the last pose but for a small last step.
+        (1 + k, 1 + p, rows, columns) images of the LEDs and squares at a pose, with their slopes, overwritten; those
+        that were drawn near the pose to start from are taken on.
+    anchor, drawn
+        (7,) pose vectors at which the slopes and the images were drawn, NaN where none were; overwritten.
 
     Returns
     -------
@@ -117,7 +130,12 @@ def fit(
     size = free + shapes.shape[0] + 3
     matrix, rhs = np.empty((size, size)), np.empty(size)
     residual = np.empty(image.shape)
-    _place(vector, open_pixels, corner, weights, margins, resolved, smear, shapes)
+    if _near(vector, anchor, len(weights)):
+        _shift(vector, drawn, shapes)
+    else:
+        _place(vector, open_pixels, corner, weights, margins, resolved, smear, shapes)
+        _copy(vector, anchor)
+    _copy(vector, drawn)
     linear = _coefficients(image, shapes, plane, gain)
     for _ in range(steps):
         residuals(image, shapes, plane, linear, residual)
@@ -152,10 +170,41 @@ def fit(
         if len(margins) and near and abs(step[free]) < CLOSE_GAIN * abs(linear[0]):
             break
         _place(vector, open_pixels, corner, weights, margins, resolved, smear, shapes)
+        _copy(vector, anchor)
+        _copy(vector, drawn)
     residuals(image, shapes, plane, linear, residual)
     found = np.empty((free, free))
     invert(matrix, found)
     return found, linear, _correlation(image, residual, open_pixels)
+
+
+@compiled()
+def _near(vector, anchor, side):
+    """Whether a pose is so near another, at which images were drawn, that their slopes give it."""
+    turn = max(abs(vector[2] - anchor[2]), abs(vector[3] - anchor[3]))
+    for k in range(5, vector.shape[0]):
+        turn = max(turn, abs(vector[k] - anchor[k]))
+    away = max(abs(vector[0] - anchor[0]), abs(vector[1] - anchor[1])) + 0.5 * side * math.exp(vector[2]) * turn
+    # of a pose that is not a number neither holds
+    return away < NEAR_PX and abs(vector[4] - anchor[4]) < NEAR_BLUR
+
+
+@compiled()
+def _shift(vector, drawn, shapes):
+    """Move images from the pose at which they were drawn to another by their slopes."""
+    for n in range(shapes.shape[0]):
+        for k in range(1, shapes.shape[1]):
+            step = vector[k - 1] - drawn[k - 1]
+            for i in range(shapes.shape[2]):
+                for j in range(shapes.shape[3]):
+                    shapes[n, 0, i, j] += step * shapes[n, k, i, j]
+
+
+@compiled(inline="always")
+def _copy(vector, out):
+    """Copy a pose vector (5,) or (7,), number by number."""
+    for k in range(vector.shape[0]):
+        out[k] = vector[k]
 
 
 @compiled()

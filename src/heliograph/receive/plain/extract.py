@@ -1,11 +1,13 @@
 """Extraction: the luminance at each LED's image position, pattern minus inverse, or the blur undone."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import RIM_PX, PlacedPixels, cut_out, window_around
+from heliograph.receive.image.window import PlacedPixels
 from heliograph.receive.settings import Equaliser
 
 
@@ -73,17 +75,16 @@ def luminances(frame: PlacedPixels, pose: Pose, side: int) -> NDArray[np.float64
     -------
     (side, side) float64.
     """
-    window = window_around(pose, side, RIM_PX)
-    return at_leds(cut_out(frame, window), window[:2], pose, side)
+    return at_leds(frame.pixels, frame.origin, pose, side)
 
 
-def at_leds(pixels: NDArray[np.float64], corner: tuple[int, int], pose: Pose, side: int) -> NDArray[np.float64]:
+def at_leds(pixels: NDArray[Any], corner: tuple[int, int], pose: Pose, side: int) -> NDArray[np.float64]:
     """Value of an image at each LED's position, by cubic interpolation.
 
     Parameters
     ----------
     pixels
-        (rows, columns) image, of any unit; what lies beyond it repeats its border.
+        (rows, columns) image, of any kind and unit; what lies beyond it repeats its border.
     corner
         (x, y) on the sensor of its first pixel.
     pose

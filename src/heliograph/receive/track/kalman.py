@@ -332,11 +332,23 @@ class PoseState:
         time_s
             Time of the pose in seconds, before or after the state's own.
         """
-        x, y, log_pitch, roll, log_blur, *rates = self.mean.tolist()
-        dt = time_s - self.time_s
         # number by number: arrays of five cost more than their sums
-        place = x + dt * rates[0], y + dt * rates[1], exp(log_pitch + dt * rates[2])
-        return Pose(*place, roll, exp(log_blur), *self.tilt.mean.tolist())
+        x, y, log_pitch, roll, log_blur, x_rate, y_rate, pitch_rate, *_ = self._numbers
+        dt = time_s - self.time_s
+        place = x + dt * x_rate, y + dt * y_rate, exp(log_pitch + dt * pitch_rate)
+        return Pose(*place, roll, exp(log_blur), *self._tilted)
+
+    @cached_property
+    def _tilted(self) -> tuple[float, float]:
+        """Stretch and shear."""
+        stretch, shear = self.tilt.mean.tolist()
+        return stretch, shear
+
+    @cached_property
+    def _numbers(self) -> list[float]:
+        """The mean, number by number."""
+        numbers: list[float] = self.mean.tolist()
+        return numbers
 
 
 def _for_kernels(values: Floats) -> Floats:

@@ -50,7 +50,7 @@ class KeptPairs:
         if not track.in_sight.all():
             cutouts |= hidden_since(cutouts, place, track.in_sight)
         seen = {**self.seen, place: SeenPair(track.state, cutout)} if in_step else self.seen
-        return replace(self, cutouts=cutouts, seen=seen)
+        return KeptPairs(cutouts, seen, self.lone)
 
     def with_patterns(self, place: int, cutouts: Sequence[Cutout]) -> "KeptPairs":
         """A further pair in the single mode, where both frames are patterns and neither is an inverse.

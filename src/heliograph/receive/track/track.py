@@ -1,10 +1,10 @@
 """What is known of an array that is followed, and of a pair in which it was."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.image.fit import Fit
+from heliograph.receive.image.fit import Drawn, Fit
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.track.kalman import PoseState
 from heliograph.receive.track.sight import in_sight
@@ -38,6 +38,8 @@ class Track:
         bottom, and beside them; NaN where nothing was seen yet; None before the first pair.
     clear
         (n, n) 1 for LEDs before which nothing has come from a side, else 0; None if all are.
+    drawn
+        The array with all LEDs on as it was last drawn, which saves fits of sums the drawing.
     """
 
     state: PoseState
@@ -50,6 +52,7 @@ class Track:
     pairs: int = 0
     lines: Floats | None = None
     clear: Floats | None = None
+    drawn: Drawn = field(default_factory=Drawn, compare=False, repr=False)
 
     def looked_at(self, change: Floats, lines: Floats, clear: Floats | None) -> "Track":
         """The track after one more pair was looked at.
@@ -64,7 +67,7 @@ class Track:
             (n, n) of `Track.clear` by the pair; None if all LEDs are clear.
         """
         gains = self.state, self.gain, self.data_gain, self.led_gains, self.last_seen_s
-        return Track(*gains, change, self.score, self.pairs + 1, lines, clear)
+        return Track(*gains, change, self.score, self.pairs + 1, lines, clear, self.drawn)
 
     def found(self, state: PoseState, gain: float, score: float, seen_s: float) -> "Track":
         """The track after its pose was found; what is known of its LEDs need not be worked out again.
@@ -80,9 +83,8 @@ class Track:
         seen_s
             Time in seconds when it was last in sight.
         """
-        after = Track(
-            state, gain, self.data_gain, self.led_gains, seen_s, self.change, score, self.pairs, self.lines, self.clear
-        )
+        leds = self.change, score, self.pairs, self.lines, self.clear, self.drawn
+        after = Track(state, gain, self.data_gain, self.led_gains, seen_s, *leds)
         for name in ("in_sight", "unhidden", "hidden", "sound", "shining"):
             if name in self.__dict__:
                 after.__dict__[name] = self.__dict__[name]

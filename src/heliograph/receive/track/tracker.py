@@ -11,7 +11,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.image.fit import Fit, Prior, fit_array
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import cut_out, window_around
+from heliograph.receive.image.window import Window, cut_out, window_around
 from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
 from heliograph.receive.track.activity import is_active, noise_around
 from heliograph.receive.track.kalman import (
@@ -123,7 +123,8 @@ class Tracker:
         """
         predicted = self.predict(track, pair.time_s)
         pose = predicted.pose
-        corner, up, down = self._cut(pair, pose)
+        window = track.drawn.window(pose, self._side, _margin(pose))
+        corner, up, down = _cut(pair, window)
         seen = look(track, up, down, corner, pose)
         before, track, total = track, seen.track, seen.total
         open_leds, hides = track.unhidden, track.hidden
@@ -147,7 +148,7 @@ class Tracker:
             open_pixels=unhidden,
             smear=self._smear(predicted),
         )
-        fit = sums_fit(PAIR_STEPS)
+        fit = sums_fit(PAIR_STEPS, drawn=track.drawn)
         if self._unsure(predicted) and (hides or not _as_expected(track, pose, fit)):
             # a start of its own saves a step
             fit = sums_fit(PAIR_STEPS - 1, start=self._unresolved(total, corner, prior, track.shining, unhidden))
@@ -179,7 +180,7 @@ class Tracker:
             (n, n) luminances of the header less its inverse, -1 to 1, as if all LEDs were sound.
         """
         state, tilt = track.state, track.state.tilt
-        corner, up, down = self._cut(pair, state.pose)
+        corner, up, down = _cut(pair, window_around(state.pose, self._side, _margin(state.pose)))
         mean, covariance = state.expected(HEADER_OBSERVATION)
         both = np.zeros((POSE_SIZE + 2, POSE_SIZE + 2))
         both[:POSE_SIZE, :POSE_SIZE], both[POSE_SIZE:, POSE_SIZE:] = covariance, tilt.covariance
@@ -203,7 +204,7 @@ class Tracker:
         fit
             Fit whose pose says where the array should be.
         """
-        corner, up, down = self._cut(pair, track.state.pose)
+        corner, up, down = _cut(pair, window_around(track.state.pose, self._side, _margin(track.state.pose)))
         noise = noise_around(up - down, track.state.pose, corner, self._side)
         pose = fit.pose
         return _inside(pose, pair.pattern) and is_active(up - down, noise, pose, corner, self._side, track.gain)
@@ -289,10 +290,15 @@ class Tracker:
             sure = open_leds
         return None if sure.all() else open_pixels(sure, pose, corner, shape)
 
-    def _cut(self, pair: FramePair, pose: Pose) -> tuple[tuple[int, int], Floats, Floats]:
-        """The array's surroundings in both frames, and their corner."""
-        window = window_around(pose, self._side, WINDOW_MARGIN_PITCHES * pose.pitch + WINDOW_MARGIN_PX)
-        return (window[0], window[1]), cut_out(pair.pattern, window), cut_out(pair.inverted, window)
+
+def _margin(pose: Pose) -> float:
+    """Pixels around an array that are fitted with it."""
+    return WINDOW_MARGIN_PITCHES * pose.pitch + WINDOW_MARGIN_PX
+
+
+def _cut(pair: FramePair, window: Window) -> tuple[tuple[int, int], Floats, Floats]:
+    """The array's surroundings in both frames, and their corner."""
+    return (window[0], window[1]), cut_out(pair.pattern, window), cut_out(pair.inverted, window)
 
 
 def _as_expected(track: Track, predicted: Pose, fit: Fit) -> bool:
