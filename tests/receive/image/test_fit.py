@@ -306,7 +306,7 @@ def test_images_drawn_near_a_pose_stand_for_it() -> None:
         prior = Prior(pose.vector() + np.append(rng.normal(0, 0.005, 2), np.zeros(3)), spread, GAIN)
         light = GAIN * draw(pose, ALL_ON, (x, y), (rows, cols)) + LEVEL + rng.normal(0, 1.5, (rows, cols))
         near, exact = (fit_array(light, (x, y), prior, ALL_ON, 3, panel=True, drawn=one) for one in (drawn, None))
-        redrawn += not np.array_equal(anchor, drawn.anchor)
+        redrawn += not np.array_equal(anchor[:5], drawn.anchor[:5])
         off.append(near.vector - exact.vector)
         assert near.gain == pytest.approx(exact.gain, rel=5e-3)
         assert near.score == pytest.approx(exact.score, abs=1e-3)
