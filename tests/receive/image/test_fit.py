@@ -312,7 +312,7 @@ def test_images_drawn_near_a_pose_stand_for_it() -> None:
         assert near.score == pytest.approx(exact.score, abs=1e-3)
     assert 8 <= redrawn <= 18
     away = np.abs(off).max(0)
-    assert away[:2].max() < 2e-3
+    assert away[:2].max() < 4e-3
     assert away[2:4].max() < 2e-4
     assert away[4] < 0.02
 
