@@ -249,7 +249,7 @@ class SoftReader:
             late_s = first, second
         poses = _poses_at(track, pair, late_s)
         cutout = take_cutout(pair, poses, self._side, (track.gain, led_gains.values))
-        return cutout if track.in_sight.all() else beside_what_hides(cutout, track.in_sight)
+        return cutout if track.whole else beside_what_hides(cutout, track.in_sight)
 
     def _shown_format(self, gain: float) -> Format:
         """The format that the header shows so far, by the light of data in gray levels."""

@@ -127,7 +127,7 @@ class Drawn:
             Number of images, of each and its slopes, rows and columns.
         """
         wider = max(abs(a**2 - b**2) for a, b in zip(smear, self._smear, strict=True))
-        same = self._corner == corner and self._shapes.shape == shape and np.array_equal(weights, self._weights)
+        same = self._corner == corner and self._shapes.shape == shape and _equal(weights, self._weights)
         if not same or wider > SMEAR_ALIKE:
             self._shapes, self._corner, self._smear, self._weights = np.empty(shape), corner, smear, weights
             self.forget()
@@ -136,6 +136,11 @@ class Drawn:
     def forget(self) -> None:
         """Have the images drawn anew by the next fit."""
         self.anchor.fill(np.nan)
+
+
+def _equal(one: Floats, other: Floats) -> bool:
+    # mostly they are the very same
+    return one is other or np.array_equal(one, other)
 
 
 def fit_array(

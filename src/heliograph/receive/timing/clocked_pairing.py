@@ -48,8 +48,11 @@ Of a camera in step 87 % of the clock's normal errors are smaller.
 NEAREST_PATTERNS = 0.5
 """Patterns by which a frame may start early or late and still be nearest to a pattern: frames are a pattern apart."""
 
-TICKS = 3
-"""Decimal places of a frame's start in patterns: the clock is exact to 0.004 at best."""
+TICK = 0.002
+"""Step of a frame's start and of an exposure in patterns: the clock is exact to 0.004 at best.
+
+Pairs whose frames start and last alike are combined alike.
+"""
 
 COMBINED_MARGIN, COMBINED_MARGIN_PX = 0.5, 8.0
 """Margin of combined frames about the array, as a fraction of its side, and at least in px: room for the tracker.
@@ -198,11 +201,11 @@ class ClockedPairing:
         inside = self._frames_of(clock, place - NEAREST_PATTERNS, place + 1 + NEAREST_PATTERNS)
         if len(inside) != 1:
             return None
-        start = round(clock.pattern_at(inside[0].time_s) - place, TICKS)
+        start = _rounded(clock.pattern_at(inside[0].time_s) - place)
         inverted = start > NEAREST_PATTERNS
         # in step it would be with its other half in its place
         two = (start - 1, start) if inverted else (start, start + 1)
-        combination = _pair_combination(two, clock.exposure, self._light)
+        combination = _pair_combination(two, _rounded(max(clock.exposure, TICK)), self._light)
         return LoneFrame(inside[0], inverted, self._late_s) if _in_step(clock, combination) else None
 
     @property
@@ -239,8 +242,8 @@ class ClockedPairing:
 
     def _combination(self, clock: LightClock, frames: list[Frame], pattern: int) -> Combination | None:
         """How frames combine for the pair that begins with a pattern."""
-        starts = tuple(round(start - pattern, TICKS) for start in clock.patterns_at([f.time_s for f in frames]))
-        return _pair_combination(starts, clock.exposure, self._light)
+        starts = tuple(_rounded(start - pattern) for start in clock.patterns_at([f.time_s for f in frames]))
+        return _pair_combination(starts, _rounded(max(clock.exposure, TICK)), self._light)
 
     def _header_combination(
         self, clock: LightClock, first: int, part: tuple[int, int]
@@ -306,9 +309,14 @@ class ClockedPairing:
             self._frames.popleft()
 
 
-@lru_cache(maxsize=64)  # in step, and at rates that repeat, the pairs of a packet are combined alike
+def _rounded(patterns: float) -> float:
+    """A time in patterns, to the nearest `TICK`."""
+    return round(patterns / TICK) * TICK
+
+
+@lru_cache(maxsize=512)  # in step, and at rates that repeat, the pairs of a packet are combined alike
 def _pair_combination(starts: tuple[float, ...], exposure: float, light: SlotLight) -> Combination | None:
-    """`combine_pair` for starts rounded to `TICKS` places."""
+    """`combine_pair` for rounded starts and exposures."""
     return combine_pair(np.array(starts), exposure, light)
 
 

@@ -6,6 +6,29 @@ from heliograph.base.compiled import compiled
 
 
 @compiled()
+def about_mean(shown, mean, about):
+    """What a frame shows about the mean of frames.
+
+    Parameters
+    ----------
+    shown, mean
+        (n,) gray levels of the frame and of the mean.
+    about
+        (n,) the first less the second, overwritten.
+
+    Returns
+    -------
+    Power of the difference, summed up, and its mean.
+    """
+    power, total = 0.0, 0.0
+    for k in range(shown.shape[0]):
+        about[k] = shown[k] - mean[k]
+        power += about[k] * about[k]
+        total += about[k]
+    return power, total / shown.shape[0]
+
+
+@compiled()
 def means_at_leds(image, x, y, axes, width, rim, side):
     """Means of an image over squares about LEDs, between pixels by their distance.
 

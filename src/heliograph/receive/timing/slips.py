@@ -15,6 +15,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import hypot
 
+import numpy as np
+
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.image.pose import Pose
@@ -200,8 +202,8 @@ class SlipWatch:
         shown = kernels.means_at_leds(frame.pixels, *place, pose.axes, width, self._rim, side)
         if self._mean is None:
             return _Held(frame, number, pose, shown, None, 0.0, False)
-        about = shown - self._mean
-        power, mean = float(about @ about), float(about.sum()) / about.size
+        about = np.empty(shown.shape)
+        power, mean = kernels.about_mean(shown, self._mean, about)
         return _Held(frame, number, pose, shown, about, power, power - about.size * mean**2 > POWER_RATIO * power)
 
     def _ready(self) -> bool:

@@ -4,7 +4,7 @@ Times are in seconds, but all spreads are in patterns: a light ten times slower,
 from pattern to pattern as the light slows down.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
 from math import exp, hypot, inf
 
@@ -312,7 +312,7 @@ class PoseState:
         """
         shown = observation.matrix, observation.variances, _for_kernels(vector), _for_kernels(covariance)
         mean, full = kalman_kernels.condition(*self._state, *shown)
-        return replace(self, mean=mean, covariance=full)
+        return PoseState(self.time_s, mean, full, self.tilt)
 
     @property
     def _state(self) -> tuple[Floats, Floats]:

@@ -47,7 +47,7 @@ class KeptPairs:
             Whether they are its own two frames, not a combination of four.
         """
         cutouts = {**self.cutouts, place: cutout}
-        if not track.in_sight.all():
+        if not track.whole:
             cutouts |= hidden_since(cutouts, place, track.in_sight)
         seen = {**self.seen, place: SeenPair(track.state, cutout)} if in_step else self.seen
         return KeptPairs(cutouts, seen, self.lone)

@@ -77,18 +77,23 @@ def look(
 
     Returns
     -------
-    Standard deviation of the noise of the difference in gray levels.
+    Standard deviation of the noise of the difference in gray levels; whether an LED is hidden; whether one is covered.
     """
     for i in range(up.shape[0]):
         for j in range(up.shape[1]):
             differs[i, j], total[i, j] = up[i, j] - down[i, j], up[i, j] + down[i, j]
     noise = noise_beside(differs, middle[0], middle[1], beside)
     recent_change(before, differs, noise, middle[0], middle[1], axes, width, least, bright, most, rate, after)
+    hidden, covered = False, False
     for u in range(after.shape[0]):
         for v in range(after.shape[1]):
             sight[u, v], clear[u, v] = 1.0 if after[u, v] >= sight_from else 0.0, 1.0
+            hidden |= after[u, v] < sight_from
     uncover(total, middle, axes, away, changed, sight, usual, clear)
-    return noise
+    for u in range(after.shape[0]):
+        for v in range(after.shape[1]):
+            covered |= clear[u, v] == 0.0
+    return noise, hidden, covered
 
 
 @compiled()

@@ -71,7 +71,7 @@ def look(track: Track, up: Floats, down: Floats, corner: tuple[int, int], pose: 
     light = max(track.gain, track.data_gain) if track.pairs >= USUAL_PAIRS else inf
     # random data change the light by half of it
     least = LEAST_DATA_POWER * (0.5 * contrast(pose) * track.data_gain) ** 2
-    noise = kernels.look(
+    noise, hidden, covered = kernels.look(
         up,
         down,
         np.array((pose.x - corner[0], pose.y - corner[1])),
@@ -93,5 +93,5 @@ def look(track: Track, up: Floats, down: Floats, corner: tuple[int, int], pose: 
         sight,
         clear,
     )
-    covered = None if clear.all() else clear
-    return Look(differs, total, noise, track.looked_at(after, lines, covered))
+    seen = track.looked_at(after, sight if hidden else None, lines, clear if covered else None)
+    return Look(differs, total, noise, seen)

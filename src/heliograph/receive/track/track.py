@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numpy as np
+
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.fit import Drawn, Fit
 from heliograph.receive.observe.cutout import Cutout
@@ -54,20 +56,28 @@ class Track:
     clear: Floats | None = None
     drawn: Drawn = field(default_factory=Drawn, compare=False, repr=False)
 
-    def looked_at(self, change: Floats, lines: Floats, clear: Floats | None) -> "Track":
+    def looked_at(self, change: Floats, in_sight: Floats | None, lines: Floats, clear: Floats | None) -> "Track":
         """The track after one more pair was looked at.
 
         Parameters
         ----------
         change
             (n, n) of `Track.change` with the pair.
+        in_sight
+            (n, n) of `Track.in_sight` by it; None if all LEDs are in sight.
         lines
             (2, n + 2) of `Track.lines` with the pair.
         clear
             (n, n) of `Track.clear` by the pair; None if all LEDs are clear.
         """
         gains = self.state, self.gain, self.data_gain, self.led_gains, self.last_seen_s
-        return Track(*gains, change, self.score, self.pairs + 1, lines, clear, self.drawn)
+        after = Track(*gains, change, self.score, self.pairs + 1, lines, clear, self.drawn)
+        known = after.__dict__
+        known["whole"] = in_sight is None
+        known["in_sight"] = np.ones(change.shape) if in_sight is None else in_sight
+        if "sound" in self.__dict__:
+            known["sound"] = self.sound
+        return after
 
     def found(self, state: PoseState, gain: float, score: float, seen_s: float) -> "Track":
         """The track after its pose was found; what is known of its LEDs need not be worked out again.
@@ -85,7 +95,7 @@ class Track:
         """
         leds = self.change, score, self.pairs, self.lines, self.clear, self.drawn
         after = Track(state, gain, self.data_gain, self.led_gains, seen_s, *leds)
-        for name in ("in_sight", "unhidden", "hidden", "sound", "shining"):
+        for name in ("in_sight", "whole", "unhidden", "hidden", "sound", "shining"):
             if name in self.__dict__:
                 after.__dict__[name] = self.__dict__[name]
         return after
@@ -96,6 +106,11 @@ class Track:
         return in_sight(self.change)
 
     @cached_property
+    def whole(self) -> bool:
+        """Whether all LEDs are in sight."""
+        return bool(self.in_sight.all())
+
+    @cached_property
     def unhidden(self) -> Floats:
         """1 for LEDs in sight that nothing covers, as far as is known, (n, n)."""
         return self.in_sight if self.clear is None else self.in_sight * self.clear
@@ -103,7 +118,7 @@ class Track:
     @cached_property
     def hidden(self) -> bool:
         """Whether something hides or covers an LED."""
-        return not self.unhidden.all()
+        return not self.whole if self.clear is None else not self.unhidden.all()
 
     @cached_property
     def sound(self) -> bool:
@@ -113,7 +128,7 @@ class Track:
     @cached_property
     def shining(self) -> Floats:
         """Gains of the LEDs, 0 where something hides them, (n, n)."""
-        return self.led_gains * self.in_sight
+        return self.led_gains if self.whole else self.led_gains * self.in_sight
 
 
 @dataclass(frozen=True, slots=True)
