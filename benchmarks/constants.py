@@ -85,7 +85,7 @@ DEFINED = (
     "PIXEL_VARIANCE_PX2",
     "PIXEL_STD_PX",
     "WALK_PATTERNS",
-    "TICKS",
+    "TICK",
 )
 """Constants that follow from a definition: a code's distance, a count of images, a unit. They are not changed."""
 

@@ -149,7 +149,7 @@ def images_of(
     parts
         (n, n) number of each LED's part, 0 to count - 1.
     count
-        Number of parts.
+        How many parts there are, 1 or more.
     pose
         Pose of the array's image on the sensor.
     corner

@@ -28,7 +28,7 @@ LEAST_INFORMATION = 1e-3
 LEAST_RESIDUAL = 0.5
 """Least standard deviation of residuals in gray levels by which they are weighed: the largest error of rounding."""
 
-SAMPLED = 512
+LEAST_SAMPLED = 512
 """Pixels at least, of those there are, whose residuals tell the noise: their median magnitude is right to 5 %."""
 
 LEAST_VARIANCE = 0.08
@@ -368,7 +368,7 @@ def sampling(pixels, cols):
     pixels, cols
         Number of pixels, and of their columns.
     """
-    step = max(pixels // SAMPLED, 1)
+    step = max(pixels // LEAST_SAMPLED, 1)
     while step > 1 and cols % step == 0:
         step += 1
     return step

@@ -85,7 +85,7 @@ class Track:
         Parameters
         ----------
         state
-            Pose and rates.
+            Pose and rates of the array, with their covariance.
         gain
             Gray levels of a pair's sum with all LEDs on.
         score
