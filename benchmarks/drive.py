@@ -9,8 +9,8 @@ Then the frames come at a camera's rate, and packets are decoded beside followin
 time at which its last frame came to its bytes; a frame waits where the receiver is not done with those before it.
 
 On a machine that others use too, these times say little. So the same is worked out from processor time: what each
-frame took to follow, and each packet to hand over and to decode, the least of three runs, as if two cores did nothing
-else. `--cores` prints this alone.
+frame took to follow, and each packet to hand over, to decode and to learn from, the least of three runs, as if two
+cores did nothing else. Following waits where it asks for a result. `--cores` prints this alone.
 """
 
 import argparse
@@ -20,8 +20,10 @@ import pickle
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 from heliograph.base.workers import THREAD_LIMITS, limit_threads
@@ -35,13 +37,10 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.media import create_film, open_film
-from heliograph.receive import Packet, make_receiver
-from heliograph.receive.coming import DecodedPacket, Work
+from heliograph.receive import Packet, assemblies, make_receiver
+from heliograph.receive.coming import ComingPacket
 
 RUNS = 3
-WAITED_FOR = 1
-"""First packets of an array that following waits for: it is then beyond doubt that it is there."""
-
 WARM_FRAMES = 330
 """Frames read before time is taken: three packets, so that all machine code is loaded."""
 
@@ -134,54 +133,118 @@ def as_they_come(frames: Sequence[Frame], settings: LinkSettings, rate_hz: float
     )
 
 
+@dataclass
+class Step:
+    """What one of the two processes did next.
+
+    Attributes
+    ----------
+    kind
+        "frame" where following takes the next one, "follow" what it does with it, "task" what it hands to the process
+        that decodes, and "wait" where it asks for the result.
+    number
+        Of the frame or task.
+    seconds
+        Processor time.
+    """
+
+    kind: str
+    number: int
+    seconds: float = 0.0
+
+
+class Stopwatch:
+    """Times what following does and what it hands over, which is done at once; it stands for `coming.Beside`."""
+
+    def __init__(self) -> None:
+        self.steps, self.last_frames = list[Step](), dict[int, int]()
+        self._tasks, self._since = 0, 0.0
+
+    def frame(self, number: int) -> None:
+        self.steps.append(Step("frame", number))
+        self._since = time.process_time()
+
+    def followed(self) -> None:
+        self.steps.append(Step("follow", 0, time.process_time() - self._since))
+        self._since = time.process_time()
+
+    def submit(self, work: Callable[[], Any], /) -> "Result":
+        handed, number, self._tasks = pickle.dumps(work, 5), self._tasks, self._tasks + 1
+        self.followed()
+        answer = pickle.dumps(pickle.loads(handed)(), 5)
+        self.steps.append(Step("task", number, time.process_time() - self._since))
+        self._since = time.process_time()
+        return Result(self, number, pickle.loads(answer))
+
+    def asked(self, number: int) -> None:
+        self.followed()
+        self.steps.append(Step("wait", number))
+
+    def read(self, frames: Sequence[Frame], settings: LinkSettings) -> None:
+        made = ComingPacket.__init__
+
+        def noted(packet: ComingPacket, seen: Packet, taken: Any, work: Result, *others: Any) -> None:
+            self.last_frames[work.number] = seen.last_frame
+            made(packet, seen, taken, work, *others)
+
+        gc.collect()
+        with (
+            mock.patch.object(assemblies, "decoders", return_value=self),
+            mock.patch.object(ComingPacket, "__init__", noted),
+        ):
+            one = make_receiver(settings.signal, settings.receive)
+            for frame in frames:
+                self.frame(frame.index)
+                list(one.push(frame))
+                self.followed()
+
+
+class Result(Future[Any]):
+    """Tells when it is asked for; as it is never done before, that is only where following cannot do without it."""
+
+    def __init__(self, watch: Stopwatch, number: int, answer: Any) -> None:
+        super().__init__()
+        self.number, self._watch, self._answer = number, watch, answer
+
+    def done(self) -> bool:
+        return False
+
+    def result(self, timeout: float | None = None) -> Any:  # noqa: ARG002 - the base's
+        self._watch.asked(self.number)
+        return self._answer
+
+
 def on_two_cores(frames: Sequence[Frame], settings: LinkSettings, rate_hz: float) -> None:
-    """Delays as if following and decoding had a core each, by the processor time of every frame and packet."""
-    settings = link(settings, settings.receive.receiver, False)
-    read(settings, frames[:WARM_FRAMES])
-    follows, decodes = zip(*(processor_times(frames, settings) for _ in range(RUNS)), strict=True)
-    follow, decode = np.min(follows, axis=0), np.min(decodes, axis=0)
-    done = decoder = 0.0
-    waits, delays = list[float](), list[float]()
-    for k in range(len(frames)):
-        waits.append(max(done - k / rate_hz, 0.0))
-        done = max(done, k / rate_hz) + follow[k]
-        if decode[k]:
-            decoder = max(decoder, done) + decode[k]
-            delays.append(decoder - k / rate_hz)
-            done = decoder if len(delays) <= WAITED_FOR else done
+    """Delays as if following and decoding had a core each, by the processor time of every step."""
+    settings = link(settings, settings.receive.receiver, True)
+    read(link(settings, settings.receive.receiver, False), frames[:WARM_FRAMES])
+    runs = [Stopwatch() for _ in range(RUNS)]
+    for run in runs:
+        run.read(frames, settings)
+    seconds = np.min([[step.seconds for step in run.steps] for run in runs], axis=0)
+    first, now, free, ends = frames[0].index, 0.0, 0.0, dict[int, float]()
+    waits, spent = list[float](), Counter[str]()
+    for step, took in zip(runs[0].steps, seconds, strict=True):
+        spent[step.kind] += took
+        if step.kind == "frame":
+            waits.append(max(now - (step.number - first) / rate_hz, 0.0))
+            now += max((step.number - first) / rate_hz - now, 0.0)
+        elif step.kind == "follow":
+            now += took
+        elif step.kind == "task":
+            ends[step.number] = free = max(free, now) + took
+        else:
+            now = max(now, ends[step.number])
+    delays = [ends[task] - (last - first) / rate_hz for task, last in runs[0].last_frames.items()]
     wait, delay = np.array(waits) * 1e3, np.array(delays) * 1e3
-    settled = wait[(WAITED_FOR + 1) * WARM_FRAMES // 3 :].max(), delay[WAITED_FOR:].max()
     print(
-        f"{settings.receive.receiver:6} at {rate_hz:g} frames/s, a core each: {follow.mean() * 1e3:.3f} ms a frame to "
-        f"follow, {decode.mean() * 1e3:.3f} to decode; delay in ms of {len(delay)} packets {np.median(delay):.0f} in "
-        f"the middle, 90 % {np.quantile(delay, 0.9):.0f}, most {delay.max():.0f}, {settled[1]:.0f} after the first "
-        f"{WAITED_FOR}; frames waiting: 99 % {np.quantile(wait, 0.99):.0f}, most {wait.max():.0f}, {settled[0]:.0f} "
-        f"after those",
+        f"{settings.receive.receiver:6} at {rate_hz:g} frames/s, a core each: "
+        f"{spent['follow'] / len(frames) * 1e3:.3f} ms a frame to follow, {spent['task'] / len(frames) * 1e3:.3f} to "
+        f"decode; delay in ms of {len(delay)} packets {np.median(delay):.0f} in the middle, 90 % "
+        f"{np.quantile(delay, 0.9):.0f}, most {delay.max():.0f}, the first {np.round(delay[:4]).astype(int).tolist()}; "
+        f"frames waiting: 99 % {np.quantile(wait, 0.99):.0f}, most {wait.max():.0f}",
         flush=True,
     )
-
-
-def processor_times(frames: Sequence[Frame], settings: LinkSettings) -> tuple[list[float], list[float]]:
-    """Processor time in s of each frame to follow and to hand packets over, and to decode the packets that it ends."""
-    one, clock, decode = make_receiver(settings.signal, settings.receive), time.process_time, Work.__call__
-    follows, decodes, took = list[float](), list[float](), list[float]()
-
-    def decoded(work: Work) -> DecodedPacket:
-        handed = pickle.dumps(work, 5)
-        start = clock()
-        result = decode(pickle.loads(handed))
-        took.append(clock() - start)
-        return result
-
-    gc.collect()
-    with mock.patch.object(Work, "__call__", decoded):
-        for frame in frames:
-            took.clear()
-            start = clock()
-            list(one.push(frame))
-            decodes.append(sum(took))
-            follows.append(clock() - start - decodes[-1])
-    return follows, decodes
 
 
 def main() -> None:

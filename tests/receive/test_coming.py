@@ -158,7 +158,7 @@ def test_a_process_that_dies_is_told_in_a_line_and_begun_anew() -> None:
     frames = film(settings, PACKET + 10)
     (packet,) = receive_frames(frames, settings.signal, settings.receive)
     dying: Any = coming.Beside().submit(partial(os._exit, 1))
-    lost = coming.ComingPacket(packet, cast(Any, None), dying, ignore, None)
+    lost = coming.ComingPacket(packet, cast(Any, None), dying, dying, ignore, None)
     with pytest.raises(HeliographError, match=r"^the process that decodes packets has ended.*beside = false"):
         lost.packet()
     assert [one.status for one in receive_frames(frames, settings.signal, settings.receive)] == ["ok"]

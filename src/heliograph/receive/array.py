@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.coming import ENOUGH_SEEN, HEADER_SEEN, ComingPacket, Decoders, Work
+from heliograph.receive.coming import ENOUGH_SEEN, HEADER_SEEN, ComingPacket, Decoders, SharedLesson, Study, Work
 from heliograph.receive.events import Observer, TrackEvent
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose, rim_distance
@@ -99,6 +99,7 @@ class ArrayReceiver:
         self._poses: dict[int, PoseAt] = {}
         self._read: bool | None = None
         self._beside: ComingPacket | None = None
+        self._taught = SharedLesson()
         self._proven = self._failed = self._outgrown = False
 
     @property
@@ -260,7 +261,7 @@ class ArrayReceiver:
             yield self._finish()
         elif in_packet == self._pairs - 1 and self._gathered.frames:
             # single frames of its pairs, but none that shows where the array is
-            self._gathered, self._reader = self._empty(), self._reader.next()
+            self._gathered, self._reader = self._empty(), self._reader.next(beyond_doubt=False)
 
     def _end_header(self) -> None:
         """Correct the clock by the header just over; out of step it is read as a whole."""
@@ -316,8 +317,8 @@ class ArrayReceiver:
             self._beside = coming
         else:
             self._conclude(coming)
-            self._reader.learn(coming.decoded.lesson)
-        self._reader = self._reader.next()
+            self._reader.learn(coming.lesson)
+        self._reader = self._reader.next(beyond_doubt)
         return coming
 
     @property
@@ -328,18 +329,20 @@ class ArrayReceiver:
     def _expected(self, seen: Packet) -> bool:
         """Whether an array is followed on, whatever comes of decoding its packet: that it is there, is beyond doubt."""
         clear = seen.header_score >= HEADER_SEEN and seen.pairs_seen >= ENOUGH_SEEN
-        return self._proven and bool(self._read) and clear and bool((self._track.shining == 1).all())
+        first = self._read is None and self.found.unmistakable
+        return (first or (self._proven and bool(self._read))) and clear and bool((self._track.shining == 1).all())
 
     def _coming(self, seen: Packet, lacks_pair: bool) -> ComingPacket:
         taken = self._reader.taken()
-        work = self._decoders.submit(Work(taken, self.identity, self._signal, lacks_pair))
-        return ComingPacket(seen, taken, work, self._observe, self._pairing.exposure_range)
+        work = self._decoders.submit(Work(taken, self.identity, self._signal, lacks_pair, self._taught))
+        lesson = self._decoders.submit(Study(self._taught))
+        return ComingPacket(seen, taken, work, lesson, self._observe, self._pairing.exposure_range)
 
     def _take_over(self) -> None:
         """Take over what the packet before has taught, if it was decoded while this one was seen."""
         if self._beside is not None:
             self._conclude(self._beside)
-            self._reader.catch_up(self._beside.decoded.lesson)
+            self._reader.catch_up(self._beside.lesson)
             self._beside = None
 
     def _conclude(self, coming: ComingPacket) -> None:

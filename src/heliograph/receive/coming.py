@@ -7,12 +7,13 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
-from typing import Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.registry import Part, registered
+from heliograph.base.shared import Shared
 from heliograph.base.workers import worker_environment, worker_processes
 from heliograph.receive.decode.codeword import unread
 from heliograph.receive.events import Event, Observer
@@ -37,6 +38,42 @@ Below it a packet that the film's end cuts off is not given out, and one without
 data half of which is erased no code of a rate above 1/2 can be read. Half of it loses none of 192 codewords; twice of
 it, all of the data, loses 20, all of cameras out of step (docs/constants.md).
 """
+
+LESSONS_KEPT = 32
+"""Arrays whose lessons the process that decodes keeps, those asked for last: more than are in view.
+
+An array of 16 x 16 LEDs takes 1 MB.
+"""
+
+
+class Teaching(NamedTuple):
+    """What the packets of an array have taught.
+
+    Attributes
+    ----------
+    lesson
+        What the last one taught that was studied; None before.
+    study
+        Gives what the packet taught that was decoded last; None where it is studied, or teaches nothing.
+    """
+
+    lesson: Any = None
+    study: Callable[[], Any] | None = None
+
+
+class SharedLesson(Shared[Teaching]):
+    """Hands what was learnt of an array on from packet to packet, where these are decoded.
+
+    Parameters
+    ----------
+    name
+        What tells it from others in another process; None for a new name.
+    """
+
+    kept = LESSONS_KEPT
+
+    def __init__(self, name: str | None = None) -> None:
+        super().__init__(Teaching(), name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,46 +112,78 @@ class Work:
         Settings of the light's signal.
     lacks_pair
         Whether a pair of it is lost, nobody knows which.
+    taught
+        What the array's packets before have taught.
     """
 
     taken: TakenPacket
     identity: int
     signal: SignalSettings
     lacks_pair: bool
+    taught: SharedLesson
 
     def __call__(self) -> DecodedPacket:
         """Decode it."""
-        events, renumbered = list[Event](), None
+        events, renumbered, lesson = list[Event](), None, self.taught.content.lesson
+        taken = self.taken.taught(lesson)
         try:
             if self.lacks_pair:
-                renumbered, decoded = decode_renumbered(self.taken, self.signal.data_pairs, events.append)
+                renumbered, decoded = decode_renumbered(taken, self.signal.data_pairs, events.append)
             else:
-                decoded = self.taken.decode(events.append)
+                decoded = taken.decode(events.append)
         except (np.linalg.LinAlgError, UnreadableModeError) as error:
             words = unread(PacketFormat(self.signal, self.taken.format), self.identity)
             return DecodedPacket(Decoded(words), tuple(events), error)
-        return DecodedPacket(decoded, tuple(events), None, renumbered)
+        self.taught.keep(Teaching(lesson, decoded.study))
+        # what it teaches is worked out later, and here
+        return DecodedPacket(replace(decoded, study=None), tuple(events), None, renumbered)
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """Works out what a packet teaches, after it was decoded and handed out.
+
+    Attributes
+    ----------
+    taught
+        What the array's packets have taught.
+    """
+
+    taught: SharedLesson
+
+    def __call__(self) -> Any:
+        """What the packet that was decoded last has taught; None for nothing."""
+        before, study = self.taught.content
+        if study is None:
+            return None
+        self.taught.keep(Teaching(before))
+        try:
+            lesson = study()
+        except np.linalg.LinAlgError:
+            return None
+        self.taught.keep(Teaching(lesson))
+        return lesson
 
 
 class Decoders(Protocol):
     """Decodes packets, one after the other."""
 
-    def submit(self, work: Callable[[], DecodedPacket], /) -> Future[DecodedPacket]:
-        """Decode a packet, now or later.
+    def submit(self, work: Callable[[], Result], /) -> Future[Result]:
+        """Decode or study a packet, now or later, after all that was submitted before.
 
         Parameters
         ----------
         work
-            Decodes it; called once, here or in another process.
+            Does it; called once, here or in another process.
         """
 
 
 class AtOnce:
     """Decodes a packet when it is handed in."""
 
-    def submit(self, work: Callable[[], DecodedPacket], /) -> Future[DecodedPacket]:
-        """Decode it; see `Decoders`."""
-        done = Future[DecodedPacket]()
+    def submit(self, work: Callable[[], Result], /) -> Future[Result]:
+        """Do it; see `Decoders`."""
+        done = Future[Result]()
         done.set_result(work())
         return done
 
@@ -125,7 +194,7 @@ class Beside:
     A thread would do no good: following and decoding are half Python, of which one thread runs at a time.
     """
 
-    def submit(self, work: Callable[[], DecodedPacket], /) -> Future[DecodedPacket]:
+    def submit(self, work: Callable[[], Result], /) -> Future[Result]:
         """Hand it to the process; see `Decoders`."""
         return _submitted(work)
 
@@ -157,7 +226,7 @@ def _submitted(work: Callable[[], Result]) -> Future[Result]:
 @lru_cache(maxsize=1)
 def _process(_parts: tuple[Part, ...]) -> ProcessPoolExecutor:
     """The process that decodes, which knows some registered parts."""
-    # one process: what is seen of codewords again is kept there, in the packets' order
+    # one process: what packets show of an array and its codewords is kept there, in the packets' order
     return worker_processes(1)
 
 
@@ -177,6 +246,8 @@ class ComingPacket:
         All that was taken of it.
     work
         What decoding makes of it.
+    lesson
+        What it teaches of the array.
     observe
         Gets the events of decoding, in the thread that asks for the packet.
     exposure_range
@@ -188,10 +259,11 @@ class ComingPacket:
         seen: Packet,
         taken: TakenPacket,
         work: Future[DecodedPacket],
+        lesson: Future[Any],
         observe: Observer,
         exposure_range: tuple[float, float] | None,
     ):
-        self._seen, self._taken, self._work, self._observe = seen, taken, work, observe
+        self._seen, self._taken, self._work, self._lesson, self._observe = seen, taken, work, lesson, observe
         self._exposure_range = exposure_range
         self._packet: Packet | None = None
 
@@ -209,7 +281,18 @@ class ComingPacket:
         HeliographError
             The process that decodes has ended.
         """
-        return self._result().decoded
+        return _result(self._work).decoded
+
+    @property
+    def lesson(self) -> Any:
+        """What it teaches of the array, None for nothing; waits until that is known.
+
+        Raises
+        ------
+        HeliographError
+            The process that decodes has ended.
+        """
+        return _result(self._lesson)
 
     def packet(self) -> Packet:
         """The packet; waits until it is decoded.
@@ -220,7 +303,7 @@ class ComingPacket:
             The process that decodes has ended.
         """
         if self._packet is None:
-            result, seen = self._result(), self._seen
+            result, seen = _result(self._work), self._seen
             taken, words = result.renumbered or self._taken, result.decoded.words
             self._packet = replace(
                 seen,
@@ -234,15 +317,6 @@ class ComingPacket:
             self._observe(replace(taken.shown(self._packet, result.decoded), exposure_range=self._exposure_range))
         return self._packet
 
-    def _result(self) -> DecodedPacket:
-        try:
-            return self._work.result()
-        except BrokenProcessPool:
-            raise HeliographError(
-                "the process that decodes packets has ended: was there too little memory? "
-                "receive.decode.beside = false decodes them in this process"
-            ) from None
-
     def _reason(self, failure: Exception | None) -> str:
         if failure is None:
             return ""
@@ -251,6 +325,16 @@ class ComingPacket:
         place = self._seen.identity, self._seen.first_frame
         LOG.log(level, "array %d, packet at frame %d is not read: %s", *place, failure)
         return str(failure)
+
+
+def _result(work: Future[Result]) -> Result:
+    try:
+        return work.result()
+    except BrokenProcessPool:
+        raise HeliographError(
+            "the process that decodes packets has ended: was there too little memory? "
+            "receive.decode.beside = false decodes them in this process"
+        ) from None
 
 
 def _status(layers: Words, header: float, seen: float) -> Status:

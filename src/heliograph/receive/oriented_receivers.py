@@ -50,7 +50,13 @@ class OrientedReceivers:
         frame
             The frame, with the time that the clock gives it.
         """
-        yield from self._believed([(one, list(one.push(frame))) for one in self._receivers])
+        read = list[tuple[ArrayReceiver, list[ComingPacket]]]()
+        for one in self._receivers:
+            read.append((one, list(one.push(frame))))
+            if one.proven:
+                # the others are mistaken: their packets need not be decoded
+                break
+        yield from self._believed(read)
 
     def overdue(self, time_s: float) -> bool:
         """Whether a frame comes so late that the array is done; see `ArrayReceiver`.

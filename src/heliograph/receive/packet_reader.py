@@ -13,7 +13,7 @@ from heliograph.receive.events import ExtractEvent, Observer
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.reader_protocol import ReadHeader
-from heliograph.receive.taken_pairs import Lesson, Light, SoftReading, TakenPairs
+from heliograph.receive.taken_pairs import Lesson, Light, SoftReading, TakenPairs, with_brightness
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.background import SeenHeader
 from heliograph.receive.track.decision_directed import DecisionDirectedTracker
@@ -90,7 +90,7 @@ class SoftReader:
     led_gains
         Gains of its LEDs by earlier packets; None takes those of the detection.
     proven
-        Whether the equaliser has decoded a codeword of it since it was found: its pose and gains are then right.
+        Whether it is beyond doubt that its LEDs have shone at its pose.
     """
 
     def __init__(self, identity: int, parts: SoftParts, led_gains: LedGains | None = None, proven: bool = False):
@@ -179,7 +179,6 @@ class SoftReader:
             self._data,
             self._light,
             self._led_gains,
-            self._proven,
             self._late_s,
             self._header.even,
             None if self._decisions is None else self._decisions.noise.lit,
@@ -190,20 +189,15 @@ class SoftReader:
         if lesson is not None:
             self._led_gains, self._proven = lesson
 
-    def next(self) -> "SoftReader":
+    def next(self, beyond_doubt: bool) -> "SoftReader":
         """The reader of the next packet; it knows the LEDs."""
         led_gains = None if self._led_gains is None else self._led_gains.faded()
-        return SoftReader(self._identity, self._parts, led_gains, self._proven)
+        return SoftReader(self._identity, self._parts, led_gains, self._proven or beyond_doubt)
 
     def catch_up(self, lesson: Lesson | None) -> None:
         """Take over the LEDs' brightness; what is in sight, this packet's own header shows; see `PacketReader`."""
-        learnt, proven = lesson or (None, False)
-        self._proven |= proven
-        if learnt is None:
-            return
-        gains = self._led_gains
-        faded = learnt.faded()
-        self._led_gains = faded if gains is None else replace(gains, brightness=faded.brightness)
+        if lesson is not None:
+            self._led_gains, self._proven = with_brightness(self._led_gains, lesson.led_gains), lesson.proven
 
     def _learn(
         self, pair: FramePair, weights: Floats, before: Track, track: Track, led_gains: LedGains

@@ -1,5 +1,6 @@
 """What a reader of packets must offer to the receiver of an array."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -38,8 +39,8 @@ class Decoded:
         Codewords by layer, decoded or not.
     misled
         Whether they show that the array is not quite as it is followed.
-    lesson
-        What they teach the readers of this packet and the next ones; None for nothing.
+    study
+        Gives what they teach of the array, which nobody need wait for; None where that is nothing.
     cutouts
         Cut-outs of its pairs where others were decoded than those taken; None else.
     luminances
@@ -48,7 +49,7 @@ class Decoded:
 
     words: Words
     misled: bool = False
-    lesson: Any = None
+    study: Callable[[], Any] | None = None
     cutouts: tuple[Cutout | None, ...] | None = None
     luminances: Floats | None = None
 
@@ -59,6 +60,17 @@ class TakenPacket(Protocol):
     @property
     def format(self) -> Format:
         """The packet's format, as far as its header has shown it."""
+
+    def taught(self, lesson: Any) -> "TakenPacket":
+        """Give the same packet with what is known of the array by the packets before.
+
+        They are decoded by then, where the reader may have known only of those before the last.
+
+        Parameters
+        ----------
+        lesson
+            What `Decoded.study` of the last packet that taught anything has given; None before the first.
+        """
 
     def renumbered(self, place: int) -> "TakenPacket":
         """Give the same packet as it is if a pair is lost that the numbers do not tell of.
@@ -165,13 +177,16 @@ class PacketReader(Protocol):
         Parameters
         ----------
         lesson
-            The `Decoded.lesson` of this packet.
+            What `Decoded.study` of this packet has given.
         """
 
-    def next(self) -> "PacketReader":
+    def next(self, beyond_doubt: bool) -> "PacketReader":
         """Give the reader of the next packet.
 
-        Where the array is beyond doubt it is asked for before this packet is decoded.
+        Parameters
+        ----------
+        beyond_doubt
+            Whether the array is there beyond doubt: this is then asked for before the packet is decoded.
         """
 
     def catch_up(self, lesson: Any) -> None:
@@ -180,5 +195,5 @@ class PacketReader(Protocol):
         Parameters
         ----------
         lesson
-            The `Decoded.lesson` of the packet before.
+            What `Decoded.study` of the packet before has given.
         """

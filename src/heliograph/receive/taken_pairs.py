@@ -1,7 +1,7 @@
 """What the soft receiver took of a packet, and its decoding: all frames equalised and decoded together."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -102,14 +102,14 @@ class TakenPairs:
         Light of the array.
     led_gains
         Gains of its LEDs; None where nothing is known of them.
-    proven
-        Whether the equaliser has decoded a codeword of it since it was found: its pose and gains are then right.
     late_s
         Seconds by which the data's light comes after the middle of an exposure.
     even
         The header out of step, its frames combined to one pair; None in step.
     decided_noise
         Variance of a pixel inside the array by decided data, in squared gray levels; None where there are inverses.
+    proven
+        Whether the equaliser has decoded a codeword of it since it was found: its pose and gains are then right.
     """
 
     identity: int
@@ -119,15 +119,22 @@ class TakenPairs:
     data: KeptPairs
     light: Light
     led_gains: LedGains | None
-    proven: bool
     late_s: float
     even: Cutout | None
     decided_noise: float | None
+    proven: bool = False
 
     @property
     def format(self) -> Format:
         """The packet's format, as far as its header has shown it."""
         return self.form.format
+
+    def taught(self, lesson: Lesson | None) -> "TakenPairs":
+        """The same with the LEDs' brightness by earlier packets, and whether it is proven; see `TakenPacket`."""
+        if lesson is None:
+            return self
+        # what is in sight, its own header shows
+        return replace(self, led_gains=with_brightness(self.led_gains, lesson.led_gains), proven=lesson.proven)
 
     def renumbered(self, place: int) -> "TakenPairs":
         """The same with the pairs from one on moved to the next number; see `TakenPacket`."""
@@ -141,23 +148,24 @@ class TakenPairs:
         buffer, as_kept = self.reading.buffer, Assumption(self._gains(), self._cutouts())
         shown, new = self._led_by_led(as_kept), self.led_gains is not None and not self.proven
         if shown is not None and not open_words(shown) and not new:
-            return Decoded(shown, lesson=Lesson(self._brightness_learnt(as_kept, shown), self.proven))
+            return Decoded(shown, study=lambda: Lesson(self._brightness_learnt(as_kept, shown), self.proven))
         first = replace(as_kept, cutouts=steady(as_kept.cutouts))
         earlier = None if buffer is None else buffer.content
 
         def read(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
             return self._decode(assumed, earlier, shown if assumed is first else self._led_by_led(assumed), observe)
 
-        # of an array just found the equaliser must show by itself that its pose is right
-        reading = read_packet(first, read if not new else lambda assumed: self._decode(assumed, earlier, None, observe))
-        misled = new and shown is not None and reading.lacks(shown)
+        def read_with(known: Words | None) -> ReadPacket:
+            return read_packet(first, lambda assumed: self._decode(assumed, earlier, known, observe))
+
+        reading, misled = _read_new(shown, read_with) if new else (read_packet(first, read), False)
         if misled:
             reading = reading.or_rather(read_packet(first, read))
         if buffer is not None and reading.decoded.buffer is not None:
             buffer.keep(reading.decoded.buffer)
         proven = self.proven or (new and not misled and reading.open < sum(map(len, reading.words.values())))
         cutouts = None if reading.assumed.cutouts is first.cutouts else tuple(reading.assumed.cutouts)
-        return Decoded(reading.words, misled, Lesson(self._learnt(reading), proven), cutouts)
+        return Decoded(reading.words, misled, lambda: Lesson(self._learnt(reading), proven), cutouts)
 
     def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:
         """The packet with the cut-outs of its pairs; see `TakenPacket`."""
@@ -205,6 +213,7 @@ class TakenPairs:
         # of pairs out of step the sum is uneven, but not that of a header
         return Noise(min(measure_noise([even], gain, self._side, values).lit, noise.lit), noise.dark)
 
+    @one_thread()
     def _learnt(self, reading: ReadPacket) -> LedGains | None:
         """Gains of the LEDs after a packet was read."""
         led_gains = reading.assumed.led_gains
@@ -212,6 +221,7 @@ class TakenPairs:
             return self.led_gains
         return _learnt_from(reading.decoded, led_gains)
 
+    @one_thread()
     def _brightness_learnt(self, assumed: Assumption, shown: Words) -> LedGains | None:
         """Gains with the brightness of LEDs that a packet showed by themselves, unless that is known."""
         if self.led_gains is None or self.led_gains.brightness.learnt:
@@ -247,6 +257,51 @@ def steady(cutouts: Sequence[Cutout | None]) -> list[Cutout | None]:
         One per pair; None where the array was not seen.
     """
     return [None if one is None else one.steady for one in cutouts]
+
+
+def with_brightness(led_gains: LedGains | None, learnt: LedGains | None) -> LedGains | None:
+    """Gains of the LEDs, their brightness as it was learnt a packet before.
+
+    Parameters
+    ----------
+    led_gains
+        Gains so far, with what is in sight now; None where nothing is known of them.
+    learnt
+        Gains with the brightness that the packet before taught; None if it taught nothing.
+    """
+    if learnt is None:
+        return led_gains
+    faded = learnt.faded()
+    return faded if led_gains is None else replace(led_gains, brightness=faded.brightness)
+
+
+def _read_new(shown: Words | None, read: Callable[[Words | None], ReadPacket]) -> tuple[ReadPacket, bool]:
+    """Read the first packet of an array, of which the equaliser must show by itself that the pose is right.
+
+    Parameters
+    ----------
+    shown
+        Codewords by layer, as the LEDs' positions alone left them; None where these tell nothing.
+    read
+        Reads it by the equaliser, some codewords being known.
+
+    Returns
+    -------
+    The reading, and whether the pose misled it: codewords that the LEDs' positions showed are open in it.
+    """
+    if shown is not None and open_words(known := _without_finest(shown)) < sum(map(len, shown.values())):
+        # a codeword that it adds is proof enough, and a packet of which some is known takes half the time
+        reading = read(known)
+        if reading.open < open_words(known) and not reading.lacks(shown):
+            return reading, False
+    reading = read(None)
+    return reading, shown is not None and reading.lacks(shown)
+
+
+def _without_finest(words: Words) -> Words:
+    """Codewords, those of the layer open that asks most of the pose."""
+    finest = [*words][-1]
+    return {**words, finest: tuple(replace(word, status="crc_fail", block=None) for word in words[finest])}
 
 
 def _learnt_from(decoded: DecodedPacket[ObservedPacket], led_gains: LedGains, stride: int | None = None) -> LedGains:

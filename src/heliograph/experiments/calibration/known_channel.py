@@ -153,9 +153,15 @@ class KnownReader:
             What decoding it has taught, which is nothing.
         """
 
-    def next(self) -> "KnownReader":
-        """Give the reader of the next packet."""
-        return KnownReader(self._link, self._truths, self._blind.next())
+    def next(self, beyond_doubt: bool) -> "KnownReader":
+        """Give the reader of the next packet.
+
+        Parameters
+        ----------
+        beyond_doubt
+            Whether the array is there beyond doubt.
+        """
+        return KnownReader(self._link, self._truths, self._blind.next(beyond_doubt))
 
     def catch_up(self, lesson: None) -> None:
         """Nothing is learnt of a packet: all is known.
@@ -192,6 +198,16 @@ class KnownPairs:
     def format(self) -> Format:
         """The packet's format."""
         return self.form.format
+
+    def taught(self, lesson: None) -> "KnownPairs":  # noqa: ARG002 - all is known
+        """The same: nothing is learnt; see `TakenPacket`.
+
+        Parameters
+        ----------
+        lesson
+            What the packets before have taught, which is nothing.
+        """
+        return self
 
     def renumbered(self, place: int) -> "KnownPairs":  # noqa: ARG002 - no frame is lost
         """The same: no frame is lost of which the truth is known; see `TakenPacket`.

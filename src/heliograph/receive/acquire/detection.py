@@ -65,13 +65,19 @@ class Detection:
     @property
     def hypotheses(self) -> "list[Detection]":
         """The same for all that its header may mean, the most plausible first."""
-        others = [replace(self, identity=i, orientation=o, others=()) for i, o in self.others]
-        return [replace(self, others=()), *others]
+        own = self.identity, self.orientation
+        others = [replace(self, identity=i, orientation=o, others=(own,)) for i, o in self.others]
+        return [self, *others]
 
     @property
     def clear(self) -> bool:
         """Whether its header leaves no doubt that it is an array."""
         return self.score >= CLEAR and self.regularity >= HIDDEN_REGULARITY
+
+    @property
+    def unmistakable(self) -> bool:
+        """Whether its header leaves no doubt either which array it is, and how the camera sees it: upright."""
+        return self.clear and not self.others and self.orientation == UPRIGHT
 
     def seen_in(self, view: View) -> "Detection":
         """The same in a view.

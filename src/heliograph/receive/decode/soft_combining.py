@@ -7,12 +7,11 @@ LLRs of one and the same packet would not add: the light of its other layers dis
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
-from uuid import uuid4
 
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
+from heliograph.base.shared import Shared
 from heliograph.receive.equalise.llr import LARGEST_LLR
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.signal.code import Code
@@ -234,10 +233,8 @@ class SharedBuffers:
         return found
 
 
-class SharedBuffer:
-    """Hands a buffer on from reader to reader of an array, also to those of the array lost and found again.
-
-    Another process that it is handed to has a content of its own, which stays there from packet to packet.
+class SharedBuffer(Shared[SoftBuffer]):
+    """Hands a buffer on from packet to packet of an array, also to those of the array lost and found again.
 
     Parameters
     ----------
@@ -245,38 +242,10 @@ class SharedBuffer:
         What tells it from others in another process; None for a new name.
     """
 
+    kept = BUFFERS_KEPT
+
     def __init__(self, name: str | None = None) -> None:
-        self._content, self._name = SoftBuffer(), name or uuid4().hex
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _of_this_process, (self._name,)
-
-    @property
-    def content(self) -> SoftBuffer:
-        """The buffer after the last packet that was decoded; empty before the first."""
-        return self._content
-
-    def keep(self, buffer: SoftBuffer) -> None:
-        """Hand another buffer on from now on.
-
-        Parameters
-        ----------
-        buffer
-            The buffer after a packet that was decoded.
-        """
-        self._content = buffer
-
-
-_HERE: dict[str, SharedBuffer] = {}
-"""Buffers that other processes have handed to this one, by name, those asked for last at the end."""
-
-
-def _of_this_process(name: str) -> SharedBuffer:
-    """The buffer that stands here for one of another process."""
-    _HERE[name] = found = _HERE.pop(name, None) or SharedBuffer(name)
-    while len(_HERE) > BUFFERS_KEPT:
-        del _HERE[next(iter(_HERE))]
-    return found
+        super().__init__(SoftBuffer(), name)
 
 
 def agreement(a: Floats, b: Floats) -> tuple[float, float]:

@@ -123,7 +123,7 @@ class PlainReader:
     def learn(self, lesson: None) -> None:
         """Nothing is learnt of a packet; see `PacketReader`."""
 
-    def next(self) -> "PlainReader":
+    def next(self, beyond_doubt: bool) -> "PlainReader":  # noqa: ARG002 - the protocol's
         """The reader of the next packet."""
         return PlainReader(self._identity, self._form, self._tracker, self._equaliser, self._options, self._observe)
 
@@ -174,6 +174,10 @@ class TakenLuminances:
     def format(self) -> Format:
         """The agreed one."""
         return AGREED
+
+    def taught(self, lesson: None) -> "TakenLuminances":  # noqa: ARG002 - the protocol's
+        """The same: packets teach nothing; see `TakenPacket`."""
+        return self
 
     def renumbered(self, place: int) -> "TakenLuminances":
         """The same with the pairs from one on moved to the next number; see `TakenPacket`."""
