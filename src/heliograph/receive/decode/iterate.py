@@ -223,8 +223,11 @@ class _Packet:
                 break
             decoded = left.sum() < open_.sum()
             due |= decoded
+            hopeless = bool(self.hopeless[left].all())
+            # what was decoded just now may be all that stood in the others' way
+            promising = decoded and not hopeless
             # at least once, and until they stay: a codeword may seem hopeless because of its poses
-            if refinements and due and (refinements == REFINEMENTS or moved or not self.hopeless[left].all()):
+            if refinements and due and not promising and (refinements == REFINEMENTS or moved or not hopeless):
                 refined = observed.refined(*self.expected(), self.channel.gain, self.channel.noise)
                 moved, observed = refined is not observed, refined
                 self.replace(observed.statistics)
@@ -234,7 +237,7 @@ class _Packet:
             elif moved:
                 # this iteration began without guesses: another one follows
                 moved = False
-            elif not decoded and ((self.information - before)[left].max() < PROGRESS or self.hopeless[left].all()):
+            elif not decoded and ((self.information - before)[left].max() < PROGRESS or hopeless):
                 # as far as this goes, unless LEDs differ
                 relit = observed.relit(*self.expected(), self.channel.gain, self.channel.noise)
                 if relit is observed or not refinements:
