@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from scenes import SIDE
 
 from heliograph.receive import Codeword, Pose, assumptions
-from heliograph.receive.assumptions import Assumption, all_leds_sound, read_packet
+from heliograph.receive.assumptions import Assumption, ReadPacket, all_leds_sound, read_new, read_packet
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.observed import DecodedPacket
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise
+from heliograph.receive.packets import Words
 from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.signal.packet import PacketFormat
 
@@ -88,3 +89,47 @@ def test_leds_that_seem_dead_are_assumed_to_shine() -> None:
     assert other is not None
     assert (other.led_gains.values == 1).all()
     assert other.cutouts is reading.assumed.cutouts
+
+
+def layers(read: str) -> Words:
+    """Codewords of the high, middle and low layer, of which those are read where there is an x."""
+    words = decoded(read).words["high"]
+    return {"high": words[:1], "middle": words[1:3], "low": words[3:]}
+
+
+def shown(words: Words) -> str:
+    return "".join("x" if word.status == "ok" else "-" for by in words.values() for word in by)
+
+
+@pytest.mark.parametrize(
+    ("by_leds", "with_known", "alone", "asked", "misled"),
+    [
+        # what it adds to known codewords shows that its pose is right
+        ("x---", "xx--", "", ["x---"], False),
+        # what asks most of the pose is left to the equaliser
+        ("xxxx", "xxxx", "", ["xxx-"], False),
+        # nothing added: by itself it may show something
+        ("x---", "x---", "x---", ["x---", "----"], False),
+        ("x---", "x---", "----", ["x---", "----"], True),
+        # it lacks what the LEDs showed
+        ("x--x", "xx--", "xx--", ["x---", "----"], True),
+        # nothing to begin with
+        ("----", "", "x---", ["----"], False),
+        ("---x", "", "----", ["----"], True),
+        (None, "", "----", ["----"], False),
+    ],
+)
+def test_the_equaliser_shows_that_the_pose_of_a_new_array_is_right(
+    by_leds: str | None, with_known: str, alone: str, asked: list[str], misled: bool
+) -> None:
+    calls = list[str]()
+
+    def read(known: Words | None) -> ReadPacket:
+        calls.append("----" if known is None else shown(known))
+        result = layers(alone if known is None else with_known)
+        return ReadPacket(Assumption(SEEMS_DEAD, [CUTOUT]), decoded("-"), result)
+
+    reading, wrong = read_new(None if by_leds is None else layers(by_leds), read)
+    assert calls == asked
+    assert wrong == misled
+    assert shown(reading.words) == (alone or with_known)

@@ -127,6 +127,35 @@ def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[
     return reading
 
 
+def read_new(shown: Words | None, read: Callable[[Words | None], ReadPacket]) -> tuple[ReadPacket, bool]:
+    """Read a packet of an array just found, of which the equaliser must show by itself that the pose is right.
+
+    Parameters
+    ----------
+    shown
+        Codewords by layer as the LEDs' positions alone left them; None where these tell nothing.
+    read
+        Reads it by the equaliser, which knows some codewords already, or none.
+
+    Returns
+    -------
+    The reading, and whether the pose misled it: codewords that the LEDs' positions showed are open in it.
+    """
+    if shown is not None and open_words(known := _without_finest(shown)) < sum(map(len, shown.values())):
+        # a codeword that the equaliser adds is proof enough, and with some known it takes half the time
+        reading = read(known)
+        if reading.open < open_words(known) and not reading.lacks(shown):
+            return reading, False
+    reading = read(None)
+    return reading, shown is not None and reading.lacks(shown)
+
+
+def _without_finest(words: Words) -> Words:
+    """Codewords, those of the finest layer open: the last one, which asks most of the pose."""
+    finest = [*words][-1]
+    return {**words, finest: tuple(replace(word, status="crc_fail", block=None) for word in words[finest])}
+
+
 def all_leds_sound(reading: ReadPacket) -> Assumption | None:
     """Assume that no LED is dead or hidden: a header before a bright background may make sound ones seem so.
 

@@ -1,12 +1,12 @@
 """What the soft receiver took of a packet, and its decoding: all frames equalised and decoded together."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from heliograph.base.threads import one_thread
-from heliograph.receive.assumptions import Assumption, ReadPacket, open_words, read_packet
+from heliograph.receive.assumptions import Assumption, ReadPacket, open_words, read_new, read_packet
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
 from heliograph.receive.decode.iterate import decode_iteratively
@@ -158,7 +158,7 @@ class TakenPairs:
         def read_with(known: Words | None) -> ReadPacket:
             return read_packet(first, lambda assumed: self._decode(assumed, earlier, known, observe))
 
-        reading, misled = _read_new(shown, read_with) if new else (read_packet(first, read), False)
+        reading, misled = read_new(shown, read_with) if new else (read_packet(first, read), False)
         if misled:
             reading = reading.or_rather(read_packet(first, read))
         if buffer is not None and reading.decoded.buffer is not None:
@@ -273,35 +273,6 @@ def with_brightness(led_gains: LedGains | None, learnt: LedGains | None) -> LedG
         return led_gains
     faded = learnt.faded()
     return faded if led_gains is None else replace(led_gains, brightness=faded.brightness)
-
-
-def _read_new(shown: Words | None, read: Callable[[Words | None], ReadPacket]) -> tuple[ReadPacket, bool]:
-    """Read the first packet of an array, of which the equaliser must show by itself that the pose is right.
-
-    Parameters
-    ----------
-    shown
-        Codewords by layer, as the LEDs' positions alone left them; None where these tell nothing.
-    read
-        Reads it by the equaliser, some codewords being known.
-
-    Returns
-    -------
-    The reading, and whether the pose misled it: codewords that the LEDs' positions showed are open in it.
-    """
-    if shown is not None and open_words(known := _without_finest(shown)) < sum(map(len, shown.values())):
-        # a codeword that it adds is proof enough, and a packet of which some is known takes half the time
-        reading = read(known)
-        if reading.open < open_words(known) and not reading.lacks(shown):
-            return reading, False
-    reading = read(None)
-    return reading, shown is not None and reading.lacks(shown)
-
-
-def _without_finest(words: Words) -> Words:
-    """Codewords, those of the layer open that asks most of the pose."""
-    finest = [*words][-1]
-    return {**words, finest: tuple(replace(word, status="crc_fail", block=None) for word in words[finest])}
 
 
 def _learnt_from(decoded: DecodedPacket[ObservedPacket], led_gains: LedGains, stride: int | None = None) -> LedGains:
