@@ -141,9 +141,11 @@ class OnDemand:
     ("change", "orientation", "waits"),
     [
         ("transmit.identities=[7]", UPRIGHT, False),
-        ("transmit.identities=[7]", ORIENTATIONS[1], True),
-        # turned, its header would be another one's
-        ("transmit.identities=[3]", UPRIGHT, True),
+        # turned, its header would be another one's: a glance at its LEDs tells, where they are looked at
+        ("transmit.identities=[3]", UPRIGHT, False),
+        ("transmit.identities=[7]", ORIENTATIONS[1], False),
+        ("transmit.identities=[3]; receive.soft.led_by_led=false", UPRIGHT, True),
+        ("transmit.identities=[7]; receive.soft.led_by_led=false", ORIENTATIONS[1], True),
         # what does not shine may be hidden, or no LED
         ("channel.arrays.0.hidden=[0,0,0.5,0.5]", UPRIGHT, True),
     ],
@@ -151,7 +153,7 @@ class OnDemand:
 def test_following_waits_for_a_first_packet_where_its_header_leaves_a_doubt(
     change: str, orientation: Orientation, waits: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    settings, demand = link("receive.receiver=soft", change, distance_m=40.0), OnDemand()
+    settings, demand = link("receive.receiver=soft", *change.split("; "), distance_m=40.0), OnDemand()
     frames = [replace(frame, pixels=orientation.turned(frame.pixels)) for frame in film(settings, 2 * PACKET + 80)]
     monkeypatch.setattr(assemblies, "decoders", lambda _: demand)
     receiver, packets = pushed(frames[: PACKET + 80], settings)

@@ -9,13 +9,22 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.coming import ENOUGH_SEEN, HEADER_SEEN, ComingPacket, Decoders, SharedLesson, Study, Work
+from heliograph.receive.coming import (
+    ENOUGH_SEEN,
+    HEADER_SEEN,
+    ComingPacket,
+    Decoders,
+    Glance,
+    SharedLesson,
+    Study,
+    Work,
+)
 from heliograph.receive.events import Observer, TrackEvent
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose, rim_distance
 from heliograph.receive.image.view import CAMERA, View
 from heliograph.receive.packets import Packet
-from heliograph.receive.reader_protocol import PacketReader
+from heliograph.receive.reader_protocol import PacketReader, TakenPacket
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, Pairing, PoseAt
 from heliograph.receive.timing.light_clock import PATTERNS_AROUND
@@ -311,7 +320,9 @@ class ArrayReceiver:
         seen, lacks_pair = self._packet(gathered), self._lacks_pair
         # its next header finds it again, in a view that suits
         self._outgrown = not self._view.suits(self._track.state.pose)
-        coming, beyond_doubt = self._coming(seen, lacks_pair), self._expected(seen) and not lacks_pair
+        taken = self._reader.taken()
+        beyond_doubt = not lacks_pair and self._expected(seen, taken)
+        coming = self._coming(seen, taken, lacks_pair)
         if beyond_doubt:
             # nothing of it is asked before the next packet's end
             self._beside = coming
@@ -326,14 +337,18 @@ class ArrayReceiver:
         """Whether the next header shows where the packet's last pair should be."""
         return self._slips.shows_header(self._number) and self._number % self._pairs == self._pairs - 1
 
-    def _expected(self, seen: Packet) -> bool:
+    def _expected(self, seen: Packet, taken: TakenPacket) -> bool:
         """Whether an array is followed on, whatever comes of decoding its packet: that it is there, is beyond doubt."""
         clear = seen.header_score >= HEADER_SEEN and seen.pairs_seen >= ENOUGH_SEEN
-        first = self._read is None and self.found.unmistakable
-        return (first or (self._proven and bool(self._read))) and clear and bool((self._track.shining == 1).all())
+        if not clear or not (self._track.shining == 1).all():
+            return False
+        if self._read is not None:
+            return self._proven and self._read
+        if self.found.whole and self.found.ambiguous:
+            self._proven |= self._decoders.submit(Glance(taken)).result()
+        return self.found.whole and (self._proven or not self.found.ambiguous)
 
-    def _coming(self, seen: Packet, lacks_pair: bool) -> ComingPacket:
-        taken = self._reader.taken()
+    def _coming(self, seen: Packet, taken: TakenPacket, lacks_pair: bool) -> ComingPacket:
         work = self._decoders.submit(Work(taken, self.identity, self._signal, lacks_pair, self._taught))
         lesson = self._decoders.submit(Study(self._taught))
         return ComingPacket(seen, taken, work, lesson, self._observe, self._pairing.exposure_range)

@@ -140,6 +140,23 @@ class Work:
 
 
 @dataclass(frozen=True, slots=True)
+class Glance:
+    """A look at a packet before it is decoded.
+
+    Attributes
+    ----------
+    taken
+        All that was taken of the packet.
+    """
+
+    taken: TakenPacket
+
+    def __call__(self) -> bool:
+        """Whether a codeword of it is right."""
+        return self.taken.glance()
+
+
+@dataclass(frozen=True, slots=True)
 class Study:
     """Works out what a packet teaches, after it was decoded and handed out.
 

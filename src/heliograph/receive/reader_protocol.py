@@ -72,6 +72,9 @@ class TakenPacket(Protocol):
             What `Decoded.study` of the last packet that taught anything has given; None before the first.
         """
 
+    def glance(self) -> bool:
+        """Whether a codeword is right by what can be read at once, in a small part of the time that decoding takes."""
+
     def renumbered(self, place: int) -> "TakenPacket":
         """Give the same packet as it is if a pair is lost that the numbers do not tell of.
 

@@ -22,7 +22,7 @@ from heliograph.receive.reader_protocol import Decoded
 from heliograph.receive.settings import Feedback
 from heliograph.receive.track.kept_pairs import KeptPairs
 from heliograph.receive.track.pose_refinement import ObservedPacket
-from heliograph.signal.formats import Format, check_mode
+from heliograph.signal.formats import Format, UnreadableModeError, check_mode
 from heliograph.signal.packet import PacketFormat
 
 
@@ -135,6 +135,16 @@ class TakenPairs:
             return self
         # what is in sight, its own header shows
         return replace(self, led_gains=with_brightness(self.led_gains, lesson.led_gains), proven=lesson.proven)
+
+    @one_thread()
+    def glance(self) -> bool:
+        """Whether the LEDs' positions alone tell a codeword; see `TakenPacket`."""
+        try:
+            check_mode(self.mode, self.form.settings.data_pairs)
+        except UnreadableModeError:
+            return False
+        shown = self._led_by_led(Assumption(self._gains(), self._cutouts()))
+        return shown is not None and any(word.status == "ok" for by in shown.values() for word in by)
 
     def renumbered(self, place: int) -> "TakenPairs":
         """The same with the pairs from one on moved to the next number; see `TakenPacket`."""

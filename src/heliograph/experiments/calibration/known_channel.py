@@ -209,6 +209,10 @@ class KnownPairs:
         """
         return self
 
+    def glance(self) -> bool:
+        """Nothing is faster than to decode it; see `TakenPacket`."""
+        return False
+
     def renumbered(self, place: int) -> "KnownPairs":  # noqa: ARG002 - no frame is lost
         """The same: no frame is lost of which the truth is known; see `TakenPacket`.
 

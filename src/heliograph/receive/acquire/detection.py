@@ -22,11 +22,12 @@ A format may dim half of the cells to a half in the second pair of a header. The
 1, -1, 0.75 and -0.75; the weakest change over the mean one is 1.5 / 1.75 = 0.86. Its cost was not measured.
 """
 
-UNMISTAKABLE = 0.985
+WHOLE = 0.985
 """Least score of a header none of whose cells is hidden or dark.
 
-Of a header that lacks one of its 16 cells it is the root of 15 / 16, 0.968; this is the middle between that and 1. Whole
-arrays have 0.9998 and more at 40 m to 150 m, with a cell hidden 0.970.
+Of a header that lacks one of its 16 cells it is the root of 15 / 16, 0.968; this is the middle between that and 1.
+Whole arrays have 0.9998 and more at 40 m to 150 m, with a cell hidden 0.970. With half and twice of its distance from 1
+none of 155 codewords is lost.
 """
 
 
@@ -82,10 +83,14 @@ class Detection:
         return self.score >= CLEAR and self.regularity >= HIDDEN_REGULARITY
 
     @property
-    def unmistakable(self) -> bool:
-        """Whether its header is whole, and leaves no doubt which array it is and how the camera sees it: upright."""
-        whole = self.clear and self.score >= UNMISTAKABLE
-        return whole and not self.others and self.orientation == UPRIGHT
+    def whole(self) -> bool:
+        """Whether its header leaves no doubt, and no cell of it is hidden or dark."""
+        return self.clear and self.score >= WHOLE
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether its header leaves open which array it is, or how the camera sees it: turned ones are rare."""
+        return bool(self.others) or self.orientation != UPRIGHT
 
     def seen_in(self, view: View) -> "Detection":
         """The same in a view.

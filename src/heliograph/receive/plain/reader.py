@@ -179,6 +179,10 @@ class TakenLuminances:
         """The same: packets teach nothing; see `TakenPacket`."""
         return self
 
+    def glance(self) -> bool:
+        """Nothing is faster than to decode it; see `TakenPacket`."""
+        return False
+
     def renumbered(self, place: int) -> "TakenLuminances":
         """The same with the pairs from one on moved to the next number; see `TakenPacket`."""
         pairs, luminances, seen = len(self.seen), self.luminances.copy(), self.seen.copy()
