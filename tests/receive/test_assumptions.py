@@ -1,6 +1,7 @@
 """Packets that are read more than once: which assumptions are tried, and what is kept of them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,9 +128,27 @@ def test_the_equaliser_shows_that_the_pose_of_a_new_array_is_right(
     def read(known: Words | None) -> ReadPacket:
         calls.append("----" if known is None else shown(known))
         result = layers(alone if known is None else with_known)
-        return ReadPacket(Assumption(SEEMS_DEAD, [CUTOUT]), decoded("-"), result)
+        return ReadPacket(first, decoded("-"), result)
 
-    reading, wrong = read_new(None if by_leds is None else layers(by_leds), read)
+    first = Assumption(SEEMS_DEAD, [CUTOUT])
+    reading, wrong = read_new(first, None if by_leds is None else layers(by_leds), read)
     assert calls == asked
     assert wrong == misled
     assert shown(reading.words) == (alone or with_known)
+
+
+@pytest.mark.parametrize(("moved_px", "realigned", "asked"), [(0.4, False, 1), (0.6, False, 2), (0.0, True, 2)])
+def test_what_is_read_at_other_poses_proves_nothing(moved_px: float, realigned: bool, asked: int) -> None:
+    """Found behind the edge of a post, an array 7 % too narrow was read with its poses corrected by 1.3 px."""
+    calls, first = list[Words | None](), Assumption(SEEMS_DEAD, [CUTOUT])
+    whole, pair = decoded("x"), ObservedPacket.of([CUTOUT], Noise(1.0, 1.0), FORM, SEEMS_DEAD).pairs[0]
+    assert pair is not None
+    corrected = replace(pair, error=np.array([0.0, moved_px, 0.0, 0.0]))
+    there = replace(whole, observed=replace(whole.observed, pairs=[corrected]))
+
+    def read(known: Words | None) -> ReadPacket:
+        calls.append(known)
+        return ReadPacket(Assumption(SEEMS_DEAD, [CUTOUT]) if realigned else first, there, layers("xxxx"))
+
+    assert not read_new(first, layers("x---"), read)[1]
+    assert len(calls) == asked

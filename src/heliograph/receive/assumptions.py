@@ -13,7 +13,8 @@ from heliograph.receive.track.realign import realigned
 PULLED_PX = 0.5
 """Error of a pose in px, by the power of differences, from which on a packet is read once more without it.
 
-Of poses that are right that power errs by 0.1 px rms at 63 m, and by 0.3 px at most at 95 m.
+Of poses that are right that power errs by 0.1 px rms at 63 m, and by 0.3 px at most at 95 m. A pose that decoded data
+correct by as much proves nothing of an array.
 """
 
 
@@ -127,11 +128,15 @@ def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[
     return reading
 
 
-def read_new(shown: Words | None, read: Callable[[Words | None], ReadPacket]) -> tuple[ReadPacket, bool]:
+def read_new(
+    first: Assumption, shown: Words | None, read: Callable[[Words | None], ReadPacket]
+) -> tuple[ReadPacket, bool]:
     """Read a packet of an array just found, of which the equaliser must show by itself that the pose is right.
 
     Parameters
     ----------
+    first
+        What headers have shown of the LEDs, and sums of the poses.
     shown
         Codewords by layer as the LEDs' positions alone left them; None where these tell nothing.
     read
@@ -142,9 +147,10 @@ def read_new(shown: Words | None, read: Callable[[Words | None], ReadPacket]) ->
     The reading, and whether the pose misled it: codewords that the LEDs' positions showed are open in it.
     """
     if shown is not None and open_words(known := _without_finest(shown)) < sum(map(len, shown.values())):
-        # a codeword that the equaliser adds is proof enough, and with some known it takes half the time
+        # a codeword that the equaliser adds to them where the poses are is proof enough, in half the time
         reading = read(known)
-        if reading.open < open_words(known) and not reading.lacks(shown):
+        there = reading.assumed.cutouts is first.cutouts and reading.decoded.observed.moved_px < PULLED_PX
+        if there and reading.open < open_words(known) and not reading.lacks(shown):
             return reading, False
     reading = read(None)
     return reading, shown is not None and reading.lacks(shown)

@@ -190,7 +190,7 @@ class SoftReader:
             self._led_gains, self._proven = lesson
 
     def next(self, beyond_doubt: bool) -> "SoftReader":
-        """The reader of the next packet; it knows the LEDs."""
+        """The reader of the next packet; it knows the LEDs; see `PacketReader`."""
         led_gains = None if self._led_gains is None else self._led_gains.faded()
         return SoftReader(self._identity, self._parts, led_gains, self._proven or beyond_doubt)
 

@@ -168,7 +168,7 @@ class TakenPairs:
         def read_with(known: Words | None) -> ReadPacket:
             return read_packet(first, lambda assumed: self._decode(assumed, earlier, known, observe))
 
-        reading, misled = read_new(shown, read_with) if new else (read_packet(first, read), False)
+        reading, misled = read_new(first, shown, read_with) if new else (read_packet(first, read), False)
         if misled:
             reading = reading.or_rather(read_packet(first, read))
         if buffer is not None and reading.decoded.buffer is not None:

@@ -124,7 +124,7 @@ class PlainReader:
         """Nothing is learnt of a packet; see `PacketReader`."""
 
     def next(self, beyond_doubt: bool) -> "PlainReader":  # noqa: ARG002 - the protocol's
-        """The reader of the next packet."""
+        """The reader of the next packet; see `PacketReader`."""
         return PlainReader(self._identity, self._form, self._tracker, self._equaliser, self._options, self._observe)
 
     def catch_up(self, lesson: None) -> None:

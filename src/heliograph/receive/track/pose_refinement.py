@@ -121,6 +121,12 @@ class ObservedPacket:
         """Statistics of each pair; None where the array was not seen."""
         return [None if pair is None else pair.statistics for pair in self.pairs]
 
+    @property
+    def moved_px(self) -> float:
+        """Largest correction of a pose by decoded data, in px at the array's rim; 0 where none was corrected."""
+        half = 0.5 * self.form.settings.side
+        return max((_moved_px(pair.error, half * pair.cutout.middle.pitch) for pair in self.pairs if pair), default=0.0)
+
     def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "ObservedPacket":
         """Correct the poses by what is decoded.
 
@@ -260,8 +266,13 @@ def worth_moving(error: Floats) -> bool:
     error
         (4,) error in x, y (px), ln pitch and roll (rad), of either sign.
     """
+    return _moved_px(error, HALF_SIDE_PX) > LEAST_PX
+
+
+def _moved_px(error: Floats, half_px: float) -> float:
+    """Px by which an error (4,) of a pose moves the rim of an array, half its side in px."""
     x, y, ln_pitch, roll = np.abs(error)
-    return bool(max(x, y) + HALF_SIDE_PX * max(ln_pitch, roll) > LEAST_PX)
+    return float(max(x, y) + half_px * max(ln_pitch, roll))
 
 
 def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats:
