@@ -37,6 +37,7 @@ def test_a_look_is_its_parts_one_after_the_other() -> None:
         lines, middle = lines.copy(), np.array([pose.x - CORNER[0], pose.y - CORNER[1]])
         sight, least = in_sight(seen.track.change), LEAST_CHANGED * 200.0
         kernels.uncover(seen.total, middle, pose.axes, line_distance(pose, SIDE), least, sight, lines, clear)
+        assert seen.track.lines is not None
         assert np.array_equal(seen.track.lines, lines)
         assert np.array_equal(ALL_ON if seen.track.clear is None else seen.track.clear, clear)
         track = seen.track
