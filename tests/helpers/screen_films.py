@@ -63,6 +63,12 @@ class Phone:
         Standard deviation of a gray level.
     glare
         Light of the room on the screen, as a fraction of its full light.
+    gain
+        How much brighter the picture is than in good exposure.
+    turn_deg
+        By how many degrees the screen is turned from facing the phone, about an upright line.
+    off_px
+        How far the screen's picture is to the right of the middle.
     mbit_s
         Rate of the film.
     seed
@@ -80,6 +86,9 @@ class Phone:
     blur_px: float = 1.2
     noise: float = 2.0
     glare: float = 0.03
+    gain: float = 1.0
+    turn_deg: float = 0.0
+    off_px: float = 0.0
     mbit_s: float = 10.0
     seed: int = 1
 
@@ -102,8 +111,12 @@ def phone_frames(grabs: Grabs, phone: Phone) -> Iterator[tuple[float, Gray]]:
 def _corners(phone: Phone, rng: np.random.Generator) -> NDArray[np.float64]:
     """Where the phone sees the corners of the screen's picture, each off a square by up to 4 % of it."""
     middle = np.array([phone.width, phone.height]) / 2 + rng.uniform(-0.04, 0.04, 2) * phone.height
-    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64) * phone.side_px / 2
-    return middle + square + rng.uniform(-0.04, 0.04, (4, 2)) * phone.side_px
+    turn = np.deg2rad(phone.turn_deg)
+    # seen from 3.5 sides away
+    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64) / 2
+    away = 1 + square[:, :1] * np.sin(turn) / 3.5
+    square = square * (np.cos(turn), 1) / away * phone.side_px
+    return middle + (phone.off_px, 0) + square + rng.uniform(-0.04, 0.04, (4, 2)) * phone.side_px
 
 
 def _light(grabs: Grabs, phone: Phone, time_s: float, corners: NDArray[np.float64]) -> Light:
@@ -119,7 +132,7 @@ def _light(grabs: Grabs, phone: Phone, time_s: float, corners: NDArray[np.float6
         shown = (grabs.pictures[k].astype(np.float32) / 255) ** GAMMA
         seen = cv2.warpPerspective(shown, warp, (phone.width, phone.height), flags=cv2.INTER_AREA)
         light += seen * (np.maximum(seen_s, 0) / phone.exposure_s).astype(np.float32)[:, None]
-    return cv2.GaussianBlur(light, (0, 0), phone.blur_px) * (0.9 - phone.glare) + phone.glare
+    return phone.gain * (cv2.GaussianBlur(light, (0, 0), phone.blur_px) * (0.9 - phone.glare) + phone.glare)
 
 
 def write_phone_film(path: Path, frames: Iterable[tuple[float, Gray]], phone: Phone) -> int:

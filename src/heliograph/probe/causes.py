@@ -20,8 +20,9 @@ Kind = Literal[
     "out of focus", "moving", "cut", "hidden", "out of step", "search", "elsewhere",
     "turned", "lamp", "no header", "unread", "moves",
     "slow camera", "lost frames", "repeated frames", "overexposed", "dark", "other bits", "short", "still",
+    "sight", "angle", "motion", "exposure", "glare", "resolution", "focus", "cells", "rate",
 ]  # fmt: skip
-"""What is the matter, in a word or two; "array" where nothing is."""
+"""What is the matter, in a word or two; "array" where nothing is. Those of the last line are told of screens."""
 
 LIKE_HEADER = 0.75
 """Correlation from which on size, contrast and blur of the header's fit are told in place of the region's."""

@@ -23,7 +23,7 @@ from heliograph.probe.reach import Reach, reaches
 from heliograph.probe.reading import Asked
 from heliograph.probe.region_causes import SATURATED, region_causes
 from heliograph.probe.regions import Region, regions_of
-from heliograph.probe.screens import screen_causes
+from heliograph.probe.screens import ScreenLook, films_causes
 from heliograph.probe.trials import SURE_HEADER, is_blurred, other_packets, what_reads
 from heliograph.probe.turned import what_reads_turned
 from heliograph.receive import Packet, ReceiveSettings, make_receiver
@@ -234,29 +234,31 @@ def _findings(watch: _Watch, film: Film, asked: Asked, broken: BaseException | N
     noise = watch.noise.noise(levels.ceiling)
     arrays = {one.identity: one for one in watch.arrays.arrays(last.full_scale)}
     stretch = watch.stretches.best()
-    screen = asked.settings.receiver == "screen"
-    # a near screen is all of what changes: its own receiver tells why it is not read
-    regions, count = regions_of(stretch, levels.ceiling) if stretch and not screen else ([], 0)
+    screen = ScreenLook.of(stretch, asked, levels) if asked.settings.receiver == "screen" else None
+    regions, count = regions_of(stretch, levels.ceiling) if stretch else ([], 0)
+    if screen is not None:  # all that changes about it is the same screen
+        regions, count = ([], 0) if arrays else screen.regions(regions)
     seen = list[RegionSeen]()
     for region in regions:
         assert stretch is not None
         identity = watch.arrays.at(region, stretch.frames)
         array = None if identity is None else arrays[identity]
         try:
-            one = _looked_into(region, stretch, array, asked, noise, levels, trials)
+            one = _looked_into(region, stretch, array, asked, noise, levels, trials and screen is None)
         except (MemoryError, KeyboardInterrupt) as error:
             broken = error
             break
         if one.array is not None:
             arrays[one.array.identity] = one.array
-        seen.append(replace(one, causes=region_causes(one, asked, last.full_scale)))
+        told = region_causes(one, asked, last.full_scale) if screen is None else screen.causes(one)
+        seen.append(replace(one, causes=told, would_be=one.would_be if screen is None else None))
     rates = [one.rate for one in seen if one.rate is not None]
     rate = max(rates, key=lambda one: one.explained) if rates else None
     causes = film_causes(times, levels, asked, watch.error, rate)
-    if screen and not arrays and stretch is not None:
-        causes = (*screen_causes(stretch.frames, asked), *causes)
-    elif not seen and not arrays and stretch is not None:
-        causes = (still(asked), *causes)
+    if screen is not None:
+        causes = films_causes(causes)
+    if not seen and not arrays and stretch is not None:
+        causes = (*(screen.nothing_seen() if screen is not None else (still(asked),)), *causes)
     return Findings(
         path=str(film.path), width=last.pixels.shape[1], height=last.pixels.shape[0], bits=last.bits, asked=asked,
         times=times, levels=levels, noise=noise, arrays=tuple(arrays.values()), regions=tuple(seen),

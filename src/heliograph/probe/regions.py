@@ -102,6 +102,12 @@ class Region:
         return float(np.sqrt(self.width * self.height))
 
     @property
+    def corners(self) -> Floats:
+        """(4, 2) corners of its box in px, clockwise from the upper left one."""
+        ends = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
+        return np.asarray(np.array([self.x, self.y]) + ends * np.array([self.width, self.height]), np.float64)
+
+    @property
     def speed_px(self) -> float:
         """Motion in px a frame, whatever its direction."""
         return float(np.hypot(*self.speed))

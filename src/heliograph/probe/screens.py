@@ -1,103 +1,344 @@
-"""Why a screen that is filmed is not read: out of focus, too small, too bright, or nothing that changes."""
+"""Why a screen that is filmed is not read, for who holds the phone: sight, size, focus, light, rate."""
 
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
-from heliograph.base.errors import HeliographError
+import cv2
+import numpy as np
+
+from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
-from heliograph.probe.causes import Cause
+from heliograph.probe.activity import Stretch
+from heliograph.probe.causes import Cause, Kind, RegionSeen
+from heliograph.probe.cells import cells_of_a_side
+from heliograph.probe.headers import HeaderSeen
+from heliograph.probe.levels import Levels
+from heliograph.probe.pace import patterns_per_s
 from heliograph.probe.reading import Asked
-from heliograph.receive.screen.receiver import ScreenReceiver, Sight
+from heliograph.probe.regions import Region
+from heliograph.receive.screen.outline import changing, quadrilaterals, reduced
+from heliograph.receive.screen.reader import RATES
 
-GLARE = 0.1
-"""Part of an array at full scale from which it is too bright. Of random data a sixteenth of the cells show white."""
+LOOKED_AT = 32
+"""Frames whose changes show where the array is. Chosen: a second of a phone's."""
+
+RIM_CELLS = 1.0
+"""Cells between the array and the picture's border below which the array is not found: the receiver asks that nothing
+changes beside it. Of 16 x 16 cells that were cut 0.6 cells beside the array nothing was read."""
+
+SLANTED = 1.6
+"""Ratio of the sides, or of the diagonals, from which on the array is seen from a side. Chosen: at 45 degrees it is
+1.5, and all is read still; a phone can nearly always do better."""
 
 CELL_PX = 5.0
-"""Px a cell below which a place is not kept while a hand sways: see `docs/how-to/film-a-screen.md`."""
+"""Px a cell below which more would help: see `docs/how-to/film-a-screen.md`. In good light 2.3 px were read."""
 
-SHARP = 0.35
-"""Blur in cells from which the low layer goes. Chosen: at 0.4 cells a cell gives a quarter of its light to its
-neighbours."""
+BLURRED = 0.7
+"""Blur of the header's fit over the pitch from which on focus would help: in focus it is 0.4, as cells are square; at
+0.66 all is read, at 0.8 half of the codewords, at 1 hardly any."""
 
-POOR_FIT = 0.3
-"""Misfit from which cells do not explain the picture: in focus it is 0.03 to 0.15."""
+WEAK = 0.2
+"""Light of the array over full scale below which it is glare, or a dim screen. Chosen: of one in a lit room it is
+0.5."""
+
+MILKY = 0.5
+"""Mean gray level of a weak array over full scale from which on something shines on it; below it is dark. Chosen."""
+
+BURNT = 0.25
+"""Part of the array at full scale from which on levels are lost: with the two upper ones of five (PWM, eq. (1)) it
+is 5 of 16 cells of random data. All was read at 0.34 in good light, an eighth at 0.8."""
+
+FEWEST_FRAMES = 1.7
+"""Frames to a pattern below which the rate is too high: rows see two patterns in nearly all frames."""
+
+SAME_RATE = 0.02
+"""Departure from a rate that the receiver tries, as a fraction, up to which it is that one: the receiver's own."""
+
+PART = 0.6
+"""Size of the area that changes over the region's below which it is a part of it. Chosen: of arrays that nearly fill
+the picture a few cells may stand out of the rest."""
+
+CLEAR, MOST_LIGHT = 0.9, 1.2
+"""Correlation with a header, and light over full scale, of a fit that is believed: in strong noise, and of an array
+seen from a side, fits with 0.83 to 0.88 had the light of 1.4 to 2.5 full scales."""
+
+FITS, MOVES = 1.25, 0.85
+"""Sizes of a header over that of the area that changes up to which they are the same thing, and below which the area is
+wide because it moves: of a hand that went 20 px to either side it was 0.82, of one that went 12 px 0.88."""
+
+BRIGHT, DARK = 0.8, 0.15
+"""Median level over full scale of a picture that is nearly white; brightest level of one that is dark. Chosen."""
+
+FILM_KINDS: tuple[Kind, ...] = ("lost frames", "repeated frames", "still", "other bits", "short")
+"""What is told of a screen's film as of any other; the rest is told by the array itself."""
 
 
-def screen_causes(frames: Sequence[Frame], asked: Asked) -> tuple[Cause, ...]:
-    """Tell why a screen is not read.
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """What is known of a screen's array: how large, how bright, how blurred, how fast."""
+
+    corners: Floats
+    seen: RegionSeen
+    asked: Asked
+    rate_hz: float | None
+    cells: int | None
+    size: tuple[int, int]
+    full_scale: int
+
+    @property
+    def side_px(self) -> float:
+        """Mean side in px: the header's where it is believed, else that of the area that changes."""
+        header = self.seen.header
+        return header.size_px if header is not None and self.believed else self.area_px
+
+    @property
+    def area_px(self) -> float:
+        """Mean side in px of the area that changes."""
+        return _side_px(self.corners)
+
+    @property
+    def cell_px(self) -> float:
+        """Side of a cell in px, if there are as many as asked for."""
+        return self.side_px / self.asked.signal.side
+
+    @property
+    def slant(self) -> float:
+        """Longest side over the shortest, or the same of the diagonals: 1 of a square."""
+        sides = np.linalg.norm(np.roll(self.corners, -1, axis=0) - self.corners, axis=1)
+        diagonals = np.linalg.norm(self.corners[2:] - self.corners[:2], axis=1)
+        return float(max(sides.max() / sides.min(), diagonals.max() / diagonals.min()))
+
+    @property
+    def believed(self) -> bool:
+        """Whether the header's fit is that of the array, so that its blur and size count."""
+        header = self.seen.header
+        if header is None or header.score < CLEAR or header.fit.gain > MOST_LIGHT * self.full_scale:
+            return False
+        return self.slant < SLANTED and header.size_px < FITS * self.area_px
+
+    @property
+    def light(self) -> float:
+        """Light of the array over full scale; where frames see two patterns the header has less of it than the rest."""
+        header = self.seen.header
+        gain = header.fit.gain / self.full_scale if header is not None and self.believed else 0.0
+        return max(gain, self.seen.region.contrast)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the area that changes is larger than the array, as a hand moves it."""
+        header = self.seen.header
+        return header is not None and self.believed and header.size_px < MOVES * self.area_px
+
+    @property
+    def frames_a_pattern(self) -> float | None:
+        """Frames that a pattern lasts; None where the light does not tell."""
+        return None if self.rate_hz is None else self.asked.rate_hz / self.rate_hz
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether it reaches the picture's border, or nearly."""
+        rim = RIM_CELLS * self.area_px / self.asked.signal.side
+        inside = (self.corners > rim) & (self.corners < np.array(self.size) - 1 - rim)
+        return self.seen.region.at_border or not bool(inside.all())
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenLook:
+    """A screen in a film that is not read: where most of it changes as patterns do, and why it is not read.
+
+    Attributes
+    ----------
+    stretch
+        The liveliest frames of the film; None where it has too few.
+    corners
+        (4, 2) corners in px, clockwise; None where nothing changes as patterns do.
+    asked
+        What it was to be read with.
+    levels
+        Gray levels of some frames.
+    """
+
+    stretch: Stretch | None
+    corners: Floats | None
+    asked: Asked
+    levels: Levels
+
+    @classmethod
+    def of(cls, stretch: Stretch | None, asked: Asked, levels: Levels) -> "ScreenLook":
+        """Look where the screen is.
+
+        Parameters
+        ----------
+        stretch, asked, levels
+            As the attributes.
+        """
+        return cls(stretch, None if stretch is None else area_of(stretch.frames), asked, levels)
+
+    def regions(self, regions: Sequence[Region]) -> tuple[list[Region], int]:
+        """Return the region of the screen, one at most, and how many there are.
+
+        Parameters
+        ----------
+        regions
+            All that blink in the film, the strongest first.
+        """
+        if self.corners is None:
+            return [], 0
+        x, y = self.corners.mean(axis=0)
+        outline = self.corners.astype(np.float32)
+
+        def is_of_it(one: Region) -> bool:
+            # of an array in strong noise a part alone may stand out
+            holds = 2 * abs(one.x - x) < one.width and 2 * abs(one.y - y) < one.height
+            return holds or cv2.pointPolygonTest(outline, (one.x, one.y), False) >= 0
+
+        found = [one for one in regions if is_of_it(one)][:1]
+        return found, len(found)
+
+    def causes(self, seen: RegionSeen) -> tuple[Cause, ...]:
+        """Tell why a screen is not read, the gravest cause first; one of the kind "unread" where all looks well.
+
+        Parameters
+        ----------
+        seen
+            What its region shows.
+        """
+        assert self.stretch is not None
+        assert self.corners is not None
+        frames, corners, region = self.stretch.frames, self.corners, seen.region
+        if _side_px(corners) < PART * region.side:
+            corners = region.corners
+        rate = patterns_per_s(frames) if frames[0].bits == 8 else None
+        rows, columns = frames[0].pixels.shape
+        full_scale = frames[0].full_scale
+        shown = _Shown(corners, seen, self.asked, rate, cells_of_a_side(frames), (columns, rows), full_scale)
+        return tuple(_causes(shown)) or (_unread(shown),)
+
+    def nothing_seen(self) -> tuple[Cause, ...]:
+        """Why nothing is seen that changes as patterns do."""
+        return tuple(_nothing_seen(self.levels))
+
+
+def films_causes(causes: Sequence[Cause]) -> tuple[Cause, ...]:
+    """Of what is the matter with a film that which is told of a screen's, too.
+
+    Parameters
+    ----------
+    causes
+        What is the matter with the film as a whole.
+    """
+    return tuple(one for one in causes if one.kind in FILM_KINDS)
+
+
+def _side_px(corners: Floats) -> float:
+    return float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
+
+
+def area_of(frames: Sequence[Frame]) -> Floats | None:
+    """Return where most changes as patterns do: (4, 2) corners in px, clockwise; None where nothing does.
 
     Parameters
     ----------
     frames
-        Frames in the order of time, of the film's liveliest stretch.
-    asked
-        What it was to be read with; its receiver is "screen".
+        Frames in the order of time, two or more.
     """
-    receiver = ScreenReceiver(asked.signal, asked.settings, lambda _: None)
-    sights = list[Sight]()
-    for frame in frames:
-        with suppress(HeliographError):
-            for _ in receiver.push(frame):
-                pass
-        if receiver.sight is not None:
-            sights.append(receiver.sight)
-    if not sights:
-        return (_not_seen(asked),)
-    sight = sights[-1]
-    side = sight.cell_px * asked.signal.side
-    found = []
-    saturated = sum(one.saturated for one in sights) / len(sights)
-    if saturated > GLARE:
-        found.append(
-            Cause(
-                "saturated",
-                f"{100 * saturated:.0f} % of the array is at full scale, so that bright levels look alike",
-                ("lower the display's brightness or the camera's exposure, and keep reflections off the screen",),
-            )
-        )
-    if sight.cell_px < CELL_PX:
-        found.append(
-            Cause(
-                "too small",
-                f"a cell has {sight.cell_px:.1f} px, the array {side:.0f} px; {CELL_PX:g} px a cell are needed",
-                (
-                    "go nearer, film with more pixels, or show fewer cells: --set signal.side=8 at both ends",
-                    f"signal.side is {asked.signal.side}: see that the screen shows as many cells in a row",
-                ),
-            )
-        )
-    if sight.blur_px > SHARP * sight.cell_px or sight.misfit > POOR_FIT:
-        found.append(
-            Cause(
-                "out of focus",
-                f"cells of {sight.cell_px:.1f} px are blurred by {sight.blur_px:.1f} px or more, and explain all but "
-                f"{100 * sight.misfit:.0f} % of the picture",
-                (
-                    "focus on the screen and lock the focus; hold the camera still",
-                    "see that signal.side is the screen's",
-                ),
-            )
-        )
-    if not found:
-        why = (
-            "its patterns follow a clock, but no header is read"
-            if sight.clocked
-            else "its patterns follow no known rate"
-        )
-        advice = (
-            "film at least two packets; see that no refresh of the display is skipped",
-            "name the rate: --set signal.pattern_period_s=SECONDS, and --fps RATE where a film in slow motion hides it",
-        )
-        found.append(Cause("unread", f"an array of {side:.0f} px is followed; {why}", advice))
-    return tuple(found)
+    some = frames[:: max(1, len(frames) // LOOKED_AT)]
+    if len(some) < 2:
+        return None
+    changes = changing([np.asarray(one.pixels / one.full_scale, np.float32) for one in some])
+    small, factor = reduced(changes)
+    found = quadrilaterals(small, factor)
+    return found[0] if found else None
 
 
-def _not_seen(asked: Asked) -> Cause:
-    return Cause(
-        "no header",
-        f"nothing changes as an array of {asked.signal.side} x {asked.signal.side} cells does",
-        (
-            "hold all of the array in the picture, with its dark margin; see that signal.side is the screen's",
-            "take the display out of reflections, and see that it is not at full scale in the picture",
-        ),
-    )
+def _nothing_seen(levels: Levels) -> Iterator[Cause]:
+    if levels.percentiles.get(50, 0) > BRIGHT * levels.full_scale:
+        yield Cause("exposure", "the picture is nearly white", (
+            "touch the patterns in the phone's picture, or lower the brightness of the screen",))  # fmt: skip
+    elif levels.brightest < DARK * levels.full_scale:
+        yield Cause("exposure", "the picture is nearly black", (
+            "make the screen brighter, and touch the patterns in the phone's picture",))  # fmt: skip
+    yield Cause("sight", "nothing changes as patterns do", (
+        "see that the screen is in the picture, not paused, and fills a third of it; hold still",))  # fmt: skip
+
+
+def _causes(shown: _Shown) -> Iterator[Cause]:
+    yield from _place(shown)
+    yield from _light(shown)
+    yield from _sharpness(shown)
+    yield from _number(shown)
+    yield from _pace(shown)
+
+
+def _place(shown: _Shown) -> Iterator[Cause]:
+    if shown.is_cut:
+        yield Cause("sight", "the patterns reach the picture's border", (
+            "show all of the patterns, with a dark margin of two cells about them",))  # fmt: skip
+    if shown.slant >= SLANTED:
+        yield Cause("angle", f"the patterns are seen from a side: one way they are {shown.slant:.1f} times as long", (
+            "hold the phone straight before the screen",))  # fmt: skip
+    if shown.moves:
+        yield Cause("motion", "the patterns move in the picture", (
+            "hold the phone still, by both hands or against something",))  # fmt: skip
+
+
+def _light(shown: _Shown) -> Iterator[Cause]:
+    saturated, level = shown.seen.region.saturated, float(np.mean(shown.seen.region.brightness)) / shown.full_scale
+    if saturated > BURNT:
+        yield Cause("exposure", f"{100 * saturated:.0f} % of the patterns are white blots, whose levels are lost", (
+            "lower the brightness of the screen, or the exposure by touching the patterns in the phone's picture",
+        ))  # fmt: skip
+    elif shown.light < WEAK and level > MILKY:
+        yield Cause("glare", f"the patterns' light is {100 * shown.light:.0f} % of full scale, on a bright ground", (
+            "turn off lamps behind you, turn the screen from windows, and make it brighter",))  # fmt: skip
+    elif shown.light < WEAK:
+        yield Cause("exposure", f"the patterns are dark: their light is {100 * shown.light:.0f} % of full scale", (
+            "make the screen brighter, and touch the patterns in the phone's picture",))  # fmt: skip
+
+
+def _sharpness(shown: _Shown) -> Iterator[Cause]:
+    header = shown.seen.header
+    if shown.cell_px < CELL_PX:
+        yield Cause("resolution", f"a cell has {shown.cell_px:.1f} px; {CELL_PX:g} or more are read in a hand", (
+            "go nearer, zoom in before filming, or film in 1080p",
+            "or show fewer cells: on page Transmit, or by --set signal.side=8 at both ends"))  # fmt: skip
+    elif shown.believed and not shown.moves and header is not None and _is_blurred(header):
+        blur = header.fit.pose.blur / header.fit.pose.pitch
+        yield Cause("focus", f"the patterns are blurred by {blur:.1f} cells", (
+            "touch the patterns in the phone's picture, wipe the lens, go 30 cm away at least; hold the phone still",
+        ))  # fmt: skip
+
+
+def _is_blurred(header: HeaderSeen) -> bool:
+    return header.fit.pose.blur > BLURRED * header.fit.pose.pitch
+
+
+def _number(shown: _Shown) -> Iterator[Cause]:
+    side, cells = shown.asked.signal.side, shown.cells
+    if cells is not None and cells != side and shown.believed and not shown.moves:
+        yield Cause("cells", f"the screen shows {cells} x {cells} cells, not {side} x {side}", (
+            f"say so: on page Receive, or by --set signal.side={cells}",))  # fmt: skip
+
+
+def _pace(shown: _Shown) -> Iterator[Cause]:
+    frames, rate = shown.frames_a_pattern, shown.rate_hz
+    if frames is None or rate is None:
+        return
+    if frames < FEWEST_FRAMES:
+        yield Cause("rate", f"a pattern lasts {frames:.1f} frames of the film; two or more are read", (
+            "choose fewer patterns a second, or film at more frames a second",))  # fmt: skip
+    elif all(abs(rate / one - 1) > SAME_RATE for one in (1 / shown.asked.signal.pattern_period_s, *RATES)):
+        yield Cause("rate", f"the screen shows {rate:.3g} patterns a second, which are not looked for", (
+            f"say so: on page Receive, or by --set signal.pattern_period_s={1 / rate:.3g}",
+            "or, where it is slow motion that plays slower than it was filmed, by --fps RATE"))  # fmt: skip
+
+
+def _unread(shown: _Shown) -> Cause:
+    size = f"an array of {shown.side_px:.0f} px is seen"
+    if shown.rate_hz is None:
+        return Cause("unread", f"{size}, but its patterns follow no even clock", (
+            "see that no refresh of the display is skipped: page Transmit counts them; choose fewer patterns a second",
+            "film two packets at least, without moving the phone"))  # fmt: skip
+    return Cause("unread", f"{size}, and its patterns follow a clock, but no packet is read", (
+        "film two packets at least, without moving the phone",
+        "see that both ends have the same settings: signal.side, signal.data_pairs, signal.rate"))  # fmt: skip

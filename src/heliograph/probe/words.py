@@ -74,6 +74,19 @@ def in_short(found: Findings) -> Iterator[str]:
     yield from (f"  - {line}" for line in found.advice)
 
 
+def in_sentences(found: Findings) -> Iterator[str]:
+    """Why nothing is read, for a page: a line for each cause, with all that helps against it.
+
+    Parameters
+    ----------
+    found
+        What a film tells.
+    """
+    for cause in [*(one for seen in found.regions for one in seen.causes), *found.causes]:
+        helps = " ".join(f"{line[0].upper()}{line[1:]}." for line in cause.advice)
+        yield f"{cause.kind.capitalize()}: {cause.why}. {helps}".rstrip()
+
+
 def place(seen: RegionSeen) -> str:
     """Where a region is, its size, contrast and speed.
 
