@@ -14,6 +14,9 @@ from heliograph.base.frames import BITS, Pixels
 LUMA = (0.114, 0.587, 0.299)
 """Weights of blue, green and red in luma (Rec. ITU-R BT.601)."""
 
+SILENT = 0
+"""OpenCV's level of logging at which it says nothing, LOG_LEVEL_SILENT."""
+
 _BGR = {"blue": 0, "green": 1, "red": 2}
 """Place of each colour in a pixel of OpenCV and of .cine files."""
 
@@ -117,9 +120,11 @@ def _silence() -> Iterator[None]:
     """Keep OpenCV from writing of damaged pictures to standard error: what is wrong is said in one line of our own."""
     import cv2
 
-    before = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    # OpenCV 4.5 has no room of its own for it
+    log = getattr(cv2.utils, "logging", cv2)
+    before = log.getLogLevel()
+    log.setLogLevel(SILENT)
     try:
         yield
     finally:
-        cv2.utils.logging.setLogLevel(before)
+        log.setLogLevel(before)

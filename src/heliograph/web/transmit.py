@@ -47,7 +47,7 @@ def sendings_of(request: Request) -> Sendings:
 
 
 Known = Annotated[Sendings, Depends(sendings_of)]
-Rate = Annotated[float, Query(ge=LEAST_RATE_HZ, le=MOST_RATE_HZ)]
+Rate = Annotated[float, Query(ge=LEAST_RATE_HZ, le=MOST_RATE_HZ, allow_inf_nan=False)]
 
 
 @router.post("", status_code=201)
@@ -110,8 +110,8 @@ async def film(
     request: Request,
     name: str,
     known: Known,
-    seconds: Annotated[float, Query(gt=0, le=MOST_FILM_S)] = 30.0,
-    gamma: Annotated[float, Query(ge=1, le=4)] = 2.2,
+    seconds: Annotated[float, Query(gt=0, le=MOST_FILM_S, allow_inf_nan=False)] = 30.0,
+    gamma: Annotated[float, Query(ge=1, le=4, allow_inf_nan=False)] = 2.2,
 ) -> FileResponse:
     """Give the patterns as a video, for any screen that plays one.
 
