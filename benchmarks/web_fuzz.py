@@ -31,7 +31,7 @@ LIMIT_S = 20.0
 
 TOKEN = "a-token"
 
-PATHS = ("/", "/watch", "/api/films", "/api/films/00", "/api/watch/sources", "/api/watch/bundles/00", "/api/transmit",
+PATHS = ("/", "/watch", "/api/films", "/api/films/00", "/api/watch/sources", "/api/bundles/00", "/api/transmit",
          "/api/receive", "/assets/watch.js", "/../../etc/passwd", "/%2e%2e/%2e%2e", "/api//films", "/\x00")  # fmt: skip
 
 METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH", "BREW")
@@ -64,7 +64,7 @@ WISHES = (
 """First messages to page *Receive*."""
 
 SENT = (
-    "/api/transmit?side=16&rate_hz=10", "/api/transmit?side=8&rate_hz=30&name=a.jpg", "/api/receive/kept/{}",
+    "/api/transmit?side=16&rate_hz=10", "/api/transmit?side=8&rate_hz=30&name=a.jpg", "/api/bundles/{}",
     "/api/transmit/{}/packets?first=7", "/api/transmit/{}/packets?first=0&count=2",
     "/api/transmit/{}/film?seconds=1&gamma=2",
 )  # fmt: skip

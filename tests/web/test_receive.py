@@ -1,10 +1,13 @@
 import json
+import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from cli_runs import called
 from fastapi.testclient import TestClient
 from screen_films import Grabs, Phone, phone_frames, write_phone_film
 from screen_light import shown
@@ -16,9 +19,12 @@ from heliograph.link.notes import signal_of
 from heliograph.media import open_film
 from heliograph.probe.cells import cells_of_a_side
 from heliograph.probe.pace import patterns_per_s, usual
+from heliograph.receive import Packet
+from heliograph.receive.screen.receiver import ScreenReceiver
+from heliograph.signal.settings import SignalSettings
+from heliograph.web import camera_frames
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD, MOST_WAITING, CameraFrames, MessageError
-from heliograph.web.reading import _tell_why
 from heliograph.web.screen import screen_settings
 from heliograph.web.sending import sending_of
 
@@ -93,44 +99,88 @@ def test_a_camera_is_read_as_it_films(client: TestClient) -> None:
     assert rows[-2]["dropped"] == 0 if rows[-2]["event"] == "took" else True
 
 
+def opened_again(client: TestClient, row: dict[str, Any], path: Path) -> tuple[SignalSettings, int]:
+    """The signal and the number of frames of a film that was saved; a page's name for it stands in the row."""
+    answer = client.get(f"/api/bundles/{row['bundle']}")
+    assert len(answer.content) == row["bytes"]
+    path.write_bytes(answer.content)
+    with open_film(path) as read:
+        return signal_of(read, screen_settings(8, 1.0).signal, ())[0], len(list(read))
+
+
 @pytest.mark.slow
 def test_where_nothing_is_read_it_is_said_why_and_the_frames_are_saved(client: TestClient, tmp_path: Path) -> None:
     noise, told = np.random.default_rng(1), list[dict[str, Any]]()
     with client.websocket_connect(SOCKET, ["heliograph"]) as socket:
         socket.send_text(json.dumps({"kind": "camera", "side": 20}))
-        for k in range(400):
+        socket.send_text("save")
+        assert socket.receive_json() == {"event": "refused", "error": "no frames were taken yet: start the camera"}
+        for k in range(300):
             socket.send_bytes(message(k / 20, noise.integers(90, 110, (64, 64), np.uint8), k))
             while (row := socket.receive_json())["event"] != "took":
                 told.append(row)
         socket.send_text("save")
-        while (row := socket.receive_json())["event"] != "kept":
+        while (row := socket.receive_json())["event"] != "saved":
             pass
         socket.send_text("end")
-        assert to_the_end(socket)[-1]["event"] == "end"
-    answer = client.get(f"/api/receive/kept/{row['name']}")
-    film = tmp_path / "unread.mkv"
-    film.write_bytes(answer.content)
-    with open_film(film) as read:
-        assert signal_of(read, screen_settings(8, 1.0).signal, ())[0] == screen_settings(20, 10.0).signal
-        assert len(list(read)) > 300
+        rest = to_the_end(socket)
+    signal, frames = opened_again(client, row, tmp_path / "failed.h5")
+    assert signal == screen_settings(20, 10.0).signal
+    assert frames > 2 * signal.packet_s * 20
     assert next(row for row in told if row["event"] == "why")["lines"]
+    assert [one["event"] for one in rest[-2:]] == ["bundle", "end"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("word", "rate_hz", "phone"),
-    [
-        ("Focus", 10.0, Phone(width=240, height=240, side_px=200, blur_px=9)),
-        ("Resolution", 10.0, Phone(width=240, height=180, side_px=36, blur_px=0.8)),
-        ("Glare", 10.0, Phone(width=240, height=240, side_px=200, glare=0.7)),
-        ("Rate", 22.0, Phone(width=240, height=240, side_px=200, blur_px=0.8)),
-    ],
-)
-def test_what_is_the_matter_has_a_name(word: str, rate_hz: float, phone: Phone) -> None:
-    frames = [Frame(k, t, pixels) for k, (t, pixels) in enumerate(phone_frames(grabs(rate_hz=rate_hz), phone))]
-    told: list[Any] = []
-    _tell_why(frames, screen_settings(16, 10.0), told.append)
-    assert [line for line in told[-1]["lines"] if line.startswith(word)]
+def test_what_failed_of_a_film_is_offered_and_read_again_by_the_command(
+    client: TestClient, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    film, blurred = tmp_path / "phone.mp4", replace(SMALL, blur_px=6.5)
+    write_phone_film(film, phone_frames(grabs(), blurred), blurred)
+    name = client.put("/api/films?kind=mp4", content=film.read_bytes()).json()["film"]
+    rows = said(client, {"kind": "film", "film": name})
+    assert rows[-1]["event"] == "end"
+    assert rows[-1]["failed"] > 0
+    signal, frames = opened_again(client, rows[-2], tmp_path / "failed.h5")
+    assert signal == screen_settings(16, 15.0).signal
+    assert frames > 60
+    called("receive", tmp_path / "failed.h5", "--preset", "phone", "--output", tmp_path / "got",
+           capfd=capfd, monkeypatch=monkeypatch)  # fmt: skip
+    again = json.loads((tmp_path / "got" / "summary.json").read_text())
+    assert sum(layer["failed"] for array in again["arrays"] for layer in array["layers"].values()) > 0
+    assert client.put("/api/films", content=b"x").status_code == 201
+    assert len(client.app.state.shared.uploads._films) == 1  # type: ignore[attr-defined]  # the one that was read is gone
+
+
+@pytest.mark.slow
+def test_a_camera_that_is_stopped_ends_in_time_though_it_is_read_slowly(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(camera_frames, "LAST_S", 1.0)
+    monkeypatch.setattr(CameraFrames.end, "__defaults__", (1.0,))
+    push = ScreenReceiver.push
+
+    def slow(self: ScreenReceiver, frame: Frame) -> Iterator[Packet]:
+        time.sleep(0.1)
+        return push(self, frame)
+
+    monkeypatch.setattr(ScreenReceiver, "push", slow)
+    frames = [message(time_s, pixels, k) for k, (time_s, pixels) in enumerate(phone_frames(grabs(seconds=9.0), SMALL))]
+    with client.websocket_connect(SOCKET, ["heliograph"]) as socket:
+        socket.send_text(json.dumps({"kind": "camera", "side": 16, "rate_hz": 15.0}))
+        taken = 0
+        for sent, one in enumerate(frames[:230], 1):
+            socket.send_bytes(one)
+            while sent - taken >= 80:
+                row = socket.receive_json()
+                taken = row["frames"] if row["event"] == "took" else taken
+        socket.send_text("end")
+        rows = to_the_end(socket)
+    assert rows[-1]["event"] == "end"
+    assert rows[-1]["frames"] < 40
+    left = [row["frames"] for row in rows if row["event"] == "left"]
+    assert left == sorted(left, reverse=True)
+    assert left[0] > 150
 
 
 def test_why_is_told_of_a_film_without_patterns(client: TestClient, tmp_path: Path) -> None:
@@ -203,9 +253,8 @@ def test_frames_that_find_no_place_are_dropped_and_counted() -> None:
     assert [frame.index for frame in camera] == list(range(MOST_WAITING))
 
 
-def test_nothing_is_saved_of_a_camera_that_has_shown_nothing(client: TestClient) -> None:
-    assert said(client, {"kind": "camera"}, ["save"])[-1]["event"] == "error"
-    assert client.get("/api/receive/kept/nothing").status_code == 400
+def test_a_film_of_what_failed_that_is_not_there_is_said_so(client: TestClient) -> None:
+    assert client.get("/api/bundles/nothing").status_code == 404
 
 
 @pytest.mark.slow

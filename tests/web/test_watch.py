@@ -180,7 +180,7 @@ def test_what_failed_is_saved_and_opens_again(client: TestClient, tmp_path: Path
         assert {packet["status"] for packet in seen.of("packet")} > {"ok"}
         socket.send_json({"do": "save"})
         saved = Watched(socket, "saved").of("saved")[0]
-        answer = client.get(f"/api/watch/bundles/{saved['bundle']}")
+        answer = client.get(f"/api/bundles/{saved['bundle']}")
     again = tmp_path / "failed.h5"
     again.write_bytes(answer.content)
     assert len(answer.content) == saved["bytes"]
@@ -191,7 +191,7 @@ def test_what_failed_is_saved_and_opens_again(client: TestClient, tmp_path: Path
     assert frames[-1] >= failed["last_frame"]
     with TestClient(create_app(films=[str(again)]), base_url=OWN) as other:
         assert failed["time_s"] in [one["time_s"] for one in watch(other, kind="named").of("packet")]
-    assert client.get(f"/api/watch/bundles/{saved['bundle']}").status_code == 404  # its page has gone
+    assert client.get(f"/api/bundles/{saved['bundle']}").status_code == 404  # its page has gone
 
 
 @pytest.mark.slow
@@ -201,7 +201,7 @@ def test_the_last_frames_are_saved_where_nothing_failed(client: TestClient, tmp_
         Watched(socket)
         socket.send_json({"do": "save"})
         saved = Watched(socket, "saved").of("saved")[0]
-        (tmp_path / "last.h5").write_bytes(client.get(f"/api/watch/bundles/{saved['bundle']}").content)
+        (tmp_path / "last.h5").write_bytes(client.get(f"/api/bundles/{saved['bundle']}").content)
     with open_film(tmp_path / "last.h5") as kept:
         assert sum(1 for _ in kept) > 200
 

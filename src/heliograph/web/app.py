@@ -10,7 +10,7 @@ from starlette.exceptions import HTTPException
 
 from heliograph.base.errors import HeliographError
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.web import built, receive, transmit, uploads, watch
+from heliograph.web import built, bundles, receive, transmit, uploads, watch
 from heliograph.web.limits import Limits
 from heliograph.web.security import Door, Guard
 from heliograph.web.shared import BusyError, Shared
@@ -51,7 +51,7 @@ def create_app(
 
     app = FastAPI(title="Heliograph", openapi_url=None, docs_url=None, redoc_url=None, lifespan=alive)
     app.state.shared = shared
-    for room in (uploads, watch, transmit, receive, built):
+    for room in (uploads, bundles, watch, transmit, receive, built):
         app.include_router(room.router)
     app.add_exception_handler(HeliographError, _refused)
     app.add_exception_handler(HTTPException, _failed)

@@ -1,20 +1,16 @@
-"""Frames from a browser's camera: checked, queued for one reader, and the last ones kept."""
+"""Frames from a browser's camera: checked, and queued for one reader, which has a bounded time for the last of them."""
 
 import struct
 import threading
+import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 from math import isfinite
-from pathlib import Path
 
 import numpy as np
 
-from heliograph.base.errors import HeliographError, MediaError
+from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
-from heliograph.link.notes import signal_note
-from heliograph.media import create_film
-from heliograph.signal.settings import SignalSettings
 
 HEAD = struct.Struct("<dIHH")
 """Start of a message: time in s, number of the frame with those that were not sent, columns, rows. Pixels follow."""
@@ -25,63 +21,48 @@ LEAST_SIDE, MOST_SIDE = 32, 2048
 MOST_WAITING = 96
 """Frames that wait at most; a page that follows the rules has fewer on their way. Chosen: three seconds."""
 
-MOST_KEPT_BYTES = 64 << 20
-"""Most bytes of the last frames that are kept: 9 s of 480 x 480 pixels at 30 frames a second."""
+LAST_S = 8.0
+"""Time in s for the frames that wait when a camera is stopped; what is left then is let go. Where an array is followed
+three seconds of frames take one, while one that is looked for in vain takes a tenth of a second a frame and more."""
 
 
 class MessageError(HeliographError):
     """A message that no page of ours sends."""
 
 
-@dataclass(frozen=True, slots=True)
-class KeptFrames:
-    """The last frames of a camera.
+class CameraFrames:
+    """Frames of a browser's camera: the server's thread puts messages in, a receiver's thread takes frames out.
 
     Attributes
     ----------
-    frames
-        In the order of time.
-    rate_hz
-        Frames a second.
-    signal
-        What the receiver looked for.
+    taken
+        Frames that were taken out.
+    dropped
+        Frames that found no place.
     """
-
-    frames: tuple[Frame, ...]
-    rate_hz: float
-    signal: SignalSettings
-
-    def write(self, path: Path) -> None:
-        """Write them as a film without loss, with a note of the signal, so that the command reads it as it is.
-
-        Parameters
-        ----------
-        path
-            Where it goes; its suffix chooses the kind.
-
-        Raises
-        ------
-        MediaError
-            It cannot be written.
-        """
-        rows, columns = self.frames[0].pixels.shape
-        note = signal_note(self.signal)
-        with create_film(path, width=columns, height=rows, rate_hz=self.rate_hz, metadata=note) as film:
-            for frame in self.frames:
-                film.write(frame)
-
-
-class CameraFrames:
-    """Frames of a browser's camera: the server's thread puts messages in, a receiver's thread takes frames out."""
 
     def __init__(self) -> None:
         self._waiting: deque[Frame] = deque()
-        self._kept: deque[Frame] = deque()
         self._changed = threading.Condition()
-        self._ended = False
+        self._until_s: float | None = None
         self._shape: tuple[int, int] | None = None
         self._last_s = float("-inf")
         self.taken = self.dropped = 0
+
+    @property
+    def waiting(self) -> int:
+        """Frames that wait to be taken."""
+        return len(self._waiting)
+
+    @property
+    def ended(self) -> bool:
+        """Whether no more come."""
+        return self._until_s is not None
+
+    @property
+    def late(self) -> bool:
+        """Whether the time for the last frames is over."""
+        return self._until_s is not None and time.monotonic() > self._until_s
 
     def put(self, message: bytes) -> None:
         """Take a message; a frame that finds no place is dropped, and counted.
@@ -98,16 +79,25 @@ class CameraFrames:
         """
         frame = self._frame(message)
         with self._changed:
+            if self.ended:
+                return
             if len(self._waiting) >= MOST_WAITING:
                 self.dropped += 1
                 return
             self._waiting.append(frame)
             self._changed.notify()
 
-    def end(self) -> None:
-        """Say that no more come; those that wait are still taken."""
+    def end(self, seconds: float = LAST_S) -> None:
+        """Say that no more come; those that wait are still taken, as long as there is time.
+
+        Parameters
+        ----------
+        seconds
+            The time there is in s.
+        """
         with self._changed:
-            self._ended = True
+            until_s = time.monotonic() + seconds
+            self._until_s = until_s if self._until_s is None else min(until_s, self._until_s)
             self._changed.notify()
 
     def __iter__(self) -> Iterator[Frame]:
@@ -115,37 +105,13 @@ class CameraFrames:
         while (frame := self._next()) is not None:
             yield frame
 
-    def kept(self, signal: SignalSettings) -> KeptFrames:
-        """Return the last frames.
-
-        Parameters
-        ----------
-        signal
-            What the receiver looked for.
-
-        Raises
-        ------
-        MediaError
-            There are too few of them.
-        """
-        with self._changed:
-            frames = tuple(self._kept)
-        if len(frames) < 2:
-            raise MediaError("no frames were taken yet: start the camera")
-        rate = (len(frames) - 1) / (frames[-1].time_s - frames[0].time_s)
-        return KeptFrames(frames, min(max(rate, 1.0), 1000.0), signal)
-
     def _next(self) -> Frame | None:
         with self._changed:
-            self._changed.wait_for(lambda: self._waiting or self._ended)
-            if not self._waiting:
+            self._changed.wait_for(lambda: self._waiting or self.ended)
+            if not self._waiting or self.late:
                 return None
-            frame = self._waiting.popleft()
             self.taken += 1
-            self._kept.append(frame)
-            while len(self._kept) * frame.pixels.size > MOST_KEPT_BYTES:
-                self._kept.popleft()
-        return frame
+            return self._waiting.popleft()
 
     def _frame(self, message: bytes) -> Frame:
         if len(message) < HEAD.size:

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 MB = 1 << 20
 
+MOST_DIGITS = 18
+"""Digits of a length that is looked at; thousands take long to convert."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:

@@ -1,9 +1,8 @@
 """A phone's film or a browser's camera read in a worker's thread: rate and size are found, and all is told."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from itertools import chain, product
 from pathlib import Path
 from typing import Any
@@ -16,22 +15,10 @@ from heliograph.measure.journal import Journal
 from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import FilmReader, open_film
 from heliograph.probe import probe_film
-from heliograph.probe.cells import cells_of_a_side
-from heliograph.probe.pace import patterns_per_s
-from heliograph.receive import make_receiver
-from heliograph.receive.events import DetectEvent
+from heliograph.probe.words import in_sentences
 from heliograph.web.camera_frames import CameraFrames
-from heliograph.web.screen import screen_settings
-from heliograph.web.words import why_unread
-
-Tell = Callable[[Mapping[str, Any]], None]
-"""Tells a page something; what it raises ends the reading."""
-
-SIDES_TRIED = (16, 8, 32, 24, 12, 20, 28)
-"""Cells of a side in the order in which they are tried where nobody says. Chosen: by what the page offers first."""
-
-USUAL_HZ = 10.0
-"""Patterns a second that are taken where nothing tells: those that page *Transmit* offers first."""
+from heliograph.web.looking import Asked, Tell, link_shown, shows_light
+from heliograph.web.saver import Saver
 
 LOOK_S = 7.0
 """Seconds of a film by which rate and size are found: two packets of 3 s and a rest, so that one is whole."""
@@ -60,22 +47,6 @@ WHY_FRAMES = 128
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """What a page asks for.
-
-    Attributes
-    ----------
-    side
-        Cells of a side; None where they are to be found.
-    rate_hz
-        Patterns a second; None where they are to be found.
-    """
-
-    side: int | None = None
-    rate_hz: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class Frames:
     """Frames in a film's place."""
 
@@ -88,7 +59,7 @@ class Frames:
         yield from self.frames
 
 
-def read_upload(path: Path, asked: Asked, tell: Tell) -> None:
+def read_upload(path: Path, asked: Asked, tell: Tell, saver: Saver) -> None:
     """Read a film, and tell all of it.
 
     Parameters
@@ -98,7 +69,9 @@ def read_upload(path: Path, asked: Asked, tell: Tell) -> None:
     asked
         Size and rate, as far as they are known.
     tell
-        Gets the rows of the journal, and "light", "progress", "why" and "end".
+        Gets the rows of the journal, and "light", "progress", "why", "bundle" and "end".
+    saver
+        Keeps what fails.
 
     Raises
     ------
@@ -107,25 +80,28 @@ def read_upload(path: Path, asked: Asked, tell: Tell) -> None:
     """
     doubted, reception = set[int](), Reception()
     for binning, again in product(_binnings(path), (False, True)):
+        # headers of all sizes look alike: where none was found, another size is of no use
+        if again and (asked.side is not None or not reception.arrays):
+            continue
         with open_film(path, expand_range=True, binning=binning) as film:
             head = list(_first(film, LOOK_S, LOOK_BYTES))
-        if again and asked.side is not None:
-            continue
-        settings = _found(head, asked, tell, doubted if again else frozenset())
+        settings = link_shown(head, asked, tell, doubted if again else frozenset())
         if again and settings.signal.side in doubted:
             continue
         reception = Reception()
+        saver.begin(settings.signal)
         with open_film(path, expand_range=True, binning=binning) as film:
-            _read(film, settings, reception, tell, film.frame_count)
+            kept = Frames("the film", _kept(film, saver), film.rate_hz, film.frame_count)
+            _read(kept, settings, reception, tell, saver, film.frame_count)
         if _words(reception):
             break
         doubted.add(settings.signal.side)
     else:
-        _tell_why(head, settings, tell)
-    tell({"event": "end", **_counts(reception)})
+        _tell_why(head, settings, tell, whole=reception.frames <= min(len(head), WHY_FRAMES))
+    _tell_end(reception, tell, saver)
 
 
-def read_camera(camera: CameraFrames, asked: Asked, tell: Tell, look: Callable[[LinkSettings], None]) -> None:
+def read_camera(camera: CameraFrames, asked: Asked, tell: Tell, saver: Saver) -> None:
     """Read a camera until it ends, and tell all that is read.
 
     Parameters
@@ -135,41 +111,62 @@ def read_camera(camera: CameraFrames, asked: Asked, tell: Tell, look: Callable[[
     asked
         Size and rate, as far as they are known.
     tell
-        Gets the rows of the journal, and "light", "progress", "why" and "end".
-    look
-        Gets the settings of the link that is looked for, whenever they change.
+        Gets the rows of the journal, and "light", "progress", "took", "left", "why", "bundle" and "end".
+    saver
+        Keeps what fails.
     """
-    reception, frames, doubted = Reception(), _told_of(camera, tell), set[int]()
+    reception, doubted = Reception(), set[int]()
+    saver.begin(asked.usual.signal)
+    frames = _kept(_told_of(camera, tell), saver)
     while window := list(_awaited(frames, asked, tell)):
-        settings = _found(window, asked, tell, doubted)
-        look(settings)
-        patient = _Patient(chain(window, frames), reception)
-        _read(Frames("the camera", patient), settings, reception, tell, None)
+        settings = link_shown(window, asked, tell, doubted, lambda: camera.ended)
+        saver.expect(settings.signal)
+        patient = _Patient(window, frames, reception, camera, tell)
+        try:
+            _read(Frames("the camera", patient), settings, reception, tell, saver, None)
+        except MediaError:  # fewer frames than a packet has
+            if not camera.late:
+                raise
         if not patient.ran_out:
+            if not _words(reception):
+                _tell_why(patient.last, settings, tell)
             break
         doubted = {settings.signal.side} - doubted
         _tell_why(patient.last, settings, tell)
-    tell({"event": "end", **_counts(reception)})
+    _tell_end(reception, tell, saver, camera.waiting)
 
 
 class _Patient:
-    """Frames until nothing was read of them for too long."""
+    """Frames until nothing was read of them for too long, or the camera's time is over."""
 
-    def __init__(self, frames: Iterator[Frame], reception: Reception):
-        self._frames, self._reception = frames, reception
+    def __init__(
+        self, window: list[Frame], frames: Iterator[Frame], reception: Reception, camera: CameraFrames, tell: Tell
+    ):
+        self._window, self._frames, self._reception, self._camera, self._tell = window, frames, reception, camera, tell
+        self._told_s = 0.0
         self.ran_out, self.last = False, list[Frame]()
 
     def __iter__(self) -> Iterator[Frame]:
         words, since = 0, None
-        for frame in self._frames:
+        for count, frame in enumerate(chain(self._window, self._frames), 1):
             now = _words(self._reception)
             since = frame.time_s if since is None or now > words else since
             words = now
             self.last = [*self.last[1 - WHY_FRAMES :], frame]
             yield frame
-            if frame.time_s - since > PATIENCE_S:
+            if self._camera.ended:
+                self._tell_left(max(len(self._window) - count, 0) + self._camera.waiting)
+            elif frame.time_s - since > PATIENCE_S:
                 self.ran_out = True
                 return
+            if self._camera.late:
+                return
+
+    def _tell_left(self, count: int) -> None:
+        now = time.monotonic()
+        if now - self._told_s > TELL_S:
+            self._told_s = now
+            self._tell({"event": "left", "frames": count})
 
 
 def _awaited(frames: Iterator[Frame], asked: Asked, tell: Tell) -> Iterator[Frame]:
@@ -186,18 +183,13 @@ def _awaited(frames: Iterator[Frame], asked: Asked, tell: Tell) -> Iterator[Fram
         if frame.time_s < next_s:
             continue
         next_s = frame.time_s + AGAIN_S
-        if _shows_light(window, asked):
+        if shows_light(window, asked):
             break
         tell({"event": "light", "rate_hz": None})
         if frame.time_s >= why_s:
             why_s = frame.time_s + PATIENCE_S
-            _tell_why(window[-WHY_FRAMES:], screen_settings(asked.side or SIDES_TRIED[0], USUAL_HZ), tell)
+            _tell_why(window[-WHY_FRAMES:], asked.usual, tell)
     return iter(window)
-
-
-def _shows_light(frames: list[Frame], asked: Asked) -> bool:
-    """Whether it is worth while to look for packets; a display that skips refreshes has no rate, but lines of cells."""
-    return asked.rate_hz is not None or patterns_per_s(frames) is not None or cells_of_a_side(frames) is not None
 
 
 def _told_of(camera: CameraFrames, tell: Tell) -> Iterator[Frame]:
@@ -207,50 +199,15 @@ def _told_of(camera: CameraFrames, tell: Tell) -> Iterator[Frame]:
         yield frame
 
 
-def _found(frames: list[Frame], asked: Asked, tell: Tell, doubted: AbstractSet[int] = frozenset()) -> LinkSettings:
-    """The link that some frames show; the usual one where they do not tell."""
-    rate = asked.rate_hz or patterns_per_s(frames)
-    tell({"event": "light", "rate_hz": rate})
-    # a receiver that is told a wrong rate finds the right one, but later
-    side = asked.side or _side_of(frames, rate or USUAL_HZ, tell, doubted)
-    if rate or side:
-        tell({"event": "light", "rate_hz": rate, "side": side})
-    return screen_settings(side or SIDES_TRIED[0], rate or USUAL_HZ)
+def _kept(frames: Iterable[Frame], saver: Saver) -> Iterator[Frame]:
+    for frame in frames:
+        saver.saw(frame)
+        yield frame
 
 
-def _side_of(frames: list[Frame], rate_hz: float, tell: Tell, doubted: AbstractSet[int]) -> int | None:
-    """The size by the lines between cells, else the one whose packets are read; None where there is none."""
-    likely = cells_of_a_side(frames)
-    if likely is not None and likely not in doubted:
-        return likely
-    for side in (side for side in SIDES_TRIED if side not in doubted):
-        tell({"event": "trying", "side": side})
-        try:
-            found, read = _tried(frames, screen_settings(side, rate_hz))
-        except HeliographError:  # such as too few frames for such a rate: reading says so
-            return None
-        if read:
-            return side
-        if not found:  # headers of all sizes look alike
-            return None
-    return None
-
-
-def _tried(frames: list[Frame], settings: LinkSettings) -> tuple[bool, bool]:
-    """Whether a header is found in some frames, and whether a codeword is read."""
-    found = list[DetectEvent]()
-
-    def observe(event: object) -> None:
-        if isinstance(event, DetectEvent):
-            found.append(event)
-
-    receiver = make_receiver(settings.signal, settings.receive, observe)
-    packets = chain(chain.from_iterable(map(receiver.push, frames)), receiver.finish())
-    read = any(word.block for packet in packets for words in packet.layers.values() for word in words)
-    return bool(found), read
-
-
-def _read(film: FrameSource, settings: LinkSettings, reception: Reception, tell: Tell, count: int | None) -> None:
+def _read(
+    film: FrameSource, settings: LinkSettings, reception: Reception, tell: Tell, saver: Saver, count: int | None
+) -> None:  # fmt: skip
     journal, told = Journal(settings.receive.calibration, tell), [0.0]
 
     def progress(frames: int) -> None:
@@ -261,20 +218,29 @@ def _read(film: FrameSource, settings: LinkSettings, reception: Reception, tell:
 
     for packet, messages in receive_film(film, settings.signal, settings, reception, journal.observe, progress):
         journal.read(packet, messages, reception.progress)
+        saver.read(packet)
 
 
-def _tell_why(frames: list[Frame], settings: LinkSettings, tell: Tell) -> None:
-    """Tell in words why nothing is read."""
+def _tell_why(frames: list[Frame], settings: LinkSettings, tell: Tell, whole: bool = False) -> None:
+    """Tell in words why nothing is read; that a film is too short only where these are all its frames."""
     tell({"event": "asking why"})
     try:
         shown = Frames("the film", frames, _rate_of(frames), len(frames))
-        # regions are looked into for a receiver of arrays alone
-        receiver = replace(settings.receive, receiver="soft")
-        found = probe_film(shown, settings.signal, receiver, reading=False, most=WHY_FRAMES, trials=False)
-        lines = why_unread(found)
+        found = probe_film(shown, settings.signal, settings.receive, reading=False, most=WHY_FRAMES, trials=False)
+        lines = [line for line in in_sentences(found) if whole or not line.startswith("Short")]
     except HeliographError as error:
         lines = [str(error)]
     tell({"event": "why", "lines": lines})
+
+
+def _tell_end(reception: Reception, tell: Tell, saver: Saver, let_go: int = 0) -> None:
+    """Tell the counts, and of what failed the film that may be fetched."""
+    counts = _counts(reception)
+    if counts["failed"] or not counts["ok"]:
+        offered = saver.offered()
+        if offered is not None:
+            tell({"event": "bundle", **offered})
+    tell({"event": "end", **counts, "let_go": let_go})
 
 
 def _binnings(path: Path) -> tuple[int, ...]:

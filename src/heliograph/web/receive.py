@@ -3,25 +3,21 @@
 import asyncio
 import contextlib
 import json
-from collections import OrderedDict
-from collections.abc import Callable
-from secrets import token_hex
+from collections.abc import Awaitable, Callable
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Depends, Request, WebSocket
-from fastapi.responses import FileResponse
+from fastapi import APIRouter, Depends, WebSocket
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocketDisconnect
 
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.probe.cells import SIDES
-from heliograph.signal.settings import SignalSettings
-from heliograph.web.camera_frames import CameraFrames, KeptFrames, MessageError
-from heliograph.web.reading import SIDES_TRIED, USUAL_HZ, Asked, read_camera, read_upload
-from heliograph.web.screen import LEAST_RATE_HZ, MOST_RATE_HZ, screen_settings
+from heliograph.web.camera_frames import CameraFrames, MessageError
+from heliograph.web.looking import Asked
+from heliograph.web.reading import read_camera, read_upload
+from heliograph.web.saver import Saver
+from heliograph.web.screen import LEAST_RATE_HZ, MOST_RATE_HZ
 from heliograph.web.security import PROTOCOL
 from heliograph.web.shared import Shared, shared_of
 from heliograph.web.told import GoneError, Told
@@ -29,10 +25,7 @@ from heliograph.web.told import GoneError, Told
 FIRST_WORD_S = 10.0
 """Longest time in s in which a page says what it wants. Chosen."""
 
-MOST_KEPT = 2
-"""Cameras whose last frames are kept: 64 MB each at most."""
-
-Take = Callable[[bytes | str], dict[str, Any] | None]
+Take = Callable[[bytes | str], Awaitable[dict[str, Any] | None]]
 """Takes a page's message; what it returns is told."""
 
 router = APIRouter(prefix="/api/receive")
@@ -61,65 +54,11 @@ class Wish(BaseModel):
     rate_hz: Annotated[float, Field(ge=LEAST_RATE_HZ, le=MOST_RATE_HZ)] | None = None
 
 
-class Kept:
-    """The last frames of cameras of which little was read, until a page has them."""
-
-    def __init__(self) -> None:
-        self._known: OrderedDict[str, KeptFrames] = OrderedDict()
-
-    def add(self, frames: KeptFrames) -> str:
-        """Keep frames, and return the name by which they are asked for.
-
-        Parameters
-        ----------
-        frames
-            The last frames of a camera.
-        """
-        name = token_hex(16)
-        self._known[name] = frames
-        while len(self._known) > MOST_KEPT:
-            self._known.popitem(last=False)
-        return name
-
-    def of(self, name: str) -> KeptFrames:
-        """Return frames that were kept.
-
-        Parameters
-        ----------
-        name
-            What `add` returned.
-
-        Raises
-        ------
-        MediaError
-            There are none of that name.
-        """
-        if name not in self._known:
-            raise MediaError("those frames are not here any more: start the camera again")
-        return self._known[name]
-
-
-def kept_of(connection: HTTPConnection) -> Kept:
-    """What this server keeps of cameras.
-
-    Parameters
-    ----------
-    connection
-        Any request or WebSocket to the server.
-    """
-    state = connection.app.state
-    if not hasattr(state, "kept_frames"):
-        state.kept_frames = Kept()
-    kept: Kept = state.kept_frames
-    return kept
-
-
 Here = Annotated[Shared, Depends(shared_of)]
-Frames = Annotated[Kept, Depends(kept_of)]
 
 
 @router.websocket("")
-async def receive(socket: WebSocket, shared: Here, kept: Frames) -> None:
+async def receive(socket: WebSocket, shared: Here) -> None:
     """Read an upload or a camera for a page, and tell it all.
 
     Parameters
@@ -128,9 +67,7 @@ async def receive(socket: WebSocket, shared: Here, kept: Frames) -> None:
         Its first message is a `Wish` in JSON. Of a camera, binary messages follow (`camera_frames.HEAD`), and the
         texts "save" and "end".
     shared
-        Uploads and places.
-    kept
-        Where a camera's last frames go.
+        Uploads, places, and films of what failed.
     """
     await socket.accept(PROTOCOL)
     try:
@@ -139,7 +76,7 @@ async def receive(socket: WebSocket, shared: Here, kept: Frames) -> None:
             if wish.kind == "film":
                 await _film(socket, shared, wish)
             else:
-                await _camera(socket, kept, wish)
+                await _camera(socket, shared, wish)
         await socket.close()
     except (HeliographError, ValidationError) as error:
         await _close(socket, error)
@@ -148,25 +85,6 @@ async def receive(socket: WebSocket, shared: Here, kept: Frames) -> None:
     except (TimeoutError, RuntimeError):  # the page is as good as gone
         with contextlib.suppress(RuntimeError, WebSocketDisconnect):
             await socket.close(1001)
-
-
-@router.get("/kept/{name}")
-async def saved(name: str, request: Request, frames: Frames) -> FileResponse:
-    """Give the frames that a page asked to save, as a film that the command opens.
-
-    Parameters
-    ----------
-    name
-        What the page was told.
-    request
-        The request.
-    frames
-        Where they are kept.
-    """
-    film = frames.of(name)
-    path = shared_of(request).uploads.folder() / f"kept-{token_hex(8)}.mkv"
-    await run_in_threadpool(film.write, path)
-    return FileResponse(path, filename="unread.mkv", background=BackgroundTask(path.unlink, missing_ok=True))
 
 
 async def _wish(socket: WebSocket) -> Wish:
@@ -179,40 +97,66 @@ async def _wish(socket: WebSocket) -> Wish:
 
 
 async def _film(socket: WebSocket, shared: Shared, wish: Wish) -> None:
-    told = Told(socket)
+    told, saver = Told(socket), _saver(shared)
     with shared.uploads.reading(wish.film) as path:
 
         def work() -> None:
             try:
-                read_upload(path, _asked(wish), told.tell)
+                read_upload(path, _asked(wish), told.tell, saver)
             except HeliographError as error:  # where it lies is nobody's business
                 raise MediaError(str(error).replace(str(path), "the film")) from None
+            finally:
+                saver.close()
 
         await _work(socket, told, work, _refuse)
+    shared.uploads.drop(wish.film)  # what is read is not needed any more
 
 
-async def _camera(socket: WebSocket, kept: Kept, wish: Wish) -> None:
-    told, camera = Told(socket), CameraFrames()
-    signal: list[SignalSettings] = [screen_settings(wish.side or SIDES_TRIED[0], wish.rate_hz or USUAL_HZ).signal]
+async def _camera(socket: WebSocket, shared: Shared, wish: Wish) -> None:
+    told, camera, saver = Told(socket), CameraFrames(), _saver(shared)
 
-    def take(message: bytes | str) -> dict[str, Any] | None:
+    async def take(message: bytes | str) -> dict[str, Any] | None:
         if isinstance(message, bytes):
             camera.put(message)
         elif message == "end":
             camera.end()
         elif message == "save":
-            return {"event": "kept", "name": kept.add(camera.kept(signal[0]))}
+            return await _saved(saver, shared)
         else:
             raise MessageError("a page sends frames, 'save' and 'end'")
         return None
 
     def work() -> None:
-        read_camera(camera, _asked(wish), told.tell, lambda settings: signal.__setitem__(0, settings.signal))
+        try:
+            read_camera(camera, _asked(wish), told.tell, saver)
+        finally:
+            saver.close()
 
-    await _work(socket, told, work, take, camera.end)
+    await _work(socket, told, work, take, lambda: camera.end(0.0))
 
 
-def _refuse(_message: bytes | str) -> None:
+def _saver(shared: Shared) -> Saver:
+    return Saver(shared.uploads.folder(), shared.bundles)
+
+
+async def _saved(saver: Saver, shared: Shared) -> dict[str, Any]:
+    """What is told once what failed so far is saved; a page that goes meanwhile leaves nothing behind."""
+    saving = asyncio.ensure_future(run_in_threadpool(saver.save))
+    try:
+        return {"event": "saved", **await asyncio.shield(saving)}
+    except HeliographError as error:
+        return {"event": "refused", "error": str(error)}
+    except asyncio.CancelledError:
+        saving.add_done_callback(lambda done: _thrown_away(done, shared))
+        raise
+
+
+def _thrown_away(saving: "asyncio.Future[dict[str, Any]]", shared: Shared) -> None:
+    if not saving.cancelled() and saving.exception() is None:
+        shared.bundles.drop(saving.result()["bundle"])
+
+
+async def _refuse(_message: bytes | str) -> None:
     raise MessageError("a page that has its film read says nothing")
 
 
@@ -261,7 +205,7 @@ async def _hear(socket: WebSocket, told: Told, take: Take) -> None:
         if message["type"] == "websocket.disconnect":
             raise WebSocketDisconnect
         data = message.get("bytes")
-        answer = take(message.get("text") or "" if data is None else data)
+        answer = await take(message.get("text") or "" if data is None else data)
         if answer is not None:
             await told.answer(answer)
 

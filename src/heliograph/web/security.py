@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from dataclasses import dataclass
 from typing import Any
 
-from heliograph.web.limits import Limits
+from heliograph.web.limits import MOST_DIGITS, Limits
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -33,9 +33,6 @@ DATA = "/api/"
 
 UPLOAD = "PUT"
 """Method of uploads, which count their bytes themselves."""
-
-MOST_DIGITS = 18
-"""Digits of a length that is looked at; thousands take long to convert."""
 
 HEADERS = {
     "x-content-type-options": "nosniff",

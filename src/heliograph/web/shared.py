@@ -9,6 +9,7 @@ from starlette.requests import HTTPConnection
 
 from heliograph.base.errors import HeliographError
 from heliograph.link.settings import LinkSettings
+from heliograph.web.bundles import Bundles
 from heliograph.web.limits import Limits
 from heliograph.web.uploads import Uploads
 
@@ -69,6 +70,8 @@ class Shared:
         Places of those who receive.
     cameras
         Names of the live cameras that were found when a page last looked for them; pages ask for them by number.
+    bundles
+        Films of what failed, until pages fetch them.
     """
 
     settings: LinkSettings
@@ -78,6 +81,7 @@ class Shared:
     camera: tuple[str, ...] = ()
     sessions: Places = field(init=False)
     cameras: list[str] = field(default_factory=list)
+    bundles: Bundles = field(default_factory=Bundles)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sessions", Places(self.limits.sessions, "receptions"))

@@ -15,7 +15,7 @@ from fastapi import APIRouter, Depends, Request
 from starlette.requests import ClientDisconnect
 
 from heliograph.base.errors import MediaError
-from heliograph.web.limits import MB, Limits
+from heliograph.web.limits import MB, MOST_DIGITS, Limits
 
 SUFFIXES = {
     name: f".{name}"
@@ -64,6 +64,22 @@ class Uploads:
         self._folder: Path | None = None
         self._films: dict[str, Upload] = {}
         self._running = 0
+
+    def check(self, length: str) -> None:
+        """Refuse a film that is said to be too large before it comes.
+
+        Parameters
+        ----------
+        length
+            Its length in bytes as the request has it; of any text.
+
+        Raises
+        ------
+        TooLargeError
+            It is.
+        """
+        if length.isascii() and length.isdecimal() and int(length[:MOST_DIGITS]) > self._limits.film_bytes:
+            raise self._too_large()
 
     async def take(self, parts: AsyncIterator[bytes], kind: str) -> str:
         """Store a film as it comes, and return the name by which pages ask for it.
@@ -145,6 +161,9 @@ class Uploads:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 
+    def _too_large(self) -> TooLargeError:
+        return TooLargeError(f"a film has at most {self._limits.film_bytes} bytes: name it on the command line")
+
     def _thin(self) -> None:
         for name in [*self._films][: max(0, len(self._films) - self._limits.films)]:
             self.drop(name)
@@ -155,9 +174,7 @@ class Uploads:
             async for part in parts:
                 size += len(part)
                 if size > self._limits.film_bytes:
-                    raise TooLargeError(
-                        f"a film has at most {self._limits.film_bytes} bytes: name it on the command line"
-                    )
+                    raise self._too_large()
                 if time.monotonic() > until:
                     raise MediaError(
                         f"the upload took more than {self._limits.upload_s:g} s: name the film on the command line"
@@ -202,6 +219,7 @@ async def upload(request: Request, films: Kept, kind: str = "") -> dict[str, Any
         Kind of its file, such as "mp4".
     """
     try:
+        films.check(request.headers.get("content-length", ""))
         return {"film": await films.take(request.stream(), kind[:8])}
     except ClientDisconnect:
         raise MediaError("the upload broke off: send the film again") from None

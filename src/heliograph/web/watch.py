@@ -1,4 +1,4 @@
-"""The server's part of page *Watch*: what may be watched, the WebSocket that shows it, films of what failed."""
+"""The server's part of page *Watch*: what may be watched, and the WebSocket that shows it."""
 
 import contextlib
 from pathlib import Path
@@ -6,9 +6,6 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, WebSocket, WebSocketDisconnect
 from fastapi.concurrency import run_in_threadpool
-from fastapi.responses import FileResponse
-from starlette.exceptions import HTTPException
-from starlette.requests import HTTPConnection
 
 from heliograph.link.settings import PRESETS
 from heliograph.media.live.listing import cameras_there
@@ -21,15 +18,6 @@ from heliograph.web.watching.session import BUSY, Session
 
 router = APIRouter(prefix="/api/watch")
 Ours = Annotated[Shared, Depends(shared_of)]
-
-
-def _bundles(connection: HTTPConnection) -> dict[str, Path]:
-    """Films of what failed that pages may fetch, by names of the server's own."""
-    state = connection.app.state
-    if not hasattr(state, "bundles"):
-        state.bundles = {}
-    bundles: dict[str, Path] = state.bundles
-    return bundles
 
 
 @router.get("/sources")
@@ -74,24 +62,7 @@ async def watch(socket: WebSocket) -> None:
     with contextlib.suppress(WebSocketDisconnect):
         try:
             with shared.sessions.take():
-                await Session(socket, shared, _bundles(socket)).attend()
+                await Session(socket, shared).attend()
         except BusyError as error:
             await socket.send_json({"event": "failed", "reason": str(error)})
             await socket.close(BUSY, "all places are taken")
-
-
-@router.get("/bundles/{name}")
-async def bundle(name: str, kept: Annotated[dict[str, Path], Depends(_bundles)]) -> FileResponse:
-    """Give a film of what failed.
-
-    Parameters
-    ----------
-    name
-        What the server called it; it is looked up, and never part of a path.
-    kept
-        The films there are.
-    """
-    path = kept.get(name)
-    if path is None:
-        raise HTTPException(404, "that film is not here any more: save it again")
-    return FileResponse(path, media_type="application/x-hdf5", filename="failed.h5")

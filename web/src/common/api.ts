@@ -76,6 +76,11 @@ export function socket(path: string): WebSocket {
   return made;
 }
 
+/** Fetches a film of what failed and gives it to the user. */
+export async function saveBundle(name: string): Promise<void> {
+  save(await (await ask(`bundles/${name}`)).blob(), "failed.h5");
+}
+
 /** Gives a file to the user, as if it were downloaded. */
 export function save(data: Blob, name: string): void {
   const link = document.createElement("a");

@@ -28,6 +28,6 @@ export class Notice {
     this.element.setAttribute("aria-live", live);
     this.element.classList.toggle("bad", role === "alert");
     this.element.hidden = false;
-    this.element.textContent = text;
+    this.element.textContent = text.charAt(0).toUpperCase() + text.slice(1);
   }
 }

@@ -1,7 +1,7 @@
 import "../common/style.css";
 import "./receive.css";
 import "../common/page";
-import { ask, kindOf, save, upload } from "../common/api";
+import { kindOf, saveBundle, upload } from "../common/api";
 import { make, one } from "../common/dom";
 import { Notice } from "../common/notice";
 import { Camera, opened } from "./camera";
@@ -24,6 +24,8 @@ let socket: WebSocket | null = null;
 let camera: Camera | null = null;
 let stream: MediaStream | null = null;
 let sending: AbortController | null = null;
+/** Film of what failed that the server has at the end; while it reads, the server is asked for one. */
+let bundle: string | null = null;
 
 function asked(kind: Wish["kind"]): Wish {
   const side = one("side", HTMLSelectElement).value;
@@ -35,13 +37,20 @@ function say(text: string): void {
   if (state.textContent !== text) state.textContent = text;
 }
 
-function begin(words: string): void {
+/** Number of the newest reading: what an older one still says or fails by is nothing to this page any more. */
+let turn = 0;
+
+function begin(words: string): number {
   end();
+  turn += 1;
   notice.clear();
   results.clear();
   showWhy([]);
+  bundle = null;
+  saveButton.hidden = true;
   say(words);
   stop.hidden = false;
+  return turn;
 }
 
 /** Ends what runs; what was read stays. */
@@ -96,11 +105,23 @@ function take(row: Row): void {
       break;
     case "why":
       showWhy(row.lines.length > 0 ? row.lines : ["No reason was found: film longer, closer and steadier."]);
-      saveButton.hidden = camera === null;
+      if (camera !== null) saveButton.hidden = false;
       say("Nothing is read yet.");
       break;
-    case "kept":
-      void keep(row.name);
+    case "left":
+      say(`Reading the last frames: ${row.frames} left …`);
+      leftAtFirst = Math.max(leftAtFirst, row.frames);
+      progress(1 - row.frames / Math.max(1, leftAtFirst));
+      break;
+    case "saved":
+      void keep(row.bundle);
+      break;
+    case "bundle":
+      bundle = row.bundle;
+      saveButton.hidden = false;
+      break;
+    case "refused":
+      notice.fail(row.error);
       break;
     case "end":
       say(ending(row));
@@ -116,7 +137,8 @@ function lightWords({ rate_hz: rate, side }: Row & { event: "light" }): string {
 }
 
 function ending(row: Row & { event: "end" }): string {
-  const words = `${row.frames} frames, ${row.packets} packets, ${row.ok} of ${row.ok + row.failed} codewords read.`;
+  const late = row.let_go > 0 ? ` ${row.let_go} frames were left unread, as this took too long.` : "";
+  const words = `${row.frames} frames, ${row.packets} packets, ${row.ok} of ${row.ok + row.failed} codewords read.${late}`;
   if (row.ok === 0) return `The end: nothing was read. ${words}`;
   return results.count > 0 ? `The end. ${words}` : `The end: nothing came whole; film longer. ${words}`;
 }
@@ -131,15 +153,22 @@ function closed(reason: string): void {
   }
 }
 
+function open(wish: Wish): WebSocket {
+  const mine = turn;
+  socket = reading(wish, (row) => { if (mine === turn) take(row); }, (reason) => { if (mine === turn) closed(reason); });
+  return socket;
+}
+
 async function readFilm(file: File): Promise<void> {
-  begin("Uploading …");
+  const mine = begin("Uploading …");
   progress(0);
   sending = new AbortController();
   const name = await upload(file, kindOf(file), progress, sending.signal);
+  if (mine !== turn) return;
   sending = null;
   say("Uploaded. Looking for patterns …");
   progress(null);
-  socket = reading({ ...asked("film"), film: name }, take, closed);
+  open({ ...asked("film"), film: name });
 }
 
 async function readCamera(): Promise<void> {
@@ -147,21 +176,30 @@ async function readCamera(): Promise<void> {
     finish();
     return;
   }
-  begin("Waiting for the camera …");
-  stream = await opened(one("device", HTMLSelectElement).value);
-  video.srcObject = stream;
+  const mine = begin("Waiting for the camera …");
+  const given = await opened(one("device", HTMLSelectElement).value);
+  if (mine !== turn) {
+    given.getTracks().forEach((track) => track.stop());
+    return;
+  }
+  stream = given;
+  video.srcObject = given;
   one("view", HTMLElement).hidden = false;
   await video.play();
   await listDevices();
+  if (mine !== turn) return;
   start.textContent = "Stop the camera";
   say("Looking for patterns: this takes 7 seconds.");
   const size = Math.min(Number(one("size", HTMLSelectElement).value), video.videoWidth, video.videoHeight);
-  socket = reading(asked("camera"), take, closed);
-  camera = new Camera(video, size, socket);
+  camera = new Camera(video, size, open(asked("camera")));
 }
 
-/** The camera's last packet is still read, and then the server ends it. */
+/** Frames that were left to read when the camera was stopped, for the bar. */
+let leftAtFirst = 0;
+
+/** The camera's last frames are still read, as long as the server has time for them; then the server ends it. */
 function finish(): void {
+  leftAtFirst = 0;
   if (camera === null || socket === null) end();
   else {
     camera.stop();
@@ -183,9 +221,14 @@ async function listDevices(): Promise<void> {
 }
 
 async function keep(name: string): Promise<void> {
-  const answer = await ask(`receive/kept/${name}`);
-  save(await answer.blob(), "unread.mkv");
-  notice.say("unread.mkv holds the last frames: 'heliograph probe unread.mkv' tells more, and 'heliograph receive unread.mkv' reads it.");
+  try {
+    await saveBundle(name);
+    notice.say(
+      "failed.h5 holds the frames of what failed: 'heliograph probe failed.h5 --preset phone' tells more, and 'heliograph receive failed.h5 --preset phone' reads it.",
+    );
+  } catch (error) {
+    notice.fail(error);
+  }
 }
 
 function showCounts(): void {
@@ -197,7 +240,13 @@ function showCounts(): void {
 
 function chosen(input: HTMLInputElement): void {
   const file = input.files?.[0];
-  if (file !== undefined) void readFilm(file).catch(failed);
+  if (file !== undefined) run(readFilm(file));
+}
+
+/** Lets a reading begin; `begin` was called, so that its number is the newest now. */
+function run(begun: Promise<void>): void {
+  const mine = turn;
+  begun.catch((error: unknown) => { if (mine === turn) failed(error); });
 }
 
 function failed(error: unknown): void {
@@ -208,25 +257,29 @@ function failed(error: unknown): void {
   say("Nothing yet.");
 }
 
-film.addEventListener("change", () => chosen(film));
-shot.addEventListener("change", () => chosen(shot));
+for (const input of [film, shot]) {
+  input.addEventListener("click", () => { input.value = ""; }); // the same film may be chosen again
+  input.addEventListener("change", () => chosen(input));
+}
 for (const kind of ["dragover", "dragleave", "drop"] as const) {
   drop.addEventListener(kind, (event) => {
     event.preventDefault();
     drop.classList.toggle("over", kind === "dragover");
     const file = kind === "drop" ? event.dataTransfer?.files[0] : undefined;
-    if (file !== undefined) void readFilm(file).catch(failed);
+    if (file !== undefined) run(readFilm(file));
   });
 }
-start.addEventListener("click", () => void readCamera().catch(failed));
+start.addEventListener("click", () => run(readCamera()));
 stop.addEventListener("click", () => {
   if (camera !== null) finish();
   else {
     end();
+    turn += 1;
     say("Stopped.");
   }
 });
 saveButton.addEventListener("click", () => {
-  if (socket?.readyState === WebSocket.OPEN) socket.send("save");
+  if (bundle !== null) void keep(bundle);
+  else if (socket?.readyState === WebSocket.OPEN) socket.send("save");
 });
 setInterval(showCounts, 500);

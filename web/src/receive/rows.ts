@@ -15,9 +15,11 @@ export type Row =
   | { event: "took"; frames: number; dropped: number }
   | { event: "asking why" }
   | { event: "why"; lines: string[] }
-  | { event: "kept"; name: string }
+  | { event: "left"; frames: number }
+  | { event: "saved" | "bundle"; bundle: string; bytes: number }
+  | { event: "refused"; error: string }
   | { event: "error"; error: string }
-  | { event: "end"; frames: number; packets: number; ok: number; failed: number };
+  | { event: "end"; frames: number; packets: number; ok: number; failed: number; let_go: number };
 
 /** What the page asks for. */
 export interface Wish {

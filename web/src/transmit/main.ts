@@ -132,7 +132,8 @@ function togglePause(): void {
 }
 
 async function toggleFull(): Promise<void> {
-  if (document.fullscreenElement === null) {
+  if (stage.classList.contains("fills")) stage.classList.remove("fills");
+  else if (document.fullscreenElement === null) {
     try {
       await stage.requestFullscreen({ navigationUI: "hide" });
     } catch {

@@ -20,12 +20,16 @@ export interface Facts {
 /** Seconds of patterns that are there before they are shown. */
 const AHEAD_S = 6;
 
+/** Time in ms from a request that failed to the next one. */
+const AGAIN_MS = 1000;
+
 /** Packets that are asked for at once. */
 const MOST = 16;
 
 export class Packets {
   private readonly held = new Map<number, Uint8Array>();
   private asking = false;
+  private notBefore = 0;
   private readonly ahead: number;
   /** What went wrong with the last request; the next one that succeeds clears it. */
   failed: unknown = null;
@@ -51,12 +55,15 @@ export class Packets {
 
   private fill(packet: number): void {
     for (const old of this.held.keys()) if (old < packet) this.held.delete(old);
-    if (this.asking) return;
+    if (this.asking || performance.now() < this.notBefore) return;
     let first = packet;
     while (this.held.has(first)) first += 1;
     const count = Math.min(MOST, packet + this.ahead + 1 - first);
     if (count <= 0) return;
-    this.fetch(first, count).catch((error: unknown) => { this.failed = error; });
+    this.fetch(first, count).catch((error: unknown) => {
+      this.failed = error;
+      this.notBefore = performance.now() + AGAIN_MS;
+    });
   }
 
   private async fetch(first: number, count: number): Promise<void> {

@@ -3,7 +3,7 @@
 import "../common/style.css";
 import "./watch.css";
 import "../common/page";
-import { ask, save } from "../common/api";
+import { saveBundle } from "../common/api";
 import { one } from "../common/dom";
 import { Notice } from "../common/notice";
 import { FrameView } from "./frame";
@@ -29,6 +29,10 @@ let looking: Moment | null = null; // at what was, in place of now
 let running = false;
 let paused = false;
 let drawDue = false;
+let newestMs = performance.now(); // when the newest frame came
+
+/** Time without a frame after which it is said what may take so long. */
+const LONG_MS = 3000;
 
 function times(): number | null {
   return speed.value === "" ? null : Number(speed.value);
@@ -37,15 +41,18 @@ function times(): number | null {
 function showState(): void {
   buttons.stop.disabled = !running;
   for (const id of ["pause", "step", "packet"] as const) buttons[id].disabled = !running;
-  buttons.save.disabled = !running && model.state === null;
+  buttons.save.disabled = model.state === null;
   buttons.pause.textContent = paused ? "Go on" : "Pause";
   scrub.disabled = timeline.moments.length < 2;
   buttons.live.disabled = looking === null;
   const at = looking?.about ?? newest;
   const count = model.source?.frames;
-  one("where", HTMLElement).textContent = at === null ? "" :
+  const where = at === null ? "" :
     `${at.time_s.toFixed(3)} s, frame ${at.frame}${count ? ` of ${count}` : ""}${looking === null ? "" : " (recorded)"}`;
+  const waiting = running && !paused && looking === null && performance.now() - newestMs > LONG_MS;
+  one("where", HTMLElement).textContent = waiting ? `${where}${where ? "; " : ""}working: the first time the receiver is compiled, up to a minute` : where;
 }
+setInterval(showState, 1000);
 
 function draw(): void {
   if (drawDue) return;
@@ -78,8 +85,9 @@ function sayRow(row: Row): void {
 
 async function saved(bundle: string): Promise<void> {
   try {
-    save(await (await ask(`watch/bundles/${bundle}`)).blob(), "failed.h5");
-    notice.say("Saved: 'heliograph receive failed.h5' reads it again.");
+    await saveBundle(bundle);
+    const receiver = model.source?.receiver ?? "plain";
+    notice.say(`Saved: 'heliograph receive failed.h5${receiver === "plain" ? "" : ` --receiver ${receiver}`}' reads it again.`);
   } catch (error) {
     notice.fail(error);
   }
@@ -112,6 +120,7 @@ function ended(): void {
 
 async function scene(about: About, picture: Blob): Promise<void> {
   newest = about;
+  newestMs = performance.now();
   const last = timeline.moments.at(-1);
   if (last === undefined || last.about.frame !== about.frame) timeline.moment(about, picture);
   scrub.max = String(Math.max(timeline.moments.length - 1, 0));
@@ -152,6 +161,7 @@ function begin(source: Source): void {
   view.clear();
   running = true;
   paused = false;
+  newestMs = performance.now();
   notice.say("Opening. The first time the receiver is compiled for this computer, which takes up to a minute.");
   link.open(source, times());
   draw();

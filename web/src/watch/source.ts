@@ -20,6 +20,7 @@ function numberOf(id: string): number | undefined {
 export class SourceForm {
   private readonly form = one("source", HTMLFormElement);
   private uploaded: string | null = null;
+  private uploading: AbortController | null = null;
 
   constructor(private readonly chosen: (source: Source) => void, private readonly failed: (error: unknown) => void) {
     this.form.onsubmit = (event) => {
@@ -113,16 +114,18 @@ export class SourceForm {
     if (input !== null) input.checked = true;
     this.showKind();
     const place = one("uploading", HTMLElement);
+    this.uploading?.abort();
+    const mine = this.uploading = new AbortController();
     try {
       place.hidden = false;
       if (this.uploaded !== null) void ask(`films/${this.uploaded}`, { method: "DELETE" }).catch(() => undefined);
-      this.uploaded = await upload(file, kindOf(file), (part) => { one("progress", HTMLProgressElement).value = part; });
+      this.uploaded = await upload(file, kindOf(file), (part) => { one("progress", HTMLProgressElement).value = part; }, mine.signal);
       const rate = numberOf("rate");
       this.chosen({ ...this.common(), kind: "film", film: this.uploaded, ...(rate === undefined ? {} : { rate_hz: rate }) });
     } catch (error) {
-      this.failed(error);
+      if (this.uploading === mine) this.failed(error);
     } finally {
-      place.hidden = true;
+      if (this.uploading === mine) place.hidden = true;
     }
   }
 }

@@ -17,8 +17,8 @@ from heliograph.measure.reception import Reception, receive_film
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.media.live.reader import LiveReader
 from heliograph.signal.settings import LAYERS
+from heliograph.web.failures import Failures, Form
 from heliograph.web.shared import Shared
-from heliograph.web.watching.failures import Failures
 from heliograph.web.watching.gate import Gate
 from heliograph.web.watching.scene import Scene, Seen
 from heliograph.web.watching.sources import Asked, Source, opened
@@ -86,9 +86,7 @@ class Run:
 
     def abandon(self) -> None:
         """End it before its next frame, and throw away what was not saved, without waiting for that."""
-        self.gate.stop()
-        if self._live is not None:
-            self._live.stop()  # it may be waiting for a frame that never comes
+        self._let_go()
         with self._ending:
             self._abandoned = True
             if self._over and self.failures is not None:
@@ -98,6 +96,21 @@ class Run:
         """The same, and wait for it."""
         self.abandon()
         self._thread.join()
+
+    def halt(self) -> None:
+        """End it before its next frame, and wait for that; what failed may still be saved."""
+        self._let_go()
+        self._thread.join()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has ended by itself or was halted."""
+        return self._over
+
+    def _let_go(self) -> None:
+        self.gate.stop()
+        if self._live is not None:
+            self._live.stop()  # it may be waiting for a frame that never comes
 
     def save(self) -> Path | None:
         """Film of what failed so far, see `Failures.save`."""
@@ -127,7 +140,7 @@ class Run:
         tell(_about(source))
         self._live = source.live
         _attend(source, tell)
-        self.failures = Failures(self._shared.uploads.folder(), source)
+        self.failures = Failures(self._shared.uploads.folder(), _form(source))
         calibration = source.settings.receive.calibration
         seen, reception = Seen(source.signal, calibration), Reception(source.truth)
         try:
@@ -243,6 +256,13 @@ def errors_by_distance(errors: ErrorCounter) -> list[dict[str, Any]]:
             }  # fmt: skip
         rows.append({"from_m": row["from_m"], "to_m": row["to_m"], "layers": layers})
     return rows
+
+
+def _form(source: Source) -> Form:
+    return Form(
+        width=source.width, height=source.height, bits=source.bits, rate_hz=source.rate_hz, signal=source.signal,
+        metadata=source.metadata,
+    )  # fmt: skip
 
 
 def _about(source: Source) -> Row:

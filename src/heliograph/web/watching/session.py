@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import json
-import secrets
 import threading
 from collections import deque
 from pathlib import Path
@@ -152,12 +151,10 @@ class Session:
         Its WebSocket, accepted.
     shared
         What the pages of the server share.
-    bundles
-        Where films of what failed are put for it to fetch, by names of the server's own.
     """
 
-    def __init__(self, socket: WebSocket, shared: Shared, bundles: dict[str, Path]):
-        self._socket, self._shared, self._bundles = socket, shared, bundles
+    def __init__(self, socket: WebSocket, shared: Shared):
+        self._socket, self._shared = socket, shared
         self._outbox = Outbox(asyncio.get_running_loop())
         self._run: Run | None = None
         self._speed: float | None = None
@@ -176,9 +173,7 @@ class Session:
             if self._run is not None:
                 self._run.abandon()  # what waits for its end may be broken off
             for name in self._mine:
-                path = self._bundles.pop(name, None)
-                if path is not None:
-                    path.unlink(missing_ok=True)
+                self._shared.bundles.drop(name)
             for task in tasks:
                 task.cancel()
             await asyncio.wait(tasks)
@@ -193,7 +188,7 @@ class Session:
         """Take commands until the page goes, or says what is none too often; why it is let go, if it is."""
         while True:
             try:
-                wait_s = None if self._run is not None else IDLE_S
+                wait_s = None if self._run is not None and not self._run.is_over else IDLE_S
                 message = await asyncio.wait_for(self._socket.receive(), wait_s)
             except TimeoutError:
                 return IDLE, "nothing is watched"
@@ -227,8 +222,8 @@ class Session:
             self._speed = command.times
             if gate is not None:
                 gate.run_at(command.times)
-        elif command.do == "stop":
-            await self._end()
+        elif command.do == "stop" and self._run is not None:
+            await asyncio.to_thread(self._run.halt)
         elif command.do == "save":
             await self._save()
         elif gate is not None:
@@ -248,14 +243,21 @@ class Session:
             await asyncio.to_thread(run.stop)
 
     async def _save(self) -> None:
-        path = None if self._run is None else await asyncio.to_thread(self._run.save)
+        if self._run is None:
+            path = None
+        else:
+            saving = asyncio.ensure_future(asyncio.to_thread(self._run.save))
+            try:
+                path = await asyncio.shield(saving)
+            except asyncio.CancelledError:  # the page has gone: nobody fetches it
+                saving.add_done_callback(_thrown_away)
+                raise
         if path is None:
             self._outbox.tell({"event": "refused", "reason": "there are no frames to save yet"})
             return
-        name = secrets.token_hex(16)
-        self._bundles[name] = path
-        self._mine.append(name)
-        self._outbox.tell({"event": "saved", "bundle": name, "bytes": path.stat().st_size})
+        size = path.stat().st_size
+        self._mine.append(self._shared.bundles.add(path))
+        self._outbox.tell({"event": "saved", "bundle": self._mine[-1], "bytes": size})
 
     async def _send(self) -> tuple[int, str]:
         """Send rows as they come, and scenes as the page takes them; why the page is let go."""
@@ -271,6 +273,12 @@ class Session:
                 self._credit -= 1
                 await self._socket.send_bytes(await asyncio.to_thread(scene.encoded))
         return TOO_SLOW, "this page takes what is sent too slowly"
+
+
+def _thrown_away(saving: "asyncio.Future[Path | None]") -> None:
+    path = None if saving.cancelled() or saving.exception() is not None else saving.result()
+    if path is not None:
+        path.unlink(missing_ok=True)
 
 
 def _turn(gate: Gate, act: str) -> None:

@@ -3,14 +3,16 @@
 import secrets
 import threading
 from collections import deque
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.link.notes import signal_note
 from heliograph.media import FilmWriter, create_film
 from heliograph.media.record import FASTEST_HZ
 from heliograph.receive import Packet
-from heliograph.web.watching.sources import Source
+from heliograph.signal.settings import SignalSettings
 
 MOST_HELD = 256 << 20
 """Most bytes of frames that are held in memory. Chosen: 0.5 s of 1024 x 512 pixels at 1000 frames/s."""
@@ -23,6 +25,30 @@ BEFORE, AFTER = 1.2, 0.2
 its end. Chosen."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Form:
+    """Form of the frames that are kept, and what their film notes.
+
+    Attributes
+    ----------
+    width, height, bits
+        Of its frames.
+    rate_hz
+        Frames a second; None where their times tell.
+    signal
+        The light's signal, as it is received.
+    metadata
+        Text that is kept with it.
+    """
+
+    width: int
+    height: int
+    bits: int
+    rate_hz: float | None
+    signal: SignalSettings
+    metadata: dict[str, str] = field(default_factory=dict)
+
+
 class Failures:
     """Holds the last frames, and writes those about packets that failed; frames of one thread, saving in any.
 
@@ -30,8 +56,10 @@ class Failures:
     ----------
     folder
         Where the films go, under names of their own.
-    source
-        What is received: form of its frames, its signal and notes.
+    form
+        Of what is received.
+    most
+        Most bytes of frames in a film of what failed.
 
     Attributes
     ----------
@@ -41,12 +69,13 @@ class Failures:
         Whether the film takes no more.
     """
 
-    def __init__(self, folder: Path, source: Source):
-        self._folder, self._source, self._lock = folder, source, threading.Lock()
-        size = source.width * source.height * (1 if source.bits == 8 else 2)
-        self._size, self._most = size, max(2, MOST_HELD // size)
+    def __init__(self, folder: Path, form: Form, most: int = MOST_WRITTEN):
+        self._folder, self._form, self._lock = folder, form, threading.Lock()
+        size = form.width * form.height * (1 if form.bits == 8 else 2)
+        self._size, self._most, self._most_written = size, max(2, MOST_HELD // size), most
         self._frames: deque[Frame] = deque()
         self._film: FilmWriter | None = None
+        self._error: MediaError | None = None
         self._until_s = self._last_s = float("-inf")
         self.packets, self.full = 0, False
 
@@ -58,7 +87,7 @@ class Failures:
         frame
             The next frame.
         """
-        kept_s = (1 + BEFORE + AFTER) * self._source.signal.packet_s
+        kept_s = (1 + BEFORE + AFTER) * self._form.signal.packet_s
         with self._lock:
             held = self._frames
             held.append(frame)
@@ -66,6 +95,17 @@ class Failures:
                 held.popleft()
             if frame.time_s <= self._until_s:
                 self._write(frame)
+
+    def expect(self, signal: SignalSettings) -> None:
+        """Take another signal for that of the light from now on.
+
+        Parameters
+        ----------
+        signal
+            What the receiver looks for.
+        """
+        with self._lock:
+            self._form = replace(self._form, signal=signal)
 
     def failed(self, packet: Packet) -> None:
         """Keep the frames of a packet.
@@ -75,7 +115,7 @@ class Failures:
         packet
             One of which not all was read.
         """
-        packet_s = self._source.signal.packet_s
+        packet_s = self._form.signal.packet_s
         first_s = packet.start_time_s - BEFORE * packet_s
         with self._lock:
             if self.full:
@@ -103,7 +143,10 @@ class Failures:
                 for frame in self._frames:
                     self._write(frame)
             film, self._film = self._film, None
+            error, self._error = self._error, None
             self.packets, self.full, self._last_s = 0, False, float("-inf")
+            if error is not None:
+                raise error
             if film is None:
                 return None
             film.finish()
@@ -118,18 +161,28 @@ class Failures:
                 self._film = None
 
     def _write(self, frame: Frame) -> None:
+        """Write a frame; where there is no room for it the reception goes on, and `save` says so."""
         if frame.time_s <= self._last_s or self.full:
             return
-        if self._film is None:
-            source = self._source
-            self._film = create_film(
-                self._folder / f"{secrets.token_hex(16)}.h5",
-                width=source.width,
-                height=source.height,
-                rate_hz=min(source.rate_hz, FASTEST_HZ),
-                bits=source.bits,
-                metadata={**source.metadata, **signal_note(source.signal)},
-            )
-        self._film.write(frame)
+        try:
+            if self._film is None:
+                self._film = self._created()
+            self._film.write(frame)
+        except MediaError as error:
+            film, self._film, self._error, self.full = self._film, None, error, True
+            if film is not None:
+                film.abort()
+            return
         self._last_s = frame.time_s
-        self.full = self._film.frames_written * self._size >= MOST_WRITTEN
+        self.full = self._film.frames_written * self._size >= self._most_written
+
+    def _created(self) -> FilmWriter:
+        form = self._form
+        path = self._folder / f"{secrets.token_hex(16)}.h5"
+        notes = {**form.metadata, **signal_note(form.signal)}
+        rate_hz = min(form.rate_hz or self._rate_hz(), FASTEST_HZ)
+        return create_film(path, width=form.width, height=form.height, rate_hz=rate_hz, bits=form.bits, metadata=notes)
+
+    def _rate_hz(self) -> float:
+        first, last = self._frames[0], self._frames[-1]
+        return max((last.index - first.index) / max(last.time_s - first.time_s, 1e-3), 1.0)
