@@ -1,16 +1,40 @@
+import contextlib
 import signal
 import socket
 import subprocess
 import sys
+import threading
+import time
 import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import uvicorn
 from cli_runs import COMMAND, called
 
 from heliograph.base.errors import SettingsError
 from heliograph.cli.serve import say_where
-from heliograph.web.serve import Address, opened
+from heliograph.web.app import create_app
+from heliograph.web.limits import Limits
+from heliograph.web.serve import Address, configured, opened
+
+
+@contextlib.contextmanager
+def serving(limits: Limits) -> Iterator[int]:
+    """A server in a thread; its port."""
+    address = Address(port=0)
+    server = uvicorn.Server(configured(create_app(limits=limits), address, limits))
+    with opened(address) as waiting:
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [waiting]})
+        thread.start()
+        try:
+            while not server.started:
+                time.sleep(0.01)
+            yield waiting.getsockname()[1]
+        finally:
+            server.should_exit = True
+            thread.join()
 
 
 def test_this_machine_alone_needs_no_token() -> None:
@@ -88,6 +112,19 @@ def test_the_extra_is_named_where_it_is_missing(
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     monkeypatch.delitem(sys.modules, "heliograph.web.serve", raising=False)
     assert "pip install 'heliograph[web]'" in called("serve", capfd=capfd, monkeypatch=monkeypatch).stderr
+
+
+@pytest.mark.slow
+def test_clients_that_ask_for_nothing_take_nobodys_place() -> None:
+    limits = Limits(idle_s=0.5, connections=4)
+    with serving(limits) as port, contextlib.ExitStack() as stack:
+        held = [stack.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(6)]
+        held[0].sendall(b"GET /watch HTTP/1.1\r\nHost: 127.0.0.1")  # and never the rest
+        for one in held:
+            one.settimeout(20)
+            while one.recv(1 << 16):
+                pass
+        assert urllib.request.urlopen(f"http://127.0.0.1:{port}/watch", timeout=20).status == 200
 
 
 def test_an_address_for_others_is_said_with_a_warning(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,6 +9,7 @@ import uvicorn
 from fastapi import FastAPI
 
 from heliograph.base.errors import SettingsError
+from heliograph.web.connections import patient_for
 from heliograph.web.limits import Limits
 from heliograph.web.security import LOOPBACK, Door
 
@@ -117,12 +118,32 @@ def run(app: FastAPI, waiting: socket.socket, address: Address, limits: Limits) 
     KeyboardInterrupt
         Ctrl-C, once all is put away.
     """
-    config = uvicorn.Config(
+    config = configured(app, address, limits)
+    try:
+        config.load()
+    except OSError as error:  # of which those of TLS are kinds
+        raise SettingsError(
+            f"the certificate {address.certificate} and its key cannot be used: {error.strerror or error}; "
+            f"give both in PEM by --certificate and --key"
+        ) from None
+    uvicorn.Server(config).run(sockets=[waiting])
+
+
+def configured(app: FastAPI, address: Address, limits: Limits) -> uvicorn.Config:
+    """How the server runs.
+
+    Parameters
+    ----------
+    app, address, limits
+        As of `run`.
+    """
+    return uvicorn.Config(
         app,
         log_level="critical",  # of a connection that does not end in time nothing need be said
         access_log=False,
         server_header=False,
         lifespan="on",
+        http=patient_for(limits.idle_s),
         ws="websockets-sansio",
         ws_max_size=limits.message_bytes,
         ws_per_message_deflate=False,
@@ -132,14 +153,6 @@ def run(app: FastAPI, waiting: socket.socket, address: Address, limits: Limits) 
         ssl_certfile=address.certificate,
         ssl_keyfile=address.key,
     )
-    try:
-        config.load()
-    except OSError as error:  # of which those of TLS are kinds
-        raise SettingsError(
-            f"the certificate {address.certificate} and its key cannot be used: {error.strerror or error}; "
-            f"give both in PEM by --certificate and --key"
-        ) from None
-    uvicorn.Server(config).run(sockets=[waiting])
 
 
 def _own_address() -> str:
