@@ -116,7 +116,8 @@ def _corners(phone: Phone, rng: np.random.Generator) -> NDArray[np.float64]:
     square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64) / 2
     away = 1 + square[:, :1] * np.sin(turn) / 3.5
     square = square * (np.cos(turn), 1) / away * phone.side_px
-    return np.asarray(middle + (phone.off_px, 0) + square + rng.uniform(-0.04, 0.04, (4, 2)) * phone.side_px, np.float64)
+    corners = middle + (phone.off_px, 0) + square + rng.uniform(-0.04, 0.04, (4, 2)) * phone.side_px
+    return np.asarray(corners, np.float64)
 
 
 def _light(grabs: Grabs, phone: Phone, time_s: float, corners: NDArray[np.float64]) -> Light:

@@ -11,7 +11,7 @@ pytest.importorskip("playwright", reason="playwright is not installed: pip insta
 
 from browsers import browser, grabbed, needs_chromium, quiet_page, served, webcam_of
 from cli_runs import called
-from playwright.sync_api import Browser, Page, Playwright, expect, sync_playwright
+from playwright.sync_api import Browser, Page, Playwright, Route, expect, sync_playwright
 from screen_films import Gray, Phone, phone_frames, write_phone_film, write_webcam
 
 pytestmark = [pytest.mark.slow, needs_chromium]
@@ -145,6 +145,56 @@ def test_transmit_is_used_by_keys_alone_and_tells_what_it_skips(plain: Browser, 
         assert int(page.inner_text("[data-lost] td")) >= 3
 
 
+def sound_to_a_reader(page: Page) -> None:
+    """That axe finds nothing to complain about."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    found = axe.Axe().run(page)
+    assert found.violations_count == 0, found.generate_report()
+
+
+def test_what_failed_is_saved_by_its_button_and_read_by_the_command(
+    plain: Browser, address: str, text_frames: list[tuple[float, Gray]], tmp_path: Path,
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    film = tmp_path / "white.mp4"
+    white = [(t, np.clip(2.2 * one.astype(np.float32), 0, 255).astype(np.uint8)) for t, one in text_frames[:120]]
+    write_phone_film(film, white, PHONE)
+    with quiet_page(plain, f"{address}receive") as page:
+        page.set_input_files("#film", film)
+        expect(page.locator("#state")).to_contain_text("The end", timeout=2 * WHOLE_MS)
+        expect(page.locator("#why-lines")).to_contain_text("Exposure: ")
+        sound_to_a_reader(page)
+        with page.expect_download() as saved:
+            page.get_by_role("button", name="Save what failed").click()
+        saved.value.save_as(tmp_path / "failed.h5")
+        expect(page.locator(".notice")).to_contain_text("heliograph receive failed.h5 --preset phone")
+    got = called("receive", tmp_path / "failed.h5", "--preset", "phone", "--output", tmp_path / "got",
+                 capfd=capfd, monkeypatch=monkeypatch)  # fmt: skip
+    assert "exposure: " in got.stdout + got.stderr  # the command says the same
+
+
+def test_a_film_that_is_chosen_instead_is_the_one_that_is_read(
+    plain: Browser, address: str, text_frames: list[tuple[float, Gray]], tmp_path: Path
+) -> None:
+    film, none = tmp_path / "phone.mp4", tmp_path / "none.mp4"
+    write_phone_film(film, text_frames, PHONE)
+    none.write_bytes(bytes(1000))
+    with quiet_page(plain, f"{address}receive") as page:
+        held: list[Route] = []
+        page.route("**/api/films?*", lambda route: route.continue_() if held else held.append(route))
+        page.set_input_files("#film", none)
+        while not held:
+            page.wait_for_timeout(20)
+        page.set_input_files("#film", film)  # while the first is on its way
+        expect(page.locator(".text")).to_have_text(TEXT, timeout=WHOLE_MS)
+        expect(page.locator("#state")).to_contain_text("The end.", timeout=WHOLE_MS)
+        expect(page.locator(".notice")).to_be_hidden()
+        sound_to_a_reader(page)
+        page.set_input_files("#film", none)  # the other way round: what was read before says nothing more
+        expect(page.locator(".notice.bad")).to_contain_text("The film", timeout=WHOLE_MS)
+        sound_to_a_reader(page)
+
+
 def test_a_fail_is_said_in_words(plain: Browser, address: str, tmp_path: Path) -> None:
     none = tmp_path / "none.mp4"
     none.write_bytes(b"no film at all")
@@ -153,18 +203,16 @@ def test_a_fail_is_said_in_words(plain: Browser, address: str, tmp_path: Path) -
         expect(page.locator(".notice.bad")).to_be_visible(timeout=WHOLE_MS)
 
 
-@pytest.mark.parametrize("page_name", ["transmit", "receive"])
+@pytest.mark.parametrize("page_name", ["", "transmit", "receive", "watch"])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_screen_reader_finds_its_way(plain: Browser, address: str, page_name: str, scheme: str) -> None:
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
     with quiet_page(plain, address + page_name, color_scheme=scheme, viewport={"width": 390, "height": 800}) as page:
         for details in page.locator("details").all():
             details.evaluate("one => { one.open = true; }")
         if page_name == "transmit":
             transmitting(page)
-        else:
+        elif page_name == "receive":
             page.evaluate("() => { document.getElementById('why').hidden = false; }")
-        found = axe.Axe().run(page)
-        assert found.violations_count == 0, found.generate_report()
+        sound_to_a_reader(page)
         wide = page.evaluate("document.documentElement.scrollWidth")
         assert wide <= 390
