@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import played_camera  # noqa: F401 - registers camera:played
 import pytest
+from cli_runs import called
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
@@ -16,6 +17,7 @@ from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
 from heliograph.media import open_film
 from heliograph.web.app import create_app
+from heliograph.web.bundles import MOST, Bundles
 from heliograph.web.limits import Limits
 from heliograph.web.security import Door
 
@@ -207,10 +209,47 @@ def test_the_last_frames_are_saved_where_nothing_failed(client: TestClient, tmp_
 
 
 @pytest.mark.slow
-def test_a_live_camera_is_watched_until_it_ends(film: Path) -> None:
-    with TestClient(create_app(films=[f"camera:played:{film}"], camera=["Times=2"]), base_url=OWN) as client:
+def test_a_drive_that_was_ended_is_saved_and_read_by_the_command(
+    client: TestClient, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with client.websocket_connect(SOCKET) as socket:
+        source = {"kind": "drive", "preset": "static", "distance_m": 50.0, "street": False}
+        socket.send_json({"do": "open", "source": source})
+        Watched(socket, "packet")
+        socket.send_json({"do": "stop"})
+        Watched(socket)
+        socket.send_json({"do": "save"})
+        saved = Watched(socket, "saved").of("saved")[0]
+        (tmp_path / "failed.h5").write_bytes(client.get(f"/api/bundles/{saved['bundle']}").content)
+    run = called("receive", tmp_path / "failed.h5", "--output", tmp_path / "got", capfd=capfd, monkeypatch=monkeypatch)
+    assert run.returncode == 0, run.stderr
+    assert "array 0: 1 packet" in run.stdout
+
+
+def test_films_of_what_failed_are_kept_up_to_a_number(tmp_path: Path) -> None:
+    kept, paths = Bundles(), [tmp_path / f"{k}.h5" for k in range(MOST + 2)]
+    for path in paths:
+        path.touch()
+    names = [kept.add(path) for path in paths]
+    assert [path.exists() for path in paths] == [False] * 2 + [True] * MOST
+    assert [kept.of(name) for name in names[:3]] == [None, None, paths[2]]
+    kept.drop(names[2])
+    kept.drop("../../etc")
+    assert not paths[2].exists()
+
+
+@pytest.mark.slow
+def test_a_live_camera_is_watched_until_it_ends(film: Path, tmp_path: Path) -> None:
+    app = create_app(films=[f"camera:played:{film}"], camera=["Times=2"])
+    with TestClient(app, base_url=OWN) as client, client.websocket_connect(SOCKET) as socket:
         assert client.get("/api/watch/sources").json()["named"] == [f"camera:played:{film}"]
-        seen = watch(client, kind="named")
+        socket.send_json({"do": "open", "source": {"kind": "named"}})
+        seen = Watched(socket)
+        socket.send_json({"do": "save"})
+        saved = Watched(socket, "saved").of("saved")[0]
+        (tmp_path / "failed.h5").write_bytes(client.get(f"/api/bundles/{saved['bundle']}").content)
+    with TestClient(create_app(films=[str(tmp_path / "failed.h5")]), base_url=OWN) as other:
+        assert watch(other, kind="named").of("packet")
     assert seen.of("source")[0]["live"]
     assert len(seen.of("packet")) >= 2
     assert seen.of("end")
