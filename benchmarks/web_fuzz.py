@@ -18,6 +18,7 @@ from fastapi import FastAPI
 from benchmarks._fuzz_films import RATE_HZ, film_seeds
 from benchmarks.fuzz import mutated
 from heliograph.web.app import create_app
+from heliograph.web.bundles import MOST
 from heliograph.web.camera_frames import HEAD
 from heliograph.web.limits import Limits
 from heliograph.web.security import LOOPBACK, Door
@@ -288,8 +289,11 @@ async def fuzz(cases: int, seed: int) -> dict[str, Counter[str]]:
             "screen": await fuzz_screen(app, part, random.Random(f"screen {seed}")),
             "films": await fuzz_films(app, films, random.Random(f"films {seed}")),
         }
-        left = [path for path in app.state.shared.uploads.folder().iterdir() if path.is_file()]
-        if len(left) > LIMITS.films or app.state.shared.sessions.taken:
+        shared = app.state.shared
+        kept = {film.path for film in shared.uploads._films.values()} | set(shared.bundles._known.values())
+        left = [path for path in shared.uploads.folder().iterdir() if path.is_file() and path not in kept]
+        many = len(kept) > LIMITS.films + MOST
+        if left or many or shared.sessions.taken:
             found["left over"] = Counter({f"{len(left)} files, {app.state.shared.sessions.taken} sessions": 1})
     return found
 

@@ -22,7 +22,6 @@ from heliograph.probe.pace import patterns_per_s, usual
 from heliograph.receive import Packet
 from heliograph.receive.screen.receiver import ScreenReceiver
 from heliograph.signal.settings import SignalSettings
-from heliograph.web import camera_frames
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD, MOST_WAITING, CameraFrames, MessageError
 from heliograph.web.screen import screen_settings
@@ -156,7 +155,6 @@ def test_what_failed_of_a_film_is_offered_and_read_again_by_the_command(
 def test_a_camera_that_is_stopped_ends_in_time_though_it_is_read_slowly(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(camera_frames, "LAST_S", 1.0)
     monkeypatch.setattr(CameraFrames.end, "__defaults__", (1.0,))
     push = ScreenReceiver.push
 

@@ -169,8 +169,12 @@ class ScreenLook:
 
         Parameters
         ----------
-        stretch, asked, levels
-            As the attributes.
+        stretch
+            The liveliest frames of the film; None where it has too few.
+        asked
+            What it was to be read with.
+        levels
+            Gray levels of some frames.
         """
         return cls(stretch, None if stretch is None else area_of(stretch.frames), asked, levels)
 

@@ -234,7 +234,7 @@ def _stamps(found: Findings) -> str:
 def _light(found: Findings) -> str:
     rate, asked = found.rate, found.asked
     if rate is None:
-        return "no patterns with their inverses are seen"
+        return "not asked, as an array is read" if found.read else "no patterns with their inverses are seen"
     camera_hz = float(f"{rate.frames / asked.signal.pattern_period_s:.3g}")
     return (
         f"a pattern lasts {rate.frames:.2f} frames; with these stamps the settings make it "

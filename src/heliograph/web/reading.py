@@ -46,6 +46,10 @@ WHY_FRAMES = 128
 """Frames that are looked at to tell why nothing is read. Chosen: some seconds of work."""
 
 
+OF_CAMERAS = ("Short:", "Lost frames:")
+"""What is not said of the last frames of a camera: they are some of many, and those that were not sent are counted."""
+
+
 @dataclass(frozen=True, slots=True)
 class Frames:
     """Frames in a film's place."""
@@ -97,7 +101,7 @@ def read_upload(path: Path, asked: Asked, tell: Tell, saver: Saver) -> None:
             break
         doubted.add(settings.signal.side)
     else:
-        _tell_why(head, settings, tell, whole=reception.frames <= min(len(head), WHY_FRAMES))
+        _tell_why(head, settings, tell, () if reception.frames <= min(len(head), WHY_FRAMES) else ("Short:",))
     _tell_end(reception, tell, saver)
 
 
@@ -129,10 +133,10 @@ def read_camera(camera: CameraFrames, asked: Asked, tell: Tell, saver: Saver) ->
                 raise
         if not patient.ran_out:
             if not _words(reception):
-                _tell_why(patient.last, settings, tell)
+                _tell_why(patient.last, settings, tell, OF_CAMERAS)
             break
         doubted = {settings.signal.side} - doubted
-        _tell_why(patient.last, settings, tell)
+        _tell_why(patient.last, settings, tell, OF_CAMERAS)
     _tell_end(reception, tell, saver, camera.waiting)
 
 
@@ -188,7 +192,7 @@ def _awaited(frames: Iterator[Frame], asked: Asked, tell: Tell) -> Iterator[Fram
         tell({"event": "light", "rate_hz": None})
         if frame.time_s >= why_s:
             why_s = frame.time_s + PATIENCE_S
-            _tell_why(window[-WHY_FRAMES:], asked.usual, tell)
+            _tell_why(window[-WHY_FRAMES:], asked.usual, tell, OF_CAMERAS)
     return iter(window)
 
 
@@ -221,13 +225,13 @@ def _read(
         saver.read(packet)
 
 
-def _tell_why(frames: list[Frame], settings: LinkSettings, tell: Tell, whole: bool = False) -> None:
-    """Tell in words why nothing is read; that a film is too short only where these are all its frames."""
+def _tell_why(frames: list[Frame], settings: LinkSettings, tell: Tell, unsaid: tuple[str, ...]) -> None:
+    """Tell in words why nothing is read, but for causes that lie in how the frames were taken out."""
     tell({"event": "asking why"})
     try:
         shown = Frames("the film", frames, _rate_of(frames), len(frames))
         found = probe_film(shown, settings.signal, settings.receive, reading=False, most=WHY_FRAMES, trials=False)
-        lines = [line for line in in_sentences(found) if whole or not line.startswith("Short")]
+        lines = [line for line in in_sentences(found) if not line.startswith(unsaid)]
     except HeliographError as error:
         lines = [str(error)]
     tell({"event": "why", "lines": lines})

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import FileResponse
 from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect
 
 from heliograph.base.errors import MediaError
 from heliograph.media import create_film
@@ -74,10 +75,13 @@ async def begin(
         The file's name; none of a text.
     """
     data = bytearray()
-    async for part in request.stream():
-        data += part
-        if len(data) > MOST_SENT:
-            raise MediaError(f"a screen sends at most {MOST_SENT >> 10} kB: choose a smaller file")
+    try:
+        async for part in request.stream():
+            data += part
+            if len(data) > MOST_SENT:
+                raise MediaError(f"a screen sends at most {MOST_SENT >> 10} kB: choose a smaller file")
+    except ClientDisconnect:
+        raise MediaError("the text or file broke off: send it again") from None
     sending = await run_in_threadpool(sending_of, bytes(data), name, side, rate_hz)
     return {"sending": known.add(sending), **sending.facts()}
 

@@ -15,7 +15,9 @@ export class Notice {
   }
 
   fail(error: unknown): void {
-    this.show(error instanceof Error ? error.message : String(error), "alert", "assertive");
+    const text = error instanceof Error ? error.message : String(error);
+    // a sentence, unless it begins by a name
+    this.show(/^[a-z]+ /.test(text) ? text.charAt(0).toUpperCase() + text.slice(1) : text, "alert", "assertive");
   }
 
   clear(): void {
@@ -28,6 +30,6 @@ export class Notice {
     this.element.setAttribute("aria-live", live);
     this.element.classList.toggle("bad", role === "alert");
     this.element.hidden = false;
-    this.element.textContent = text.charAt(0).toUpperCase() + text.slice(1);
+    this.element.textContent = text;
   }
 }
