@@ -28,6 +28,8 @@ def refused(path: Path) -> tuple[list[Frame], str]:
 
 
 def by_ffmpeg(path: Path) -> Levels:
+    if int(av.__version__.split(".")[0]) < 18:
+        pytest.skip("this FFmpeg decodes the first line alone of frames that small")
     with av.open(str(path)) as container:
         return np.stack([picture.to_ndarray() for picture in container.decode(video=0)])
 

@@ -155,6 +155,8 @@ def test_a_channel_of_colours(
 
 def test_colours_by_the_matrix_that_the_file_states() -> None:
     """Luma of green is 0.7152 of white by Rec. 709, and 0.587 by Rec. 601."""
+    if int(av.__version__.split(".")[0]) < 17:
+        pytest.skip("this PyAV does not take colours by the matrix that is stated")
     green = np.zeros((16, 32, 3), np.uint8)
     green[..., 1] = 255
     picture = av.VideoFrame.from_ndarray(green, "rgb24").reformat(format="yuv444p", dst_colorspace="ITU709")
