@@ -187,7 +187,8 @@ def test_bytes_changed_by_chance_give_frames_or_one_clear_line(
                     list(film)
             except MediaError as error:
                 assert "\n" not in str(error)  # noqa: PT017 - mostly there is one
-    assert capfd.readouterr().err == ""
+    if hasattr(cv2.utils, "logging"):  # older OpenCV writes of what it cannot read whatever its level of logging
+        assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("bits", [8, 16])
