@@ -1,7 +1,7 @@
 """Films of a screen with one fault each are told what is wrong with them; sound ones are blamed for nothing."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -63,7 +63,7 @@ FAULTS: dict[str, tuple[dict[str, float], str]] = {
 @pytest.mark.parametrize("kind", FAULTS)
 def test_one_fault_is_told_by_its_name_alone(kind: str) -> None:
     phone, why = FAULTS[kind]
-    found = probed(filmed(**phone))
+    found = probed(filmed(10.0, 16, 5.0, **phone))
     assert kinds(found) == [kind]
     (line,) = in_sentences(found)
     assert line.startswith(f"{kind.capitalize()}: ")
@@ -77,7 +77,7 @@ def test_a_dark_screen_is_no_glare() -> None:
 
 
 def test_an_array_that_nearly_reaches_the_border_is_cut() -> None:
-    frames = [Frame(f.index, f.time_s, np.ascontiguousarray(f.pixels[50:200, 92:236])) for f in filmed()]
+    frames = [replace(one, pixels=one.pixels[50:200, 92:236].copy()) for one in filmed()]
     assert kinds(probed(frames)) == ["sight"]
 
 
