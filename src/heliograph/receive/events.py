@@ -47,14 +47,14 @@ class DetectEvent:
 
 @dataclass(frozen=True, slots=True)
 class TrackEvent:
-    """An array is followed through a pair.
+    """An array is followed through a pair, by the receiver "screen" through a frame.
 
     Attributes
     ----------
     identity
         Number of the array, 0 to 29.
     frame
-        Number of the pair's first camera frame.
+        Number of the pair's first camera frame, or of the frame.
     tracked
         Pose, fit, and whether the array was in sight, in the array's view.
     view
@@ -80,13 +80,16 @@ class ExtractEvent:
     poses
         The array's pose in each.
     luminances
-        (n, n) normalised luminances x' = level - 2; None of the soft receiver, which reads pairs at the packet's end.
+        (n, n) normalised luminances x' = level - 2; None of receivers that read pairs at the packet's end.
+    number
+        Number of the pair among the packet's data, from 0; None where it is not known.
     """
 
     identity: int
     frames: tuple[AnyFrame, AnyFrame]
     poses: tuple[Pose, ...]
     luminances: NDArray[np.float64] | None = None
+    number: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +103,7 @@ class DecodeEvent:
     packet
         The packet as the receiver hands it out.
     luminances
-        (pairs, n, n) from which the plain receiver decoded it; None of the soft receiver.
+        (pairs, n, n) from which the receivers "plain" and "screen" decoded it; None of "soft".
     cutouts
         Cut-outs of its pairs, from which the soft receiver decoded it, None for pairs not seen; empty of the plain one.
     exposure_range

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 import heliograph
+from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame, Pixels
 from heliograph.link.film import write_film
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import Packet
-from heliograph.receive.events import DecodeEvent, DetectEvent, LostEvent
+from heliograph.receive.events import DecodeEvent, DetectEvent, ExtractEvent, LostEvent, TrackEvent
+from heliograph.receive.image.pose import Pose
+from heliograph.receive.timing.frame_pair import AnyFrame
 from heliograph.signal.settings import SignalSettings
 
 SMALL = (
@@ -84,7 +87,29 @@ def test_a_film_as_phones_write_it(tmp_path: Path) -> None:
     with heliograph.open_film(tmp_path / "phone.mp4") as film:
         packets = list(heliograph.receive_frames(film, settings.signal, settings.receive, events.append))
     assert [packet.status for packet in packets] == ["ok"]
-    assert [type(event) for event in events] == [DetectEvent, DecodeEvent, LostEvent]
+    assert [type(event) for event in events if not isinstance(event, TrackEvent | ExtractEvent)] == [
+        DetectEvent,
+        DecodeEvent,
+        LostEvent,
+    ]
+    boxes = [event for event in events if isinstance(event, TrackEvent)]
+    assert len(boxes) > 30
+    assert all(one.tracked.state.pose.pitch == pytest.approx(155 / 16, rel=0.1) for one in boxes)
+    cuts = [event for event in events if isinstance(event, ExtractEvent)]
+    # the first pairs may be over before their header is read
+    assert [cut.number for cut in cuts][-9:] == list(range(4, 13))
+    decoded = next(event for event in events if isinstance(event, DecodeEvent))
+    assert decoded.luminances is not None
+    for cut in cuts[1:]:
+        shown = [_cells(frame, pose) for frame, pose in zip(cut.frames, cut.poses, strict=True)]
+        like = np.corrcoef((shown[0] - shown[1]).ravel(), decoded.luminances[cut.number].ravel())[0, 1]
+        assert like > 0.7
+
+
+def _cells(frame: AnyFrame, pose: Pose) -> Floats:
+    """Gray levels in the middle of each cell."""
+    places = np.rint(pose.leds(16) - frame.origin).astype(int)
+    return np.asarray(frame.pixels[places[..., 1], places[..., 0]], float)
 
 
 @pytest.mark.slow

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.screen.timing import Clock, Samples, searched, solved
+from heliograph.receive.screen.clock import Clock
+from heliograph.receive.screen.pairs import solved
+from heliograph.receive.screen.samples import Samples
+from heliograph.receive.screen.timing import searched
 
 HEIGHT, FRAME_S, SIDE = 720, 1 / 30, 8
 TRUE = Clock(start_s=0.037, period_s=0.1, row_s=2.5e-5, exposure_s=0.02, response_s=0.008)

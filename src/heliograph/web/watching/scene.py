@@ -181,7 +181,8 @@ class Seen:
         """The pattern of a pair as the camera saw it."""
         if event.luminances is not None:
             for pair in self._pairs.get(event.identity, ()):
-                if pair.luminances is not None and np.array_equal(pair.luminances, event.luminances[place]):
+                same = pair.luminances is not None and np.array_equal(pair.luminances, event.luminances[place])
+                if same or pair.number == place:
                     return received_of(pair.poses[0], pair.frames[0], self.signal.side)
             return None
         cutout = event.cutouts[place]
