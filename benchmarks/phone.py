@@ -3,8 +3,8 @@
 `python -m benchmarks.phone [FILMS] [SEED] [RATE ...] [cells=N] [show]`, RATE of `phone`, `phone-15`, `phone-60`,
 `phone-240`. Each film is written as a phone writes it (H.264 or H.265 at a bit rate, 4:2:0, limited range) and read by
 the receiver "screen" with its default settings. Drawn are the size of the array and the frame, place, perspective and
-sway, blur, rolling shutter, exposure, response and backlight of the display, gamma, automatic exposure, phases and
-clocks, unevenness of the frames, lost frames, codec and bit rate.
+sway, blur, rolling shutter, exposure, response and backlight of the display, gamma, automatic exposure and white
+balance, phases and clocks, unevenness of the frames, lost frames, codec and bit rate.
 """
 
 import sys
@@ -77,6 +77,7 @@ class Condition:
                 f"backlight {e.backlight_hz:.0f} Hz {e.backlight_duty:.1f}",
                 f"gamma {s.channel.sensor.gamma:.2f}",
                 f"swing {c.gain_swing:.2f}",
+                f"white balance {c.white_balance_swing:.2f}",
                 f"tilt {angles}",
                 f"sway {s.channel.hand_deg:.2f} deg",
                 f"{self.codec['codec']} {self.codec['mbit_s']:.0f} Mbit/s",
@@ -151,9 +152,22 @@ def drawn(rate: str, rng: np.random.Generator, cells: int = 16, *changes: str) -
         "channel.background.level": rng.uniform(0.0, 0.3),
         "channel.sensor.gamma": rng.uniform(1.8, 2.6),
     }
-    texts = [f"{key}={value}" for key, value in values.items()]
     codec = {"codec": "h265" if rng.random() < 0.1 else "h264", "mbit_s": float(rng.uniform(10, 40))}
+    # drawn last, so that all else is as it was before there was white balance
+    values |= {
+        "channel.camera.white_balance_swing": rng.uniform(0, 0.25),
+        "channel.camera.white_balance_period_s": rng.uniform(1.5, 8),
+        "channel.emitter.colour": _tinted(rng),
+        "channel.background.colour": _tinted(rng),
+    }
+    texts = [f"{key}={value}" for key, value in values.items()]
     return Condition(load_settings(rate, None, [*texts, *changes]), codec, side)
+
+
+def _tinted(rng: np.random.Generator) -> list[float]:
+    """A colour from that of a lamp, or of a display's night colours, to that of a cold display."""
+    warmth = rng.uniform(-0.4, 0.4)
+    return [1 + warmth, 1.0, 1 - warmth]
 
 
 @dataclass

@@ -109,6 +109,32 @@ def test_automatic_exposure_swings() -> None:
     assert light.min() == pytest.approx(0.32, abs=0.01)
 
 
+def test_white_balance_changes_light_by_its_colour() -> None:
+    camera = {"white_balance_swing": 0.3, "white_balance_period_s": 1.0, "gain_swing": 0.1, "gain_period_s": 0.5}
+    exposure = 1 + 0.1 * np.sin(4 * np.pi * (np.arange(30) / 30 + 0.005))
+    # red is amplified as the swing says, green not at all, blue the other way
+    swing = 0.3 * np.sin(2 * np.pi * (np.arange(30) / 30 + 0.005))
+    for colour, gain in (((1, 0, 0), 1 + swing), ((0, 2, 0), 1 + 0 * swing), ((0, 0, 0.5), 1 - swing)):
+        images = shoot(
+            itertools.repeat(2), 30, camera, {"colour": colour}, background={"level": 0.3, "colour": (0, 1, 0)}
+        )
+        assert [middle(image) for image in images] == pytest.approx(0.4 * gain * exposure, abs=0.004)
+        assert [float(image[:10].mean()) for image in images] == pytest.approx(0.3 * exposure, abs=0.004)
+
+
+def test_white_balance_hardly_changes_what_is_white() -> None:
+    camera = {"white_balance_swing": 0.2, "white_balance_period_s": 1.0}
+    sensor = {**STILL["sensor"], "gamma": 2.2}  # type: ignore[dict-item]
+    light = np.array([middle(one) ** 2.2 for one in shoot(itertools.repeat(2), 30, camera, {}, sensor=sensor)])
+    # luma takes 0.21 of red and 0.07 of blue
+    assert 0.02 < np.ptp(light) / 0.4 < 0.08
+
+
+def test_a_colour_is_of_some_light() -> None:
+    with pytest.raises(SettingsError, match="a colour has red, green or blue above 0"):
+        from_mapping(ChannelSettings, {"emitter": {"colour": (0, 0, 0)}})
+
+
 def test_a_variable_frame_rate_is_told_by_the_stamps() -> None:
     tree = {**STILL, "duration_s": 1.0, "camera": {**CAMERA, "uneven_s": 0.004}, "emitter": SCREEN}
     lights = [itertools.repeat(np.full((SIDE, SIDE), 2, np.uint8))]

@@ -2,10 +2,20 @@
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
+
+
+def _lit(colour: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(colour):
+        raise ValueError("a colour has red, green or blue above 0, not (0, 0, 0)")
+    return colour
+
 
 LightLevel = Annotated[float, Field(ge=0, le=4)]
 """Light in full scales. Chosen bound: four times saturation."""
+
+Colour = Annotated[tuple[LightLevel, LightLevel, LightLevel], AfterValidator(_lit)]
+"""Red, green and blue of a light, by those of what the camera shows as gray: (1, 1, 1) is gray."""
 
 Probability = Annotated[float, Field(ge=0, lt=1)]
 """Probability of an accident of a frame."""

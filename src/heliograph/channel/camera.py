@@ -149,6 +149,7 @@ def _shoot(
     from heliograph.channel.render import Canvas, render
     from heliograph.channel.sensor import developed
     from heliograph.channel.views import FilmScene, frame_block, windows
+    from heliograph.channel.white_balance import surroundings_gain
 
     camera, noise = settings.camera, NoiseModel(settings.sensor)
     paint = background(settings, footage, np.random.default_rng(scene_seed))
@@ -164,7 +165,8 @@ def _shoot(
             x, y, last_x, last_y = map(int, parts[k])
             light = whole if roi is None else np.empty((last_y - y + 1, last_x - x + 1), np.float32)
             truths = render(scene, block, k, Canvas(light, (x, y)))
-            light *= np.float32(camera.gain(float(block.times_s[k, 1])))
+            time_s = float(block.times_s[k, 1])
+            light *= np.float32(camera.gain(time_s) * surroundings_gain(settings, time_s))
             pixels = developed(light, settings.sensor, noise_seed, index, (x, y))
             stamp_s = camera.start_s + index / camera.fps + float(block.late_s[k])
             frame = Frame(index, stamp_s, pixels, settings.sensor.bits, (x, y))

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG, FocalM, PitchM, PixelM, clear_errors
-from heliograph.channel.bounds import LightLevel, Ppm, Probability, TimeS
+from heliograph.channel.bounds import Colour, LightLevel, Ppm, Probability, TimeS
 from heliograph.channel.parts import POINT_SPREADS
 
 MOST_FOCAL_PX = 1e6
@@ -69,9 +69,14 @@ class CameraSettings:
         Time from the exposure of a row to that of the next in s, 0 for a global shutter; all rows take at most 1 /
         ``fps``. A rolling shutter's rows see a pattern at times of their own.
     gain_swing
-        Amplitude by which automatic exposure changes the light of all pixels about 1, 0 to 0.9, as a sine in time. A
-        camera of gray levels has no white balance; its swing is one of this gain.
+        Amplitude by which automatic exposure changes the light of all pixels about 1, 0 to 0.9, as a sine in time.
     gain_period_s
+        Period of that swing in s, 0.1 to 1000.
+    white_balance_swing
+        Amplitude by which automatic white balance changes the gain of red about 1, 0 to 0.9, as a sine in time, and
+        that of blue the other way. Gray frames show it as brighter or darker light, the more the more coloured it is:
+        see ``emitter.colour`` and ``background.colour``.
+    white_balance_period_s
         Period of that swing in s, 0.1 to 1000.
     """
 
@@ -93,6 +98,8 @@ class CameraSettings:
     row_time_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     gain_swing: Annotated[float, Field(ge=0, le=0.9)] = 0.0
     gain_period_s: Annotated[float, Field(ge=0.1, le=1000)] = 3.0
+    white_balance_swing: Annotated[float, Field(ge=0, le=0.9)] = 0.0
+    white_balance_period_s: Annotated[float, Field(ge=0.1, le=1000)] = 5.0
 
     @model_validator(mode="after")
     def _consistent(self) -> "CameraSettings":
@@ -153,6 +160,9 @@ class EmitterSettings:
         Ambient light reflected by the dark panel, in full scales, 0 to 4.
     panel_margin_m
         Panel in m beyond half a pitch from the outer LEDs, 0 to 100. A larger one keeps the background further away.
+    colour
+        Red, green and blue of the LEDs' light, 0 to 4 each, by those of what the camera shows as gray: (1, 1, 1) for
+        white. Without a swing of white balance it changes nothing: ``all_on`` is what a gray frame shows.
     shape
         "disc", a round LED of ``diameter_m``, or "cell", a square of a screen that fills ``pitch_m`` and has no lobe.
         The next four are of a screen's cells alone.
@@ -174,6 +184,7 @@ class EmitterSettings:
     all_on: LightLevel = 0.8
     panel_level: LightLevel = 0.02
     panel_margin_m: Annotated[float, Field(ge=0, le=100)] = 0.02
+    colour: Colour = (1.0, 1.0, 1.0)
     shape: Literal["disc", "cell"] = "disc"
     response_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     backlight_hz: Annotated[float, Field(ge=0, le=1e5)] = 0.0

@@ -17,6 +17,7 @@ from heliograph.channel.psf import PointSpread
 from heliograph.channel.settings import MOST_MOTION_PX, CameraSettings, ChannelSettings
 from heliograph.channel.truth import ArrayTruth
 from heliograph.channel.views import ArrayView, FilmScene, FrameBlock, PanelView, panel_view
+from heliograph.channel.white_balance import array_gain
 
 SMEAR_PX = 0.25
 """Motion within an exposure up to which an LED's smear is rendered by its centroid and variance: the fourth cumulant
@@ -137,7 +138,7 @@ def _shine(
     """Add an array's LEDs, (6): r = c integral of y(t) f(t) dt."""
     start, end = exposure
     settings = scene.settings
-    level = settings.emitter.all_on * settings.arrays[array].brightness
+    level = _level(settings, array, (start + end) / 2)
     if view.motion_px[k] <= SMEAR_PX:
         fraction, late, spread = lit.moments(start, end)
         add_array(settings, view.homography[k], view.drift[k], view.eye[k], (level * fraction, late, spread), canvas)
@@ -155,6 +156,11 @@ def _shine(
     for on, length, one, eye in zip(lit.on, lit.end_s - lit.start_s, maps, eyes, strict=True):
         moments = (on * (level * length / (end - start)), np.zeros_like(on), np.full_like(on, length**2 / 12))
         add_array(settings, one, view.drift[k], eye, moments, canvas)
+
+
+def _level(settings: ChannelSettings, array: int, time_s: float) -> float:
+    """Light of an array with every LED on, in full scales, but for what the camera does to all light."""
+    return settings.emitter.all_on * settings.arrays[array].brightness * array_gain(settings, time_s)
 
 
 def _row_times(camera: CameraSettings, y: float | Floats) -> Floats:
@@ -199,7 +205,7 @@ def _show(scene: FilmScene, array: int, view: ArrayView, k: int, start_s: float,
     inverses = np.linalg.inv(maps)
     inverses /= inverses[:, 2:, 2:]
     light = cell_light(lighting, emitter, start_s + rows, camera.exposure_s)
-    level = emitter.all_on * settings.arrays[array].brightness
+    level = _level(settings, array, start_s + camera.exposure_s / 2)
     add_screen(
         canvas.light,
         canvas.corner,

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG, Fraction, clear_errors
-from heliograph.channel.bounds import LengthM, LightLevel, Ppm, SpeedMS, TiltDeg, TimeS
+from heliograph.channel.bounds import Colour, LengthM, LightLevel, Ppm, SpeedMS, TiltDeg, TimeS
 from heliograph.channel.devices import EXPOSURE_SLACK, CameraSettings, EmitterSettings, SensorSettings
 from heliograph.channel.parts import BACKGROUNDS, MOTIONS, POINT_SPREADS
 
@@ -138,11 +138,14 @@ class BackgroundSettings:
     gain
         Light of white in a drawn or recorded background in full scales, 0 to 4. A larger value makes the background
         more disturbing.
+    colour
+        Red, green and blue of the light of background and panels, as ``emitter.colour``.
     """
 
     kind: Annotated[str, AfterValidator(BACKGROUNDS.check)] = "flat"
     level: LightLevel = 0.1
     gain: LightLevel = 1.0
+    colour: Colour = (1.0, 1.0, 1.0)
 
 
 @clear_errors

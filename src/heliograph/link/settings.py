@@ -98,6 +98,7 @@ def _phone(fps: int, patterns: int, height: int = 720) -> dict[str, Any]:
                 "jitter_s": 0.0005,
                 "row_time_s": min(0.02, 0.9 / fps) / height,
                 "gain_swing": 0.1,
+                "white_balance_swing": 0.1,
             },
             "emitter": {
                 "pitch_m": 0.02,
@@ -106,9 +107,10 @@ def _phone(fps: int, patterns: int, height: int = 720) -> dict[str, Any]:
                 "all_on": 0.8,
                 "panel_level": 0.02,
                 "panel_margin_m": 0.04,
+                "colour": [0.9, 1.0, 1.25],
             },
             "sensor": {"gamma": 2.2, "full_well_e": 6000.0, "dark_noise_e": 5.0},
-            "background": {"kind": "flat", "level": 0.1},
+            "background": {"kind": "flat", "level": 0.1, "colour": [1.3, 1.0, 0.6]},
         },
         "receive": {"receiver": "screen", "calibration": {"pixel_m": 0.004 / (0.75 * width), "focal_m": 0.004}},
     }
