@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.signal import haar, pwm
-from heliograph.signal.block import Block, pack, symbol_bytes, whitening
+from heliograph.signal.block import Block, pack
 from heliograph.signal.formats import SHORT_PAIRS, Format, format_of, words
 from heliograph.signal.fountain.cauchy import CauchyEncoder
 from heliograph.signal.fountain.files import FileCarousel, SentFile
@@ -26,6 +26,7 @@ from heliograph.signal.m_sequence import m_sequence
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS, RateSettings, SignalSettings
 from heliograph.signal.turbo import TurboCode
+from heliograph.signal.whitening import whitening
 from heliograph.transmit import Transmitter
 
 FOLDER = Path(__file__).parents[1] / "docs" / "vectors"
@@ -133,22 +134,23 @@ def block_vector() -> Vector:
 def files_vector() -> Vector:
     file = SentFile("map.txt", b"Heliograph sends whole files.")
     encoder = CauchyEncoder(file.packed, 8)
-    room = symbol_bytes(336)
-    blocks = FileCarousel(7, "low", [file], room)
+    blocks, small = (FileCarousel(7, "low", [file], [k]) for k in (336, 136))
 
     def case(number: int) -> Vector:
         return {"number": number, "symbol": encoder.symbol(number).hex()}
 
     return {
         "about": "A file by the Cauchy code: name, content, both as they are sent, symbols of 8 bytes by number, and "
-        "blocks of K = 336 information bits whose symbols have as many bytes as find room.",
+        "blocks of K = 336 information bits whose symbols have as many bytes as find room, and small blocks of K = "
+        "136, of which number 4 tells what the file is.",
         "name": file.name,
         "content": file.data.hex(),
         "sent": file.packed.hex(),
         "size": 8,
         "check": f"{zlib.crc32(file.packed):08x}",
         "symbols": [case(number) for number in (0, encoder.count - 1, encoder.count, 6, 300, 65535)],
-        "blocks": [to_hex(pack(blocks.block(number, room, room), 336)) for number in range(4)],
+        "blocks": [to_hex(pack(blocks.block(number, 336), 336)) for number in range(4)],
+        "small_blocks": [to_hex(pack(small.block(number, 136), 136)) for number in range(10)],
     }
 
 

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from heliograph.signal.block import MIN_BITS, Block, check, pack, payload_bytes, unpack, whitening
+from heliograph.signal.block import MIN_BITS, Block, check, pack, payload_bytes, unpack
 from heliograph.signal.settings import LAYERS
 from heliograph.signal.turbo import QPP_SIZES
+from heliograph.signal.whitening import whitening
 
 SMALL = Block("high", 3, 1, 0, 1, b"\xa5")
 

@@ -162,6 +162,17 @@ def file_block(sent: bytes, number: int, size: int, k: int) -> bytes:
     return body + crc32(body).to_bytes(4, "big")
 
 
+def small_file_block(sent: bytes, number: int, size: int, k: int, notice: bool) -> bytes:
+    """Section 7.2, of array 7's low layer."""
+    check = crc32(sent).to_bytes(4, "big")
+    if notice:
+        body = bytes([16 + 12 + 2, 7]) + len(sent).to_bytes(3, "big") + check
+    else:
+        body = bytes([16 + 8 + 2, 7, check[0]]) + number.to_bytes(2, "big") + symbol(sent, size, number)
+    body += bytes(k // 8 - 4 - len(body))
+    return body + crc32(body).to_bytes(4, "big")
+
+
 def bits_of(data: bytes) -> list[int]:
     return [byte >> 7 - i & 1 for byte in data for i in range(8)]
 
@@ -417,6 +428,8 @@ def test_files() -> None:
     for case in vector["symbols"]:
         assert symbol(sent, vector["size"], case["number"]).hex() == case["symbol"]
     assert [file_block(sent, number, 22, 336).hex() for number in range(4)] == vector["blocks"]
+    for number, made in enumerate(vector["small_blocks"]):
+        assert small_file_block(sent, number, 8, 136, notice=number == 4).hex() == made
 
 
 def test_block() -> None:

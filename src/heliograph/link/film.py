@@ -17,7 +17,7 @@ from heliograph.link.truth import TruthWriter, truth_path
 from heliograph.media import create_film
 from heliograph.media.hdf5 import SUFFIXES as HDF5_SUFFIXES
 from heliograph.receive import Packet, Receiver
-from heliograph.signal.block import AnyBlock, FileBlock
+from heliograph.signal.block import AnyBlock, FileBlock, FileNotice, SymbolBlock
 from heliograph.signal.settings import SignalSettings
 
 FrameProgress = Callable[[int], None]
@@ -222,4 +222,9 @@ def _place(block: AnyBlock) -> dict[str, Any]:
     """What a block is part of: a message, or a file."""
     if isinstance(block, FileBlock):
         return {"file": f"{block.check:08x}", "symbol": block.number}
+    if isinstance(block, FileNotice):
+        return {"file": f"{block.check:08x}"}
+    if isinstance(block, SymbolBlock):
+        # the name of the file begins so
+        return {"file": f"{block.tag:02x}", "symbol": block.number}
     return {"stream": block.stream, "sequence": block.sequence}

@@ -15,7 +15,7 @@ from heliograph.receive import Codeword, Packet, make_receiver
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.events import DetectEvent
 from heliograph.receive.receivers import AnyObserver
-from heliograph.signal.block import FileBlock, payload_bytes
+from heliograph.signal.block import Block, payload_bytes
 from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress
 from heliograph.signal.message import Message, Reassembler
 from heliograph.signal.settings import LAYERS, SignalSettings
@@ -184,7 +184,7 @@ class Reception:
     def _gathered(self, packet: Packet) -> Iterator[FileProgress]:
         """What is there of each file of which a packet has new symbols."""
         blocks = (word.block for words in packet.layers.values() for word in words)
-        found = [self.files.add(block) for block in blocks if isinstance(block, FileBlock)]
+        found = [self.files.add(block) for block in blocks if block is not None and not isinstance(block, Block)]
         for one in {one.key: one for one in found if one is not None}.values():
             self.file_rows[one.key] = {
                 "file": str(one.key), "bytes": one.key.length, "symbols": one.had, "needed": one.key.count,

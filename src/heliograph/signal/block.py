@@ -1,4 +1,4 @@
-"""Information blocks, one for each codeword: header, payload, CRC-32 (section 7); whitening of codewords (section 10).
+"""Information blocks, one for each codeword: header, payload, CRC-32 (section 7).
 
 A block of a message:
 
@@ -19,18 +19,23 @@ A block of a file has 4 added to its layer, and other fields (section 7.1):
     bytes 11-14   CRC-32 of the file
     ...           as many symbols as find room, then zeros
 
+Where blocks are small, those of a file have a shorter head (section 7.2): 8 added to the layer for one symbol, 12 for
+what the file is:
+
+    byte 2        tag: the first byte of the check      bytes 2-4   bytes of the file
+    bytes 3-4     number of the symbol                  bytes 5-8   CRC-32 of the file
+    ...           the symbol, then zeros                ...         zeros
+
 Numbers are big-endian; the most significant bit of a byte comes first.
 """
 
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.signal.m_sequence import m_sequence
 from heliograph.signal.settings import LAYERS
 
 VERSION = 1
@@ -51,6 +56,19 @@ FILE_HEADER_BYTES = 15
 FILE_LAYERS = 4
 """Added to the layer's number in a block of a file (section 7.1)."""
 
+SMALL_BLOCK_BYTES = 40
+"""Bytes of a block up to which files are sent by small blocks (section 7.2). Chosen: of larger ones the head of 7.1
+takes less than half, and small blocks spend an eighth on telling what the file is."""
+
+SMALL_HEADER_BYTES = 5
+"""Bytes before the symbol of a small block (section 7.2)."""
+
+NOTICE_BYTES = 9
+"""Bytes that tell what a file is (section 7.2)."""
+
+SYMBOL_LAYERS, NOTICE_LAYERS = 8, 12
+"""Added to the layer's number in a small block and in one that tells what a file is (section 7.2)."""
+
 MAX_MESSAGE = (1 << 24) - 1
 """Longest message in bytes: the field for the length has three bytes."""
 
@@ -59,21 +77,6 @@ MAX_SEGMENTS = 1 << 16
 
 _MAX_BYTE = 255
 """Largest value of a field of one byte."""
-
-WHITENER = 0b1100_0000_0000_0001
-"""Polynomial of the whitening as bits: x^15 + x^14 + 1 (section 10), primitive, so the period is 32767 chips."""
-
-WHITENER_START = (1 << 15) - 1
-"""First 15 chips of the whitening: all ones (section 10)."""
-
-LAYER_CHIPS = 8192
-"""Chips between the starts of two layers' whitening (section 10): a quarter of the period, so that first
-codewords of up to 8192 bits in the three layers have no chips in common. Twice the value
-would start the low layer one chip after the high one."""
-
-CODEWORD_CHIPS = 509
-"""Chips between the starts of two codewords' whitening in a layer (section 10). Chosen, a prime: any shift but 0 gives
-chips that agree with the unshifted ones in 16383 of 32767 places, so half or twice the value would do as well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +146,67 @@ class FileBlock:
             yield self.number + place // self.size, self.payload[place : place + self.size]
 
 
-AnyBlock = Block | FileBlock
+@dataclass(frozen=True, slots=True)
+class SymbolBlock:
+    """A symbol of a file in a small block (section 7.2).
+
+    Attributes
+    ----------
+    layer
+        "high", "middle" or "low".
+    identity
+        Number of the array, 0 to 255 (a transmitter uses 0 to 29).
+    tag
+        First byte of the file's check, 0 to 255.
+    number
+        Number of the symbol, 0 to 65535.
+    payload
+        The symbol: an even number of bytes, at least two.
+    """
+
+    layer: str
+    identity: int
+    tag: int
+    number: int
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class FileNotice:
+    """What a file is of which small blocks carry symbols (section 7.2).
+
+    Attributes
+    ----------
+    layer
+        "high", "middle" or "low".
+    identity
+        Number of the array, 0 to 255 (a transmitter uses 0 to 29).
+    length
+        Bytes of the whole file with its name, 1 to 2**24 - 1.
+    check
+        CRC-32 of the whole file with its name.
+    """
+
+    layer: str
+    identity: int
+    length: int
+    check: int
+
+    @property
+    def tag(self) -> int:
+        """First byte of the check, by which symbols name the file."""
+        return self.check >> 24
+
+    @property
+    def payload(self) -> bytes:
+        """No symbols."""
+        return b""
+
+
+AnyFileBlock = FileBlock | SymbolBlock | FileNotice
+"""What a codeword carries of a file."""
+
+AnyBlock = Block | AnyFileBlock
 """What a codeword carries."""
 
 
@@ -156,6 +219,17 @@ def symbol_bytes(k: int) -> int:
         Information bits of the block, a multiple of 8.
     """
     return k // 8 - FILE_HEADER_BYTES - CRC_BYTES
+
+
+def small_symbol_bytes(k: int) -> int:
+    """Return the bytes of a symbol in a small block (section 7.2); below 2 where there is no room for one.
+
+    Parameters
+    ----------
+    k
+        Information bits of the block, a multiple of 8.
+    """
+    return (k // 8 - SMALL_HEADER_BYTES - CRC_BYTES) // 2 * 2
 
 
 def payload_bytes(k: int) -> int:
@@ -195,27 +269,37 @@ def pack(block: AnyBlock, k: int) -> NDArray[np.uint8]:
     ValueError
         `k` is no block's size, the payload does not fit, or a field is out of its range.
     """
-    room = payload_bytes(k) if isinstance(block, Block) else symbol_bytes(k)
+    payload_bytes(k)  # checks k
+    head = _head(block)
+    room = k // 8 - CRC_BYTES - len(head)
     if len(block.payload) > room:
         raise ValueError(f"a block of {k} bits holds {room} bytes of payload, not {len(block.payload)}")
-    _check_fields(block)
-    body = _head(block) + block.payload.ljust(room, b"\0")
+    body = head + block.payload.ljust(room, b"\0")
     return np.unpackbits(np.frombuffer(body + zlib.crc32(body).to_bytes(4), dtype=np.uint8))
 
 
 def _head(block: AnyBlock) -> bytes:
+    _check_fields(block)
     layer = LAYERS.index(block.layer)
     if isinstance(block, Block):
         head = bytes([VERSION << 4 | layer, block.identity, block.stream])
         return head + block.sequence.to_bytes(2) + block.length.to_bytes(3)
+    if isinstance(block, SymbolBlock):
+        return bytes([VERSION << 4 | SYMBOL_LAYERS + layer, block.identity, block.tag]) + block.number.to_bytes(2)
+    if isinstance(block, FileNotice):
+        head = bytes([VERSION << 4 | NOTICE_LAYERS + layer, block.identity])
+        return head + block.length.to_bytes(3) + block.check.to_bytes(4)
     head = bytes([VERSION << 4 | FILE_LAYERS + layer, block.identity, block.code]) + block.number.to_bytes(3)
     return head + block.length.to_bytes(3) + block.size.to_bytes(2) + block.check.to_bytes(4)
 
 
-_MESSAGE_FIELDS = {"identity": _MAX_BYTE, "stream": _MAX_BYTE, "sequence": MAX_SEGMENTS - 1, "length": MAX_MESSAGE}
-_FILE_FIELDS = {
-    "identity": _MAX_BYTE, "code": _MAX_BYTE, "number": MAX_MESSAGE, "length": MAX_MESSAGE, "size": MAX_SEGMENTS - 1,
-    "check": (1 << 32) - 1,
+_MOST_CHECK = (1 << 32) - 1
+_FIELDS: dict[type, dict[str, int]] = {
+    Block: {"identity": _MAX_BYTE, "stream": _MAX_BYTE, "sequence": MAX_SEGMENTS - 1, "length": MAX_MESSAGE},
+    FileBlock: {"identity": _MAX_BYTE, "code": _MAX_BYTE, "number": MAX_MESSAGE, "length": MAX_MESSAGE,
+                "size": MAX_SEGMENTS - 1, "check": _MOST_CHECK},
+    SymbolBlock: {"identity": _MAX_BYTE, "tag": _MAX_BYTE, "number": MAX_SEGMENTS - 1},
+    FileNotice: {"identity": _MAX_BYTE, "length": MAX_MESSAGE, "check": _MOST_CHECK},
 }  # fmt: skip
 """Largest value of each field."""
 
@@ -223,7 +307,7 @@ _FILE_FIELDS = {
 def _check_fields(block: AnyBlock) -> None:
     if block.layer not in LAYERS:
         raise ValueError(f"layers are {', '.join(LAYERS)}, not {block.layer}")
-    for name, most in (_MESSAGE_FIELDS if isinstance(block, Block) else _FILE_FIELDS).items():
+    for name, most in _FIELDS[type(block)].items():
         if not 0 <= getattr(block, name) <= most:
             raise ValueError(f"a block's {name} is 0 to {most}, not {getattr(block, name)}")
 
@@ -256,6 +340,13 @@ def unpack(bits: NDArray[np.uint8]) -> AnyBlock | None:
         return None
     if FILE_LAYERS <= layer < FILE_LAYERS + len(LAYERS):
         return _file_block(data)
+    if SYMBOL_LAYERS <= layer < SYMBOL_LAYERS + len(LAYERS):
+        size = small_symbol_bytes(len(bits))
+        payload = data[SMALL_HEADER_BYTES : SMALL_HEADER_BYTES + size]
+        return SymbolBlock(LAYERS[layer & 3], data[1], data[2], int.from_bytes(data[3:5]), payload) if size else None
+    if NOTICE_LAYERS <= layer < NOTICE_LAYERS + len(LAYERS):
+        length = int.from_bytes(data[2:5])
+        return FileNotice(LAYERS[layer & 3], data[1], length, int.from_bytes(data[5:9])) if length else None
     if layer >= len(LAYERS):
         return None
     sequence, length = int.from_bytes(data[3:5]), int.from_bytes(data[5:8])
@@ -271,35 +362,3 @@ def _file_block(data: bytes) -> FileBlock | None:
         return None
     payload = room[: len(room) // size * size]
     return FileBlock(LAYERS[data[0] & 3], data[1], data[2], number, length, size, int.from_bytes(data[11:15]), payload)
-
-
-@lru_cache(maxsize=1)
-def _period() -> NDArray[np.uint8]:
-    chips = m_sequence(WHITENER, WHITENER_START)
-    chips.setflags(write=False)
-    return chips
-
-
-def whitening(e: int, layer: str, codeword: int = 0) -> NDArray[np.uint8]:
-    """Return the chips that whiten a codeword by addition modulo 2 (section 10).
-
-    They are the M-sequence of x^15 + x^14 + 1 from the state of all ones. Without whitening, idle blocks and runs of
-    equal bytes would give patterns unlike random ones.
-
-    Parameters
-    ----------
-    e
-        Coded bits of the codeword, at least 0.
-    layer
-        "high", "middle" or "low".
-    codeword
-        Number of the codeword in its layer and packet, from 0.
-
-    Returns
-    -------
-    (e,) uint8 chips 0 and 1.
-    """
-    # g((8192 l + 509 i + j) mod 32767)
-    start = LAYER_CHIPS * LAYERS.index(layer) + CODEWORD_CHIPS * codeword
-    chips = _period()
-    return chips[np.arange(start, start + e) % chips.size]

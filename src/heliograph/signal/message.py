@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
 
-from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS, AnyBlock, Block, FileBlock
+from heliograph.signal.block import MAX_MESSAGE, MAX_SEGMENTS, AnyBlock, Block
 
 MAX_MESSAGES = 256
 """Messages of a layer: the field for the stream has one byte (section 7)."""
@@ -201,7 +201,7 @@ class Reassembler:
             Bytes of payload in a block of its codeword. Where packets differ in their rates, a message is cut for
             each size, and segments of one size do not fit those of another.
         """
-        if isinstance(block, FileBlock):
+        if not isinstance(block, Block):
             return None
         who = (block.identity, block.layer, block.stream)
         key = (*who, room)

@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from heliograph.base.errors import SettingsError
 from heliograph.signal import haar, ook, pwm
-from heliograph.signal.block import MIN_BITS, AnyBlock, pack, payload_bytes, whitening
+from heliograph.signal.block import MIN_BITS, AnyBlock, pack, payload_bytes
 from heliograph.signal.code import CODES, Code, CodeFamily
 from heliograph.signal.formats import AGREED, SHORT_PAIRS, Format
 from heliograph.signal.header import all_on_levels, header_levels, signalling_levels
 from heliograph.signal.polarity import balance
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
+from heliograph.signal.whitening import whitening
 
 Value = TypeVar("Value", bound=np.generic)
 

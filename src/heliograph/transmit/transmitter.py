@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass as checked
 
 from heliograph.base.config import CONFIG, clear_errors
 from heliograph.base.errors import SettingsError, shown
-from heliograph.signal.block import AnyBlock, FileBlock, symbol_bytes
+from heliograph.signal.block import AnyBlock, AnyFileBlock
 from heliograph.signal.formats import AGREED, Format
 from heliograph.signal.fountain.cauchy import NUMBERS
 from heliograph.signal.fountain.files import FileCarousel, SentFile
@@ -138,10 +138,10 @@ class Transmitter:
             raise SettingsError(f"array {self.identity}: {error}; send less, or cut it up") from None
 
     def _file_carousel(self, name: str, messages: Sequence[Content]) -> FileCarousel:
-        room = min(symbol_bytes(form.layers[name].code.k) for form in self.formats)
+        bits = [form.layers[name].code.k for form in self.formats]
         first = LAYERS.index(name) * (NUMBERS // len(LAYERS))
         try:
-            return FileCarousel(self.identity, name, _files(messages), room, first)
+            return FileCarousel(self.identity, name, _files(messages), bits, first)
         except ValueError as error:
             raise SettingsError(f"array {self.identity}, {name} layer: {error}; send less, or raise N_d") from None
 
@@ -183,13 +183,13 @@ class Transmitter:
         time_s = packet * self.format.settings.packet_s + 1e-7
         return self._carousels[name, layer.payload_bytes].block(number // 2 if mixed else number, time_s)
 
-    def _file_block(self, packet: int, name: str, layer: LayerFormat, codeword: int) -> FileBlock:
+    def _file_block(self, packet: int, name: str, layer: LayerFormat, codeword: int) -> AnyFileBlock:
         turns = 2 if name in self._mixed else 1
         rooms = {form.layers[name].code.k: form.layers[name].payload_bytes for form in self.formats}
         # blocks of other sizes went before, each size in its own turns
         number = sum(self._sent_before(packet, name, size) // turns for k, size in rooms.items() if k != layer.code.k)
         number += (self._sent_before(packet, name, layer.payload_bytes) + codeword) // turns
-        return self._files[name].block(number, symbol_bytes(max(rooms)), symbol_bytes(layer.code.k))
+        return self._files[name].block(number, layer.code.k)
 
     def _sent_before(self, packet: int, name: str, size: int) -> int:
         """Count the codewords of a layer sent before packet number `packet` whose blocks have `size` bytes."""

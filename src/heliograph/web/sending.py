@@ -5,6 +5,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,8 @@ from numpy.typing import NDArray
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.base.frames import Frame
 from heliograph.link.file_store import safe_name
-from heliograph.signal.block import FileBlock
-from heliograph.signal.fountain.files import LONGEST_NAME, SentFile
+from heliograph.signal.block import Block, SymbolBlock
+from heliograph.signal.fountain.files import LONGEST_NAME, NOTICE_TURNS, SentFile
 from heliograph.signal.pwm import SLOTS
 from heliograph.signal.settings import LAYERS
 from heliograph.transmit import Transmitter
@@ -110,16 +111,19 @@ class Sending:
 
     def facts(self) -> Mapping[str, Any]:
         """Return what a page tells of it, as plain values."""
-        blocks, layers = self.transmitter.blocks(0), self.transmitter.format.layers
-        symbols = [one for layer in blocks.values() for one in layer if isinstance(one, FileBlock)]
-        room = sum(len(one.payload) for one in symbols) or max(
+        layers = self.transmitter.format.layers
+        turns = [self.transmitter.blocks(number) for number in range(NOTICE_TURNS)]
+        blocks = [one for turn in turns for layer in turn.values() for one in layer if not isinstance(one, Block)]
+        # small blocks tell what the file is now and then
+        room = sum(len(one.payload) for one in blocks) / len(turns) or max(
             one.payload_bytes * one.codewords for one in layers.values()
         )
+        length = next((one.length for one in blocks if not isinstance(one, SymbolBlock)), self.size)
         packet_s = self.packet_patterns / self.rate_hz
-        needed = -(-(symbols[0].length if symbols else self.size) // room) or 1
+        needed = ceil(length / room) or 1
         return {
             "side": self.side, "rate_hz": self.rate_hz, "packet_patterns": self.packet_patterns, "packet_s": packet_s,
-            "bytes": self.size, "as_file": self.as_file, "packet_bytes": room, "packets": needed,
+            "bytes": self.size, "as_file": self.as_file, "packet_bytes": int(room), "packets": needed,
             "seconds": needed * packet_s, "bits_per_s": 8 * room / packet_s,
         }  # fmt: skip
 

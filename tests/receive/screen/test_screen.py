@@ -18,6 +18,8 @@ from heliograph.receive import Packet
 from heliograph.receive.events import DecodeEvent, DetectEvent, ExtractEvent, LostEvent, TrackEvent
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.timing.frame_pair import AnyFrame
+from heliograph.signal.block import Block
+from heliograph.signal.fountain.files import FileGatherer, SentFile, WholeFile
 from heliograph.signal.settings import SignalSettings
 
 SMALL = (
@@ -77,6 +79,22 @@ def test_the_rate_and_the_length_are_found() -> None:
     other = replace(settings.signal, pattern_period_s=0.1, data_pairs=48)
     packets = read(settings, frames(settings), other)
     assert [packet.status for packet in packets] == ["ok"]
+
+
+@pytest.mark.slow
+def test_a_file_of_8_by_8_cells_comes_by_packets_of_30_patterns() -> None:
+    file = SentFile("a.txt", bytes(range(70)))
+    form = "transmit.formats.0.high=3/4", "transmit.formats.0.middle=3/4", "transmit.formats.0.low=3/4"
+    settings = link("phone-60", 4.3, "signal.side=8", "channel.emitter.pitch_m=0.04", *form)
+    content = {layer: [file] for layer in ("high", "middle", "low")}
+    film = [frame for frame, _ in simulate(settings, [content], 3)]
+    files, whole = FileGatherer(), list[WholeFile]()
+    for packet in read(settings, film):
+        for word in (word for words in packet.layers.values() for word in words):
+            if word.block is not None and not isinstance(word.block, Block):
+                progress = files.add(word.block)
+                whole += [progress.whole] if progress is not None and progress.whole is not None else []
+    assert [(one.name, one.data) for one in whole] == [(file.name, file.data)]
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import importlib.util
 import random
 import zlib
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from heliograph.base.errors import SettingsError
 from heliograph.measure.statistics import Count
-from heliograph.signal.block import FileBlock, pack, unpack
+from heliograph.signal.block import AnyFileBlock, FileBlock, FileNotice, SymbolBlock, pack, unpack
 from heliograph.signal.formats import Format
 from heliograph.signal.fountain import cauchy, field
 from heliograph.signal.fountain.codes import CodeName
@@ -31,7 +32,7 @@ def sent(file: SentFile, packets: range, layers: tuple[str, ...] = ("low",), ide
     return [block for block in blocks if isinstance(block, FileBlock)]
 
 
-def gathered(blocks: list[FileBlock], files: FileGatherer | None = None) -> FileProgress | None:
+def gathered(blocks: Sequence[AnyFileBlock], files: FileGatherer | None = None) -> FileProgress | None:
     """The last progress, up to a whole file."""
     files, last = files or FileGatherer(), None
     for block in blocks:
@@ -185,10 +186,69 @@ def test_blocks_of_different_sizes_carry_symbols_of_one_file() -> None:
     ("file", "settings", "word"),
     [
         (SentFile("x" * 256, b"1"), SignalSettings(), "at most 255 bytes"),
-        (SentFile("a", bytes(200)), SignalSettings(side=4, data_pairs=84), "symbols"),
+        (SentFile("a", bytes(200), "raptorq"), SignalSettings(side=4, data_pairs=84), "symbols"),
         (SentFile("a", bytes(4 << 20)), SignalSettings(), "too many"),
     ],
 )
 def test_what_cannot_be_sent_is_said(file: SentFile, settings: SignalSettings, word: str) -> None:
     with pytest.raises(SettingsError, match=word):
         Transmitter(settings, 0, {"low": [file]})
+
+
+SMALL = SignalSettings(side=8, data_pairs=13)
+
+
+def small(file: SentFile, packets: range, rate: float = 2 / 3) -> list[AnyFileBlock]:
+    """Blocks of 8 x 8 LEDs."""
+    form = Format(mode="short", high=rate, middle=rate, low=rate)
+    sender = Transmitter(SMALL, 3, {layer: [file] for layer in ("high", "middle", "low")}, [form])
+    bits = {name: layer.code.k for name, layer in sender.format.layers.items()}
+    made = [
+        unpack(pack(block, bits[name]))
+        for packet in packets
+        for name, listed in sender.blocks(packet).items()
+        for block in listed
+    ]
+    assert all(isinstance(one, SymbolBlock | FileNotice) for one in made)
+    return [one for one in made if isinstance(one, SymbolBlock | FileNotice)]
+
+
+@pytest.mark.parametrize(("rate", "size"), [(1 / 2, 4), (2 / 3, 8), (3 / 4, 10), (9 / 10, 14)])
+def test_small_blocks_bring_a_file_whole_in_any_order_with_losses(rate: float, size: int) -> None:
+    file = SentFile("note.txt", random.Random(7).randbytes(500))
+    blocks = small(file, range(400 // size), rate)
+    random.Random(1).shuffle(blocks)
+    # a fifth is lost
+    found = gathered(blocks[: 4 * len(blocks) // 5])
+    assert found is not None
+    assert found.whole is not None
+    assert (found.whole.name, found.whole.data, found.key.size) == (file.name, file.data, size)
+
+
+def test_small_blocks_tell_what_they_are_of_in_every_second_packet() -> None:
+    file = SentFile("note.txt", bytes(500))
+    for first in range(12):
+        blocks = small(file, range(first, first + 2))
+        assert sum(isinstance(one, FileNotice) for one in blocks) == 1
+
+
+def test_symbols_wait_for_what_they_are_of_and_do_no_harm_to_others() -> None:
+    one, two = (SentFile(name, random.Random(seed).randbytes(200)) for name, seed in (("a", 1), ("b", 2)))
+    files = FileGatherer()
+    mixed = [block for pair in zip(small(one, range(20)), small(two, range(20)), strict=True) for block in pair]
+    symbols = [block for block in mixed if isinstance(block, SymbolBlock)]
+    assert [files.add(block) for block in symbols] == [None] * len(symbols)
+    found = [files.add(block) for block in mixed if isinstance(block, FileNotice)]
+    whole = {progress.whole.data for progress in found if progress is not None and progress.whole is not None}
+    assert whole == {one.data, two.data}
+
+
+def test_symbols_of_no_known_file_are_bounded() -> None:
+    files = FileGatherer()
+    for number in range(3000):
+        files.add(SymbolBlock("low", 0, number % 256, number, bytes(8)))
+    notice = FileNotice("low", 0, 8 * 4000, 0xFF << 24)
+    progress = files.add(notice)
+    assert progress is not None
+    # a 256th of the newest 1024
+    assert progress.had == 4

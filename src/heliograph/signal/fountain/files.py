@@ -1,13 +1,21 @@
 """Files as symbols in blocks, and files from the symbols of any blocks that are enough (section 8.1)."""
 
 import zlib
-from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections import OrderedDict, deque
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 
 from heliograph.base.errors import HeliographError
-from heliograph.signal.block import FileBlock
+from heliograph.signal.block import (
+    SMALL_BLOCK_BYTES,
+    AnyFileBlock,
+    FileBlock,
+    FileNotice,
+    SymbolBlock,
+    small_symbol_bytes,
+    symbol_bytes,
+)
 from heliograph.signal.fountain.codes import BY_NUMBER, CODES, CodeName, Encoder
 
 LONGEST_NAME = 255
@@ -18,6 +26,17 @@ MOST_OPEN = 8
 
 MOST_KNOWN = 256
 """Most files whose symbols are passed over because they are whole. Chosen."""
+
+NOTICE_TURNS = 8
+"""Turns of a file in its layer of which one tells what it is, where blocks are small (section 8.1). Chosen: it takes an
+eighth of the light, and three layers tell it in every second packet of 8 x 8 LEDs."""
+
+NOTICE_TURN = {"high": 0, "middle": 4, "low": 4}
+"""Which of these turns it is. Chosen: layers that send the same file tell it at different times."""
+
+MOST_UNKNOWN = 1024
+"""Most symbols that are kept of files of which it is not known what they are; of more, the oldest go. Chosen: of 8 x 8
+LEDs 256 packets."""
 
 MOST_EXTRA = 64
 """Most symbols beyond those of the file itself that are kept. Chosen: of RaptorQ 3 are too few once in 2^32 files."""
@@ -127,8 +146,9 @@ class FileCarousel:
         "high", "middle" or "low".
     files
         Files to be sent, at least one.
-    size
-        Bytes that the layer's smallest block has for symbols.
+    bits
+        Information bits of each size of blocks that the layer has. Where there is one size, and it is small, blocks
+        are small ones (section 7.2).
     first
         Number of the symbol that the layer begins with, so that layers which send the same file send different ones.
 
@@ -140,29 +160,36 @@ class FileCarousel:
         A code's package is not installed.
     """
 
-    def __init__(self, identity: int, layer: str, files: Sequence[SentFile], size: int, first: int = 0):
-        self._who, self._first = (layer, identity), first
-        self._files = [(_key(one, size), _encoder(one, _key(one, size).size)) for one in files]
+    def __init__(self, identity: int, layer: str, files: Sequence[SentFile], bits: Collection[int], first: int = 0):
+        self._who, self._first, self._most = (layer, identity), first, symbol_bytes(max(bits))
+        small = len(set(bits)) == 1 and max(bits) <= 8 * SMALL_BLOCK_BYTES
+        rooms = [small_symbol_bytes(max(bits)) if small and one.code == "cauchy" else 0 for one in files]
+        keys = [_key(one, room or symbol_bytes(min(bits))) for one, room in zip(files, rooms, strict=True)]
+        self._files = [
+            (key, _encoder(one, key.size), room > 0) for one, key, room in zip(files, keys, rooms, strict=True)
+        ]
 
-    def block(self, number: int, most: int, room: int) -> FileBlock:
+    def block(self, number: int, k: int) -> AnyFileBlock:
         """Return a block of the transmission.
 
         Parameters
         ----------
         number
             Number of the block among the layer's blocks of files, from 0 at the start of the transmission.
-        most
-            Bytes that the layer's largest block has for symbols.
-        room
-            Bytes that this block has for symbols.
+        k
+            Information bits of this block.
         """
         turn, place = divmod(number, len(self._files))
-        key, encoder = self._files[place]
-        numbers = _numbers_of(key, encoder)
-        first = (self._first + turn * (most // key.size)) % numbers
-        count = min(room // key.size, numbers - first)
+        key, encoder, small = self._files[place]
+        (layer, identity), numbers = self._who, _numbers_of(key, encoder)
+        if small and turn % NOTICE_TURNS == NOTICE_TURN[layer]:
+            return FileNotice(layer, identity, key.length, key.check)
+        if small:
+            first = (self._first + turn) % numbers
+            return SymbolBlock(layer, identity, key.check >> 24, first, encoder.symbol(first))
+        first = (self._first + turn * (self._most // key.size)) % numbers
+        count = min(symbol_bytes(k) // key.size, numbers - first)
         payload = b"".join(encoder.symbol(first + i) for i in range(count))
-        layer, identity = self._who
         return FileBlock(layer, identity, key.code, first, key.length, key.size, key.check, payload)
 
 
@@ -195,13 +222,16 @@ class FileGatherer:
     """Put files together from symbols in any order, of any arrays, layers and passages.
 
     Memory is bounded: `MOST_OPEN` files are gathered at once, each with no more symbols than it has itself, of RaptorQ
-    a few more. A file whose CRC-32 is wrong at the end had a false symbol: it is gathered anew.
+    a few more, and `MOST_UNKNOWN` symbols of files of which it is not known what they are. A file whose CRC-32 is wrong
+    at the end had a false symbol: it is gathered anew.
     """
 
     _open: OrderedDict[FileKey, dict[int, bytes]] = field(default_factory=OrderedDict)
     _known: OrderedDict[FileKey, None] = field(default_factory=OrderedDict)
+    _told: OrderedDict[tuple[int, int], FileNotice] = field(default_factory=OrderedDict)
+    _unknown: deque[SymbolBlock] = field(default_factory=partial(deque, maxlen=MOST_UNKNOWN))
 
-    def add(self, block: FileBlock) -> FileProgress | None:
+    def add(self, block: AnyFileBlock) -> FileProgress | None:
         """Take a block; return what is there of its file, or None where it brought nothing new.
 
         Parameters
@@ -209,8 +239,36 @@ class FileGatherer:
         block
             A block whose CRC was right.
         """
+        if isinstance(block, FileNotice):
+            return self._named(block)
+        if isinstance(block, SymbolBlock):
+            notice = self._told.get((block.identity, block.tag))
+            if notice is None:
+                self._unknown.append(block)
+                return None
+            return self._symbol(block, notice)
         key = FileKey(block.check, block.length, block.size, block.code)
         return self.take(key, dict(block.symbols()))
+
+    def _named(self, notice: FileNotice) -> FileProgress | None:
+        """Take what a file is, and its symbols that came before it was known."""
+        who = notice.identity, notice.tag
+        self._told[who] = notice
+        self._told.move_to_end(who)
+        if len(self._told) > MOST_KNOWN:
+            self._told.popitem(last=False)
+        mine = [one for one in self._unknown if (one.identity, one.tag) == who]
+        if not mine:
+            return None
+        others = [one for one in self._unknown if (one.identity, one.tag) != who]
+        self._unknown.clear()
+        self._unknown.extend(others)
+        taken = [self._symbol(one, notice) for one in mine]
+        return next((one for one in reversed(taken) if one is not None), None)
+
+    def _symbol(self, block: SymbolBlock, notice: FileNotice) -> FileProgress | None:
+        key = FileKey(notice.check, notice.length, len(block.payload), CODES["cauchy"].number)
+        return self.take(key, {block.number: block.payload})
 
     def take(self, key: FileKey, symbols: Mapping[int, bytes]) -> FileProgress | None:
         """Take symbols of a file; return what is there of it, or None where they brought nothing new.
