@@ -1,10 +1,10 @@
 """Screens filmed by phones, under conditions drawn at random.
 
 `python -m benchmarks.phone [FILMS] [SEED] [RATE ...] [cells=N] [show]`, RATE of `phone`, `phone-15`, `phone-60`,
-`phone-240`. Each film is written as a phone writes it (H.264 or H.265 at a bit rate, 4:2:0, limited range) and read by
-the receiver "screen" with its default settings. Drawn are the size of the array and the frame, place, perspective and
-sway, blur, rolling shutter, exposure, response and backlight of the display, gamma, automatic exposure and white
-balance, phases and clocks, unevenness of the frames, lost frames, codec and bit rate.
+`phone-240`, `phone-slow`. Each film is written as a phone writes it (H.264 or H.265 at a bit rate, 4:2:0, limited
+range) and read by the receiver "screen" with its default settings. Drawn are the size of the array and the frame,
+place, perspective and sway, blur, rolling shutter, exposure, response and backlight of the display, gamma, automatic
+exposure and white balance, phases and clocks, unevenness of the frames, lost frames, codec and bit rate.
 """
 
 import sys
@@ -27,7 +27,7 @@ from heliograph.receive import Packet
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS
 
-RATES = ("phone", "phone-15", "phone-60", "phone-240")
+RATES = ("phone", "phone-15", "phone-60", "phone-240", "phone-slow")
 """Presets that are measured."""
 
 PACKETS = 2.1

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from heliograph.receive.screen.clock import Clock
 from heliograph.receive.screen.readout import Kept
 from heliograph.receive.screen.samples import Bins
@@ -11,9 +13,26 @@ RATES = (10.0, 15.0, 30.0, 60.0, 5.0, 20.0, 12.0, 7.5, 6.0, 4.0, 3.0, 2.0, 24.0,
 """Patterns a second that are tried beside the nominal ones: those that divide a display's 60 Hz, and the commonest
 rates of films."""
 
+DISPLAY_RATES = (12.5, 16.7, 25.0, 50.0, 14.4, 18.0, 36.0, 72.0, 18.75, 37.5, 75.0, 10.3, 20.6, 27.5, 33.0, 22.5, 28.8)
+"""Patterns a second of displays of 50, 72, 75, 90, 144 and 165 Hz, likewise."""
+
+STEP = 0.03
+"""Rates that are tried lie nearer to each other than this, as a fraction. Chosen: over ten patterns the ends are then
+off by a sixth of one, from where the right rate is found."""
+
+ANY_RATES = tuple(np.exp(np.arange(0.0, np.log(60.0), STEP)).tolist())
+"""Patterns a second that are tried where no usual rate fits, of 1 to 60."""
+
+SEARCH_PAUSE = 0.3
+"""Part of the time for which nothing was found that passes to the next search. Chosen: a search takes one or two
+seconds."""
+
 MOST_UNEXPLAINED = 0.3
 """Largest part of what changes that a clock may leave unexplained. Of a right one it is 0.003 to 0.1, of a wrong one
 0.4 to 1."""
+
+SURELY_EXPLAINED = 0.12
+"""The same below which no other rates are tried."""
 
 ENOUGH_PATTERNS, ENOUGH_FRAMES = 10, 16
 """Least patterns and frames from which a clock is found. Chosen: the five numbers of a clock want some pairs of
@@ -42,13 +61,13 @@ class ClockSearch:
 
     def __init__(self, period_s: float, row_s: float | None, fixed: bool):
         self._period_s, self._row_s = period_s, row_s
-        others = [] if fixed else [1 / rate for rate in RATES if abs(rate * period_s - 1) > 0.02]
-        self._periods = [[period_s], others]
-        self._tried_s = 0.0
+        usual = [1 / rate for rate in (*RATES, *DISPLAY_RATES) if abs(rate * period_s - 1) > STEP / 2]
+        self._periods = [[period_s]] if fixed else [[period_s], usual, [1 / rate for rate in ANY_RATES]]
+        self._next_s = -np.inf
 
     def again(self) -> None:
         """Look anew: the clock that was found was wrong."""
-        self._tried_s = 0.0
+        self._next_s = -np.inf
 
     def find(self, kept: Kept, final: bool = False) -> Clock | None:
         """Return the clock, or None where none explains what is seen, or it is too early to look again.
@@ -60,31 +79,36 @@ class ClockSearch:
         final
             Whether nothing more comes.
         """
-        length = kept.last.time_s - kept.first.time_s
-        # the longer it takes the rarer it is tried
-        if length < 1.3 * self._tried_s and not final:
+        now_s = kept.last.time_s
+        length = now_s - kept.first.time_s
+        if len(kept) < ENOUGH_FRAMES or (now_s < self._next_s and not final):
             return None
-        self._tried_s = max(length, 4 * kept.frame_s)
+        self._next_s = now_s + max(SEARCH_PAUSE * length, 4 * kept.frame_s)
         # others explain a part of a slow light: its own rate has the first word
         waits = length < ENOUGH_PATTERNS * self._period_s and not final
-        for periods in self._periods[: 1 if waits else 2]:
+        best: tuple[float, Clock, float] | None = None
+        for periods in self._periods[: 1 if waits else None]:
             fit = [p for p in periods if length >= ENOUGH_PATTERNS * p]
-            if fit and len(kept) >= ENOUGH_FRAMES and (clock := self._among(fit, kept)) is not None:
-                return clock
-        if length > LONGEST_SEARCH_S * 2:
-            kept.drop_before(kept.last.time_s - LONGEST_SEARCH_S)
-            self._tried_s = 0.0
-        return None
+            found = self._among(fit, kept) if fit else None
+            if found is not None and (best is None or found[0] < best[0]):
+                best = found
+            if best is not None and best[0] < SURELY_EXPLAINED:
+                break
+        if best is None:
+            kept.drop_before(now_s - 2 * LONGEST_SEARCH_S)
+            return None
+        left, clock, longest = best
+        return self._settled(left, clock, kept, now_s - longest, now_s)
 
-    def _among(self, periods: list[float], kept: Kept) -> Clock | None:
+    def _among(self, periods: list[float], kept: Kept) -> tuple[float, Clock, float] | None:
+        """The best clock of some rates: what it leaves unexplained, itself, and the seconds by which it was found."""
         longest = max(2 * ENOUGH_PATTERNS * min(periods), ENOUGH_PATTERNS * max(periods)) * 1.2
-        start_s, end_s = kept.last.time_s - longest, kept.last.time_s
-        samples = kept.gathered(start_s, end_s)
+        samples = kept.gathered(kept.last.time_s - longest, kept.last.time_s)
         samples = samples.evened(samples.light.mean((1, 2)))
         found = searched(samples, periods, kept.frame_s, kept.readout.length, self._row_s)
         if not found or found[0][0] >= MOST_UNEXPLAINED:
             return None
-        return self._settled(*found[0], kept, start_s, end_s)
+        return *found[0], longest
 
     def _settled(self, left: float, clock: Clock, kept: Kept, start_s: float, end_s: float) -> Clock:
         """Take the way of reading out that explains most: phones film upright pictures with a sensor on its side."""

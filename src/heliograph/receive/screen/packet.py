@@ -71,7 +71,7 @@ def solved_evenly(samples: Samples, clock: Clock) -> Solved:
     samples
         What is seen, the camera's slow gain taken out.
     clock
-        The light's clock.
+        The light's clock, as `timing.refined` gives it.
     """
     found = solved(samples, clock)
     for _ in range(GAIN_STEPS):
@@ -104,15 +104,19 @@ def decoded(
     header
         Its header, with its place among the pairs.
     form
-        Its format.
+        Mode and rates that its header names.
     found
-        Solved pairs.
+        Pairs of the packet and some beside, as `solved_evenly` gives them.
     clock
-        The light's clock.
+        The clock by which they were solved.
     signal
         The light's signal, with the packet's number of data pairs.
     options
         How codewords are decoded.
+
+    Returns
+    -------
+    The packet; with a reason and no codewords where its format cannot be read.
     """
     pairs, n = signal.data_pairs, signal.side
     first = header.place + signal.header_pairs
@@ -124,12 +128,13 @@ def decoded(
     seen[: len(there)] = found.variance[first : first + pairs].mean((1, 2)) < 10 * typical
     upright = np.stack([header.orientation.upright(one) for one in change])
     reason, words = "", {}
-    try:
-        if form.mode == "single":
-            raise SettingsError("the receiver screen reads pairs of patterns alone, this packet is of the single mode")
-        words = decode_packet(upright, seen, PacketFormat(signal, form), header.identity, options)
-    except SettingsError as error:
-        reason = str(error)
+    if form.mode == "single":
+        reason = "the receiver screen reads pairs of patterns alone, this packet is of the single mode"
+    else:
+        try:
+            words = decode_packet(upright, seen, PacketFormat(signal, form), header.identity, options)
+        except SettingsError as error:
+            reason = str(error)
     start = clock.begins(found.pairs[0] + header.place)
     end = clock.begins(found.pairs[0] + first + pairs)
     return ReadPacket(header, form, reason, words, start, end, upright, seen)

@@ -40,11 +40,11 @@ class Coming:
     start_s
         Time at which it begins.
     period_s
-        Pattern period.
+        Pattern period T by the camera's clock.
     late_s
         By how much the middle of the array's exposure comes after a frame's time.
     header_pairs, data_pairs
-        Its pairs.
+        How many pairs its header and its data have.
     """
 
     header: HeaderSeen

@@ -139,7 +139,7 @@ class Kept:
         start_s, end_s
             First and last time, between which there is a sample.
         clock
-            The light's clock.
+            The light's clock, of which the period counts.
         """
         samples = self.gathered(start_s, end_s)
         mean, t = samples.light.mean((1, 2)), samples.times_s

@@ -20,6 +20,13 @@ take 60 MB at 1280 x 720."""
 SEARCH_EVERY = 6
 """Frames from one search to the next. Chosen: a fifth of a second at 30 frames a second."""
 
+BELIEVED = 48
+"""Frames from which a doubtful array is taken for one. Chosen: 1.6 s at 30 frames a second, three patterns of 2 a
+second."""
+
+VAIN_PAUSE = 0.5
+"""Part of the frames kept that comes before the next search where thorough ones were in vain. Chosen."""
+
 FIRST_SEARCH = 12
 """Frames before the first search: four patterns at three frames a pattern."""
 
@@ -76,8 +83,18 @@ class Taken:
 
 
 @dataclass(frozen=True)
-class _Placed:
-    """What may be an array: how badly its cells fit, where it is in the latest frames but a few, and by which blur."""
+class Placed:
+    """What may be an array.
+
+    Attributes
+    ----------
+    score
+        How badly its cells fit, and how much its ring changes.
+    place
+        Where it is in the latest frames but a few.
+    look
+        Finds it, by the blur that fits best.
+    """
 
     score: float
     place: Place
@@ -120,7 +137,7 @@ class ArraySearch:
         small, self._factor = reduced(self._linear(frame))
         self._small.append(small)
         self._since += 1
-        if self._since < SEARCH_EVERY:
+        if self._since < max(SEARCH_EVERY, VAIN_PAUSE * len(self._frames) if self._vain else 0):
             return None
         return self.find()
 
@@ -136,8 +153,10 @@ class ArraySearch:
             tried = sorted((self._placed(one, count) for one in places), key=lambda one: one.score)
             if tried and DOUBTFUL < tried[0].score < np.inf and not self._hopeless():
                 tried = [self._searched(tried[0]), *tried]
+            # what is doubtful may be noise while a slow light has not changed yet
+            most = np.inf if len(self._frames) >= BELIEVED else DOUBTFUL
             for one in tried:
-                taken = self._whole(one) if np.isfinite(one.score) else None
+                taken = self._whole(one) if one.score < most else None
                 if taken is not None:
                     return taken
         return None
@@ -149,7 +168,7 @@ class ArraySearch:
         linear: Pixels32 = self._light[frame.pixels]
         return linear
 
-    def _placed(self, corners: Floats, count: int) -> _Placed:
+    def _placed(self, corners: Floats, count: int) -> Placed:
         """Where what may be an array fits best, and how well."""
         frames = list(self._frames)
         middle = max(len(frames) - TRIAL_FRAMES, 0)
@@ -162,15 +181,15 @@ class ArraySearch:
         starts = [Place.of(one, self._side) for one in (sharp, corners)]
         best = min((self._trial(looks[0], one, some) for one in starts), key=lambda one: one[0])
         cell = best[1].cell_px(self._side)
-        tried = [_Placed(*self._trial(one, best[1], some), one) for one in looks if one.blur_px < WIDEST * cell]
-        return min(tried, key=lambda one: one.score, default=_Placed(*best, looks[0]))
+        tried = [Placed(*self._trial(one, best[1], some), one) for one in looks if one.blur_px < WIDEST * cell]
+        return min(tried, key=lambda one: one.score, default=Placed(*best, looks[0]))
 
     def _hopeless(self) -> bool:
         """Whether too much was tried in vain of late."""
         self._vain += 1
         return self._vain > VAIN and self._vain & (self._vain - 1) != 0
 
-    def _searched(self, placed: _Placed) -> _Placed:
+    def _searched(self, placed: Placed) -> Placed:
         """The best of many places about one: a hand that sways makes an array seem larger."""
         look, place = placed.look, placed.place
         frames = list(self._frames)[max(len(self._frames) - TRIAL_FRAMES, 0) :]
@@ -183,7 +202,7 @@ class ArraySearch:
                     seen = look(frames[0].pixels, one, SETTLING)
                     found.append((seen.misfit, seen.place))
         found.sort(key=lambda one: one[0])
-        tried = [_Placed(*self._trial(look, one, frames), look) for _, one in found[:TRIED]]
+        tried = [Placed(*self._trial(look, one, frames), look) for _, one in found[:TRIED]]
         return min((placed, *tried), key=lambda one: one.score)
 
     def _trial(self, look: Look, place: Place, frames: list[Frame]) -> tuple[float, Place]:
@@ -202,7 +221,7 @@ class ArraySearch:
         # beside the array nothing changes
         return float(np.mean([one.seen.misfit for one in seen]) + ring / max(float(inner.mean()), TINY)), start
 
-    def _whole(self, placed: _Placed) -> Taken | None:
+    def _whole(self, placed: Placed) -> Taken | None:
         """Follow an array back to the first frame kept and on to the last; shift it where a rim does not change."""
         frames, look, start = list(self._frames), placed.look, placed.place
         middle = max(len(frames) - TRIAL_FRAMES, 0)

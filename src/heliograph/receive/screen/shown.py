@@ -45,9 +45,9 @@ class Telling:
     Parameters
     ----------
     signal
-        The light's signal.
+        The light's signal, of which the cells in a row count.
     observe
-        Gets the events.
+        Gets the events of finding, following, taking pairs and losing.
     """
 
     def __init__(self, signal: SignalSettings, observe: Observer):
@@ -65,7 +65,7 @@ class Telling:
         Parameters
         ----------
         frame
-            The frame.
+            The next frame of the camera, in the order of time.
         sample
             What it shows of the array; None where the array is not seen.
         coming
@@ -86,9 +86,9 @@ class Telling:
         Parameters
         ----------
         header
-            The header.
+            What was read of it, identity and orientation.
         start_s
-            When it began.
+            Time at which its first pattern began.
         """
         if header.identity == self._identity or not self._windows or self._last is None:
             return

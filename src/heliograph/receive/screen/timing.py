@@ -21,6 +21,22 @@ READOUTS_S = (0.0, 0.008, 0.016, 0.024)
 TRIED_EXPOSURES = (0.3, 0.9)
 """Exposures that are tried, in frame periods."""
 
+ROUGH_EXPOSURE, ROUGH_PHASES, BEST_RATES = 0.6, 8, 4
+"""Exposure in frame periods and phases by which rates are compared at first, and how many of them are looked at
+closely. Chosen: a wrong readout or exposure leaves a right rate ahead of others."""
+
+UNFOLLOWED = 0.85
+"""Part of what changes from which a clock that a search begins with is not followed up: of what is no light at all it
+is 0.9 to 1.1."""
+
+NEARBY, NEARER_STEPS = (0.985, 0.995, 1.005, 1.015), 3
+"""Pattern periods about the best one that are tried, by it, and how often. Chosen: rates that are tried are 3 %
+apart."""
+
+MUCH_BETTER = 0.7
+"""Part of what is unexplained that a rate nearby must leave at most. Chosen: patterns of a display that skips refreshes
+come early and late, which other rates explain by a fifth better."""
+
 LONGEST_READOUT = 1.0
 """Longest readout of a frame in frame periods."""
 
@@ -50,25 +66,51 @@ def searched(
     -------
     Some clocks with what they leave unexplained, refined; none where a film could show none of the periods.
     """
-    bins, found, begun = Bins(samples), list[tuple[float, Clock]](), list[tuple[float, Clock]]()
+    bins = Bins(samples)
     readouts = [r for r in READOUTS_S if r <= LONGEST_READOUT * frame_s * 1.01] or [0.0]
     rows = [r / height for r in readouts] if row_s is None else [row_s]
-    for period in periods:
-        if period < MOST_PATTERNS_A_FRAME * frame_s or samples.times_s[-1] - samples.times_s[0] < 4 * period:
-            continue
-        tried = [
-            Clock(float(samples.times_s[0]) + 2 * period * k / PHASES, period, row, min(part * frame_s, period))
-            for k in range(PHASES)
-            for row in rows
-            for part in TRIED_EXPOSURES
-        ]
-        ranked = sorted(((bins.unexplained(one), k) for k, one in enumerate(tried)))
-        begun += [(left, tried[k]) for left, k in ranked[:BEST_CLOCKS]]
-    begun.sort(key=lambda one: one[0])
+    length = float(samples.times_s[-1] - samples.times_s[0])
+    shown = [one for one in periods if one >= MOST_PATTERNS_A_FRAME * frame_s and length >= 4 * one]
+    if len(shown) > BEST_RATES:
+        rough = [rows[len(rows) // 2]], [ROUGH_EXPOSURE * frame_s]
+        first = {one: _begun(bins, one, *rough, ROUGH_PHASES)[0][0] for one in shown}
+        shown = sorted((one for one in shown if first[one] < UNFOLLOWED), key=lambda one: first[one])[:BEST_RATES]
+    exposures = [part * frame_s for part in TRIED_EXPOSURES]
+    begun = [one for period in shown for one in _begun(bins, period, rows, exposures)[:BEST_CLOCKS]]
     # a wrong rate leaves so much that it need not be refined
-    for _, clock in begun[: 2 * BEST_CLOCKS]:
-        found.append(refined(bins, clock, frame_s, height, row_s))
-    return sorted(found, key=lambda one: one[0])
+    begun = sorted((one for one in begun if one[0] < UNFOLLOWED), key=lambda one: one[0])
+    found = [refined(bins, clock, frame_s, height, row_s) for _, clock in begun[: 2 * BEST_CLOCKS]]
+    found.sort(key=lambda one: one[0])
+    if found:
+        found[0] = _nearer(bins, *found[0], frame_s, height, row_s)
+    return found
+
+
+def _nearer(
+    bins: Bins, left: float, clock: Clock, frame_s: float, height: int, row_s: float | None
+) -> tuple[float, Clock]:
+    """A better clock of a rate nearby, and what it leaves unexplained: a refined one hardly leaves the rate tried."""
+    middle, first = clock.begins(round(clock.pair_at(float(bins.times_s.mean())))), (left, clock)
+    for _ in range(NEARER_STEPS):
+        tried = [replace(clock, start_s=middle, period_s=clock.period_s * by) for by in NEARBY]
+        less, best = min(((bins.unexplained(one), one) for one in tried), key=lambda one: one[0])
+        if less >= left:
+            break
+        left, clock = refined(bins, best, frame_s, height, row_s)
+    return (left, clock) if left < MUCH_BETTER * first[0] else first
+
+
+def _begun(
+    bins: Bins, period_s: float, rows_s: list[float], exposures_s: list[float], phases: int = PHASES
+) -> list[tuple[float, Clock]]:
+    """Clocks of a rate with what they leave unexplained, the best first."""
+    tried = [
+        Clock(float(bins.times_s[0]) + 2 * period_s * k / phases, period_s, row, min(exposure, period_s))
+        for k in range(phases)
+        for row in rows_s
+        for exposure in exposures_s
+    ]
+    return sorted(((bins.unexplained(one), one) for one in tried), key=lambda one: one[0])
 
 
 def refined(
