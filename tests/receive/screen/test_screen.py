@@ -144,6 +144,7 @@ def _copy(frame: Frame) -> Frame:
     return replace(frame, time_s=frame.time_s + 0.003)
 
 
+@pytest.mark.slow
 def test_noise_is_no_array() -> None:
     rng, settings = np.random.default_rng(1), load_settings("phone")
     film = [Frame(k, k / 30, rng.integers(90, 110, (120, 160), dtype=np.uint8)) for k in range(40)]
