@@ -16,8 +16,8 @@ from heliograph.probe.levels import Levels
 from heliograph.probe.pace import patterns_per_s
 from heliograph.probe.reading import Asked
 from heliograph.probe.regions import Region
+from heliograph.receive.screen.clock_search import ANY_RATES
 from heliograph.receive.screen.outline import changing, quadrilaterals, reduced
-from heliograph.receive.screen.reader import RATES
 
 LOOKED_AT = 32
 """Frames whose changes show where the array is. Chosen: a second of a phone's."""
@@ -331,10 +331,17 @@ def _pace(shown: _Shown) -> Iterator[Cause]:
     if frames < FEWEST_FRAMES:
         yield Cause("rate", f"a pattern lasts {frames:.1f} frames of the film; two or more are read", (
             "choose fewer patterns a second, or film at more frames a second",))  # fmt: skip
-    elif all(abs(rate / one - 1) > SAME_RATE for one in (1 / shown.asked.signal.pattern_period_s, *RATES)):
+    elif not _looked_for(rate, shown.asked):
         yield Cause("rate", f"the screen shows {rate:.3g} patterns a second, which are not looked for", (
             f"say so: on page Receive, or by --set signal.pattern_period_s={1 / rate:.3g}",
             "or, where it is slow motion that plays slower than it was filmed, by --fps RATE"))  # fmt: skip
+
+
+def _looked_for(rate: float, asked: Asked) -> bool:
+    """Whether the receiver looks for so many patterns a second."""
+    own = abs(rate * asked.signal.pattern_period_s - 1) < SAME_RATE
+    low, high = (1 - SAME_RATE) * ANY_RATES[0], (1 + SAME_RATE) * ANY_RATES[-1]
+    return own or (asked.settings.screen.find_rate and low < rate < high)
 
 
 def _unread(shown: _Shown) -> Cause:
