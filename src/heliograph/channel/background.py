@@ -33,6 +33,9 @@ LEAST_ZOOM = 0.05
 """Least scale from sensor to scene, reached 15 m before a scene 300 m away, where the expansion would be infinite.
 Chosen; the reference drive ends at 0.82."""
 
+STILL = ("flat", "synthetic", "street", "street-night")
+"""Kinds of background that change with the camera's pose alone; others may change with time."""
+
 _FAR_EDGE_PX = 1.001
 """Distance of the last place read from the far edge: its right and lower neighbours are within the image."""
 

@@ -148,6 +148,7 @@ def _shoot(
     from heliograph.channel.background import background
     from heliograph.channel.render import Canvas, render
     from heliograph.channel.sensor import developed
+    from heliograph.channel.still import StillLight
     from heliograph.channel.views import FilmScene, frame_block, windows
     from heliograph.channel.white_balance import surroundings_gain
 
@@ -156,17 +157,20 @@ def _shoot(
     scene = FilmScene(settings, arrays, drive, paint, noise_seed)
     total = frame_count(settings)
     whole = np.empty((camera.height, camera.width), np.float32)
-    transfer = Transfer(camera, noise_seed)
+    transfer, still = Transfer(camera, noise_seed), StillLight(scene)
     for first in range(0, total, BLOCK_FRAMES):
         block = frame_block(scene, np.arange(first, min(first + BLOCK_FRAMES, total)))
         parts = windows(block, camera, roi)
+        rests = still.take(block, parts)
         for k in range(len(block.index)):
             index = int(block.index[k])
             x, y, last_x, last_y = map(int, parts[k])
             light = whole if roi is None else np.empty((last_y - y + 1, last_x - x + 1), np.float32)
-            truths = render(scene, block, k, Canvas(light, (x, y)))
+            canvas = Canvas(light, (x, y))
+            truths = still.render(block, k, canvas) if rests else render(scene, block, k, canvas)
             time_s = float(block.times_s[k, 1])
-            light *= np.float32(camera.gain(time_s) * surroundings_gain(settings, time_s))
+            if camera.gain_swing or camera.white_balance_swing:
+                light *= np.float32(camera.gain(time_s) * surroundings_gain(settings, time_s))
             pixels = developed(light, settings.sensor, noise_seed, index, (x, y))
             stamp_s = camera.start_s + index / camera.fps + float(block.late_s[k])
             frame = Frame(index, stamp_s, pixels, settings.sensor.bits, (x, y))

@@ -130,15 +130,9 @@ class Lit:
         spread
             (n, n) variance of its lit time in s^2.
         """
-        # a piece of length T and centroid c has the moments T, T c and T (c^2 + T^2 / 12)
-        length = self.end_s - self.start_s
-        centre = (self.start_s + self.end_s - start_s - end_s) / 2
-        rows = np.empty((3, len(length)))
-        rows[0], rows[1], rows[2] = length, length * centre, length * (centre**2 + length**2 / 12)
-        sums = (rows @ self.on.reshape(len(length), -1)).reshape(3, *self.on.shape[1:])
-        total = np.maximum(sums[0], _NO_LIGHT_S)
-        late = sums[1] / total
-        return sums[0] / (end_s - start_s), late, np.maximum(sums[2] / total - late**2, 0)
+        rows = _moments(self.start_s, self.end_s, (start_s + end_s) / 2)
+        sums = (rows @ self.on.reshape(len(self.start_s), -1)).reshape(3, *self.on.shape[1:])
+        return _central(sums, end_s - start_s)
 
     def split(self, longest_s: float) -> "Lit":
         """Return the same exposure with each piece cut into equal parts.
@@ -153,6 +147,20 @@ class Lit:
         length = np.repeat((self.end_s - self.start_s) / count, count)
         start = np.repeat(self.start_s, count) + part * length
         return Lit(start, start + length, np.repeat(self.on, count, 0), self.patterns)
+
+
+def _moments(start_s: Floats, end_s: Floats, middle_s: float) -> Floats:
+    """Moments of pieces of an exposure about its middle, (3, k)."""
+    # a piece of length T and centroid c has the moments T, T c and T (c^2 + T^2 / 12)
+    length, centre = end_s - start_s, (start_s + end_s) / 2 - middle_s
+    return np.array([length, length * centre, length * (centre**2 + length**2 / 12)])
+
+
+def _central(sums: Floats, exposure_s: float) -> tuple[Floats, Floats, Floats]:
+    """Fraction of the exposure, centroid and variance of each LED's light of its moments, (3, n, n)."""
+    total = np.maximum(sums[0], _NO_LIGHT_S)
+    late = sums[1] / total
+    return sums[0] / exposure_s, late, np.maximum(sums[2] / total - late**2, 0)
 
 
 @dataclass(frozen=True)
@@ -202,22 +210,30 @@ class Faults:
         gains = np.maximum(1 + place.spread * rng.standard_normal((side, side)), 0)
         return cls(order < many, (order >= many) & (order < many + more), hidden, gains, place.off_s)
 
-    def visible(self, on: NDArray[np.bool_] | Floats) -> Floats:
+    def visible(self, on: NDArray[np.bool_] | Floats, whole: Floats | float = 1.0) -> Floats:
         """Return the light of each LED that reaches the camera, (k, n, n), 1 for an LED as bright as meant.
 
         Parameters
         ----------
         on
             (k, n, n) bool, LEDs that the patterns light in each of k pieces of an exposure; or float64, by how much.
+        whole
+            What `on` is of an LED that is lit all through: one number, or (k, 1, 1).
         """
         lit, dark = self._light
-        return dark + on * (lit - dark)
+        return dark * whole + on * (lit - dark)
 
     @cached_property
     def _light(self) -> tuple[Floats, Floats]:
         """Light of each LED where a pattern lights it, and where none does, (n, n)."""
         seen = ~self.hidden
         return ((~self.dead | self.stuck) & seen) * self.gains, (self.stuck & seen) * self.gains
+
+    @cached_property
+    def none(self) -> bool:
+        """Whether each LED shines as it is meant to, but for `off_s`."""
+        lit, dark = self._light
+        return bool((lit == 1).all() and (dark == 0).all())
 
     def cut(self, begin_s: float, end_s: float) -> Iterator[tuple[float, float]]:
         """Yield the parts of a time for which the array is not off.
@@ -270,8 +286,8 @@ class Lighting:
     faults: Faults
     steady: bool = False
 
-    def lit(self, start_s: float, end_s: float) -> Lit | None:
-        """Return the lit LEDs of an exposure; None where the array shows no pattern.
+    def shown(self, start_s: float, end_s: float) -> "Shown | None":
+        """Return what an exposure sees of the patterns; None where the array shows none.
 
         Parameters
         ----------
@@ -286,24 +302,85 @@ class Lighting:
             A pattern is malformed.
         """
         slot_s = self.period_s / SLOTS
-        pieces: list[tuple[float, float, int, int, NDArray[np.uint8]]] = []
+        pieces: list[tuple[float, float, int, int]] = []
         # (1), (2): x(t) = sum_k x_k g(t - k T_b); (4), (5): the shutter is open from start to end
         for slot in range(math.floor((start_s - self.start_s) / slot_s), math.ceil((end_s - self.start_s) / slot_s)):
             begin = max(start_s, self.start_s + slot * slot_s)
             end = min(end_s, self.start_s + (slot + 1) * slot_s)
             number, phase = divmod(slot, SLOTS)
-            pattern = self.feed.at(number) if end - begin > SLIVER * slot_s else None
-            if pattern is not None:
-                parts = [part for part in self.faults.cut(begin, end) if part[1] - part[0] > SLIVER * slot_s]
-                pieces += [(*part, number, phase, pattern) for part in parts]
-        if not pieces:
-            return None
-        begins, ends, numbers, phases, patterns = zip(*pieces, strict=True)
-        levels = np.array(patterns)
-        on = self.faults.visible(levels / SLOTS if self.steady else levels > self._rank[list(phases), None, None])
-        return Lit(np.array(begins), np.array(ends), on, tuple(dict.fromkeys(numbers)))
+            if end - begin > SLIVER * slot_s and self.feed.at(number) is not None:
+                parts = self.faults.cut(begin, end) if self.faults.off_s else ((begin, end),)
+                pieces += [(*part, number, phase) for part in parts if part[1] - part[0] > SLIVER * slot_s]
+        return Shown(self, start_s, end_s, pieces) if pieces else None
 
     @cached_property
-    def _rank(self) -> NDArray[np.intp]:
-        """Level above which each slot is lit, (4,)."""
-        return np.argsort(np.asarray(self.slot_order))
+    def shares(self) -> Floats:
+        """Light of an LED of each level in each slot, (4, 5), 1 where it is lit."""
+        levels = np.arange(SLOTS + 1)
+        if self.steady:
+            return np.tile(levels / SLOTS, (SLOTS, 1))
+        # level above which each slot is lit
+        rank = np.argsort(np.asarray(self.slot_order))
+        return np.asarray(levels > rank[:, None], float)
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """An exposure cut into k pieces at the PWM slots' boundaries; times without a pattern are left out.
+
+    Attributes
+    ----------
+    lighting
+        The array's patterns in true time.
+    start_s
+        True start of the exposure in s.
+    end_s
+        Its true end in s.
+    pieces
+        True start and end of each piece in s, number of the pattern, and slot within it; in the order of time.
+    """
+
+    lighting: Lighting
+    start_s: float
+    end_s: float
+    pieces: list[tuple[float, float, int, int]]
+
+    @property
+    def patterns(self) -> tuple[int, ...]:
+        """Numbers of the patterns shown, in the order of time."""
+        return tuple(dict.fromkeys([piece[2] for piece in self.pieces]))
+
+    def lit(self) -> Lit:
+        """Return the light of each LED in each piece."""
+        begins, ends, numbers, phases = zip(*self.pieces, strict=True)
+        on = [self.lighting.shares[p][self._pattern(n)] for n, p in zip(numbers, phases, strict=True)]
+        return Lit(np.array(begins), np.array(ends), self.lighting.faults.visible(np.array(on)), self.patterns)
+
+    def moments(self) -> tuple[Floats, Floats, Floats]:
+        """Return the moments in time of each LED's light, those of `lit`: fraction, centroid, variance; see there."""
+        begins, ends, _, phases = np.array(self.pieces).T
+        rows = _moments(begins, ends, (self.start_s + self.end_s) / 2)
+        return _central(self._light(rows, phases), self.end_s - self.start_s)
+
+    def fraction(self) -> Floats:
+        """Return the fraction of the exposure for which each LED is lit, (n, n), 0 to 1: the first of `moments`."""
+        begins, ends, _, phases = np.array(self.pieces).T
+        return np.asarray(self._light((ends - begins)[None], phases)[0] / (self.end_s - self.start_s))
+
+    def _light(self, rows: Floats, phases: Floats) -> Floats:
+        """Sums of the pieces' moments, (m, k), over those for which each LED is lit, (m, n, n)."""
+        # LEDs of one level are lit at the same times: five numbers of a pattern say all
+        shares, patterns = self.lighting.shares[phases.astype(int)], self.patterns
+        if len(patterns) == 1:
+            total = np.take(rows @ shares, self._pattern(patterns[0]), axis=1)
+        else:
+            own = np.array([piece[2] for piece in self.pieces])
+            parts = [np.take((rows * (own == n)) @ shares, self._pattern(n), axis=1) for n in patterns]
+            total = np.sum(parts, 0)
+        faults = self.lighting.faults
+        return total if faults.none else faults.visible(total, rows.sum(1)[:, None, None])
+
+    def _pattern(self, number: int) -> NDArray[np.uint8]:
+        pattern = self.lighting.feed.at(number)
+        assert pattern is not None  # its pieces would not be here
+        return pattern

@@ -211,41 +211,134 @@ def add_leds(
         Samples of the normal distribution function, as `normal_table` returns them.
     """
     level, late, spread = moments
-    pitch, radius, order = emitter
-    focal, blur = lens
     n = level.shape[0]
-    scratch, h = np.empty((2, max(light.shape) + 1)), np.empty((3, 3))
+    scratch = np.empty((2, max(light.shape) + 1))
     for u in range(n):
         for v in range(n):
-            if level[u, v] == 0.0:
+            if level[u, v] != 0.0:
+                a, b = (v - (n - 1) / 2) * emitter[0], (u - (n - 1) / 2) * emitter[0]
+                lit = (level[u, v], late[u, v], spread[u, v])
+                _add_led(
+                    light, corner, (a, b), homography, drift, eye, lit, emitter, lens, points, rest, scratch, table
+                )
+
+
+@compiled(error_model="numpy")
+def _add_led(
+    light: NDArray[np.float32],
+    corner: tuple[int, int],
+    place: tuple[float, float],
+    homography: Floats,
+    drift: Floats,
+    eye: Floats,
+    lit: tuple[float, float, float],
+    emitter: tuple[float, float, float],
+    lens: tuple[float, float],
+    points: Floats,
+    rest: float,
+    scratch: Floats,
+    table: Floats,
+) -> None:
+    """Add the light of one LED at a place (a, b) of the array's plane, `lit` as the moments of `add_leds`."""
+    (a, b), (level, late, spread), (pitch, radius, order), (focal, blur) = place, lit, emitter, lens
+    h = np.empty((3, 3))
+    # (6) along the motion: each LED where it is at the centroid of its lit time
+    for i in range(3):
+        for j in range(3):
+            h[i, j] = homography[i, j] + late * drift[i, j]
+    x, y, z, xa, xb, ya, yb = _image(h, a, b)
+    vx, vy = _velocity(drift, a, b, x, y, z)
+    # Lambertian lobe: I ~ cos^m of the angle between the array's normal and the direction of the camera
+    away = math.sqrt((eye[0] - a) ** 2 + (eye[1] - b) ** 2 + eye[2] ** 2)
+    lobe = (-eye[2] / away) ** order
+    # h_uv of (3): flux = level (f p / (Z pixel))^2, so that an unresolved array has its surface brightness
+    flux = level * lobe * (focal * pitch / z) ** 2 / len(points)
+    # blur * disc * smear of the motion: variances add
+    disc = rest * radius**2
+    xx = blur**2 + disc * (xa**2 + xb**2) + vx**2 * spread
+    yy = blur**2 + disc * (ya**2 + yb**2) + vy**2 * spread
+    xy = disc * (xa * ya + xb * yb) + vx * vy * spread
+    # a covariance worth counting: two halves at +-dx along a diagonal have +-dx^2, and dx^2 more variance
+    halves = 2 if abs(xy) > LEAST_COVARIANCE * math.sqrt(xx * yy) else 1
+    dx = math.sqrt(abs(xy)) if halves == 2 else 0.0
+    dy = dx if xy > 0 else -dx
+    sigma = (math.sqrt(xx - dx**2), math.sqrt(yy - dx**2))
+    for k in range(len(points) * halves):
+        p, q = radius * points[k // halves, 0], radius * points[k // halves, 1]
+        side = 1 - 2 * (k % halves)
+        at = (x + xa * p + xb * q + side * dx, y + ya * p + yb * q + side * dy)
+        _deposit(light, corner, at, sigma, flux / halves, scratch, table)
+
+
+@compiled(error_model="numpy")
+def draw_images(
+    images: NDArray[np.float32],
+    corners: NDArray[np.int64],
+    homography: Floats,
+    eye: Floats,
+    emitter: tuple[float, float, float],
+    lens: tuple[float, float],
+    points: Floats,
+    rest: float,
+    table: Floats,
+) -> None:
+    """Add the light of each LED of an array at rest to an image of its own, in place.
+
+    Parameters
+    ----------
+    images
+        (n, n, s, s) float32 light in full scales, changed; all LEDs have the level 1.
+    corners
+        (n, n, 2) x, y on the sensor of each image's first pixel.
+    homography, eye, emitter, lens, points, rest, table
+        As for `add_leds`.
+    """
+    n, still = images.shape[0], np.zeros((3, 3))
+    scratch = np.empty((2, images.shape[2] + 1))
+    for u in range(n):
+        for v in range(n):
+            a, b = (v - (n - 1) / 2) * emitter[0], (u - (n - 1) / 2) * emitter[0]
+            corner = (corners[u, v, 0], corners[u, v, 1])
+            lit = (1.0, 0.0, 0.0)
+            one = images[u, v]
+            _add_led(one, corner, (a, b), homography, still, eye, lit, emitter, lens, points, rest, scratch, table)
+
+
+@compiled(error_model="numpy")
+def add_images(
+    light: NDArray[np.float32],
+    corner: tuple[int, int],
+    level: NDArray[np.float32],
+    images: NDArray[np.float32],
+    corners: NDArray[np.int64],
+) -> None:
+    """Add the light of LEDs to a window of the image by their own images, in place.
+
+    Parameters
+    ----------
+    light
+        (h, w) float32 light in full scales, changed.
+    corner
+        (x, y) on the sensor of ``light[0, 0]``.
+    level
+        (n, n) float32 light of each LED, as the first moment of `add_leds`.
+    images, corners
+        Images of LEDs with the level 1, as `draw_images` gives them.
+    """
+    height, width = light.shape
+    size = images.shape[2]
+    for u in range(level.shape[0]):
+        for v in range(level.shape[1]):
+            value = level[u, v]
+            if value == np.float32(0):
                 continue
-            a, b = (v - (n - 1) / 2) * pitch, (u - (n - 1) / 2) * pitch
-            # (6) along the motion: each LED where it is at the centroid of its lit time
-            for i in range(3):
-                for j in range(3):
-                    h[i, j] = homography[i, j] + late[u, v] * drift[i, j]
-            x, y, z, xa, xb, ya, yb = _image(h, a, b)
-            vx, vy = _velocity(drift, a, b, x, y, z)
-            # Lambertian lobe: I ~ cos^m of the angle between the array's normal and the direction of the camera
-            away = math.sqrt((eye[0] - a) ** 2 + (eye[1] - b) ** 2 + eye[2] ** 2)
-            lobe = (-eye[2] / away) ** order
-            # h_uv of (3): flux = level (f p / (Z pixel))^2, so that an unresolved array has its surface brightness
-            flux = level[u, v] * lobe * (focal * pitch / z) ** 2 / len(points)
-            # blur * disc * smear of the motion: variances add
-            disc = rest * radius**2
-            xx = blur**2 + disc * (xa**2 + xb**2) + vx**2 * spread[u, v]
-            yy = blur**2 + disc * (ya**2 + yb**2) + vy**2 * spread[u, v]
-            xy = disc * (xa * ya + xb * yb) + vx * vy * spread[u, v]
-            # a covariance worth counting: two halves at +-dx along a diagonal have +-dx^2, and dx^2 more variance
-            halves = 2 if abs(xy) > LEAST_COVARIANCE * math.sqrt(xx * yy) else 1
-            dx = math.sqrt(abs(xy)) if halves == 2 else 0.0
-            dy = dx if xy > 0 else -dx
-            sigma = (math.sqrt(xx - dx**2), math.sqrt(yy - dx**2))
-            for k in range(len(points) * halves):
-                p, q = radius * points[k // halves, 0], radius * points[k // halves, 1]
-                side = 1 - 2 * (k % halves)
-                at = (x + xa * p + xb * q + side * dx, y + ya * p + yb * q + side * dy)
-                _deposit(light, corner, at, sigma, flux / halves, scratch, table)
+            x, y = corners[u, v, 0] - corner[0], corners[u, v, 1] - corner[1]
+            first, last = max(0, -x), min(size, width - x)
+            for i in range(max(0, -y), min(size, height - y)):
+                # by parts of rows, whose numbers begin at 0: several pixels at once
+                row, image = light[y + i, x + first : x + last], images[u, v, i, first:last]
+                for j in range(len(row)):
+                    row[j] += value * image[j]
 
 
 @compiled(error_model="numpy")

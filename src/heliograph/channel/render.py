@@ -4,13 +4,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
-from heliograph.channel.exposure import Lit
+from heliograph.channel.exposure import Lit, Shown
 from heliograph.channel.optics import add_leds, cover, disc_cubature, normal_table
 from heliograph.channel.parts import POINT_SPREADS
 from heliograph.channel.psf import PointSpread
@@ -95,20 +96,49 @@ def render(scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas) -> tuple
     middles = [view.homography[k, 1, 2] / view.homography[k, 2, 2] for view in block.views]
     late = [_row_times(scene.settings.camera, y) for y in middles]
     # of a rolling shutter an array's patterns are those that its middle sees
-    lit = [one.lit(start + float(t), end + float(t)) for one, t in zip(scene.lightings, late, strict=True)]
-    # far arrays first: a nearer panel hides them
-    for array in sorted(range(len(lit)), key=lambda a: -block.views[a].homography[k, 2, 2]):
-        view, one = block.views[array], lit[array]
-        if view.ahead[k] and canvas.meets(view.panel.box[k]):
-            _lay_panel(view.panel, k, scene.settings.emitter.panel_level, canvas)
-            _hide(scene, array, view, k, canvas)
-            if cells:
-                _show(scene, array, view, k, start, canvas)
-            elif scene.settings.camera.row_time_s:
-                _shine_by_rows(scene, array, view, k, (start, end), canvas)
-            elif one is not None:
-                _shine(scene, array, view, k, one, (start, end), canvas)
-    return tuple(_truth(view, k, one) for view, one in zip(block.views, lit, strict=True))
+    shown = [one.shown(start + float(t), end + float(t)) for one, t in zip(scene.lightings, late, strict=True)]
+    for array in _in_sight(block, k, canvas):
+        view, one = block.views[array], shown[array]
+        _lay(scene, array, view, k, canvas)
+        if cells:
+            _show(scene, array, view, k, start, canvas)
+        elif scene.settings.camera.row_time_s:
+            _shine_by_rows(scene, array, view, k, (start, end), canvas)
+        elif one is not None:
+            _shine_at_once(scene, array, view, k, one, canvas)
+    return tuple(truth_of(view, k, one) for view, one in zip(block.views, shown, strict=True))
+
+
+def lay_panels(scene: FilmScene, block: FrameBlock, k: int, canvas: Canvas) -> None:
+    """Render the light of one frame without LEDs on a window of the sensor.
+
+    Parameters
+    ----------
+    scene
+        Everything that stays the same during the film.
+    block
+        Poses and views of frames.
+    k
+        Place of the frame in the block, from 0.
+    canvas
+        The window; its light is written.
+    """
+    scene.paint(canvas.light, canvas.corner, float(block.times_s[k, 1]), block.pose, (k, 1))
+    for array in _in_sight(block, k, canvas):
+        _lay(scene, array, block.views[array], k, canvas)
+
+
+def _in_sight(block: FrameBlock, k: int, canvas: Canvas) -> list[int]:
+    """Numbers of the arrays that reach into a window, far ones first: a nearer panel hides them."""
+    views = block.views
+    order = sorted(range(len(views)), key=lambda a: -views[a].homography[k, 2, 2])
+    return [a for a in order if views[a].ahead[k] and canvas.meets(views[a].panel.box[k])]
+
+
+def _lay(scene: FilmScene, array: int, view: ArrayView, k: int, canvas: Canvas) -> None:
+    """Lay an array's panel, and the obstacle before it."""
+    _lay_panel(view.panel, k, scene.settings.emitter.panel_level, canvas)
+    _hide(scene, array, view, k, canvas)
 
 
 def _lay_panel(panel: PanelView, k: int, level: float, canvas: Canvas) -> None:
@@ -132,16 +162,53 @@ def _hide(scene: FilmScene, array: int, view: ArrayView, k: int, canvas: Canvas)
     _lay_panel(panel, 0, place.hidden_level, canvas)
 
 
+def _shine_at_once(scene: FilmScene, array: int, view: ArrayView, k: int, shown: Shown, canvas: Canvas) -> None:
+    """Add an array's LEDs as all rows of pixels see them."""
+    if view.motion_px[k] <= SMEAR_PX:
+        _shine_smeared(scene, array, view, k, shown.moments(), (shown.start_s + shown.end_s) / 2, canvas)
+    else:
+        _shine(scene, array, view, k, shown.lit(), (shown.start_s, shown.end_s), canvas)
+
+
+def _shine_smeared(
+    scene: FilmScene,
+    array: int,
+    view: ArrayView,
+    k: int,
+    moments: tuple[Floats, Floats, Floats],
+    middle_s: float,
+    canvas: Canvas,
+) -> None:
+    """Add an array's LEDs by the moments of their light in an exposure about a time."""
+    fraction, late, spread = moments
+    moments = (level_of(scene.settings, array, middle_s) * fraction, late, spread)
+    add_array(scene.settings, view.homography[k], view.drift[k], view.eye[k], moments, canvas)
+
+
+def level_of(settings: ChannelSettings, array: int, time_s: float) -> float:
+    """Return the light of an array with all LEDs on, in full scales, but for what the camera does to all light.
+
+    Parameters
+    ----------
+    settings
+        The channel.
+    array
+        Number of the array, from 0, in the order of ``settings.arrays``.
+    time_s
+        True time in s, at which white balance is what it is.
+    """
+    return settings.emitter.all_on * settings.arrays[array].brightness * array_gain(settings, time_s)
+
+
 def _shine(
     scene: FilmScene, array: int, view: ArrayView, k: int, lit: Lit, exposure: tuple[float, float], canvas: Canvas
 ) -> None:
     """Add an array's LEDs, (6): r = c integral of y(t) f(t) dt."""
     start, end = exposure
-    settings = scene.settings
-    level = _level(settings, array, (start + end) / 2)
+    settings, middle_s = scene.settings, (start + end) / 2
+    level = level_of(settings, array, middle_s)
     if view.motion_px[k] <= SMEAR_PX:
-        fraction, late, spread = lit.moments(start, end)
-        add_array(settings, view.homography[k], view.drift[k], view.eye[k], (level * fraction, late, spread), canvas)
+        _shine_smeared(scene, array, view, k, lit.moments(start, end), middle_s, canvas)
         return
     if view.motion_px[k] > MOST_MOTION_PX:
         raise SettingsError(
@@ -156,11 +223,6 @@ def _shine(
     for on, length, one, eye in zip(lit.on, lit.end_s - lit.start_s, maps, eyes, strict=True):
         moments = (on * (level * length / (end - start)), np.zeros_like(on), np.full_like(on, length**2 / 12))
         add_array(settings, one, view.drift[k], eye, moments, canvas)
-
-
-def _level(settings: ChannelSettings, array: int, time_s: float) -> float:
-    """Light of an array with every LED on, in full scales, but for what the camera does to all light."""
-    return settings.emitter.all_on * settings.arrays[array].brightness * array_gain(settings, time_s)
 
 
 def _row_times(camera: CameraSettings, y: float | Floats) -> Floats:
@@ -178,8 +240,9 @@ def _shine_by_rows(
     points = np.stack([a, b, np.ones_like(a)], -1) @ view.homography[k].T
     late = _row_times(scene.settings.camera, np.rint(points[..., 1] / points[..., 2]))
     for t in np.unique(late):
-        one = lighting.lit(exposure[0] + float(t), exposure[1] + float(t))
-        if one is not None:
+        shown = lighting.shown(exposure[0] + float(t), exposure[1] + float(t))
+        if shown is not None:
+            one = shown.lit()
             part = replace(one, on=one.on * (late == t))
             moved = replace(view, homography=view.homography + float(t) * view.drift)
             _shine(scene, array, moved, k, part, (exposure[0] + float(t), exposure[1] + float(t)), canvas)
@@ -205,7 +268,7 @@ def _show(scene: FilmScene, array: int, view: ArrayView, k: int, start_s: float,
     inverses = np.linalg.inv(maps)
     inverses /= inverses[:, 2:, 2:]
     light = cell_light(lighting, emitter, start_s + rows, camera.exposure_s)
-    level = _level(settings, array, start_s + camera.exposure_s / 2)
+    level = level_of(settings, array, start_s + camera.exposure_s / 2)
     add_screen(
         canvas.light,
         canvas.corner,
@@ -242,28 +305,75 @@ def add_array(
     canvas
         The window; its light is changed.
     """
-    emitter, camera = settings.emitter, settings.camera
-    radius = emitter.diameter_m / 2
-    shape = (emitter.pitch_m, radius, emitter.lobe_order)
     light, late, spread = moments
-    for fraction, shift, sigma in _gaussians(POINT_SPREADS[camera.psf], camera):
-        resolution = radius * camera.focal_px / one[2, 2] / sigma
-        steps = math.ceil(_STEPS_PER_OCTAVE * math.log2(resolution))
-        points, rest = disc_cubature(2.0 ** (steps / _STEPS_PER_OCTAVE))
-        part, lens = (fraction * light, late, spread), (camera.focal_px, sigma)
+    for spot in spots(settings, one):
         add_leds(
             canvas.light,
             canvas.corner,
-            one if shift is None else shift @ one,
-            drift if shift is None else shift @ drift,
+            spot.homography,
+            drift if spot.shift is None else spot.shift @ drift,
             eye,
-            part,
-            shape,
-            lens,
-            points,
-            rest,
+            (spot.fraction * light, late, spread),
+            shape_of(settings),
+            spot.lens,
+            spot.points,
+            spot.rest,
             normal_table(),
         )
+
+
+def shape_of(settings: ChannelSettings) -> tuple[float, float, float]:
+    """Return pitch in m, radius in m and Lambertian order of a channel's LEDs.
+
+    Parameters
+    ----------
+    settings
+        The channel, of which the emitter is used.
+    """
+    emitter = settings.emitter
+    return emitter.pitch_m, emitter.diameter_m / 2, emitter.lobe_order
+
+
+class Spot(NamedTuple):
+    """A Gaussian of the point-spread function, for LEDs at a pose.
+
+    Attributes
+    ----------
+    fraction
+        Part of the light that it has.
+    homography
+        (3, 3) map onto the sensor, moved by the Gaussian's shift.
+    shift
+        (3, 3) that shift; None for none.
+    lens, points, rest
+        Lens and cubature of the disc, as for `optics.add_leds`.
+    """
+
+    fraction: float
+    homography: Floats
+    shift: Floats | None
+    lens: tuple[float, float]
+    points: Floats
+    rest: float
+
+
+def spots(settings: ChannelSettings, one: Floats) -> list[Spot]:
+    """Return the Gaussians of the point-spread function for an array's LEDs at a pose.
+
+    Parameters
+    ----------
+    settings
+        The channel, of which emitter and camera are used.
+    one
+        (3, 3) homography, as for `optics.add_leds`.
+    """
+    camera, parts = settings.camera, list[Spot]()
+    for fraction, shift, sigma in _gaussians(POINT_SPREADS[camera.psf], camera):
+        resolution = settings.emitter.diameter_m / 2 * camera.focal_px / one[2, 2] / sigma
+        steps = math.ceil(_STEPS_PER_OCTAVE * math.log2(resolution))
+        cubature = disc_cubature(2.0 ** (steps / _STEPS_PER_OCTAVE))
+        parts.append(Spot(fraction, one if shift is None else shift @ one, shift, (camera.focal_px, sigma), *cubature))
+    return parts
 
 
 @lru_cache(maxsize=16)  # one of a film is asked for in each frame
@@ -279,16 +389,18 @@ def _gaussians(
     return tuple(parts)
 
 
-def _truth(view: ArrayView, k: int, lit: Lit | None) -> ArrayTruth:
-    one = view.homography[k]
-    depth = float(one[2, 2])
-    return ArrayTruth(
-        x=float(one[0, 2]) / depth,
-        y=float(one[1, 2]) / depth,
-        pitch_px=float(view.pitch_px[k]),
-        roll_rad=float(view.roll_rad[k]),
-        homography=one,
-        distance_m=depth,
-        visible=bool(view.ahead[k] and view.inside[k]),
-        patterns=lit.patterns if lit else (),
-    )
+def truth_of(view: ArrayView, k: int, shown: Shown | None) -> ArrayTruth:
+    """Return the truth of an array in a frame.
+
+    Parameters
+    ----------
+    view
+        The view of the array in a block of frames.
+    k
+        Place of the frame in the block, from 0.
+    shown
+        What its exposure sees of the patterns; None where the array shows none.
+    """
+    x, y, pitch, roll, distance, visible = view.truths[k]
+    patterns = shown.patterns if shown else ()
+    return ArrayTruth(x, y, pitch, roll, view.homography[k], distance, visible, patterns)

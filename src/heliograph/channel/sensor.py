@@ -127,11 +127,7 @@ def fill_levels(
     corner: tuple[int, int],
     seed: np.uint64,
     frame: int,
-    well: np.float32,
-    dark: np.float32,
-    gain: np.float32,
-    offset: np.float32,
-    top: np.float32,
+    scales: tuple[float, float, float, float, float],
 ) -> None:
     """Do the work of `read_out`.
 
@@ -141,11 +137,11 @@ def fill_levels(
         (h, w) uint8 or uint16 gray levels, overwritten.
     light, corner, seed, frame
         Light, corner and numbers, as of `read_out`.
-    well, dark
-        Full well and dark noise in electrons.
-    gain, offset, top
-        Gray levels an electron, of black, and of full scale.
+    scales
+        Full well and dark noise in electrons; gray levels an electron, of black, and of full scale.
     """
+    well, dark, gain = np.float32(scales[0]), np.float32(scales[1]), np.float32(scales[2])
+    offset, top = np.float32(scales[3]), np.float32(scales[4])
     height, width = light.shape
     zero, half, sixth = np.float32(0), np.float32(0.5), np.float32(1 / 6)
     variance = dark * dark
@@ -207,8 +203,9 @@ def read_out(
     if light.ndim != 2 or light.dtype != np.float32:
         raise ValueError(f"light is (h, w) float32, not {light.shape} {light.dtype}")
     out: Pixels = np.empty(light.shape, np.uint8 if sensor.bits == 8 else np.uint16)
-    scales = (sensor.full_well_e, sensor.dark_noise_e, sensor.gain_dn_per_e, sensor.offset_dn, sensor.full_scale)
-    fill_levels(out, light, corner, np.uint64(seed), frame, *map(np.float32, scales))
+    levels = (sensor.gain_dn_per_e, float(sensor.offset_dn), float(sensor.full_scale))
+    scales = (float(sensor.full_well_e), float(sensor.dark_noise_e), *levels)
+    fill_levels(out, light, corner, np.uint64(seed), frame, scales)
     return out
 
 

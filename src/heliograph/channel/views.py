@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,6 +140,14 @@ class ArrayView:
     inside: NDArray[np.bool_]
     pitch_px: Floats
     roll_rad: Floats
+
+    @cached_property
+    def truths(self) -> list[tuple[float, float, float, float, float, bool]]:
+        """Centre (x, y) in px, pitch, roll, distance and visibility of each frame, as in `ArrayTruth`."""
+        depth = self.homography[:, 2, 2]
+        centre = self.homography[:, :2, 2] / depth[:, None]
+        parts = (*centre.T, self.pitch_px, self.roll_rad, depth, self.ahead & self.inside)
+        return list(zip(*(part.tolist() for part in parts), strict=True))
 
 
 @dataclass(frozen=True)
