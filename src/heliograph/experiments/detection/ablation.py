@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.experiments.detection.clutter import ClutterFilm
 from heliograph.receive import Pose
-from heliograph.receive.acquire.candidate import HIDING_BLUR, UPRIGHT_SPREAD, cell_weights, fit_near, plausible
+from heliograph.receive.acquire.candidate import HIDING_BLUR, UPRIGHT_SPREAD, cell_weights, fit_near, of_size, plausible
 from heliograph.receive.acquire.coarse import (
     BLOCK_PX,
     alternation_means,
@@ -127,7 +127,9 @@ class VariantDetector:
         if rough is None:
             return None
         fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, UPRIGHT_SPREAD)
-        if fit is None or fit.score < 0 or not plausible(fit, self._parameters, self._side, full_scale):
+        if fit is None or fit.score < 0 or not plausible(fit, self._parameters, full_scale):
+            return None
+        if not of_size(fit, self._parameters, self._side):
             return None
         return HeaderCandidate(fit.score, fit.pose, number)
 

@@ -193,8 +193,27 @@ def cell_light(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose,
     return np.asarray(np.linalg.lstsq(np.stack(shapes, 1), image.ravel(), rcond=None)[0], np.float64)
 
 
-def plausible(fit: Fit, parameters: SearchParameters, side: int, full_scale: int) -> bool:
-    """Whether brightness, size and tilt of a fit are those of an array looked for.
+def plausible(fit: Fit, parameters: SearchParameters, full_scale: int) -> bool:
+    """Whether brightness and tilt of a fit are those of an array looked for.
+
+    Parameters
+    ----------
+    fit
+        Fit of a candidate to its header.
+    parameters
+        What is looked for.
+    full_scale
+        Largest gray level of the camera.
+    """
+    bright = fit.gain >= parameters.min_contrast * full_scale
+    # a tilt that was given is that of an array
+    given = (parameters.start.stretch, parameters.start.shear) if parameters.start is not None else (0.0, 0.0)
+    turned = np.hypot(fit.pose.stretch - given[0], fit.pose.shear - given[1]) <= MOST_TILT
+    return bool(bright and turned)
+
+
+def of_size(fit: Fit, parameters: SearchParameters, side: int) -> bool:
+    """Whether the size of a fit is that of an array looked for.
 
     Parameters
     ----------
@@ -204,16 +223,9 @@ def plausible(fit: Fit, parameters: SearchParameters, side: int, full_scale: int
         What is looked for.
     side
         LEDs in a row.
-    full_scale
-        Largest gray level of the camera.
     """
     size, half_step = side * fit.pose.pitch, SIDE_STEP**0.5
-    bright = fit.gain >= parameters.min_contrast * full_scale
-    sized = parameters.min_side_px / half_step <= size <= parameters.max_side_px * half_step
-    # a tilt that was given is that of an array
-    given = (parameters.start.stretch, parameters.start.shear) if parameters.start is not None else (0.0, 0.0)
-    turned = np.hypot(fit.pose.stretch - given[0], fit.pose.shear - given[1]) <= MOST_TILT
-    return bool(bright and sized and turned)
+    return parameters.min_side_px / half_step <= size <= parameters.max_side_px * half_step
 
 
 def apart(a: Pose, b: Pose, side: int) -> bool:

@@ -25,6 +25,7 @@ from heliograph.receive.acquire.candidate import (
     cell_weights,
     fit_near,
     followed,
+    of_size,
     plausible,
 )
 from heliograph.receive.acquire.coarse import (
@@ -240,15 +241,20 @@ class Detector:
             return []
         header, busy = searched_part(header, busy, self._sides[-1])
         change = alternation_of(header)
-        found: list[Detection] = []
+        found = list[Detection]()
         for searched in self._headers if turned else self._headers[:1]:
             candidates = candidates_of(change, busy, header[0], self._parameters, searched, self._sides, self._side)
-            fitted = [self._refine(slots, change, header[0].origin, one, searched, taken) for one in candidates]
+            fitted = list[Detection]()
+            for one in candidates:
+                # what overlaps an array in clear sight would be left out as the less clear one
+                if all(not d.clear or apart(one.start, d.fit.pose, self._side) for d in [*found, *fitted]):
+                    fitted += self._refine(slots, change, header[0].origin, one, searched, taken)
             # what seems an upright array partly hidden may be a turned one in clear sight
-            found = distinct([*found, *(d for d in fitted if d is not None and (d.clear or not found))], self._side)
+            found = distinct([*found, *(d for d in fitted if d.clear or not found)], self._side)
             if found and all(one.clear for one in found):
                 break
-        return found
+        # one in clear sight that is none of these sizes is looked for on another level
+        return [one for one in found if of_size(one.fit, self._parameters, self._side)]
 
     def _header_of(self, slots: Slots) -> list[Frame] | None:
         """The frames that are to show a header's beginning; None where too many are missing."""
@@ -262,13 +268,13 @@ class Detector:
         candidate: Candidate,
         searched: Headers,
         taken: Sequence[Pose],
-    ) -> Detection | None:
-        """Fit a candidate's pose, then ask when its header began and whether it alternates in step."""
+    ) -> list[Detection]:
+        """Fit a candidate, ask when its header began and whether it alternates in step; one array or none."""
         self._fitted += 1
         start, number, sign = candidate
         weights, blur = cell_weights(searched.cells[number], self._side), self._parameters.blur_px
         if followed(start, taken, self._side):
-            return None
+            return []
         best: Detection | None = None
         for tilt in self._tilts:
             rough = fit_near(change, origin, start, sign * weights, tilt, HIDING_BLUR)
@@ -279,7 +285,7 @@ class Detector:
                 best = found
             if best is not None and best.score >= CLEAR:
                 break
-        return best
+        return [] if best is None else [best]
 
     def _timed(
         self, slots: Slots, pose: Pose, weights: NDArray[np.float64], hypotheses: tuple[Hypothesis, ...], tilt: float
@@ -330,7 +336,8 @@ class Detector:
         return frame.time_s - first * self._period_s
 
     def _convincing(self, fit: Fit, regularity: float, least: float, full_scale: int) -> bool:
-        if not plausible(fit, self._parameters, self._side, full_scale):
+        sized = fit.score >= CLEAR or of_size(fit, self._parameters, self._side)
+        if not (sized and plausible(fit, self._parameters, full_scale)):
             return False
         # what is fitted as hidden alternates evenly, or is not fitted as such
         return fit.score >= least and regularity >= self._parameters.regularity

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.candidate import LEVEL_SPREAD, cell_weights, fit_near, followed, plausible
+from heliograph.receive.acquire.candidate import LEVEL_SPREAD, cell_weights, fit_near, followed, of_size, plausible
 from heliograph.receive.acquire.coarse import (
     DIFFERENCE,
     SearchParameters,
@@ -145,7 +145,7 @@ class StraddledDetector:
         fit = fit_near(change, origin, start, weights, LEVEL_SPREAD)
         if fit is None or fit.score < DATA_SCORE * parameters.score:
             return None
-        if not plausible(fit, parameters, self._side, frames[0].full_scale):
+        if not (plausible(fit, parameters, frames[0].full_scale) and of_size(fit, parameters, self._side)):
             return None
         regularity = self._regularity(frames, fit, weights)
         if regularity < parameters.regularity:
