@@ -149,14 +149,19 @@ def _deposit(
 
 
 @compiled(error_model="numpy", inline="always")
-def _image(h: Floats, a: float, b: float) -> tuple[float, float, float, float, float, float, float]:
-    """Return image (x, y), depth z and Jacobian (dx/da, dx/db, dy/da, dy/db) of a point of the array's plane."""
-    z = h[2, 0] * a + h[2, 1] * b + h[2, 2]
-    x = (h[0, 0] * a + h[0, 1] * b + h[0, 2]) / z
-    y = (h[1, 0] * a + h[1, 1] * b + h[1, 2]) / z
-    xa, xb = (h[0, 0] - x * h[2, 0]) / z, (h[0, 1] - x * h[2, 1]) / z
-    ya, yb = (h[1, 0] - y * h[2, 0]) / z, (h[1, 1] - y * h[2, 1]) / z
-    return x, y, z, xa, xb, ya, yb
+def _image(
+    h: Floats, drift: Floats, late: float, a: float, b: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Return image (x, y), depth z and Jacobian (dx/da, dx/db, dy/da, dy/db) of a point of the array's plane.
+
+    (6) along the motion: the homography is that of the centroid of the LED's lit time, h + late drift.
+    """
+    ha, hb, hc = h[0, 0] + late * drift[0, 0], h[0, 1] + late * drift[0, 1], h[0, 2] + late * drift[0, 2]
+    ka, kb, kc = h[1, 0] + late * drift[1, 0], h[1, 1] + late * drift[1, 1], h[1, 2] + late * drift[1, 2]
+    za, zb, zc = h[2, 0] + late * drift[2, 0], h[2, 1] + late * drift[2, 1], h[2, 2] + late * drift[2, 2]
+    z = za * a + zb * b + zc
+    x, y = (ha * a + hb * b + hc) / z, (ka * a + kb * b + kc) / z
+    return x, y, z, (ha - x * za) / z, (hb - x * zb) / z, (ka - y * za) / z, (kb - y * zb) / z
 
 
 @compiled(error_model="numpy", inline="always")
@@ -241,12 +246,7 @@ def _add_led(
 ) -> None:
     """Add the light of one LED at a place (a, b) of the array's plane, `lit` as the moments of `add_leds`."""
     (a, b), (level, late, spread), (pitch, radius, order), (focal, blur) = place, lit, emitter, lens
-    h = np.empty((3, 3))
-    # (6) along the motion: each LED where it is at the centroid of its lit time
-    for i in range(3):
-        for j in range(3):
-            h[i, j] = homography[i, j] + late * drift[i, j]
-    x, y, z, xa, xb, ya, yb = _image(h, a, b)
+    x, y, z, xa, xb, ya, yb = _image(homography, drift, late, a, b)
     vx, vy = _velocity(drift, a, b, x, y, z)
     # Lambertian lobe: I ~ cos^m of the angle between the array's normal and the direction of the camera
     away = math.sqrt((eye[0] - a) ** 2 + (eye[1] - b) ** 2 + eye[2] ** 2)
