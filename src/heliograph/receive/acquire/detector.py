@@ -319,7 +319,11 @@ class Detector:
             return None
         if fit is None or not self._convincing(fit, regularity, least if whole else CLEAR, header[0].full_scale):
             return None
-        start_s = self._start_s(there)
+        start_s, middle = self._start_s(there), 0.5 * (header[0].time_s + header[-1].time_s)
+        (number, seen_as), *others = hypotheses
+        found = Detection(number, start_s, fit, middle, fit.score, regularity, led_gains, seen_as, tuple(others))
+        if not of_size(fit, self._parameters, self._side):
+            return found
         if None not in there[:2] and self._parameters.impaired and self._span > 2:
             fit, header = fit_first_pair(header, fit, led_gains * weights, LEVEL_SPREAD if level else tilt)
         middle = 0.5 * (header[0].time_s + header[-1].time_s)
@@ -327,8 +331,7 @@ class Detector:
         drift = drift_of(frames, fit.pose, middle, led_gains * weights, self._period_s)
         moved = drift[0] * self._period_s, drift[1] * self._period_s
         fit = fit_moving(header, fit, led_gains * weights, LEVEL_SPREAD if level else tilt, moved)
-        (number, seen_as), *others = hypotheses
-        return Detection(number, start_s, fit, middle, fit.score, regularity, led_gains, seen_as, tuple(others), drift)
+        return replace(found, fit=fit, time_s=middle, score=fit.score, drift=drift)
 
     def _start_s(self, header: Slots) -> float:
         """Time of a header's first frame, by the first that is there."""
