@@ -28,7 +28,7 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
-from heliograph.base import compile_time
+from heliograph.base import compile_ahead, compile_time
 from heliograph.base.errors import MediaError
 from heliograph.base.files import write_whole
 
@@ -112,6 +112,8 @@ class _Kept:
                 found = CompileResult._rebuild(target, *pickle.loads(path.read_bytes()))
         if found is None:
             compile_time.tell(path is not None)
+            if path is not None:
+                compile_ahead.start_once(self._module, self._name)
         return found
 
     def save_overload(self, signature: Any, result: Any) -> None:
