@@ -116,7 +116,7 @@ def types_of(signature: str) -> tuple[Any, ...]:
     """
     from numba.core.sigutils import normalize_signature
 
-    return tuple(normalize_signature(signature)[0])
+    return tuple(normalize_signature(signature)[0])  # type: ignore[no-untyped-call]  # Numba has no types
 
 
 def _end_with_parent() -> None:

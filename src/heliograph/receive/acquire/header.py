@@ -27,7 +27,8 @@ def header_weights(identity: int, form: int, side: int, combination: Combination
         How the pair was combined; combined frames show dimmed cells otherwise than a pattern and its inverse do.
     """
     if combination is None:
-        return _in_step(identity, form, side)
+        # a kernel would be compiled anew for what is not writeable
+        return _in_step(identity, form, side).copy()
     signs = header_levels(identity, side) / 2.0 - 1.0
     contrast, light = combination.dimmed
     return np.where(dimmed_leds(form, side), contrast * signs + light, signs)
