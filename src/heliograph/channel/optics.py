@@ -290,8 +290,18 @@ def draw_images(
         (n, n, s, s) float32 light in full scales, changed; all LEDs have the level 1.
     corners
         (n, n, 2) x, y on the sensor of each image's first pixel.
-    homography, eye, emitter, lens, points, rest, table
-        As for `add_leds`.
+    homography
+        (3, 3) of `scene.homography`.
+    eye
+        (3,) position of the camera in the array's axes in m.
+    emitter
+        Pitch in m, radius in m, Lambertian order.
+    lens
+        Focal length in px, blur in px.
+    points, rest
+        (k, 2) centres of the Gaussians of `disc_cubature`, and their variance, in radii and squared radii of the disc.
+    table
+        Samples of the normal distribution function, as `normal_table` returns them.
     """
     n, still = images.shape[0], np.zeros((3, 3))
     scratch = np.empty((2, images.shape[2] + 1))

@@ -191,7 +191,7 @@ def level_of(settings: ChannelSettings, array: int, time_s: float) -> float:
     Parameters
     ----------
     settings
-        The channel.
+        The channel, of which the emitter and the arrays' brightness are used.
     array
         Number of the array, from 0, in the order of ``settings.arrays``.
     time_s
