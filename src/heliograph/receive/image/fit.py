@@ -17,9 +17,11 @@ PANEL_MARGINS = (0.75, 2.0)
 
 _PANEL, _NO_PANEL, _ALL_COUNT = np.array(PANEL_MARGINS), np.empty(0), np.empty((0, 0))
 
-HELD_PX = 0.5
-"""Pixels by which an array's rim may leave its place in a window before another one is cut out."""
+HELD_PX = 0.2
+"""Pixels by which an array's rim may leave its place in a window before another one is cut out.
 
+It is twice of `gauss_newton.NEAR_PX`, where images are drawn anew in any case.
+"""
 SMEAR_ALIKE = 0.005
 """Variance in px^2 by which the motion may differ for which images were drawn: 1 % of a blur of 0.6 px and a pixel."""
 
@@ -102,7 +104,7 @@ class Drawn:
         side
             LEDs in a row.
         margin
-            Pixels more on each side, at least 0; half a pixel of them may be missing.
+            Pixels more on each side, at least 0; `HELD_PX` of them may be missing.
         """
         x, y, half = pose.x, pose.y, 0.5 * side * pose.pitch
         middle = self._middle

@@ -133,7 +133,7 @@ def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[i
     (rows, columns).
     """
     image = np.zeros(shape)
-    kernels.add_image(by_squares(levels), *footprints(pose, corner, shape, len(levels)), image)
+    kernels.add_image(by_squares(levels), *_footprints(pose, corner, shape, len(levels)), image)
     return image
 
 
@@ -162,7 +162,7 @@ def images_of(
     (count, rows, columns).
     """
     images, numbers = np.zeros((count, *shape)), by_squares(parts).astype(np.int64)
-    kernels.add_parts(by_squares(levels), numbers, *footprints(pose, corner, shape, len(levels)), images)
+    kernels.add_parts(by_squares(levels), numbers, *_footprints(pose, corner, shape, len(levels)), images)
     return images
 
 
@@ -189,6 +189,13 @@ def footprints(
     -------
     Footprints, not writeable.
     """
+    return _footprints(pose, corner, shape, side, motion)
+
+
+def _footprints(
+    pose: Pose, corner: tuple[int, int], shape: tuple[int, int], side: int, motion: tuple[float, float] = (0.0, 0.0)
+) -> Footprints:
+    """`footprints` that nobody asks for again."""
     # sigma^2 = blur^2 + motion^2
     sigma = np.hypot(pose.blur, motion)
     width = kernels.footprint_width(float(sigma.max()))

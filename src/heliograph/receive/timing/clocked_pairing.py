@@ -314,7 +314,7 @@ def _rounded(patterns: float) -> float:
     return round(patterns / TICK) * TICK
 
 
-@lru_cache(maxsize=512)  # in step, and at rates that repeat, the pairs of a packet are combined alike
+@lru_cache(maxsize=64)  # in step, and at rates that repeat, the pairs of a packet are combined alike
 def _pair_combination(starts: tuple[float, ...], exposure: float, light: SlotLight) -> Combination | None:
     """`combine_pair` for rounded starts and exposures."""
     return combine_pair(np.array(starts), exposure, light)
