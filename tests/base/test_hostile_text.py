@@ -160,7 +160,7 @@ def test_patterns_that_no_frame_shows(change: str) -> None:
     [
         ("channel.foo", "known are arrays, background, camera,"),
         ("channel.camera.iris", "known are blur_px, clock_ppm,"),
-        ("signal.colour", "known are code,"),
+        ("signal.flavour", "known are code,"),
         ("verbose", "known are channel, receive, signal, transmit"),
         ("channel.speed", r"did you mean 'channel\.speed_m_s'"),
         ("distanse_m", r"did you mean 'channel\.distance_m'"),

@@ -13,6 +13,7 @@ from heliograph.channel import ChannelSettings
 from heliograph.channel.background import background
 from heliograph.channel.exposure import Faults, Lighting, PatternFeed
 from heliograph.channel.motion import motion
+from heliograph.channel.optics import add_images
 from heliograph.channel.render import Canvas, render
 from heliograph.channel.still import StillLight
 from heliograph.channel.views import FilmScene, frame_block, windows
@@ -40,6 +41,16 @@ def scene_of(**changes: Any) -> FilmScene:
     ]
     drive = motion(settings, None, np.random.default_rng(0))
     return FilmScene(settings, lightings, drive, background(settings, None, np.random.default_rng(1)))
+
+
+def test_images_that_are_higher_than_wide_are_added_as_they_are() -> None:
+    rng, light = np.random.default_rng(4), np.zeros((30, 24), np.float32)
+    images, corners = rng.random((2, 2, 9, 5), np.float32), np.array([[[100, 50], [103, 50]], [[119, 72], [98, 75]]])
+    add_images(light, (100, 50), np.ones((2, 2), np.float32), images, corners)
+    exact = np.zeros((60, 60))
+    for image, (x, y) in zip(images.reshape(4, 9, 5), corners.reshape(4, 2), strict=True):
+        exact[y - 30 : y - 21, x - 80 : x - 75] += image
+    assert light == pytest.approx(exact[20:50, 20:44], abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -333,18 +333,20 @@ def add_images(
     level
         (n, n) float32 light of each LED, as the first moment of `add_leds`.
     images, corners
-        Images of LEDs with the level 1, as `draw_images` gives them.
+        (n, n, rows, columns) images of LEDs with the level 1, and their first pixels, as `draw_images` gives them; rows
+        and columns that are dark in all of them may be left out.
     """
     height, width = light.shape
-    size = images.shape[2]
+    # images are cut to what is lit: they may be higher than wide
+    rows, cols = images.shape[2], images.shape[3]
     for u in range(level.shape[0]):
         for v in range(level.shape[1]):
             value = level[u, v]
             if value == np.float32(0):
                 continue
             x, y = corners[u, v, 0] - corner[0], corners[u, v, 1] - corner[1]
-            first, last = max(0, -x), min(size, width - x)
-            for i in range(max(0, -y), min(size, height - y)):
+            first, last = max(0, -x), min(cols, width - x)
+            for i in range(max(0, -y), min(rows, height - y)):
                 # by parts of rows, whose numbers begin at 0: several pixels at once
                 row, image = light[y + i, x + first : x + last], images[u, v, i, first:last]
                 for j in range(len(row)):

@@ -47,7 +47,7 @@ def surroundings_gain(settings: ChannelSettings, time_s: float) -> float:
     Parameters
     ----------
     settings
-        The channel.
+        The channel, of which camera, gamma and the background's colour are used.
     time_s
         True time in s.
     """
@@ -60,7 +60,7 @@ def array_gain(settings: ChannelSettings, time_s: float) -> float:
     Parameters
     ----------
     settings
-        The channel.
+        The channel, of which camera, gamma and the colours of emitter and background are used.
     time_s
         True time in s.
     """

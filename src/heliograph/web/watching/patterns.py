@@ -74,6 +74,34 @@ def decided(form: PacketFormat, words: Words) -> Floats | None:
     return expected(form, soft)
 
 
+def equalised_by(
+    form: PacketFormat, llr: Mapping[str, Floats], led_by_led: Mapping[str, Floats], words: Words
+) -> tuple[dict[str, Floats], Floats]:
+    """Soft values by layer, and luminances (pairs, n, n), as an equaliser has them.
+
+    Codewords that the LEDs gave by themselves it takes for known, and gives no LLRs: of these the soft values are those
+    of the LEDs, and the luminances those of their bits.
+
+    Parameters
+    ----------
+    form
+        Format of the packet.
+    llr
+        By layer (codewords, E) LLRs of the equaliser, 0 of a codeword that it took for known.
+    led_by_led
+        The same of the LEDs by themselves, in any unit.
+    words
+        Its codewords by layer.
+    """
+    soft, bits = dict[str, Floats](), dict[str, Floats]()
+    for name, values in llr.items():
+        coded = form.layers[name].code.encode(np.stack([word.bits for word in words[name]]))
+        known = ~values.any(axis=1, keepdims=True)
+        soft[name] = np.where(known, led_by_led[name], values)
+        bits[name] = np.where(known, 1.0 - 2.0 * coded, np.tanh(values / 2))
+    return soft, expected(form, bits)
+
+
 def expected(form: PacketFormat, bits: Mapping[str, Floats]) -> Floats:
     """Luminances x' = level - 2 by the expected values of the coded bits: (pairs, n, n).
 

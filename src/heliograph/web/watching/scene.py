@@ -17,7 +17,7 @@ from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.timing.frame_pair import AnyFrame
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
-from heliograph.web.watching.patterns import decided, expected, grey, histograms, luminances_of, soft_by_layer
+from heliograph.web.watching.patterns import decided, equalised_by, grey, histograms, luminances_of, soft_by_layer
 
 WIDEST = 960
 """Most columns of a picture that is sent. Chosen: a page shows no more."""
@@ -162,8 +162,8 @@ class Seen:
         soft: Mapping[str, Floats] = soft_by_layer(form, luminances)
         equalised = self._llr.get(event.identity)
         if equalised is not None and all(equalised.llr[name].shape == soft[name].shape for name in soft):
-            soft, how = equalised.llr, f"equalised, iteration {equalised.iteration + 1}"
-            luminances = expected(form, {name: np.tanh(one / 2) for name, one in soft.items()})
+            how = f"equalised, iteration {equalised.iteration + 1}"
+            soft, luminances = equalised_by(form, equalised.llr, soft, packet.layers)
         out |= {"how": how, "layers": histograms(form, soft, packet.layers)}
         if not seen.any():
             return out
