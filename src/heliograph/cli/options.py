@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from heliograph import __version__
-from heliograph.base.config import merge
 from heliograph.base.errors import MediaError, SettingsError, shown
 from heliograph.base.files import read_bounded
 from heliograph.base.toml_text import parse_assignment, parse_toml
 from heliograph.cli import console
-from heliograph.signal.settings import LAYERS
 
 if TYPE_CHECKING:
     from heliograph.link.settings import LinkSettings
@@ -173,6 +171,8 @@ def signal_changes(file: Path | None, assignments: list[str]) -> list[dict[str, 
 
 def laid_over(file: Path | None, assignments: list[str] | None) -> Any:
     """TOML file and assignments as one nested mapping, in this order."""
+    from heliograph.base.config import merge  # pydantic is slow to import, and no help needs it
+
     tree: Any = read_toml(file) if file else {}
     for change in map(parse_assignment, assignments or ()):
         tree = merge(tree, change)
@@ -223,6 +223,7 @@ class Sent:
 def read_messages(settings: "LinkSettings", sent: Sent, seconds: float) -> "list[Messages]":
     """What each array sends for some seconds: what is given, a text of our own where nothing is given at all."""
     from heliograph.link.simulate import default_messages
+    from heliograph.signal.settings import LAYERS
 
     high, middle, low = sent.high, sent.middle, sent.low
     given = {layer: what for layer, what in (("high", high), ("middle", middle), ("low", low)) if what is not None}
