@@ -9,7 +9,6 @@ Below it stands the exponent: the slope of ln ms over ln of what grows. First co
 """
 
 import argparse
-import math
 import multiprocessing
 import resource
 import statistics
@@ -38,7 +37,7 @@ PACKETS = 6
 MANY_ROUNDS = 100
 """Rounds of a film from which on it is received once: that takes minutes."""
 
-SWEPT_M, SWEPT_WORDS = (40.0, 55.0, 70.0, 85.0), 12
+SWEPT_M, SWEPT_WORDS = (40.0, 55.0, 70.0, 85.0), (12, 100)
 """Distances in m and codewords of each in the sweep that workers share."""
 
 APART_M = 0.6
@@ -169,17 +168,17 @@ def workers(seed: int) -> None:
     seed
         Of the sweep.
     """
-    print("\n| workers | sweep, s | of one |\n|---|---|---|")
-    first = math.nan
-    for count in (1, 2):
-        times = []
-        for _ in range(RUNS):
-            start = time.perf_counter()
-            sweep({"channel.distance_m": SWEPT_M}, workers=count, seed=seed, max_codewords=SWEPT_WORDS, min_errors=1000)
-            times.append(time.perf_counter() - start)
-        seconds = statistics.median(times)
-        first = seconds if count == 1 else first
-        print(f"| {count} | {seconds:.1f} | {seconds / first:.2f} |", flush=True)
+    print("\n| packets of each of four points | one worker, s | two workers, s | ratio |\n|---|---|---|---|")
+    for words in SWEPT_WORDS:
+        seconds = []
+        for count in (1, 2):
+            times = []
+            for _ in range(RUNS):
+                start = time.perf_counter()
+                sweep({"channel.distance_m": SWEPT_M}, workers=count, seed=seed, max_codewords=words, min_errors=1000)
+                times.append(time.perf_counter() - start)
+            seconds.append(statistics.median(times))
+        print(f"| {words} | {seconds[0]:.1f} | {seconds[1]:.1f} | {seconds[1] / seconds[0]:.2f} |", flush=True)
 
 
 def yardsticks() -> dict[str, float]:
