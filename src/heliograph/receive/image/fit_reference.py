@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.image.gauss_newton import sampling
 from heliograph.receive.image.reference import Corner, render, render_box
 
 
@@ -56,8 +55,7 @@ def fit(
         # one row for each pixel: derivatives by the pose, then by the coefficients
         rows = np.concatenate([slopes, columns]).reshape(free + len(columns), -1).T
         residual = (image - np.tensordot(linear, columns, 1)).ravel()
-        sampled = np.abs(residual).ravel()[:: sampling(residual.size, image.shape[1])]
-        spread = max(float(np.median(sampled)) / 0.674490, 0.5)
+        spread = max(float(np.median(np.abs(residual))) / 0.674490, 0.5)
         # Tukey's biweight of 95 % efficiency
         weight = np.clip(1 - (residual / (4.685 * spread)) ** 2, 0, None) ** 2
         # at least the variance of rounding to whole gray levels

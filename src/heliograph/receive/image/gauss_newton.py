@@ -28,9 +28,6 @@ LEAST_INFORMATION = 1e-3
 LEAST_RESIDUAL = 0.5
 """Least standard deviation of residuals in gray levels by which they are weighed: the largest error of rounding."""
 
-LEAST_SAMPLED = 512
-"""Pixels at least, of those there are, whose residuals tell the noise: their median magnitude is right to 5 %."""
-
 LEAST_VARIANCE = 0.08
 """Least variance of a pixel in squared gray levels: that of rounding to whole levels, 1/12."""
 
@@ -360,30 +357,14 @@ def residuals(image, shapes, plane, linear, out):
 
 
 @compiled()
-def sampling(pixels, cols):
-    """Pixels from one to the next whose residuals tell the noise, row after row; never the same columns in each row.
-
-    Parameters
-    ----------
-    pixels, cols
-        Number of pixels, and of their columns.
-    """
-    step = max(pixels // LEAST_SAMPLED, 1)
-    while step > 1 and cols % step == 0:
-        step += 1
-    return step
-
-
-@compiled()
 def _noise_of(residual, open_pixels):
     """Standard deviation of the residuals that count, by their median magnitude; at least `LEAST_RESIDUAL`."""
-    sizes, count, cols = np.empty(residual.size), 0, residual.shape[1]
-    step = 1 if open_pixels.size else sampling(residual.size, cols)
-    for k in range(0, residual.size, step):
-        i, j = k // cols, k % cols
-        if open_pixels.size == 0 or open_pixels[i, j] > 0.0:
-            sizes[count] = abs(residual[i, j])
-            count += 1
+    sizes, count = np.empty(residual.size), 0
+    for i in range(residual.shape[0]):
+        for j in range(residual.shape[1]):
+            if open_pixels.size == 0 or open_pixels[i, j] > 0.0:
+                sizes[count] = abs(residual[i, j])
+                count += 1
     # median |x| / Phi^-1(3/4)
     return max(1.4826 * median(sizes[:count]), LEAST_RESIDUAL) if count else LEAST_RESIDUAL
 
