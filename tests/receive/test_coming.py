@@ -2,13 +2,14 @@
 
 import itertools
 import os
+import pickle
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
@@ -71,6 +72,26 @@ def test_the_packets_are_those_decoded_at_once(receiver: str, frames: list[Frame
     assert read[0] == read[1]
     assert [one[0] for one in read[0]].count(3) == [one[0] for one in read[0]].count(7) == 6
     assert told[0] == told[1]
+
+
+def test_what_is_handed_over_is_pixels_and_little_else(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What has shown the LEDs stays where it was learnt: of 256 LEDs it takes a megabyte."""
+    handed = list[coming.Work]()
+
+    class Noted(coming.AtOnce):
+        def submit(self, work: Callable[[], Any], /) -> Future[Any]:
+            if isinstance(work, coming.Work):
+                handed.append(work)
+            return super().submit(pickle.loads(pickle.dumps(work)))
+
+    monkeypatch.setattr(assemblies, "decoders", lambda _: Noted())
+    settings = settings_of("soft", True)
+    packets = list(receive_frames(frames, settings.signal, settings.receive))
+    assert {packet.status for packet in packets} == {"ok"}
+    for work in handed:
+        cutouts = cast(TakenPairs, work.taken).data.cutouts.values()
+        pixels = sum(one.total.nbytes + one.difference.nbytes for one in cutouts)
+        assert len(pickle.dumps(work)) < 1.3 * pixels + 50_000
 
 
 def in_a_thread(monkeypatch: pytest.MonkeyPatch, before: Callable[[int], None]) -> None:
@@ -213,18 +234,28 @@ def test_an_array_that_was_not_what_it_seemed_is_doubted_a_packet_later(
     assert not sure[2 * PACKET + 50]
 
 
+class Long(NamedTuple):
+    """A lesson of which readers are told a part."""
+
+    text: str
+
+    @property
+    def told(self) -> str:
+        return f"{self.text} in short"
+
+
 def test_a_study_without_a_solution_teaches_nothing() -> None:
     def fails() -> Any:
         raise np.linalg.LinAlgError
 
-    taught = coming.SharedLesson()
-    taught.keep(coming.Teaching("before", lambda: "after"))
-    assert coming.Study(taught)() == "after"
+    taught, before, after = coming.SharedLesson(), Long("before"), Long("after")
+    taught.keep(coming.Teaching(before, lambda: after))
+    assert coming.Study(taught)() == "after in short"
     assert coming.Study(taught)() is None
-    assert taught.content == ("after", None)
-    taught.keep(coming.Teaching("after", fails))
+    assert taught.content == (after, None)
+    taught.keep(coming.Teaching(after, fails))
     assert coming.Study(taught)() is None
-    assert taught.content == ("after", None)
+    assert taught.content == (after, None)
 
 
 def test_what_breaks_off_decoding_breaks_off_receiving(monkeypatch: pytest.MonkeyPatch) -> None:

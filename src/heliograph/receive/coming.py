@@ -19,7 +19,7 @@ from heliograph.receive.decode.codeword import unread
 from heliograph.receive.events import Event, Observer
 from heliograph.receive.lost_pair import decode_renumbered
 from heliograph.receive.packets import Packet, Status, Words
-from heliograph.receive.reader_protocol import Decoded, TakenPacket
+from heliograph.receive.reader_protocol import Decoded, Lesson, TakenPacket
 from heliograph.signal.formats import UnreadableModeError
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
@@ -57,8 +57,8 @@ class Teaching(NamedTuple):
         Gives what the packet taught that was decoded last; None where it is studied, or teaches nothing.
     """
 
-    lesson: Any = None
-    study: Callable[[], Any] | None = None
+    lesson: Lesson | None = None
+    study: Callable[[], Lesson | None] | None = None
 
 
 class SharedLesson(Shared[Teaching]):
@@ -169,7 +169,7 @@ class Study:
     taught: SharedLesson
 
     def __call__(self) -> Any:
-        """What the packet that was decoded last has taught; None for nothing."""
+        """What readers are told of what the packet that was decoded last has taught; None for nothing."""
         before, study = self.taught.content
         if study is None:
             return None
@@ -179,7 +179,7 @@ class Study:
         except np.linalg.LinAlgError:
             return None
         self.taught.keep(Teaching(lesson))
-        return lesson
+        return None if lesson is None else lesson.told
 
 
 class Decoders(Protocol):

@@ -176,9 +176,9 @@ class SoftReader:
             self._form,
             self._parts.reading,
             self._format_reader.number(self._light.gain),
-            self._data,
+            self._data.to_decode,
             self._light,
-            self._led_gains,
+            None if self._led_gains is None else self._led_gains.told,
             self._late_s,
             self._header.even,
             None if self._decisions is None else self._decisions.noise.lit,
@@ -186,8 +186,12 @@ class SoftReader:
 
     def learn(self, lesson: Lesson | None) -> None:
         """Know the LEDs as the packet has shown them; see `PacketReader`."""
-        if lesson is not None:
-            self._led_gains, self._proven = lesson
+        if lesson is None:
+            return
+        before, (after, self._proven) = self._led_gains, lesson
+        if before is not None and after is not None and np.array_equal(after.sight, before.sight):
+            after = replace(after, seen=before.seen)
+        self._led_gains = after
 
     def next(self, beyond_doubt: bool) -> "SoftReader":
         """The reader of the next packet; it knows the LEDs; see `PacketReader`."""

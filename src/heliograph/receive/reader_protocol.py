@@ -29,6 +29,14 @@ class ReadHeader:
     score: float
 
 
+class Lesson(Protocol):
+    """What a packet teaches of its array; it stays where packets are decoded."""
+
+    @property
+    def told(self) -> Any:
+        """What readers need to know of it, which another process may have to hand over."""
+
+
 @dataclass(frozen=True, slots=True)
 class Decoded:
     """What decoding made of what was taken of a packet.
@@ -49,7 +57,7 @@ class Decoded:
 
     words: Words
     misled: bool = False
-    study: Callable[[], Any] | None = None
+    study: Callable[[], Lesson | None] | None = None
     cutouts: tuple[Cutout | None, ...] | None = None
     luminances: Floats | None = None
 
@@ -180,7 +188,7 @@ class PacketReader(Protocol):
         Parameters
         ----------
         lesson
-            What `Decoded.study` of this packet has given.
+            What is told of what `Decoded.study` of this packet has given; None for nothing.
         """
 
     def next(self, beyond_doubt: bool) -> "PacketReader":
@@ -198,5 +206,5 @@ class PacketReader(Protocol):
         Parameters
         ----------
         lesson
-            What `Decoded.study` of the packet before has given.
+            What is told of what `Decoded.study` of the packet before has given; None for nothing.
         """

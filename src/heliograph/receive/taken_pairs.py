@@ -40,6 +40,11 @@ class Lesson(NamedTuple):
     led_gains: LedGains | None
     proven: bool
 
+    @property
+    def told(self) -> "Lesson":
+        """The gains without what has shown them: that is asked for where packets are decoded alone."""
+        return Lesson(None if self.led_gains is None else self.led_gains.told, self.proven)
+
 
 @dataclass(frozen=True, slots=True)
 class SoftReading:

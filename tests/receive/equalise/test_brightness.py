@@ -82,6 +82,21 @@ def test_packets_add_up_and_fade() -> None:
     assert faded.information.sum(0).trace() == pytest.approx(0.9 * both.information.sum(0).trace())
 
 
+def test_what_readers_are_told_is_what_nothing_was_seen_of() -> None:
+    """Whoever is told the brightness alone begins to learn anew."""
+    gains = unequal(0.2)
+    whole = learnt(gains, 256)
+    told = whole.told
+    assert np.array_equal(told.values, whole.values)
+    assert whole.information.any()
+    assert not told.information.size
+    assert not told.known
+    assert not Brightness.equal(SIDE).known
+    assert np.array_equal(told.faded().values, whole.values)
+    again = learnt(gains, 256, told)
+    assert np.corrcoef(again.values.ravel(), gains.ravel())[0, 1] > 0.9
+
+
 def test_of_nothing_decoded_nothing_is_learnt() -> None:
     found = learnt(unequal(0.2), 0)
     assert (found.values == 1).all()

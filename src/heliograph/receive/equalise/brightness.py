@@ -142,9 +142,10 @@ class Brightness:
     values
         (n, n) brightness, 1 for the median LED.
     information
-        (2, n n, n n) sums of the normal equations' matrices over each half of the pairs, ordered as by `by_squares`.
+        (2, n n, n n) sums of the normal equations' matrices over each half of the pairs, ordered as by `by_squares`;
+        (2, 0, 0) before the first pair.
     score
-        (2, n n) sums of their right sides.
+        (2, n n) sums of their right sides; (2, 0) before the first pair.
     packets
         Packets that were learnt from.
     """
@@ -163,13 +164,18 @@ class Brightness:
         side
             LEDs in a row.
         """
-        count = side * side
-        return cls(np.ones((side, side)), np.zeros((2, count, count)), np.zeros((2, count)))
+        return cls(np.ones((side, side)), np.empty((2, 0, 0)), np.empty((2, 0)))
+
+    @property
+    def told(self) -> "Brightness":
+        """The brightness without what has shown it, which is a thousand times as long."""
+        return replace(self, information=np.empty((2, 0, 0)), score=np.empty((2, 0)))
 
     @property
     def known(self) -> bool:
         """Whether most LEDs are known to half of `UNEQUAL`."""
-        return bool(np.median(self.information.sum(0).diagonal()) > (0.5 * UNEQUAL) ** -2)
+        shown = self.information.sum(0).diagonal()
+        return bool(shown.size and np.median(shown) > (0.5 * UNEQUAL) ** -2)
 
     @property
     def equal_so_far(self) -> bool:
@@ -224,7 +230,9 @@ class Brightness:
         """
         if not pairs or gain <= 0:
             return self
-        information, score = self.information.copy(), self.score.copy()
+        count = self.values.size
+        information = self.information.copy() if self.score.size else np.zeros((2, count, count))
+        score = self.score.copy() if self.score.size else np.zeros((2, count))
         inverse = 1 / by_squares(self.values)
         for k, pair in enumerate(pairs):
             try:

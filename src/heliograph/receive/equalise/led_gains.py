@@ -11,6 +11,7 @@ the pose makes is marginalised.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -72,7 +73,7 @@ with 4, (1, 4) none of 192 codewords is lost (docs/constants.md).
 """
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, which leave no room for what is cached
 class LedGains:
     """Gains of an array's LEDs, and what headers have shown of them.
 
@@ -112,10 +113,15 @@ class LedGains:
         """
         return cls(sight, Brightness.equal(len(sight)))
 
-    @property
+    @cached_property
     def values(self) -> Floats:
-        """(n, n) gains, at least 0: the brightness of what is in sight."""
+        """(n, n) gains, at least 0: the brightness of what is in sight; all cut-outs of a packet share them."""
         return self.sight * self.brightness.values
+
+    @property
+    def told(self) -> "LedGains":
+        """The gains without what has shown them."""
+        return LedGains(self.sight, self.brightness.told)
 
     @property
     def doubtful(self) -> bool:

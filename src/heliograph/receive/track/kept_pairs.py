@@ -100,6 +100,11 @@ class KeptPairs:
         """
         return replace(self, cutouts={k: one for k, one in enumerate(cutouts) if one is not None})
 
+    @property
+    def to_decode(self) -> "KeptPairs":
+        """What decoding asks for: where the array was, only where a frame's other half is lost."""
+        return self if self.lone else replace(self, seen={})
+
     def in_order(self, count: int) -> list[Cutout | None]:
         """The cut-outs of all pairs, in the single mode of all patterns; None where the array was not seen.
 
