@@ -9,9 +9,10 @@ import numpy as np
 
 from heliograph.base.arrays import TINY
 from heliograph.base.compiled import compiled
-from heliograph.receive.image.cholesky import invert, mirror, solve
-from heliograph.receive.image.kernels import draw_box, draw_leds
+from heliograph.receive.image.cholesky import invert, solve
 from heliograph.receive.image.median import median
+from heliograph.receive.image.products import add_products, rows_for_products, take_apart
+from heliograph.receive.image.redraw import copy_pose, draw, near, shift
 
 BIWEIGHT = 4.685
 """Standard deviations from which on a residual has no weight: Tukey's biweight of 95 % efficiency."""
@@ -42,14 +43,6 @@ CLOSE_PX, CLOSE_BLUR, CLOSE_GAIN = 0.02, 0.02, 0.1
 
 The next steps are a tenth of these, so what is left is below the error that noise gives a sum at 80 m (0.004 px rms).
 While the gain is wrong all steps are too short or too long, so a fit goes on until it is right.
-"""
-
-NEAR_PX, NEAR_BLUR = 0.1, 0.02
-"""Distance of an array's rim in px, and difference of ln blur, from a pose at which its images were drawn, up to which
-these stand for it with their slopes.
-
-What they leave out is half of the curvature times 0.1^2: 0.3 gray levels at the edge of an array of 120 levels and of a
-blur of 0.6 px. It looks like a blur that is 1 % wider, and moves no pose.
 """
 
 LONGEST_PX = 0.8
@@ -130,12 +123,12 @@ def fit(
     size = free + shapes.shape[0] + 3
     matrix, rhs = np.empty((size, size)), np.empty(size)
     residual = np.empty(image.shape)
-    if _near(vector, anchor, len(weights)):
-        _shift(vector, drawn, shapes)
+    if near(vector, anchor, len(weights)):
+        shift(vector, drawn, shapes)
     else:
-        _place(vector, open_pixels, corner, weights, margins, resolved, smear, shapes)
-        _copy(vector, anchor)
-    _copy(vector, drawn)
+        draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes)
+        copy_pose(vector, anchor)
+    copy_pose(vector, drawn)
     linear = _coefficients(image, shapes, plane, gain)
     for _ in range(steps):
         residuals(image, shapes, plane, linear, residual)
@@ -165,13 +158,13 @@ def fit(
         for k in range(free):
             limit = max(LONGEST_PX, 0.5 * pitch) if k < 2 else LONGEST[k - 2]
             vector[k] += min(max(step[k], -limit), limit)
-        near = _rim_px(step, free, vector, len(weights)) < CLOSE_PX and abs(step[4]) < CLOSE_BLUR
+        close = _rim_px(step, free, vector, len(weights)) < CLOSE_PX and abs(step[4]) < CLOSE_BLUR
         # pitch and blur of a header, from which distances are measured, go on in small steps
-        if len(margins) and near and abs(step[free]) < CLOSE_GAIN * abs(linear[0]):
+        if len(margins) and close and abs(step[free]) < CLOSE_GAIN * abs(linear[0]):
             break
-        _place(vector, open_pixels, corner, weights, margins, resolved, smear, shapes)
-        _copy(vector, anchor)
-        _copy(vector, drawn)
+        draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes)
+        copy_pose(vector, anchor)
+        copy_pose(vector, drawn)
     residuals(image, shapes, plane, linear, residual)
     found = np.empty((free, free))
     invert(matrix, found)
@@ -179,75 +172,23 @@ def fit(
 
 
 @compiled()
-def _near(vector, anchor, side):
-    """Whether a pose is so near another, at which images were drawn, that their slopes give it."""
-    turn = max(abs(vector[2] - anchor[2]), abs(vector[3] - anchor[3]))
-    for k in range(5, vector.shape[0]):
-        turn = max(turn, abs(vector[k] - anchor[k]))
-    away = max(abs(vector[0] - anchor[0]), abs(vector[1] - anchor[1])) + 0.5 * side * math.exp(vector[2]) * turn
-    # of a pose that is not a number neither holds
-    return away < NEAR_PX and abs(vector[4] - anchor[4]) < NEAR_BLUR
-
-
-@compiled()
-def _shift(vector, drawn, shapes):
-    """Move images from the pose at which they were drawn to another by their slopes."""
-    for n in range(shapes.shape[0]):
-        for k in range(1, shapes.shape[1]):
-            step = vector[k - 1] - drawn[k - 1]
-            for i in range(shapes.shape[2]):
-                for j in range(shapes.shape[3]):
-                    shapes[n, 0, i, j] += step * shapes[n, k, i, j]
-
-
-@compiled(inline="always")
-def _copy(vector, out):
-    """Copy a pose vector (5,) or (7,), number by number."""
-    for k in range(vector.shape[0]):
-        out[k] = vector[k]
-
-
-@compiled()
-def _place(vector, open_pixels, corner, weights, margins, resolved, smear, shapes):
-    """Work the images out at a pose."""
-    half = 0.5 * weights.shape[0]
-    if resolved:
-        draw_leds(vector, weights, corner[0], corner[1], shapes[0], smear[0], smear[1])
-    else:
-        draw_box(vector, half, corner[0], corner[1], shapes[0], smear[0], smear[1])
-    for k in range(margins.shape[0]):
-        draw_box(vector, half + margins[k], corner[0], corner[1], shapes[k + 1], smear[0], smear[1])
-    if open_pixels.size == 0:
-        return
-    for k in range(shapes.shape[0]):
-        for n in range(shapes.shape[1]):
-            for i in range(shapes.shape[2]):
-                for j in range(shapes.shape[3]):
-                    shapes[k, n, i, j] *= open_pixels[i, j]
-
-
-@compiled(fastmath={"reassoc", "contract"})
 def _coefficients(image, shapes, plane, gain):
     """Least squares coefficients of the images, near an expected gain if there is one."""
     m, cols = shapes.shape[0], image.shape[1]
-    matrix, rhs, values = np.zeros((m + 3, m + 3)), np.zeros(m + 3), np.empty((m + 3, cols))
+    size = m + 3
+    products, values = np.zeros((size + 1, size + 1)), rows_for_products(size + 1, cols)
     for i in range(image.shape[0]):
-        for j in range(cols):
-            for n in range(m):
-                values[n, j] = shapes[n, 0, i, j]
-            for n in range(3):
-                values[m + n, j] = plane[n, i, j]
-        for k in range(m + 3):
-            total = 0.0
+        for n in range(m):
             for j in range(cols):
-                total += values[k, j] * image[i, j]
-            rhs[k] += total
-            for n in range(k + 1):
-                total = 0.0
-                for j in range(cols):
-                    total += values[k, j] * values[n, j]
-                matrix[k, n] += total
-    mirror(matrix)
+                values[n, j] = shapes[n, 0, i, j]
+        for n in range(3):
+            for j in range(cols):
+                values[m + n, j] = plane[n, i, j]
+        for j in range(cols):
+            values[size, j] = image[i, j]
+        add_products(values, values, cols, products)
+    matrix, rhs = np.empty((size, size)), np.empty(size)
+    take_apart(products, matrix, rhs)
     if gain != 0.0:
         weight = HELD_GAIN * matrix[0, 0]
         matrix[0, 0] += weight
@@ -286,19 +227,19 @@ def normal_equations(residual, shapes, plane, linear, rough, matrix, vector):
     m = shapes.shape[0]
     p = shapes.shape[1] - 1
     size = p + m + 3
-    matrix[:] = 0.0
-    vector[:] = 0.0
-    # row by row: sums along a row of pixels are fast
-    slopes, weighed = np.empty((size, cols)), np.empty((size, cols))
-    r, w = np.empty(cols), np.empty(cols)
+    # row by row of pixels; the residual is one row more beside the slopes
+    products = np.zeros((size + 1, size + 1))
+    slopes, weighed = rows_for_products(size + 1, cols), rows_for_products(size + 1, cols)
+    w = np.empty(cols)
     mass, loss = 0.0, 0.0
     for i in range(rows):
         for j in range(cols):
-            r[j] = residual[i, j]
-            q = r[j] / rough
+            r = residual[i, j]
+            q = r / rough
             w[j] = 0.0 if abs(q) >= 1.0 else (1.0 - q * q) ** 2
             mass += w[j]
-            loss += w[j] * r[j] * r[j]
+            loss += w[j] * r * r
+            slopes[size, j] = r
         for k in range(p):
             for j in range(cols):
                 slopes[k, j] = linear[0] * shapes[0, k + 1, i, j]
@@ -312,19 +253,11 @@ def normal_equations(residual, shapes, plane, linear, rough, matrix, vector):
         for n in range(3):
             for j in range(cols):
                 slopes[p + m + n, j] = plane[n, i, j]
-        for k in range(size):
+        for k in range(size + 1):
             for j in range(cols):
                 weighed[k, j] = w[j] * slopes[k, j]
-            total = 0.0
-            for j in range(cols):
-                total += weighed[k, j] * r[j]
-            vector[k] += total
-            for n in range(k + 1):
-                total = 0.0
-                for j in range(cols):
-                    total += weighed[k, j] * slopes[n, j]
-                matrix[k, n] += total
-    mirror(matrix)
+        add_products(weighed, slopes, cols, products)
+    take_apart(products, matrix, vector)
     return mass, loss
 
 
