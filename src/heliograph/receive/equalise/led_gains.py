@@ -19,6 +19,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.brightness import POSE_SPREADS, Brightness
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.image.footprint import by_squares, to_grid
+from heliograph.receive.image.robust import median
 from heliograph.receive.observe import kernels
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise
@@ -168,7 +169,7 @@ class LedGains:
             # of LEDs that data have shown to be dark a header says nothing
             found = _estimate(seen, header, brightness, gain, noise) / np.maximum(brightness, FAILED)
             # the median LED is a sound one
-            scale = float(np.clip(np.median(found[in_sight > 0]), *MEDIAN_SCALES))
+            scale = min(max(median(found[in_sight > 0]), MEDIAN_SCALES[0]), MEDIAN_SCALES[1])
             gain *= scale
             if abs(scale - 1) < SETTLED * LED_GAIN_SPREAD:
                 break

@@ -13,11 +13,21 @@ def robust_std(values: Floats) -> float:
     values
         Values of any shape, one at least.
     """
-    # NumPy's own median takes many times as long
+    # median |x| / Phi^-1(3/4)
+    return 1.4826 * median(np.abs(values))
+
+
+def median(values: Floats) -> float:
+    """Median of values, in a tenth of the time of NumPy's own, which looks for what is not a number.
+
+    Parameters
+    ----------
+    values
+        Values of any shape, one at least.
+    """
     middle = [(values.size - 1) // 2, values.size // 2]
-    low, high = np.partition(np.abs(values).ravel(), middle)[middle]
-    # median |x| / Phi^-1(3/4), the median being (low + high) / 2
-    return 0.7413 * float(low + high)
+    low, high = np.partition(values, middle, axis=None)[middle]
+    return 0.5 * float(low + high)
 
 
 def correlation(a: Floats, b: Floats) -> float:

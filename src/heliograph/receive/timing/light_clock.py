@@ -305,7 +305,6 @@ class LightClock:
         model[..., len(place) :] *= amplitudes.trust
         if amplitudes.clipped:
             shown, model = shown[: len(place)], model[..., : len(place)]
-        model[1:] -= model[0]
         energy, grid = float((shown**2).sum()), model.shape[1:3]
         # v match and v norm v of every word's v = (1, part, lit)
         match, norm = model @ shown, np.einsum("aeof,beof->abeo", model, model)
@@ -324,9 +323,9 @@ class LightClock:
         return np.asarray(0.5 * left / variance)
 
     def _model(self, starts: Floats) -> Floats:
-        """Twice the alternation, and the brightness but for a constant, of headers of gain 1 dimmed in three ways.
+        """Twice the alternation, and the brightness but for a constant, of a header of gain 1, and what dimming adds.
 
-        `starts` is (offsets, frames), the result (3, exposures, offsets, 2 frames); the ways are those of `_dimmings`.
+        `starts` is (offsets, frames), the result (3, exposures, offsets, 2 frames), as `_dimmings` has them.
         """
         edges, waves, brights = self._dimmings
         shown = _mean_over(starts, self._exposures[:, None, None], edges, np.concatenate([waves, brights]))
@@ -335,10 +334,17 @@ class LightClock:
 
     @cached_property
     def _dimmings(self) -> tuple[Floats, Floats, Floats]:
-        """`_header` of no dimmed cell, of all dimmed, and of lit ones dimmed more than dark: edges, (3, slots)."""
+        """Edges of `_header`, and its waves and brightnesses, (3, slots).
+
+        First those without dimmed cells, then what is added to them where all are dimmed, and where lit ones are dimmed
+        more than dark.
+        """
         (edges, *first), *others = (self._header(*way) for way in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
-        waves, brights = zip(first, *(shown for _, *shown in others), strict=True)
-        return edges, np.stack(waves), np.stack(brights)
+        waves, brights = map(np.stack, zip(first, *(shown for _, *shown in others), strict=True))
+        # means over exposures are linear in them
+        waves[1:] -= waves[0]
+        brights[1:] -= brights[0]
+        return edges, waves, brights
 
     def _header(self, part: float, lit: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Edges of slots in patterns from a header's start, the header less its inverse, and the mean light less 1/2.

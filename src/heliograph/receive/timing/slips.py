@@ -93,12 +93,13 @@ Motion widens the light of an LED, so a pitch of 1.5 px has a mean over 3 px alr
 """
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class _Held:
     """A frame whose number is not decided.
 
     Its own number by its time; the array's pose when it was viewed; what it shows at the LEDs' places, and about the
-    mean of frames; the power of the latter, and whether it may be a pattern's.
+    mean of frames; the power of the latter, and whether it may be a pattern's. Then the frame that it was last compared
+    with, and their epsilon.
     """
 
     frame: Frame
@@ -108,6 +109,8 @@ class _Held:
     about: Floats | None
     power: float
     pattern: bool
+    other: "_Held | None" = None
+    uneven: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +140,8 @@ class SlipWatch:
 
     def __init__(self, identity: int, signal: SignalSettings):
         self.lost = 0
-        self._signal = signal
+        self._signal, self._period_s, self._packet = signal, signal.pattern_period_s, signal.packet_patterns
+        self._header = 2 * signal.header_pairs
         # without its rim, where a bright background shines in
         self._rim = signal.side // RIM_DIVISOR
         inner = slice(self._rim, signal.side - self._rim)
@@ -163,7 +167,7 @@ class SlipWatch:
         paired
             Whether patterns have inverses.
         """
-        period_s, last_s = self._signal.pattern_period_s, self._last_s
+        period_s, last_s = self._period_s, self._last_s
         self._last_s = frame.time_s
         place = (frame.time_s + self.lost * period_s - origin_s) / period_s
         number = round(place) - self.lost
@@ -187,7 +191,7 @@ class SlipWatch:
         """The frame at the time of what it shows."""
         if not self.lost:
             return frame
-        return replace(frame, time_s=frame.time_s + self.lost * self._signal.pattern_period_s)
+        return replace(frame, time_s=frame.time_s + self.lost * self._period_s)
 
     def _corrected(self, held: _Held, pose: Pose) -> _Held:
         """A frame in hand, viewed again where the array is now known to have been elsewhere."""
@@ -244,8 +248,7 @@ class SlipWatch:
         first = self._held.pop(0)
         self._number = first.number
         out, number = self._timed(first.frame), first.number + self.lost
-        length = 2 * self._signal.header_pairs
-        near = (number + length) % self._signal.packet_patterns < HEADER_SPANS * length
+        near = (number + self._header) % self._packet < HEADER_SPANS * self._header
         if near and first.about is not None:
             self._headers[number] = float(first.about @ self._signs) / max(first.power * self._signs.size, TINY) ** 0.5
             self._follow_header(number)
@@ -253,7 +256,7 @@ class SlipWatch:
 
     def _follow_header(self, number: int) -> None:
         """Take the frames after a header that ended early, or late after a slip that was none, for what follows it."""
-        patterns, length = self._signal.packet_patterns, 2 * self._signal.header_pairs
+        patterns, length = self._packet, self._header
         early = (length - 1 - number + patterns // 2) % patterns - patterns // 2
         last = [self._headers.get(number - k, 0.0) for k in range(length)]
         if 0 < abs(early) <= length and all((-1) ** (k + 1) * h > HEADER_CORRELATION for k, h in enumerate(last)):
@@ -282,11 +285,10 @@ class SlipWatch:
 
     def _uneven(self, place: int) -> float | None:
         """The measure epsilon of a frame in hand and the next, at most 1; None where one of them shows no pattern."""
-        one, other = self._held[place : place + 2]
-        u, v, powers = one.about, other.about, (one.power, other.power)
-        if u is None or v is None or not (one.pattern and other.pattern) or min(powers) < POWER_RATIO * max(powers):
-            return None
-        return min(1 + 2 * float(u @ v) / max(sum(powers), TINY), 1.0)
+        one, other = self._held[place], self._held[place + 1]
+        if one.other is not other:
+            one.other, one.uneven = other, _epsilon(one, other)
+        return one.uneven
 
     def _even(self, place: int, least: float = EVEN_SUM_POWER) -> bool:
         """Whether a frame in hand and the next are surely a pair."""
@@ -341,3 +343,11 @@ class SlipWatch:
         if place >= len(self._held) - 1:
             return False
         return (self._held[place].number + lost) % 2 == 0 and self._gap(place) <= 1
+
+
+def _epsilon(one: _Held, other: _Held) -> float | None:
+    """The measure epsilon of two frames, at most 1; None where one of them shows no pattern."""
+    u, v, p, q = one.about, other.about, one.power, other.power
+    if u is None or v is None or not (one.pattern and other.pattern) or min(p, q) < POWER_RATIO * max(p, q):
+        return None
+    return min(1 + 2 * float(u @ v) / max(p + q, TINY), 1.0)

@@ -200,20 +200,20 @@ class Tilt:
     mean: Floats = field(default_factory=partial(np.zeros, 2))
     covariance: Floats = field(default_factory=lambda: UNFITTED_TILT**2 * np.eye(2))
 
-    def later(self, dt: float, rates: Floats, model: MotionModel) -> "Tilt":
+    def later(self, dt: float, x_rate: float, y_rate: float, model: MotionModel) -> "Tilt":
         """The tilt at a later time.
 
         Parameters
         ----------
         dt
             Seconds from now to that time, at least 0.
-        rates
-            (2,) rates of x and y in px per second.
+        x_rate, y_rate
+            Rates of x and y in px per second.
         model
             How the array may move.
         """
         # a turn that goes on for a time tau adds its square, tau^2, as a walk of the variance tau dt
-        turn = TURN * hypot(*rates.tolist()) / model.focal_px
+        turn = TURN * hypot(x_rate, y_rate) / model.focal_px
         variance = TILT_WALK**2 * model.walked(dt) + turn**2 * TURNING_PATTERNS * model.period_s * dt
         return Tilt(self.mean, self.covariance + variance * _EYE)
 
@@ -238,6 +238,13 @@ class PoseState:
     mean: Floats
     covariance: Floats
     tilt: Tilt = field(default_factory=Tilt)
+    _numbers: list[float] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        known = self.__dict__
+        known["mean"], known["covariance"] = _for_kernels(self.mean), _for_kernels(self.covariance)
+        # number by number: poses are asked for several times a frame, and arrays of two cost more than their sums
+        known["_numbers"] = [*self.mean[:8].tolist(), *self.tilt.mean.tolist()]
 
     @staticmethod
     def start(
@@ -281,8 +288,8 @@ class PoseState:
             How the array may move.
         """
         dt = time_s - self.time_s
-        mean, covariance = kalman_kernels.predict(*self._state, dt, *model.noise_by_powers)
-        return PoseState(time_s, mean, covariance, self.tilt.later(dt, self.mean[RATE_STATES][:2], model))
+        mean, covariance = kalman_kernels.predict(self.mean, self.covariance, dt, *model.noise_by_powers)
+        return PoseState(time_s, mean, covariance, self.tilt.later(dt, self._numbers[5], self._numbers[6], model))
 
     def expected(self, observation: Observation) -> tuple[Floats, Floats]:
         """Mean (5,) and covariance (5, 5) of what a fit will show: H x, H P H^T + R.
@@ -292,7 +299,8 @@ class PoseState:
         observation
             Which part of the state the fit observes, and its errors.
         """
-        mean, covariance, _ = kalman_kernels.expected(*self._state, observation.matrix, observation.variances)
+        shown = observation.matrix, observation.variances
+        mean, covariance, _ = kalman_kernels.expected(self.mean, self.covariance, *shown)
         return mean, covariance
 
     def condition(self, vector: Floats, covariance: Floats, observation: Observation) -> "PoseState":
@@ -311,13 +319,8 @@ class PoseState:
             Which part of the state the fit observed.
         """
         shown = observation.matrix, observation.variances, _for_kernels(vector), _for_kernels(covariance)
-        mean, full = kalman_kernels.condition(*self._state, *shown)
+        mean, full = kalman_kernels.condition(self.mean, self.covariance, *shown)
         return PoseState(self.time_s, mean, full, self.tilt)
-
-    @property
-    def _state(self) -> tuple[Floats, Floats]:
-        """Mean and covariance, as kernels take them."""
-        return _for_kernels(self.mean), _for_kernels(self.covariance)
 
     @cached_property
     def pose(self) -> Pose:
@@ -332,23 +335,10 @@ class PoseState:
         time_s
             Time of the pose in seconds, before or after the state's own.
         """
-        # number by number: arrays of five cost more than their sums
-        x, y, log_pitch, roll, log_blur, x_rate, y_rate, pitch_rate, *_ = self._numbers
+        x, y, log_pitch, roll, log_blur, x_rate, y_rate, pitch_rate, stretch, shear = self._numbers
         dt = time_s - self.time_s
-        place = x + dt * x_rate, y + dt * y_rate, exp(log_pitch + dt * pitch_rate)
-        return Pose(*place, roll, exp(log_blur), *self._tilted)
-
-    @cached_property
-    def _tilted(self) -> tuple[float, float]:
-        """Stretch and shear."""
-        stretch, shear = self.tilt.mean.tolist()
-        return stretch, shear
-
-    @cached_property
-    def _numbers(self) -> list[float]:
-        """The mean, number by number."""
-        numbers: list[float] = self.mean.tolist()
-        return numbers
+        pitch = exp(log_pitch + dt * pitch_rate)
+        return Pose(x + dt * x_rate, y + dt * y_rate, pitch, roll, exp(log_blur), stretch, shear)
 
 
 def _for_kernels(values: Floats) -> Floats:

@@ -1,7 +1,7 @@
 """What is known of an array that is followed, and of a pair in which it was."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -74,7 +74,7 @@ class Track:
         after = Track(*gains, change, self.score, self.pairs + 1, lines, clear, self.drawn)
         known = after.__dict__
         known["whole"] = in_sight is None
-        known["in_sight"] = np.ones(change.shape) if in_sight is None else in_sight
+        known["in_sight"] = _all_leds(len(change)) if in_sight is None else in_sight
         if "sound" in self.__dict__:
             known["sound"] = self.sound
         return after
@@ -129,6 +129,12 @@ class Track:
     def shining(self) -> Floats:
         """Gains of the LEDs, 0 where something hides them, (n, n)."""
         return self.led_gains if self.whole else self.led_gains * self.in_sight
+
+
+@lru_cache(maxsize=8)  # arrays of one film have one size
+def _all_leds(side: int) -> Floats:
+    """1 for all LEDs, (side, side)."""
+    return np.ones((side, side))
 
 
 @dataclass(frozen=True, slots=True)
