@@ -4,6 +4,7 @@ import itertools
 import os
 import pickle
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -92,6 +93,27 @@ def test_what_is_handed_over_is_pixels_and_little_else(frames: list[Frame], monk
         cutouts = cast(TakenPairs, work.taken).data.cutouts.values()
         pixels = sum(one.total.nbytes + one.difference.nbytes for one in cutouts)
         assert len(pickle.dumps(work)) < 1.3 * pixels + 50_000
+
+
+def test_nothing_is_left_to_do_when_a_film_is_over(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the other process sends while this one ends, Python prints an error of."""
+    asked = list[Future[Any]]()
+
+    class Slow(ThreadPoolExecutor):
+        def submit(self, work: Callable[[], Any], /) -> Future[Any]:  # type: ignore[override]
+            def late() -> Any:
+                time.sleep(0.02)
+                return work()
+
+            asked.append(super().submit(late))
+            return asked[-1]
+
+    with Slow(1) as decoders:
+        monkeypatch.setattr(assemblies, "decoders", lambda _: decoders)
+        settings = settings_of("soft", True)
+        list(receive_frames(frames[: 2 * PACKET], settings.signal, settings.receive))
+        assert asked
+        assert all(one.done() for one in asked)
 
 
 def in_a_thread(monkeypatch: pytest.MonkeyPatch, before: Callable[[int], None]) -> None:

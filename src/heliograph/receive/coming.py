@@ -1,5 +1,6 @@
 """Packets that are decoded, at once or in a process beside the frames that follow."""
 
+import contextlib
 import logging
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -42,7 +43,7 @@ it, all of the data, loses 20, all of cameras out of step (docs/constants.md).
 LESSONS_KEPT = 32
 """Arrays whose lessons the process that decodes keeps, those asked for last: more than are in view.
 
-An array of 16 x 16 LEDs takes 1 MB.
+An array of 16 x 16 LEDs takes 1 MB. One that is left out is learnt anew.
 """
 
 
@@ -264,7 +265,7 @@ class ComingPacket:
     work
         What decoding makes of it.
     lesson
-        What it teaches of the array.
+        What readers are told of what it teaches of the array.
     observe
         Gets the events of decoding, in the thread that asks for the packet.
     exposure_range
@@ -302,7 +303,7 @@ class ComingPacket:
 
     @property
     def lesson(self) -> Any:
-        """What it teaches of the array, None for nothing; waits until that is known.
+        """What readers are told of what it teaches, None for nothing; waits until that is known.
 
         Raises
         ------
@@ -310,6 +311,11 @@ class ComingPacket:
             The process that decodes has ended.
         """
         return _result(self._lesson)
+
+    def settle(self) -> None:
+        """Wait until nothing more comes of it: neither the packet nor, whatever comes of that, what it teaches."""
+        with contextlib.suppress(Exception):
+            self._lesson.result()
 
     def packet(self) -> Packet:
         """The packet; waits until it is decoded.

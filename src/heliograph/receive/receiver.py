@@ -57,6 +57,7 @@ class StreamReceiver:
         self._started = False
         self._last: Frame | None = None
         self._coming: deque[ComingPacket | LostEvent] = deque()
+        self._newest: ComingPacket | None = None
 
     @property
     def candidates_fitted(self) -> int:
@@ -93,11 +94,15 @@ class StreamReceiver:
             self._await(array.flush())
         self._arrays = []
         yield from self._known(wait=True)
+        if self._newest is not None:
+            # this process may end now; what the one that decodes sends it then, Python prints an error of
+            self._newest.settle()
 
     def _await(self, packets: Iterator[ComingPacket]) -> None:
         """Keep packets that were seen, each in its place among the losses of arrays."""
         for packet in packets:
             self._coming.append(packet)
+            self._newest = packet
 
     def _known(self, wait: bool = False) -> Iterator[Packet]:
         """Packets decoded by now, or all, in the order in which they were seen; an array's loss comes after them."""
