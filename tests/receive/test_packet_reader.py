@@ -1,6 +1,7 @@
 """The soft receiver's reader: when a pair's data were lit, and LEDs taken for dead by mistake."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,19 @@ from recorder import Recorder
 from scenes import SIDE, drawn_film, film, link
 
 from heliograph.receive import receive_frames
+from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.equalise.brightness import Brightness, DecodedPair
 from heliograph.receive.equalise.led_gains import LearntGains, LedGains
-from heliograph.receive.events import DecodeEvent, ExtractEvent
+from heliograph.receive.events import DecodeEvent, ExtractEvent, ignore
 from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.receive.packet_reader import SoftParts, SoftReader
+from heliograph.receive.taken_pairs import Lesson, SoftReading
+from heliograph.receive.track.kalman import MotionModel
+from heliograph.receive.track.tracker import Tracker
+from heliograph.signal.formats import AGREED
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import SignalSettings
 
 Floats = NDArray[np.float64]
 
@@ -108,3 +118,20 @@ def test_leds_are_not_learnt_where_light_smears(
     packets = list(receive_frames(frames, settings.signal, settings.receive))
     assert [packet.status for packet in packets] == ["ok", "ok"]
     assert set(calls) == ({"header", "data"} if learnt else set())
+
+
+@pytest.mark.parametrize("mistaken", [False, True])
+def test_what_headers_have_shown_stays_unless_other_leds_are_in_sight(mistaken: bool) -> None:
+    sound, values = np.ones((SIDE, SIDE)), np.random.default_rng(0).uniform(0.5, 1.5, (SIDE, SIDE))
+    shown = PairStatistics(np.eye(SIDE**2, dtype=np.float32), np.zeros(SIDE**2), np.zeros(SIDE**2), 0.0, 0.0)
+    before = LedGains(sound - mistaken * np.eye(SIDE), Brightness.equal(SIDE), shown)
+    signal = SignalSettings()
+    reading = SoftReading(None, Decoding(), "propagation", True)
+    parts = SoftParts(PacketFormat(signal, AGREED), Tracker(SIDE, MotionModel(1e-3, 0.02)), reading, ignore)
+    reader = SoftReader(3, parts, before)
+    assert reader.taken().led_gains.seen is None  # type: ignore[union-attr]
+    reader.learn(Lesson(LedGains(sound, replace(Brightness.equal(SIDE), values=values)), True).told)
+    after = reader._led_gains
+    assert after is not None
+    assert np.array_equal(after.values, values)
+    assert after.seen is (None if mistaken else shown)

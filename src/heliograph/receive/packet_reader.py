@@ -189,6 +189,7 @@ class SoftReader:
         if lesson is None:
             return
         before, (after, self._proven) = self._led_gains, lesson
+        # what headers have shown stays here; with other LEDs in sight than they said, it was mistaken
         if before is not None and after is not None and np.array_equal(after.sight, before.sight):
             after = replace(after, seen=before.seen)
         self._led_gains = after

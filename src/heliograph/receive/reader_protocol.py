@@ -30,11 +30,11 @@ class ReadHeader:
 
 
 class Lesson(Protocol):
-    """What a packet teaches of its array; it stays where packets are decoded."""
+    """What a packet teaches of its array: all of it stays where packets are decoded."""
 
     @property
     def told(self) -> Any:
-        """What readers need to know of it, which another process may have to hand over."""
+        """The part of it that readers need, which another process may have to hand over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +188,7 @@ class PacketReader(Protocol):
         Parameters
         ----------
         lesson
-            What is told of what `Decoded.study` of this packet has given; None for nothing.
+            `Lesson.told` of what `Decoded.study` of this packet has given; None for nothing.
         """
 
     def next(self, beyond_doubt: bool) -> "PacketReader":
@@ -206,5 +206,5 @@ class PacketReader(Protocol):
         Parameters
         ----------
         lesson
-            What is told of what `Decoded.study` of the packet before has given; None for nothing.
+            `Lesson.told` of what `Decoded.study` of the packet before has given; None for nothing.
         """

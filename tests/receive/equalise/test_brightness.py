@@ -8,7 +8,7 @@ from scenes import SIDE, draw, film, frame_of, link, pitch_at
 
 from heliograph.base.threads import one_thread
 from heliograph.receive import Pose, receive_frames
-from heliograph.receive.equalise.brightness import LEAST_BRIGHTNESS, Brightness
+from heliograph.receive.equalise.brightness import LEAST_BRIGHTNESS, Brightness, DecodedPair
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.observe.noise import Noise
@@ -92,9 +92,22 @@ def test_what_readers_are_told_is_what_nothing_was_seen_of() -> None:
     assert not told.information.size
     assert not told.known
     assert not Brightness.equal(SIDE).known
+    assert not told.learnt
     assert np.array_equal(told.faded().values, whole.values)
     again = learnt(gains, 256, told)
     assert np.corrcoef(again.values.ravel(), gains.ravel())[0, 1] > 0.9
+
+
+def test_what_was_told_stays_where_no_pair_says_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(*_: float) -> None:
+        raise np.linalg.LinAlgError
+
+    told = learnt(unequal(0.2), 256).told
+    monkeypatch.setattr(DecodedPair, "without_nuisance", nothing)
+    after = learnt(unequal(0.2), 256, told)
+    assert np.array_equal(after.values, told.values)
+    # it counts, so that what shows nothing is not asked forever
+    assert after.packets == 1
 
 
 def test_of_nothing_decoded_nothing_is_learnt() -> None:

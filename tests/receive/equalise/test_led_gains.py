@@ -24,7 +24,14 @@ def shot(light: Floats, index: int, rng: np.random.Generator) -> Frame:
     return Frame(index, index * 1e-3, noisy.astype(np.uint8), 8)
 
 
-def learnt(gains: Floats, stuck: Floats, expected: float, before: LedGains | None = None, seed: int = 4) -> LearntGains:
+def learnt(
+    gains: Floats,
+    stuck: Floats,
+    expected: float,
+    before: LedGains | None = None,
+    seed: int = 4,
+    in_sight: Floats = SOUND,
+) -> LearntGains:
     """What a header shows of LEDs of gains, where those that are stuck are lit in both frames; its gain is 200."""
     rng = np.random.default_rng(seed)
     frames = [
@@ -32,7 +39,7 @@ def learnt(gains: Floats, stuck: Floats, expected: float, before: LedGains | Non
         for k, sign in enumerate((1, -1))
     ]
     cutout = take_cutout(FramePair(frames[0], frames[1]), (POSE, POSE), SIDE)
-    return (before or LedGains.sound(SIDE)).learn(cutout, HEADER, expected, np.ones((SIDE, SIDE)))
+    return (before or LedGains.sound(SIDE)).learn(cutout, HEADER, expected, in_sight)
 
 
 def failed() -> tuple[Floats, Floats]:
@@ -52,6 +59,13 @@ def test_failed_leds_are_found() -> None:
     values = found.led_gains.values
     assert values[gains == 0] == pytest.approx(0, abs=0.3)
     assert values[gains == 1].mean() > 0.99
+
+
+def test_of_an_array_that_is_hidden_nothing_is_learnt() -> None:
+    before = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0).led_gains
+    found = learnt(SOUND, np.zeros((SIDE, SIDE)), 190.0, before, in_sight=np.zeros((SIDE, SIDE)))
+    assert found.led_gains is before
+    assert (found.gain, found.changed) == (190.0, False)
 
 
 def test_sound_leds_are_sound() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from heliograph.receive.image.robust import correlation, robust_std
+from heliograph.receive.image.robust import correlation, median_of, robust_std
 
 
 @pytest.mark.parametrize("shape", [(40001,), (200, 201)])
@@ -19,6 +19,14 @@ def test_spread_of_a_gaussian_whatever_a_tenth_of_it_is(shape: tuple[int, ...]) 
 def test_spread_is_that_of_the_median_magnitude(values: list[float]) -> None:
     # Phi^-1(3/4) = 0.67449
     assert robust_std(np.array(values)) == pytest.approx(np.median(np.abs(values)) / 0.67449, rel=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(1,), (2,), (7,), (256,), (5, 6)])
+def test_median_is_that_of_numpy(shape: tuple[int, ...]) -> None:
+    values = np.random.default_rng(2).normal(size=shape)
+    before = values.copy()
+    assert median_of(values) == np.median(values)
+    assert np.array_equal(values, before)
 
 
 def test_correlation() -> None:

@@ -54,8 +54,6 @@ def filled(header: Sequence[Shown | None]) -> list[Shown] | None:
     As many; None where more than `MISSING_FRAMES` are missing, or all of a kind.
     """
     missing = [k for k, one in enumerate(header) if one is None]
-    if not missing:
-        return [one for one in header if one is not None]
     if len(missing) > MISSING_FRAMES * len(header):
         return None
     out = [*header]

@@ -143,9 +143,9 @@ class Brightness:
         (n, n) brightness, 1 for the median LED.
     information
         (2, n n, n n) sums of the normal equations' matrices over each half of the pairs, ordered as by `by_squares`;
-        (2, 0, 0) before the first pair.
+        (2, 0, 0) before the first pair, and where the brightness alone is told.
     score
-        (2, n n) sums of their right sides; (2, 0) before the first pair.
+        (2, n n) sums of their right sides; (2, 0) likewise.
     packets
         Packets that were learnt from.
     """
@@ -168,8 +168,8 @@ class Brightness:
 
     @property
     def told(self) -> "Brightness":
-        """The brightness without what has shown it, which is a thousand times as long."""
-        return replace(self, information=np.empty((2, 0, 0)), score=np.empty((2, 0)))
+        """The brightness without what has shown it, which is 2 n^2 times as long; whoever learns on begins anew."""
+        return replace(Brightness.equal(len(self.values)), values=self.values)
 
     @property
     def known(self) -> bool:
@@ -226,13 +226,12 @@ class Brightness:
 
         Returns
         -------
-        The brightness with the evidence of these pairs; itself where there are none.
+        The brightness with the evidence of these pairs, as it was where they say nothing; itself where there are none.
         """
         if not pairs or gain <= 0:
             return self
-        count = self.values.size
-        information = self.information.copy() if self.score.size else np.zeros((2, count, count))
-        score = self.score.copy() if self.score.size else np.zeros((2, count))
+        information, score = self._evidence()
+        seen_pairs = 0
         inverse = 1 / by_squares(self.values)
         for k, pair in enumerate(pairs):
             try:
@@ -244,7 +243,17 @@ class Brightness:
             # T T^T = 1/4: A^T W A = 16 T G T^T, A^T W d = 4 T B^T W d
             kernels.add_information(gram, levels, gain**2 / noise, information[k % 2])
             score[k % 2] += gain / noise * levels * 4 * kernels.leds_of(seen)
+            seen_pairs += 1
+        if not seen_pairs:
+            return replace(self, packets=self.packets + 1)
         return Brightness(_estimate(information, score), information, score, self.packets + 1)
+
+    def _evidence(self) -> tuple[Floats, Floats]:
+        """Copies of information and score, with zeros where nothing was seen yet."""
+        if self.score.size:
+            return self.information.copy(), self.score.copy()
+        count = self.values.size
+        return np.zeros((2, count, count)), np.zeros((2, count))
 
 
 def _estimate(information: Floats, score: Floats) -> Floats:

@@ -19,7 +19,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.equalise.brightness import POSE_SPREADS, Brightness
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.image.footprint import by_squares, to_grid
-from heliograph.receive.image.robust import median
+from heliograph.receive.image.robust import median_of
 from heliograph.receive.observe import kernels
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise
@@ -158,6 +158,8 @@ class LedGains:
         in_sight
             (n, n) 1 for LEDs in sight, 0 for those that something hides: of these nothing is learnt.
         """
+        if not in_sight.any():
+            return LearntGains(self, gain, False)
         side, brightness = len(self.values), self.brightness.values
         dark = measure_noise([cutout], gain, side, self.values).dark
         # with failed LEDs a sum does not show its noise
@@ -169,7 +171,7 @@ class LedGains:
             # of LEDs that data have shown to be dark a header says nothing
             found = _estimate(seen, header, brightness, gain, noise) / np.maximum(brightness, FAILED)
             # the median LED is a sound one
-            scale = min(max(median(found[in_sight > 0]), MEDIAN_SCALES[0]), MEDIAN_SCALES[1])
+            scale = min(max(median_of(found[in_sight > 0]), MEDIAN_SCALES[0]), MEDIAN_SCALES[1])
             gain *= scale
             if abs(scale - 1) < SETTLED * LED_GAIN_SPREAD:
                 break

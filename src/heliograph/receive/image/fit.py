@@ -20,7 +20,7 @@ _PANEL, _NO_PANEL, _ALL_COUNT = np.array(PANEL_MARGINS), np.empty(0), np.empty((
 HELD_PX = 0.2
 """Pixels by which an array's rim may leave its place in a window before another one is cut out.
 
-It is twice of `redraw.NEAR_PX`, where images are drawn anew in any case.
+It is twice `redraw.NEAR_PX`, where images are drawn anew in any case.
 """
 SMEAR_ALIKE = 0.005
 """Variance in px^2 by which the motion may differ for which images were drawn: 1 % of a blur of 0.6 px and a pixel."""

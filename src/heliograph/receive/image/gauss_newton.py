@@ -231,14 +231,13 @@ def normal_equations(residual, shapes, plane, linear, rough, matrix, vector):
     products = np.zeros((size + 1, size + 1))
     slopes, weighed = rows_for_products(size + 1, cols), rows_for_products(size + 1, cols)
     w = np.empty(cols)
-    mass, loss = 0.0, 0.0
+    mass = 0.0
     for i in range(rows):
         for j in range(cols):
             r = residual[i, j]
             q = r / rough
             w[j] = 0.0 if abs(q) >= 1.0 else (1.0 - q * q) ** 2
             mass += w[j]
-            loss += w[j] * r * r
             slopes[size, j] = r
         for k in range(p):
             for j in range(cols):
@@ -258,7 +257,7 @@ def normal_equations(residual, shapes, plane, linear, rough, matrix, vector):
                 weighed[k, j] = w[j] * slopes[k, j]
         add_products(weighed, slopes, cols, products)
     take_apart(products, matrix, vector)
-    return mass, loss
+    return mass, products[size, size]
 
 
 @compiled()

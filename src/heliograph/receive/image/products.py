@@ -6,7 +6,7 @@ from heliograph.base.compiled import compiled
 from heliograph.receive.image.cholesky import mirror
 
 TOGETHER = 4
-"""Sums of products that `add_products` takes at a time."""
+"""Sums of products that `add_products` takes at a time: they are written out there."""
 
 
 @compiled()
@@ -29,7 +29,7 @@ def rows_for_products(count, cols):
 
 @compiled(fastmath={"reassoc", "contract"})
 def add_products(left, right, cols, out):
-    """Add the sums of products of each row of one with each of the other, up to its own number, to `out`.
+    """Add left right^T to `out`: its lower half.
 
     A sum alone waits for its last addition, each time; four of them do not wait for each other.
 
@@ -62,7 +62,7 @@ def add_products(left, right, cols, out):
 
 @compiled()
 def take_apart(products, matrix, rhs):
-    """Give normal equations by sums of products of slopes and, in the last row, of the residual with them.
+    """Give normal equations by sums of products of images and, in the last row, of what they are fitted to with them.
 
     Parameters
     ----------

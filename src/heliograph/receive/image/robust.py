@@ -1,4 +1,4 @@
-"""Measures of images: a spread that outliers do not move, and correlation."""
+"""Measures of images: the median, a spread that outliers do not move, and correlation."""
 
 import numpy as np
 
@@ -14,11 +14,11 @@ def robust_std(values: Floats) -> float:
         Values of any shape, one at least.
     """
     # median |x| / Phi^-1(3/4)
-    return 1.4826 * median(np.abs(values))
+    return 1.4826 * median_of(np.abs(values))
 
 
-def median(values: Floats) -> float:
-    """Median of values, in a tenth of the time of NumPy's own, which looks for what is not a number.
+def median_of(values: Floats) -> float:
+    """Median of values, in a seventh of the time of NumPy's own for 256 of them; all must be numbers.
 
     Parameters
     ----------

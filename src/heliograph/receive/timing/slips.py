@@ -98,8 +98,8 @@ class _Held:
     """A frame whose number is not decided.
 
     Its own number by its time; the array's pose when it was viewed; what it shows at the LEDs' places, and about the
-    mean of frames; the power of the latter, and whether it may be a pattern's. Then the frame that it was last compared
-    with, and their epsilon.
+    mean of frames; the power of the latter, and whether it may be a pattern's. Then a memo: the frame that it was last
+    compared with, and their epsilon.
     """
 
     frame: Frame
@@ -140,8 +140,8 @@ class SlipWatch:
 
     def __init__(self, identity: int, signal: SignalSettings):
         self.lost = 0
-        self._signal, self._period_s, self._packet = signal, signal.pattern_period_s, signal.packet_patterns
-        self._header = 2 * signal.header_pairs
+        self._signal, self._period_s, self._packet_patterns = signal, signal.pattern_period_s, signal.packet_patterns
+        self._header_patterns = 2 * signal.header_pairs
         # without its rim, where a bright background shines in
         self._rim = signal.side // RIM_DIVISOR
         inner = slice(self._rim, signal.side - self._rim)
@@ -248,7 +248,7 @@ class SlipWatch:
         first = self._held.pop(0)
         self._number = first.number
         out, number = self._timed(first.frame), first.number + self.lost
-        near = (number + self._header) % self._packet < HEADER_SPANS * self._header
+        near = (number + self._header_patterns) % self._packet_patterns < HEADER_SPANS * self._header_patterns
         if near and first.about is not None:
             self._headers[number] = float(first.about @ self._signs) / max(first.power * self._signs.size, TINY) ** 0.5
             self._follow_header(number)
@@ -256,7 +256,7 @@ class SlipWatch:
 
     def _follow_header(self, number: int) -> None:
         """Take the frames after a header that ended early, or late after a slip that was none, for what follows it."""
-        patterns, length = self._packet, self._header
+        patterns, length = self._packet_patterns, self._header_patterns
         early = (length - 1 - number + patterns // 2) % patterns - patterns // 2
         last = [self._headers.get(number - k, 0.0) for k in range(length)]
         if 0 < abs(early) <= length and all((-1) ** (k + 1) * h > HEADER_CORRELATION for k, h in enumerate(last)):

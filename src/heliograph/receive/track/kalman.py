@@ -243,7 +243,7 @@ class PoseState:
     def __post_init__(self) -> None:
         known = self.__dict__
         known["mean"], known["covariance"] = _for_kernels(self.mean), _for_kernels(self.covariance)
-        # number by number: poses are asked for several times a frame, and arrays of two cost more than their sums
+        # number by number: poses are asked for several times a frame, and NumPy takes longer than their sums
         known["_numbers"] = [*self.mean[:8].tolist(), *self.tilt.mean.tolist()]
 
     @staticmethod
