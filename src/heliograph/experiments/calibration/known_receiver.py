@@ -1,0 +1,304 @@
+"""The soft receiver with the channel known: the true pose, blur, gain and noise in place of estimates.
+
+Only experiments give a receiver the truth; everything else about it is the receiver's own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliograph.base.arrays import Floats
+from heliograph.base.threads import one_thread
+from heliograph.channel import ArrayTruth
+from heliograph.experiments.links import true_pose
+from heliograph.link.settings import LinkSettings
+from heliograph.receive import Packet, Receiver
+from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.assemblies import soft_parts, soft_reader
+from heliograph.receive.decode.codeword import Decoding
+from heliograph.receive.decode.gain_and_noise import GainAndNoise
+from heliograph.receive.decode.iterate import decode_iteratively
+from heliograph.receive.equalise.led_gains import LedGains
+from heliograph.receive.events import DecodeEvent, Observer, ignore
+from heliograph.receive.observe.cutout import Cutout, take_cutout
+from heliograph.receive.observe.noise import Noise
+from heliograph.receive.observe.statistics import PairStatistics
+from heliograph.receive.reader_protocol import Decoded, PacketReader, ReadHeader
+from heliograph.receive.receiver import StreamReceiver
+from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
+from heliograph.receive.track.pose_refinement import ObservedPacket
+from heliograph.receive.track.track import Track, TrackedPair
+from heliograph.receive.track.tracker import Tracker
+from heliograph.signal.formats import Format
+from heliograph.signal.packet import PacketFormat
+
+Truths = dict[int, ArrayTruth]
+"""The array's truth by number of the frame."""
+
+
+class KnownReader:
+    """The soft receiver's reader with the true channel in place of the estimated one; see `array.PacketReader`.
+
+    Parameters
+    ----------
+    link
+        The link as simulated, with one array at rest in step.
+    truths
+        Truth of each frame taken so far.
+    blind
+        Reads headers and follows the array.
+    """
+
+    def __init__(self, link: LinkSettings, truths: Truths, blind: PacketReader):
+        self._link, self._truths, self._blind = link, truths, blind
+        self._form = PacketFormat(link.signal)
+        self._cutouts: list[Cutout | None] = [None] * link.signal.data_pairs
+        self._gain = 0.0
+
+    @property
+    def format(self) -> Format:
+        """The packet's format, as its header signals it."""
+        return self._blind.format
+
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
+        """Read a header pair blind; see `PacketReader`.
+
+        Parameters
+        ----------
+        number
+            Number of the pair in the header, from 0.
+        pair
+            Camera frames of the header and its inverse.
+        tracked
+            The array in them, as the tracker followed it.
+        """
+        return self._blind.read_header(number, pair, tracked)
+
+    def end_header(self, header: MeasuredHeader) -> None:
+        """Nothing: the camera is in step.
+
+        Parameters
+        ----------
+        header
+            Header as a camera out of step saw it; ignored.
+        """
+
+    def follow(self, pair: FramePair, track: Track) -> TrackedPair:
+        """Follow the array blind; see `PacketReader`.
+
+        Parameters
+        ----------
+        pair
+            Camera frames of a pair of data.
+        track
+            The array as it was before this pair.
+        """
+        return self._blind.follow(pair, track)
+
+    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:  # noqa: ARG002 - the truth is known
+        """Keep a pair with its true poses.
+
+        Parameters
+        ----------
+        place
+            Number of the pair in its packet's data, from 0.
+        pair
+            Camera frames of the pair; their numbers name the truths.
+        tracked
+            The array in them, as it was followed; ignored, for the truth is known.
+        """
+        first, second = (self._truths[frame.index] for frame in (pair.pattern, pair.inverted))
+        poses = true_pose(first, self._link), true_pose(second, self._link)
+        self._cutouts[place] = take_cutout(pair, poses, self._link.signal.side)
+        self._gain = true_gain(first, self._link)
+
+    def take_lone(self, place: int, lone: LoneFrame) -> None:
+        """Leave a pair out of which one frame is lost; see `PacketReader`.
+
+        Parameters
+        ----------
+        place
+            Number of the pair in its packet's data, from 0.
+        lone
+            The frame that is there; ignored.
+        """
+
+    def taken(self) -> "KnownPairs":
+        """The cut-outs of all pairs, with the gain; see `PacketReader`."""
+        return KnownPairs(self._link, self._form, tuple(self._cutouts), self._gain)
+
+    def learn(self, lesson: None) -> None:
+        """Nothing is learnt of a packet: all is known.
+
+        Parameters
+        ----------
+        lesson
+            What decoding it has taught, which is nothing.
+        """
+
+    def next(self, beyond_doubt: bool) -> "KnownReader":
+        """Give the reader of the next packet.
+
+        Parameters
+        ----------
+        beyond_doubt
+            Whether the array is there beyond doubt.
+        """
+        return KnownReader(self._link, self._truths, self._blind.next(beyond_doubt))
+
+    def catch_up(self, lesson: None) -> None:
+        """Nothing is learnt of a packet: all is known.
+
+        Parameters
+        ----------
+        lesson
+            What decoding the packet before has taught, which is nothing.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class KnownPairs:
+    """What was taken of a packet whose channel is known; see `reader_protocol.TakenPacket`.
+
+    Attributes
+    ----------
+    link
+        The link as simulated, with one array at rest in step.
+    form
+        Format of the packet.
+    cutouts
+        Cut-outs of its pairs at their true poses; None for pairs not seen.
+    gain
+        Gray levels of the array with all LEDs on.
+    """
+
+    link: LinkSettings
+    form: PacketFormat
+    cutouts: tuple[Cutout | None, ...]
+    gain: float
+
+    @property
+    def format(self) -> Format:
+        """The packet's format."""
+        return self.form.format
+
+    def taught(self, lesson: None) -> "KnownPairs":  # noqa: ARG002 - all is known
+        """The same: nothing is learnt; see `TakenPacket`.
+
+        Parameters
+        ----------
+        lesson
+            What the packets before have taught, which is nothing.
+        """
+        return self
+
+    def glance(self) -> bool:
+        """Nothing is faster than to decode it; see `TakenPacket`."""
+        return False
+
+    def renumbered(self, place: int) -> "KnownPairs":  # noqa: ARG002 - no frame is lost
+        """The same: no frame is lost of which the truth is known; see `TakenPacket`.
+
+        Parameters
+        ----------
+        place
+            Number of a lost pair; ignored.
+        """
+        return self
+
+    @one_thread()
+    def decode(self, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
+        """Codewords by layer.
+
+        Parameters
+        ----------
+        observe
+            Gets nothing: no event tells of this decoding.
+        """
+        noise, receive = true_noise(self.gain, self.link), self.link.receive
+        observed = ObservedPacket.of(self.cutouts, noise, self.form, LedGains.sound(self.link.signal.side))
+        channel, decoding = GainAndNoise(self.gain, noise.lit), Decoding("log-map", receive.decode.iterations)
+        identity = self.link.transmit.identities[0]
+        return Decoded(decode_iteratively(_FixedPoses(observed), channel, self.form, identity, decoding, None).words)
+
+    def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:  # noqa: ARG002 - the protocol's
+        """The packet with the cut-outs of its pairs.
+
+        Parameters
+        ----------
+        packet
+            The packet that was just decoded.
+        decoded
+            What decoding made of it; ignored.
+        """
+        return DecodeEvent(packet.identity, packet, cutouts=self.cutouts)
+
+
+@dataclass(frozen=True, slots=True)
+class _FixedPoses:
+    """Pairs whose poses are right already."""
+
+    observed: ObservedPacket
+
+    @property
+    def statistics(self) -> Sequence[PairStatistics | None]:
+        return self.observed.statistics
+
+    def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "_FixedPoses":  # noqa: ARG002 - the protocol's
+        return self
+
+    def relit(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "_FixedPoses":  # noqa: ARG002 - the protocol's
+        return self
+
+
+def known_receiver(link: LinkSettings, truths: Truths) -> Receiver:
+    """The soft receiver with the true channel.
+
+    Parameters
+    ----------
+    link
+        The link as simulated.
+    truths
+        Truth of each frame, which must be there before the frame is pushed.
+    """
+    blind = soft_reader(link.signal, link.receive, ignore)
+
+    def reader(detection: Detection, tracker: Tracker) -> PacketReader:
+        return KnownReader(link, truths, blind(detection, tracker))
+
+    return StreamReceiver(soft_parts(link.signal, link.receive, ignore, reader), ignore)
+
+
+def true_gain(truth: ArrayTruth, link: LinkSettings) -> float:
+    """Gray levels of a wide array with all LEDs on, by the Lambertian lobe of LEDs off the axis.
+
+    Parameters
+    ----------
+    truth
+        Truth of the array in a frame; only its distance is used.
+    link
+        The link as simulated, with one array.
+    """
+    place, emitter, sensor = link.channel.arrays[0], link.channel.emitter, link.channel.sensor
+    z = truth.distance_m
+    cosine = z / np.sqrt(z**2 + place.x_m**2 + place.y_m**2)
+    return float(place.brightness * emitter.all_on * cosine**emitter.lobe_order * sensor.full_scale)
+
+
+def true_noise(gain: float, link: LinkSettings) -> Noise:
+    """Noise of a difference of two frames by EMVA 1288: 2 (K^2 sigma_d^2 + 1 / 12) and K times the light of both.
+
+    Parameters
+    ----------
+    gain
+        Gray levels of a wide array with all LEDs on, as `true_gain` gives them.
+    link
+        The link as simulated.
+    """
+    sensor, channel = link.channel.sensor, link.channel
+    k = sensor.gain_dn_per_e
+    # 2 (K^2 sigma_d^2 + 1 / 12)
+    dark = 2 * ((k * sensor.dark_noise_e) ** 2 + 1 / 12)
+    panel, background = channel.emitter.panel_level, channel.background.level
+    return Noise(dark + k * (gain + 2 * panel * sensor.full_scale), dark + k * 2 * background * sensor.full_scale)
