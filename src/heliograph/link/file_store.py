@@ -25,6 +25,9 @@ MOST_PART = 1 << 26
 MOST_PARTS = 1000
 """Most such files that are read. Chosen."""
 
+_NO_SUCH_FILE = (OSError, ValueError, LookupError, TypeError, EOFError, NotImplementedError)
+"""All that reading a damaged archive raises; the last one where it claims a compression that Python does not have."""
+
 RESERVED = {"con", "prn", "aux", "nul", *(f"{kind}{n}" for kind in ("com", "lpt") for n in range(10))}
 """Names that are no files under Windows, whatever their suffix."""
 
@@ -145,7 +148,7 @@ class FileStore:
     def _parts(self, key: str) -> Iterator[tuple[Path, FileKey, Mapping[int, bytes]]]:
         """Symbols that an earlier passage left; what is no such file is passed over."""
         for path in sorted(self.folder.glob(PARTS.format(key=key)))[:MOST_PARTS]:
-            with contextlib.suppress(OSError, ValueError, LookupError, TypeError, EOFError, NotImplementedError):
+            with contextlib.suppress(*_NO_SUCH_FILE):
                 yield path, *_unpacked(read_bounded(path, MOST_PART))
 
 

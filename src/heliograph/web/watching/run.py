@@ -193,7 +193,7 @@ class Run:
             close()
 
     def _show(self, seen: Seen, reception: Reception) -> None:
-        """Show the frame before and tell the counts, where they are due, or no frame follows for now."""
+        """Show the frame before and tell the counts, where they are due, or a pause keeps the next frame back."""
         now, held = time.monotonic(), self.gate.holds
         if self._newest is not None and (now >= self._shown + SCENE_S or held):
             # in step with the screen, unless frames come more slowly
