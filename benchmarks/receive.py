@@ -17,8 +17,9 @@ from heliograph.link.recordings import load_footage
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, default_messages, simulate
 from heliograph.receive import Packet, Pose, ReceiveSettings
+from heliograph.receive.acquire.budget import SearchLoad
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
-from heliograph.receive.assemblies import plain_parts, plain_receiver
+from heliograph.receive.assemblies import plain_parts, plain_receiver, soft_receiver
 from heliograph.receive.events import ignore
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.receiver import StreamReceiver
@@ -37,8 +38,8 @@ def film(settings: LinkSettings, recordings: Recordings | None = None) -> list[F
     return [frame for frame, _ in simulate(settings, default_messages(settings), 1, recordings)]
 
 
-def empty(background: str, clip: Path | None = None) -> list[Frame]:
-    """A drive over a rough road past nothing, before a clip or what is drawn: the array is dark."""
+def empty(background: str = "footage", clip: Path | None = None) -> list[Frame]:
+    """A drive over a rough road past nothing, before what is drawn or a clip: the array is dark."""
     drive = {"speed_m_s": 8.33, "shake": "road", "road_class": "C", "stop_m": 1.0, "distance_m": 50.0}
     scene = {**drive, "duration_s": FRAMES * 1e-3, "background": {"kind": background}, "arrays": [{"start_s": 1e3}]}
     recordings = None if clip is None else Recordings(footage=load_footage(clip))
@@ -59,8 +60,19 @@ def rate(frames: Sequence[Frame]) -> tuple[float, list[Packet], int]:
         for frame in frames:
             packets += receiver.push(frame)
         rates.append(len(frames) / (time.process_time() - start))
-        fitted = receiver.candidates_fitted
+        fitted = receiver.load.fitted
     return float(np.median(rates)), packets, fitted
+
+
+def flickering(receiver: StreamReceiver) -> tuple[float, float]:
+    """Processor time in ms a frame where all of it flickers in squares of 8 px: of 300 frames, and of those after."""
+    levels = np.random.default_rng(1).integers(0, 256, (100, 64, 128), np.uint8)
+    pixels = [np.kron(one, np.ones((8, 8), np.uint8)) for one in levels]
+    times = [time.process_time()]
+    for k in range(1500):
+        list(receiver.push(Frame(k, k * 1e-3, pixels[k % len(pixels)])))
+        times.append(time.process_time())
+    return (times[300] - times[0]) / 300 * 1e3, (times[-1] - times[300]) / 1200 * 1e3
 
 
 class SearchOnce:
@@ -70,8 +82,8 @@ class SearchOnce:
         self._search, self._found = search, False
 
     @property
-    def candidates_fitted(self) -> int:
-        return self._search.candidates_fitted
+    def load(self) -> SearchLoad:
+        return self._search.load
 
     @property
     def recent(self) -> Sequence[Frame]:
@@ -140,7 +152,7 @@ def main() -> None:
         ("following, drawn scene, 50 m", film(static(50.0, "synthetic"))),
         ("searching, flat", empty("flat")),
         ("searching, drawn scene shaken", empty("synthetic")),
-        *((f"searching, {clip.stem}", empty("flat", clip)) for clip in clips),
+        *((f"searching, {clip.stem}", empty(clip=clip)) for clip in clips),
     )
     for name, frames in cases:
         per_s, packets, fitted = rate(frames)
@@ -151,6 +163,13 @@ def main() -> None:
     for name, frames in cases[:2]:
         per_s = following_rate(frames)
         print(f"{name + ', no search':36} {1e3 / per_s:8.3f} ms {per_s:7.0f} frames/s")
+    for name, receiver in (
+        ("plain", plain()),
+        ("soft", soft_receiver(load_settings().signal, ReceiveSettings(), ignore)),
+    ):
+        first, then = flickering(receiver)
+        load = receiver.load
+        print(f"searching what flickers all over, {name}: {first:.2f} ms a frame of 300, then {then:.2f} ms; {load}")
 
 
 if __name__ == "__main__":

@@ -233,6 +233,12 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
         f"{report['frames']} frames in {report['seconds']:.1f} s ({report['frames_per_second']:.0f} frames/s), "
         f"{report['detections']} detections"
     )
+    if report["dropped_candidates"] or report["dropped_blocks"]:
+        console.say_prose(
+            f"more alternates in these frames than searching may cost: {report['dropped_candidates']} candidates and "
+            f"{report['dropped_blocks']} blocks were left out; say by --region where the array is, or raise "
+            f"receive.detect.busy_ms"
+        )
     if not report["arrays"]:
         console.say("no array found")
     for array in report["arrays"]:

@@ -12,8 +12,9 @@ from heliograph.link.simulate import Messages
 from heliograph.link.truth import FrameTruth
 from heliograph.measure.errors import ErrorCounter
 from heliograph.receive import Codeword, Packet, make_receiver
+from heliograph.receive.acquire.budget import SearchLoad
 from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.events import DetectEvent
+from heliograph.receive.events import DetectEvent, DropEvent
 from heliograph.receive.receivers import AnyObserver
 from heliograph.signal.block import Block, payload_bytes
 from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress
@@ -112,6 +113,8 @@ class Reception:
         Number of frames taken so far.
     detections
         Times the receiver took something for an array.
+    left_out
+        What its search left out.
     errors
         Errors against the truth; None where it is not known.
     files
@@ -126,6 +129,7 @@ class Reception:
         self.arrays: dict[int, ArrayTally] = {}
         self.frames = 0
         self.detections = 0
+        self.left_out = SearchLoad()
         self.errors = ErrorCounter(truth.settings, truth.messages) if truth else None
         self._truths = truth.frames() if truth else None
         self._reassembler = Reassembler()
@@ -209,6 +213,8 @@ class Reception:
             "seconds": round(seconds, 3),
             "frames_per_second": round(self.frames / max(seconds, 1e-9), 1),
             "detections": self.detections,
+            "dropped_candidates": self.left_out.dropped,
+            "dropped_blocks": self.left_out.blocks,
             "arrays": [_plain(identity, tally) for identity, tally in sorted(self.arrays.items())],
             "files": list(self.file_rows.values()),
         }
@@ -253,6 +259,8 @@ def receive_film(
     def counted(event: Any) -> None:
         if isinstance(event, DetectEvent):
             reception.found(event.detection)
+        elif isinstance(event, DropEvent):
+            reception.left_out += event.load
         if observe is not None:
             observe(event)
 

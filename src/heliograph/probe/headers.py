@@ -21,7 +21,7 @@ from heliograph.receive.acquire.coarse import (
     RING,
     SearchParameters,
     alternation_of,
-    coarse_candidates,
+    coarse_search,
 )
 from heliograph.receive.acquire.hypotheses import Hypothesis, headers
 from heliograph.receive.image import kernels
@@ -194,8 +194,8 @@ def _coarse(frames: Sequence[Frame], centres: Floats, size: float, pad: int) -> 
         reach = REACH * size
         first, last = (centres[k] - (x, y) - reach) // BLOCK_PX, (centres[k] - (x, y) + reach) // BLOCK_PX
         busy[_from(first[1]) : _from(last[1]) + 1, _from(first[0]) : _from(last[0]) + 1] = True
-        rows = coarse_candidates(change, busy, replace(frames[k], origin=(x, y)), parameters, cells, sizes)
-        found += [_Row(int(k), row[0], row[1] + x, row[2] + y, row[3], int(row[4])) for row in rows]
+        seen = coarse_search(change, busy, replace(frames[k], origin=(x, y)), parameters, cells, sizes)
+        found += [_Row(int(k), row[0], row[1] + x, row[2] + y, row[3], int(row[4])) for row in seen.rows]
     kept = list[_Row]()
     for row in sorted(found, key=lambda one: -abs(one.score)):
         if len(kept) < FITTED and all(abs(row.place - other.place) > APART_FRAMES for other in kept):

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
+from heliograph.receive.acquire.budget import SearchLoad
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.decode.iterate import EqualiseEvent, ignore
 from heliograph.receive.image.pose import Pose
@@ -19,6 +20,7 @@ from heliograph.receive.track.track import TrackedPair
 __all__ = [
     "DecodeEvent",
     "DetectEvent",
+    "DropEvent",
     "EqualiseEvent",
     "Event",
     "ExtractEvent",
@@ -133,7 +135,23 @@ class LostEvent:
     time_s: float
 
 
-Event = DetectEvent | TrackEvent | ExtractEvent | EqualiseEvent | DecodeEvent | LostEvent
+@dataclass(frozen=True, slots=True)
+class DropEvent:
+    """More alternates in the frames than searching them may cost: a part was left out.
+
+    Attributes
+    ----------
+    time_s
+        Time in seconds of the frame with which it was left out.
+    load
+        What was fitted and what was left out with this frame.
+    """
+
+    time_s: float
+    load: SearchLoad
+
+
+Event = DetectEvent | TrackEvent | ExtractEvent | EqualiseEvent | DecodeEvent | LostEvent | DropEvent
 """Every event."""
 
 Observer = Callable[[Event], None]

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 from heliograph.base.frames import Frame, check_next
 from heliograph.base.threads import in_one_thread
+from heliograph.receive.acquire.budget import SearchLoad
 from heliograph.receive.acquire.candidate import apart
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.coming import ComingPacket
-from heliograph.receive.events import DetectEvent, LostEvent, Observer
+from heliograph.receive.events import DetectEvent, DropEvent, LostEvent, Observer
 from heliograph.receive.image.orientation import UPRIGHT, Orientation
 from heliograph.receive.oriented_receivers import OrientedReceivers
 from heliograph.receive.packets import Packet
@@ -60,9 +61,9 @@ class StreamReceiver:
         self._newest: ComingPacket | None = None
 
     @property
-    def candidates_fitted(self) -> int:
-        """Candidates that the search has fitted so far: what it costs."""
-        return self._parts.search.candidates_fitted
+    def load(self) -> SearchLoad:
+        """What the search did and left out so far."""
+        return self._parts.search.load
 
     def push(self, frame: Frame) -> Iterator[Packet]:
         """Take the next frame; yield the packets it completes; see `Receiver`.
@@ -132,8 +133,11 @@ class StreamReceiver:
             yield from array.flush()
             self._forget(array)
         kept = [one for one in self._arrays if one.sure and not one.leading.leaves(frame.time_s)]
+        before = self.load
         for detection in self._parts.search.push(frame, [array.leading.pose for array in kept]):
             yield from self._weigh(detection)
+        if self.load.left_out != before.left_out:
+            self._observe(DropEvent(frame.time_s, self.load - before))
 
     def _weigh(self, detection: Detection) -> Iterator[ComingPacket]:
         """Follow what was found unless it lies where a better array is followed."""

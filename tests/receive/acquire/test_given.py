@@ -11,6 +11,7 @@ from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
+from heliograph.receive.acquire.budget import SearchLoad
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.given import AROUND_SIDES, GivenSearch, pose_of
@@ -55,7 +56,7 @@ def test_an_array_turned_by_more_is_one_turned_by_less_whose_header_is_turned() 
 class Told:
     """A search that notes what it is shown."""
 
-    candidates_fitted = 3
+    load = SearchLoad(fitted=3)
 
     def __init__(self) -> None:
         self.shown = list[Frame]()
@@ -97,7 +98,7 @@ def test_the_region_alone_is_searched_and_whole_frames_are_handed_on() -> None:
         np.testing.assert_array_equal(part.pixels, frame.pixels[y : y + rows, x : x + columns])
     assert [one.pixels.shape for one in search.recent] == [(100, 200)] * 3
     assert [one.index for one in search.recent] == [2, 3, 4]
-    assert search.candidates_fitted == 3
+    assert search.load.fitted == 3
 
 
 def test_an_array_that_is_followed_is_looked_for_where_it_went() -> None:

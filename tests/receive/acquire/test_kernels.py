@@ -10,6 +10,7 @@ from heliograph.receive.acquire import coarse, kernels, reference
 from heliograph.signal.header import all_header_cells
 
 RING, GRID = 0.12, 0.1
+UNBOUNDED = coarse.UNBOUNDED
 
 
 @pytest.mark.parametrize("weights", [coarse.ALTERNATION, coarse.DIFFERENCE, (2.0, -4.0, 4.0, -2.0)])
@@ -92,9 +93,11 @@ def searched(
     """Candidates found, and the table of them."""
     cells, best = all_header_cells().reshape(-1, 16).astype(float), np.zeros((count, 5))
     total, square = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
-    found = kernels.search(
-        total, square, busy, 8.0, cells, np.array(sides), contrast, threshold, RING, GRID, apart, np.array(corner), best
+    sizes, first = np.array(sides), np.array(corner)
+    found, _, passed, _ = kernels.search(
+        total, square, busy, 8.0, cells, sizes, contrast, threshold, RING, GRID, apart, first, 0, UNBOUNDED, best
     )
+    assert passed == busy.size
     return found, best
 
 

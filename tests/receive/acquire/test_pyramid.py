@@ -11,6 +11,7 @@ from scenes import SIDE, draw, frame_of
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.acquire import pyramid
+from heliograph.receive.acquire.budget import SearchLoad
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.pyramid import PyramidSearch, level_parameters
@@ -170,9 +171,10 @@ def test_dim_arrays_are_found_as_if_all_frames_were_reduced(dimmed: float, monke
 @pytest.mark.parametrize("pose", [NEAR, FAR])
 def test_candidates_of_all_levels_count(pose: Pose) -> None:
     search = PyramidSearch(SEARCH, SignalSettings())
-    assert search.candidates_fitted == 0
+    assert search.load == SearchLoad()
     search_of(frames_of((pose, 11)), search=search)
-    assert search.candidates_fitted >= 1
+    assert search.load.fitted >= 1
+    assert search.load.left_out == 0
 
 
 @pytest.mark.parametrize("pose", [NEAR, FAR])

@@ -15,7 +15,7 @@ from heliograph.receive.acquire.coarse import (
     alternation_means,
     alternation_of,
     busy_blocks,
-    coarse_candidates,
+    coarse_search,
 )
 from heliograph.receive.acquire.hypotheses import ALL_ON, headers
 from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
@@ -114,7 +114,7 @@ class VariantDetector:
         if not busy.any():
             return []
         # of each range of sizes: a square's parts are like it, and would be kept in place of it
-        rows = [coarse_candidates(change, busy, first, self._parameters, self._cells, sides) for sides in self._bands]
+        rows = [coarse_search(change, busy, first, self._parameters, self._cells, sides).rows for sides in self._bands]
         found = [self._fitted(change, row, first.full_scale) for row in np.concatenate(rows)]
         return [one for one in found if one is not None]
 

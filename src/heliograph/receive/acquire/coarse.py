@@ -7,6 +7,7 @@ blocks is searched.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -49,6 +50,15 @@ BLANK = -1.0
 PART_LIT = 0.25
 """Least mean alternation of a busy block as a fraction of the least contrast: the array may fill a quarter of it."""
 
+CELLS_WORK = 15
+"""Work of summing a place's cells. Work is counted in places looked at; that takes 6 ns on the machine measured on."""
+
+HEADERS_AT_ONCE = 4
+"""Headers that a place is correlated with in the time of looking at one."""
+
+UNBOUNDED = 1 << 60
+"""More work than any search does."""
+
 COARSE_CONTRAST = 0.5
 """Least rms alternation of a candidate as a fraction of the least contrast: an array half of it off the grid."""
 
@@ -73,6 +83,8 @@ class SearchParameters:
         Least ratio of the weakest to the mean alternation of the header's frames, 0 to 1; clutter alternates unevenly.
     candidates
         Most candidates fitted per search.
+    busy_ms
+        Processor time in ms that searches may take per pattern on average, by the count of `budget`.
     impaired
         Whether tilted and partly hidden arrays are looked for too; more clutter is taken for one of them.
     all_on
@@ -94,6 +106,7 @@ class SearchParameters:
     score: float
     regularity: float
     candidates: int
+    busy_ms: float = 0.3
     impaired: bool = False
     all_on: bool = False
     blur_px: float
@@ -242,13 +255,13 @@ def busy_blocks(
     left, least = np.empty_like(means), PART_LIT * min_contrast * frame.full_scale
     spans = np.array([_spans(pose, side, frame.origin) for pose in taken], np.int64).reshape(-1, 4)
     # mostly nothing is busy, and then no median is needed
-    middle = kernels.middle_of_busy(means, spans, BLANK, BUSY, least, left)
+    middle, quiet = kernels.middle_of_busy(means, spans, BLANK, BUSY, least, left)
     if everywhere:
         return np.asarray(left != BLANK)
     if middle < 0:
         return np.zeros(means.shape, bool)
     # a large array lights all of the frame through the windscreen: its own blocks say nothing of that
-    median = float(np.partition(left, middle, axis=None)[middle])
+    median = 0.0 if quiet else float(np.partition(left, middle, axis=None)[middle])
     busy = left > max(least, BUSY * median)
     return np.asarray(cv2.dilate(busy.view(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
 
@@ -271,8 +284,8 @@ def searched_part(
     -------
     The frames cut to it, from a block's first pixel on, and its blocks.
     """
-    # an array and its ring, as far as it is fitted, about a centre in a busy block
-    reach = int(np.ceil(largest_px / BLOCK_PX)) + 1
+    # an array and its ring about a centre in a busy block, and two blocks for where its fit moves it and tilts it
+    reach = int(np.ceil((0.5 + RING) * largest_px / BLOCK_PX)) + 2
     spans = [_span(np.any(busy, axis=axis), reach) for axis in (1, 0)]
     rows, columns = (slice(first * BLOCK_PX, end * BLOCK_PX) for first, end in spans)
     x, y = frames[0].origin[0] + columns.start, frames[0].origin[1] + rows.start
@@ -280,7 +293,29 @@ def searched_part(
     return cut, busy[slice(*spans[0]), slice(*spans[1])]
 
 
-def coarse_candidates(
+class Searched(NamedTuple):
+    """What a coarse search found and did.
+
+    Attributes
+    ----------
+    rows
+        (candidates, 5) of score (negative where the inverse comes first), x and y of the centre in px of the image,
+        side in px, identity; the best first.
+    work
+        Work done, in places looked at.
+    passed
+        Number of blocks gone through, busy or not, from the one it began with.
+    compared
+        Number of places compared with the headers; where it is 0, it is so for other headers too.
+    """
+
+    rows: NDArray[np.float64]
+    work: int
+    passed: int
+    compared: int
+
+
+def coarse_search(
     change: NDArray[np.float32],
     busy: NDArray[np.bool_],
     frame: Frame,
@@ -288,7 +323,9 @@ def coarse_candidates(
     cells: NDArray[np.float64],
     sides: NDArray[np.float64],
     apart: float = APART_SIDES,
-) -> NDArray[np.float64]:
+    begin: int = 0,
+    limit: float = UNBOUNDED,
+) -> Searched:
     """Best candidates of a search.
 
     Parameters
@@ -307,11 +344,10 @@ def coarse_candidates(
         (sizes,) sides of arrays in px, of `SearchParameters.sides`.
     apart
         Least distance of two candidates as a fraction of the larger one's side, `APART_SIDES` or `TURNED_APART_SIDES`.
-
-    Returns
-    -------
-    (candidates, 5) of score (negative where the inverse comes first), x and y of the centre in px of the image, side in
-    px, identity; the best first.
+    begin
+        Number of the block searched first, counted row by row; the blocks before it come last.
+    limit
+        Work after which no further block is begun.
     """
     from heliograph.receive.acquire import kernels
 
@@ -319,7 +355,7 @@ def coarse_candidates(
     best = np.zeros((parameters.candidates, 5))
     contrast = COARSE_CONTRAST * parameters.min_contrast * frame.full_scale
     corner = np.array(frame.origin, np.float64)
-    count = kernels.search(
+    found, work, passed, compared = kernels.search(
         total,
         square,
         busy,
@@ -332,9 +368,11 @@ def coarse_candidates(
         GRID,
         apart,
         corner,
+        begin,
+        int(limit),
         best,
     )
-    return best[:count]
+    return Searched(best[:found], work, passed, compared)
 
 
 def _four(frames: Sequence[Frame]) -> tuple[Sequence[Frame], FrameWeights]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
+from heliograph.receive.acquire.budget import SearchLoad
 from heliograph.receive.acquire.header_fit import CLEAR
 from heliograph.receive.acquire.hypotheses import Hypothesis
 from heliograph.receive.image.fit import Fit
@@ -117,8 +118,8 @@ class HeaderSearch(Protocol):
         """
 
     @property
-    def candidates_fitted(self) -> int:
-        """Candidates fitted so far."""
+    def load(self) -> SearchLoad:
+        """What the searches did and left out so far."""
 
     @property
     def recent(self) -> Sequence[Frame]:

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.arrays import TINY, Floats
+from heliograph.base.arrays import TINY
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
+from heliograph.receive.acquire.budget import BoundedSearch, SearchLoad
 from heliograph.receive.acquire.candidate import CANDIDATE_MARGIN_PX, cell_light
-from heliograph.receive.acquire.coarse import BLOCK_PX, RING, SearchParameters, coarse_candidates
+from heliograph.receive.acquire.coarse import BLOCK_PX, RING, coarse_search
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
-from heliograph.receive.acquire.hypotheses import Headers
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import Window, window_around
@@ -87,9 +87,7 @@ def candidates_of(
     change: NDArray[np.float32],
     busy: NDArray[np.bool_],
     frame: Frame,
-    parameters: SearchParameters,
-    searched: Headers,
-    sides: Floats,
+    coarse: BoundedSearch,
     side: int,
 ) -> list[Candidate]:
     """What may be arrays: the best of the coarse search; where a pose was given, arrays turned and tilted as that one.
@@ -102,19 +100,15 @@ def candidates_of(
         (blocks down, blocks across), whether an array may have its centre there.
     frame
         The first of the frames, for place and full scale.
-    parameters
-        What is looked for.
-    searched
-        Headers looked for, each with what it may mean.
-    sides
-        (sizes,) sides of arrays in px.
+    coarse
+        The coarse search, with what is looked for.
     side
         LEDs in a row.
     """
-    if parameters.start is not None:
-        return _given(change, frame, parameters, parameters.start, searched, sides, side)
-    rows = coarse_candidates(change, busy, frame, parameters, searched.cells, sides, searched.apart)
-    (x, y), blur = frame.origin, parameters.blur_px
+    if coarse.parameters.start is not None:
+        return _given(change, frame, coarse, coarse.parameters.start, side)
+    rows = coarse.candidates(change, busy, frame)
+    (x, y), blur = frame.origin, coarse.parameters.blur_px
     poses = [Pose(row[1] - 0.5 + x, row[2] - 0.5 + y, row[3] / side, 0.0, blur) for row in rows]
     return [Candidate(pose, int(row[4]), float(np.sign(row[0]))) for pose, row in zip(poses, rows, strict=True)]
 
@@ -122,10 +116,8 @@ def candidates_of(
 def _given(
     change: NDArray[np.float32],
     frame: Frame,
-    parameters: SearchParameters,
+    coarse: BoundedSearch,
     start: Pose,
-    searched: Headers,
-    sides: Floats,
     side: int,
 ) -> list[Candidate]:
     """Candidates turned and tilted as a pose, and that pose itself.
@@ -142,8 +134,10 @@ def _given(
     upright = np.asarray(cv2.warpAffine(change, drawn, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP), np.float32)
     everywhere = np.ones((-(-size[1] // BLOCK_PX), -(-size[0] // BLOCK_PX)), bool)
     placed = replace(frame, origin=(0, 0))
-    out = []
-    for row in coarse_candidates(upright, everywhere, placed, parameters, searched.cells, sides, searched.apart):
+    out, (parameters, searched, sides) = list[Candidate](), (coarse.parameters, coarse.headers, coarse.sides)
+    # it is as small as somebody made it, and costs what it costs
+    found = coarse_search(upright, everywhere, placed, parameters, searched.cells, sides, searched.apart)
+    for row in found.rows:
         x, y = (drawn @ [row[1] - 0.5, row[2] - 0.5, 1.0] + frame.origin).tolist()
         pose = replace(start, x=x, y=y, pitch=float(row[3]) / side, blur=parameters.blur_px)
         out.append(Candidate(pose, int(row[4]), float(np.sign(row[0]))))
@@ -189,9 +183,9 @@ class GivenSearch:
         self._search.settle(orientation)
 
     @property
-    def candidates_fitted(self) -> int:
-        """Candidates fitted so far."""
-        return self._search.candidates_fitted
+    def load(self) -> SearchLoad:
+        """What the searches did and left out so far."""
+        return self._search.load
 
     @property
     def recent(self) -> Sequence[Frame]:

@@ -31,7 +31,7 @@ class Headers:
     hypotheses
         What each may mean, the most plausible first.
     apart
-        Least distance of two candidates as a fraction of the side; see `coarse_candidates`.
+        Least distance of two candidates as a fraction of the side; see `coarse_search`.
     """
 
     cells: NDArray[np.float64]

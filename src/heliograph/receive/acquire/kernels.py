@@ -6,7 +6,10 @@ import numpy as np
 
 from heliograph.base.arrays import TINY
 from heliograph.base.compiled import compiled
-from heliograph.receive.acquire.coarse import BLOCK_PX
+from heliograph.receive.acquire.coarse import BLOCK_PX, CELLS_WORK, HEADERS_AT_ONCE
+
+SINGLE = 1e-5
+"""What single precision may take from a product of 16 numbers, and more, as a fraction of it."""
 
 
 @compiled(fastmath=True)
@@ -117,7 +120,10 @@ def middle_of_busy(means, spans, blank, busy, least, left):
 
     Returns
     -------
-    Number of the block, sorted by its change, that has the median of those not blanked; -1 where none can be busy.
+    middle
+        Number of the block, sorted by its change, that has the median of those not blanked; -1 where none can be busy.
+    quiet
+        Whether the median is so small that `least` decides which blocks are busy.
     """
     rows, columns = means.shape
     for i in range(rows):
@@ -133,14 +139,15 @@ def middle_of_busy(means, spans, blank, busy, least, left):
             most = max(most, left[i, j])
             blanked += left[i, j] == blank
     # those blanked come first
-    middle, below = blanked + (rows * columns - blanked) // 2, 0
+    middle, below, still = blanked + (rows * columns - blanked) // 2, 0, 0
     if most <= least:
-        return -1
+        return -1, True
     for i in range(rows):
         for j in range(columns):
             below += left[i, j] < most / np.float32(busy)
+            still += left[i, j] < least / busy
     # half of the blocks have more than most / busy, so none has more than busy times the median
-    return middle if below > middle else -1
+    return middle if below > middle else -1, still > middle
 
 
 @compiled()
@@ -170,18 +177,65 @@ def _to_grid(start, step):
 
 
 @compiled()
-def _busy_ends(busy):
-    """Number of the block after the last busy one in each row of blocks, 0 where none is."""
-    ends = np.zeros(busy.shape[0], np.int64)
-    for i in range(busy.shape[0]):
-        for j in range(busy.shape[1]):
-            if busy[i, j]:
-                ends[i] = j + 1
-    return ends
+def _first_place(first, step, least):
+    """First place of a grid from `least` on."""
+    return first + step * max(0.0, math.ceil((least - first) / step - TINY))
 
 
 @compiled()
-def search(total, square, busy, block, cells, sides, contrast, threshold, ring_width, grid, apart, corner, best):
+def _outer_box(integral, y, x, height, width):
+    """Sum over the whole pixels that a box touches, as far as the image goes."""
+    top, low = max(0, math.floor(y)), min(integral.shape[0] - 1, math.ceil(y + height))
+    left, right = max(0, math.floor(x)), min(integral.shape[1] - 1, math.ceil(x + width))
+    return integral[low, right] - integral[top, right] - integral[low, left] + integral[top, left]
+
+
+@compiled(fastmath=True)
+def _cell_sums(integral, y, x, cell, columns, rows, sums):
+    """Sums over 4 x 4 cells, row by row; returns the sum of their squares. (5,) columns, (3, 5) rows are to work in."""
+    parts, above, below = rows[0], rows[1], rows[2]
+    # neighbouring cells share their corners
+    for j in range(5):
+        columns[j] = int(x + j * cell)
+        parts[j] = x + j * cell - columns[j]
+    power = 0.0
+    for i in range(5):
+        row = int(y + i * cell)
+        part = y + i * cell - row
+        upper, lower = integral[row], integral[row + 1]
+        for j in range(5):
+            k = columns[j]
+            top = upper[k] + parts[j] * (upper[k + 1] - upper[k])
+            below[j] = top + part * (lower[k] + parts[j] * (lower[k + 1] - lower[k]) - top)
+        if i > 0:
+            for j in range(4):
+                value = below[j + 1] - below[j] - above[j + 1] + above[j]
+                sums[4 * (i - 1) + j] = value
+                power += value * value
+        for j in range(5):
+            above[j] = below[j]
+    return power
+
+
+@compiled(fastmath=True)
+def _most_alike(columns, sums, dots):
+    """Products of 16 sums with (16, headers) cells, all at once in single precision; returns the largest magnitude."""
+    for t in range(dots.size):
+        dots[t] = np.float32(0.0)
+    for i in range(16):
+        one, row = np.float32(sums[i]), columns[i]
+        for t in range(dots.size):
+            dots[t] += one * row[t]
+    most = np.float32(0.0)
+    for t in range(dots.size):
+        most = max(most, abs(dots[t]))
+    return most
+
+
+@compiled()
+def search(
+    total, square, busy, block, cells, sides, contrast, threshold, ring_width, grid, apart, corner, begin, limit, best
+):
     """Correlate what alternates with all headers over scale and position.
 
     Parameters
@@ -208,64 +262,97 @@ def search(total, square, busy, block, cells, sides, contrast, threshold, ring_w
         Least distance of two candidates along x or y, as a fraction of the larger one's side.
     corner
         (2,) x, y on the sensor of the first pixel: the grid is fixed to the sensor, whatever the window.
+    begin
+        Number of the block searched first, row by row; the blocks before it come last.
+    limit
+        Work after which no further block is begun, counted in places looked at, as `CELLS_WORK` and `HEADERS_AT_ONCE`
+        say.
     best
         (count, 5), overwritten: score with the sign of the correlation, x, y, side, identity; the best first, of
         overlapping ones only the best.
 
     Returns
     -------
-    Number of candidates written.
+    found
+        Number of candidates written.
+    work
+        Work done.
+    passed
+        Number of blocks gone through, busy or not.
+    compared
+        Number of places that were correlated with the headers: which places are, does not depend on the headers.
     """
     rows, cols = total.shape[0] - 1, total.shape[1] - 1
-    sums, above, below = np.empty(16), np.empty(5), np.empty(5)
-    ends = _busy_ends(busy)
+    columns, room = (
+        np.ascontiguousarray(cells.T).astype(np.float32),
+        (np.empty(5, np.int64), np.empty((3, 5)), np.empty(16)),
+    )
+    dots = np.empty(cells.shape[0], np.float32)
     found = np.int64(0)  # of a plain 0 a second `_keep` would be compiled
-    for k in range(sides.shape[0]):
-        side = sides[k]
-        step = max(1.0, grid * side)
-        ring = ring_width * side
-        cell = side / 4.0
-        y = ring + _to_grid(corner[1], step)
-        while y + side + ring < rows - 1:
-            down = int((y + 0.5 * side) / block)
-            x = ring + _to_grid(corner[0], step)
-            while x + side + ring < cols - 1:
-                across = int((x + 0.5 * side) / block)
-                if across >= ends[down]:
-                    break
-                if not busy[down, across]:
-                    x += step
+    work = passed = compared = 0
+    while passed < busy.size and work < limit:
+        down, across = divmod((begin + passed) % busy.size, busy.shape[1])
+        passed += 1
+        for k in range(sides.shape[0] if busy[down, across] else 0):
+            side = sides[k]
+            step = max(1.0, grid * side)
+            ring = ring_width * side
+            whole, least = side + 2 * ring, contrast * contrast * side * side
+            # where places are dense, a quarter of the block at a time
+            parts = 2 if 4 * step < block else 1
+            part = block / parts
+            for quarter in range(parts * parts):
+                top, left = down * block + quarter // parts * part, across * block + quarter % parts * part
+                work += 1
+                if _outer_box(square, top - 0.5 * whole, left - 0.5 * whole, part + whole, part + whole) < least:
                     continue
-                energy = _box(square, y - ring, x - ring, side + 2 * ring, side + 2 * ring)
-                if energy < contrast * contrast * side * side:
-                    x += step
-                    continue
-                # neighbouring cells share their corners
-                for j in range(5):
-                    above[j] = _corner(total, y, x + j * cell)
-                power = 0.0
-                for i in range(4):
-                    for j in range(5):
-                        below[j] = _corner(total, y + (i + 1) * cell, x + j * cell)
-                    for j in range(4):
-                        value = below[j + 1] - below[j] - above[j + 1] + above[j]
-                        sums[4 * i + j] = value
-                        power += value * value
-                    for j in range(5):
-                        above[j] = below[j]
-                # |<D, T>| <= |sums| 4 and |T| |D| = side sqrt(energy)
-                bound = threshold * side * math.sqrt(energy)
-                if 16.0 * power >= bound * bound:
-                    for t in range(cells.shape[0]):
-                        dot = 0.0
-                        for i in range(16):
-                            dot += cells[t, i] * sums[i]
-                        if abs(dot) >= bound:
-                            score = dot / (side * math.sqrt(energy))
-                            found = _keep(best, found, apart, score, x + 0.5 * side, y + 0.5 * side, side, t)
-                x += step
-            y += step
-    return found
+                y = _first_place(ring + _to_grid(corner[1], step), step, top - 0.5 * side)
+                while y + side + ring < rows - 1 and y + 0.5 * side < top + part:
+                    x = _first_place(ring + _to_grid(corner[0], step), step, left - 0.5 * side)
+                    while x + side + ring < cols - 1 and x + 0.5 * side < left + part:
+                        work += 1
+                        # the pixels that it touches are summed faster, and have no less energy
+                        if _outer_box(square, y - ring, x - ring, whole, whole) >= least:
+                            place = y, x, side, ring
+                            found, seen = _look(
+                                total, square, cells, columns, dots, place, least, threshold, apart, best, found, room
+                            )
+                            work += CELLS_WORK if seen > 0 else 0
+                            work += cells.shape[0] // HEADERS_AT_ONCE if seen > 1 else 0
+                            compared += seen > 1
+                        x += step
+                    y += step
+    return found, work, passed, compared
+
+
+@compiled(inline="always")
+def _look(total, square, cells, columns, dots, place, least, threshold, apart, best, found, room):
+    """Keep what lies in a square as a candidate for each header that it resembles.
+
+    Returns
+    -------
+    found
+        Candidates kept.
+    seen
+        0 where too little alternates, 1 where it cannot be like a header, 2 where it was compared with all.
+    """
+    (y, x, side, ring), (corners, rows, sums) = place, room
+    energy = _box(square, y - ring, x - ring, side + 2 * ring, side + 2 * ring)
+    if energy < least:
+        return found, 0
+    # |<D, T>| <= |sums| 4 and |T| |D| = side sqrt(energy)
+    size = side * math.sqrt(energy)
+    bound = threshold * size
+    if 16.0 * _cell_sums(total, y, x, side / 4.0, corners, rows, sums) < bound * bound:
+        return found, 1
+    if _most_alike(columns, sums, dots) >= (1.0 - SINGLE) * bound:
+        for t in range(cells.shape[0]):
+            dot = 0.0
+            for i in range(16):
+                dot += cells[t, i] * sums[i]
+            if abs(dot) >= bound:
+                found = _keep(best, found, apart, dot / size, x + 0.5 * side, y + 0.5 * side, side, t)
+    return found, 2
 
 
 @compiled()

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
+from heliograph.receive.acquire.budget import Budget, SearchLoad
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.pyramid import PyramidSearch, level_parameters
@@ -39,6 +40,7 @@ class PhasedSearch:
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings):
         self._parameters, self._signal = parameters, signal
+        self._budget, self._patterns = Budget(parameters.busy_ms), 1.0
         self._streams: list[_Stream] = []
         self._kept: deque[Frame] = deque()
 
@@ -48,9 +50,9 @@ class PhasedSearch:
         return self._kept
 
     @property
-    def candidates_fitted(self) -> int:
-        """Candidates fitted so far in all streams."""
-        return sum(detector.candidates_fitted for stream in self._streams for detector in stream.detectors)
+    def load(self) -> SearchLoad:
+        """What the searches of all streams did and left out so far."""
+        return self._budget.load
 
     def start(self, period_s: float) -> None:
         """Begin to search frames of a camera as fast as the light or faster; see `HeaderSearch`.
@@ -67,15 +69,18 @@ class PhasedSearch:
                 f"light {1 / light_s:.1f} patterns/s; film faster, or say by --fps what the camera did where the film "
                 f"misstates it"
             )
-        if period_s > light_s * (1 - STEP_TOLERANCE):
+        alike = period_s > light_s * (1 - STEP_TOLERANCE)
+        phases = 1 if alike else _phases(light_s / period_s)
+        # so many times as many frames are searched
+        self._budget, self._patterns = Budget(phases * self._parameters.busy_ms), period_s / light_s
+        if alike:
             detectors: list[_FrameDetector] = [self._detector()]
             if self._signal.header_pairs > 1:
                 # of the finest level alone: larger arrays are not looked for half a pattern out of step
                 finest = level_parameters(self._parameters, self._signal.side)[0]
-                detectors.append(StraddledDetector(finest, self._signal))
+                detectors.append(StraddledDetector(finest, self._signal, self._budget))
             self._streams = [_EveryFrame(detectors, period_s)]
         else:
-            phases = _phases(light_s / period_s)
             self._streams = [_Nearest(self._detector(), light_s, k / phases) for k in range(phases)]
         patterns = 2 * self._signal.header_pairs + 2 * PATTERNS_KEPT
         self._kept = deque(maxlen=math.ceil(patterns * light_s / period_s))
@@ -87,7 +92,7 @@ class PhasedSearch:
                 detector.settle(orientation)
 
     def _detector(self) -> PyramidSearch:
-        return PyramidSearch(self._parameters, self._signal)
+        return PyramidSearch(self._parameters, self._signal, self._budget)
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
         """Take the next frame; see `HeaderSearch`.
@@ -100,6 +105,7 @@ class PhasedSearch:
             Poses of arrays already followed.
         """
         self._kept.append(frame)
+        self._budget.earn(self._patterns)
         known, found = list(taken), list[Detection]()
         for stream in self._streams:
             shown = stream.push(frame)
@@ -114,10 +120,6 @@ class PhasedSearch:
 
 class _FrameDetector(Protocol):
     """Looks for headers in a stream of one frame per pattern."""
-
-    @property
-    def candidates_fitted(self) -> int:
-        """Candidates fitted so far."""
 
     def settle(self, orientation: Orientation) -> None:
         """Look for one orientation alone from now on; see `HeaderSearch`."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame, Pixels
+from heliograph.receive.acquire.budget import Budget, SearchLoad
 from heliograph.receive.acquire.coarse import BLOCK_PX, PART_LIT, RING, SIDE_STEP, SearchParameters
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.detector import Detector
@@ -58,13 +59,16 @@ class PyramidSearch:
         What it takes for an array; sizes and blur are those on the sensor.
     signal
         The light's signal: side of the array and header pairs.
+    budget
+        What its searches may cost, where that is shared with others; None gives it one of its own.
     """
 
-    def __init__(self, parameters: SearchParameters, signal: SignalSettings):
+    def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None = None):
         levels = level_parameters(parameters, signal.side)
         self._least = ROUNDED * PART_LIT * parameters.min_contrast
         self._reduced: dict[tuple[int, float], list[Frame]] = {}
-        self._levels = [(View(k), Detector(one, signal)) for k, one in enumerate(levels)]
+        self._budget, self._earns = budget or Budget(parameters.busy_ms), budget is None
+        self._levels = [(View(k), Detector(one, signal, self._budget)) for k, one in enumerate(levels)]
         self._smallest_px = [2**k * one.min_side_px for k, one in enumerate(levels)][1:]
 
     def start(self, period_s: float) -> None:
@@ -76,9 +80,9 @@ class PyramidSearch:
             detector.settle(orientation)
 
     @property
-    def candidates_fitted(self) -> int:
-        """Candidates fitted so far on all levels."""
-        return sum(detector.candidates_fitted for _, detector in self._levels)
+    def load(self) -> SearchLoad:
+        """What the searches of all levels did and left out so far."""
+        return self._budget.load
 
     @property
     def recent(self) -> Sequence[Frame]:
@@ -95,6 +99,8 @@ class PyramidSearch:
         taken
             Poses of arrays already followed.
         """
+        if self._earns:
+            self._budget.earn()
         found = list[Detection]()
         for due in self._levels[0][1].due(frame):
             found += self._search(due, [*taken, *(one.fit.pose for one in found)])
@@ -106,7 +112,7 @@ class PyramidSearch:
         change = finest.change(due.slots)
         # what alternates on a level alternates in the frames themselves
         busy = None if change is None else finest.busy(due.slots, change, taken)
-        if change is None or busy is None or not busy.any():
+        if change is None or busy is None or not self._budget.begins(busy):
             return []
         known, found = list(taken), list[Detection]()
         shown = self._shown(due.slots, busy)

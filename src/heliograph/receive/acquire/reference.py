@@ -113,23 +113,23 @@ def search(image: Floats, busy: NDArray[np.bool_], block: int, cells: Floats, gr
         What is looked for and where.
     """
     kept: list[ScoredSquare] = []
-    for side in map(float, grid.sides):
-        for x, y in _places(image.shape, busy, block, side, grid):
-            for number, score in _scores(image, cells, x, y, side, grid):
-                if abs(score) >= grid.threshold:
-                    kept = _merge(kept, (score, x + side / 2, y + side / 2, side, number), grid)
+    places = [place for side in map(float, grid.sides) for place in _places(image.shape, block, side, grid)]
+    # block by block
+    for (down, across), x, y, side in sorted(places, key=lambda place: place[0]):
+        for number, score in _scores(image, cells, x, y, side, grid) if busy[down, across] else ():
+            if abs(score) >= grid.threshold:
+                kept = _merge(kept, (score, x + side / 2, y + side / 2, side, number), grid)
     return kept
 
 
 def _places(
-    shape: tuple[int, ...], busy: NDArray[np.bool_], block: int, side: float, grid: Grid
-) -> Iterator[tuple[float, float]]:
-    """Upper left corners looked at: a step apart, the ring around inside, the centre in a busy block."""
+    shape: tuple[int, ...], block: int, side: float, grid: Grid
+) -> Iterator[tuple[tuple[int, int], float, float, float]]:
+    """Block of the centre, upper left corner and side of squares a step apart, the ring around inside."""
     step, ring = max(1.0, grid.step * side), grid.ring * side
-    for y in np.arange(ring, shape[0] - 1 - side - ring, step):
-        for x in np.arange(ring, shape[1] - 1 - side - ring, step):
-            if busy[int((y + side / 2) / block), int((x + side / 2) / block)]:
-                yield float(x), float(y)
+    for y in np.arange(ring, shape[0] - 1 - side - ring, step).tolist():
+        for x in np.arange(ring, shape[1] - 1 - side - ring, step).tolist():
+            yield (int((y + side / 2) / block), int((x + side / 2) / block)), x, y, side
 
 
 def _scores(image: Floats, cells: Floats, x: float, y: float, side: float, grid: Grid) -> list[tuple[int, float]]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
+from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, SearchLoad
 from heliograph.receive.acquire.candidate import LEVEL_SPREAD, cell_weights, fit_near, followed, of_size, plausible
 from heliograph.receive.acquire.coarse import (
     DIFFERENCE,
@@ -29,7 +30,7 @@ from heliograph.receive.acquire.coarse import (
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.detector import distinct
 from heliograph.receive.acquire.given import Candidate, candidates_of
-from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, headers
+from heliograph.receive.acquire.hypotheses import ALL_ON, headers
 from heliograph.receive.acquire.slots import alike
 from heliograph.receive.image.fit import Fit, header_amplitudes
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
@@ -63,28 +64,30 @@ class StraddledDetector:
         What it takes for an array.
     signal
         The light's signal: side of the array and header pairs, 2 or more.
+    budget
+        What its searches may cost, where that is shared with others; None gives it one of its own.
     """
 
-    def __init__(self, parameters: SearchParameters, signal: SignalSettings):
+    def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None = None):
         self._parameters, self._side = parameters, signal.side
         self._light_s = signal.pattern_period_s
         self._header = 2 * signal.header_pairs
         self._sides = parameters.sides()
         # turned ones are looked for only once the camera is known to see them so
         upright = headers((UPRIGHT,), ORIENTATIONS[1:])
-        self._searched: Headers = ALL_ON if parameters.all_on else upright
+        self._budget, self._earns = budget or Budget(parameters.busy_ms), budget is None
+        self._coarse = BoundedSearch(parameters, ALL_ON if parameters.all_on else upright, self._budget)
         self._frames: deque[Frame] = deque(maxlen=self._header + 1)
-        self._fitted = 0
 
     @property
-    def candidates_fitted(self) -> int:
-        """Candidates fitted so far."""
-        return self._fitted
+    def load(self) -> SearchLoad:
+        """What the searches did and left out so far."""
+        return self._budget.load
 
     def settle(self, orientation: Orientation) -> None:
         """Look for one orientation alone from now on; see `HeaderSearch`."""
         if not self._parameters.all_on:
-            self._searched = headers((orientation,))
+            self._coarse = BoundedSearch(self._parameters, headers((orientation,)), self._budget)
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
         """Take the next frame; see `HeaderSearch`.
@@ -96,6 +99,8 @@ class StraddledDetector:
         taken
             Poses of arrays already followed.
         """
+        if self._earns:
+            self._budget.earn()
         if self._frames and not (alike(self._frames[-1], frame) and frame.index == self._frames[-1].index + 1):
             self._frames.clear()
         self._frames.append(frame)
@@ -114,12 +119,12 @@ class StraddledDetector:
         if not busy.any():
             return []
         busy &= self._quiet(frames, means)
-        if not busy.any():
+        if not self._budget.begins(busy):
             return []
         ends, busy = searched_part(ends, busy, self._sides[-1])
         change = combined(ends, weights)
-        candidates = candidates_of(change, busy, ends[0], self._parameters, self._searched, self._sides, self._side)
-        found = [self._fit(frames, change, ends[0].origin, one, taken) for one in candidates if one.sign > 0]
+        candidates = [one for one in candidates_of(change, busy, ends[0], self._coarse, self._side) if one.sign > 0]
+        found = [self._fit(frames, change, ends[0].origin, one, taken) for one in candidates if self._budget.fit()]
         return distinct([one for one in found if one is not None], self._side)
 
     def _quiet(self, frames: Sequence[Frame], means: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -137,9 +142,9 @@ class StraddledDetector:
         taken: Sequence[Pose],
     ) -> Detection | None:
         """Fit a candidate's pose; its start is that of the first frame and half a pattern."""
-        self._fitted += 1
-        (start, number, _), parameters = candidate, self._parameters
-        weights = cell_weights(self._searched.cells[number], self._side)
+        self._budget.spend(FIT_WORK)
+        (start, number, _), parameters, sought = candidate, self._parameters, self._coarse.headers
+        weights = cell_weights(sought.cells[number], self._side)
         if followed(start, taken, self._side):
             return None
         fit = fit_near(change, origin, start, weights, LEVEL_SPREAD)
@@ -152,7 +157,7 @@ class StraddledDetector:
             return None
         time_s = 0.5 * (frames[0].time_s + frames[-1].time_s)
         start_s = frames[0].time_s + 0.5 * self._light_s
-        (identity, seen_as), *others = self._searched.hypotheses[number]
+        (identity, seen_as), *others = sought.hypotheses[number]
         sound = np.ones(weights.shape)
         return Detection(identity, start_s, fit, time_s, fit.score, regularity, sound, seen_as, tuple(others))
 

@@ -1,0 +1,234 @@
+"""What searches may cost: a scene in which much alternates must not make a camera wait.
+
+Work is counted and not timed, so a film is read alike on every machine. Each pattern brings some work to be done, and
+what is not used is kept for an array that comes into sight. Where it is used up, searches leave something out: frames
+that were not searched are not kept for later, as newer ones take their place.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.receive.acquire.coarse import BLOCK_PX, SearchParameters, coarse_search
+from heliograph.receive.acquire.hypotheses import Headers
+
+WORK_PER_MS = 180_000.0
+"""Places looked at in a ms, on the machine of `docs/performance.md`."""
+
+FIT_WORK = 200_000.0
+"""Work of a fit of a candidate: 1.1 ms."""
+
+PIXEL_WORK = 0.25
+"""Work of combining frames and summing them up, for each pixel of the part that is searched."""
+
+KEPT_PATTERNS = 2000
+"""Patterns whose work is kept at most: with the default setting 108 million correlations, or 600 ms.
+
+An array that posts hide again and again took 104 million more in 1.1 s than came in that time, the most of twelve such
+passages. With 750 patterns, and every candidate fitted to the end, 8 of 107 codewords were lost to the bound.
+"""
+
+BEGIN_PART = 1 / 20
+"""Part of it that must be there for a search to begin: searches now and then, which fit what they find, are worth more
+than many that break off at once."""
+
+COARSE_PART = 0.5
+"""Part of what is left that one coarse search takes at most: its candidates are to be fitted too."""
+
+
+@dataclass(frozen=True, slots=True)
+class SearchLoad:
+    """What searches did and left out.
+
+    Attributes
+    ----------
+    fitted
+        Candidates fitted to what alternates, well or not.
+    dropped
+        Candidates found and not fitted, or not as far as they might be.
+    blocks
+        Blocks of 8 x 8 pixels in which something alternated, and which were not searched.
+    work
+        Work done, in places looked at.
+    """
+
+    fitted: int = 0
+    dropped: int = 0
+    blocks: int = 0
+    work: float = 0.0
+
+    @property
+    def left_out(self) -> int:
+        """Candidates and blocks left out."""
+        return self.dropped + self.blocks
+
+    def __add__(self, other: "SearchLoad") -> "SearchLoad":
+        """Both together."""
+        return SearchLoad(
+            self.fitted + other.fitted,
+            self.dropped + other.dropped,
+            self.blocks + other.blocks,
+            self.work + other.work,
+        )
+
+    def __sub__(self, other: "SearchLoad") -> "SearchLoad":
+        """What came since another."""
+        return self + SearchLoad(-other.fitted, -other.dropped, -other.blocks, -other.work)
+
+
+class Budget:
+    """Work that the searches of a stream of frames may do.
+
+    Parameters
+    ----------
+    busy_ms
+        Processor time in ms that they may take per pattern on average, above 0, by `WORK_PER_MS`.
+
+    Attributes
+    ----------
+    load
+        What they did and left out so far.
+    """
+
+    def __init__(self, busy_ms: float):
+        self._rate = busy_ms * WORK_PER_MS
+        self._most = self._left = KEPT_PATTERNS * self._rate
+        self.load = SearchLoad()
+
+    def begins(self, busy: NDArray[np.bool_]) -> bool:
+        """Whether a search begins; else its blocks count as left out.
+
+        Parameters
+        ----------
+        busy
+            (blocks down, blocks across), whether an array may have its centre there.
+        """
+        if not busy.any():
+            return False
+        lasts = self._left >= BEGIN_PART * self._most
+        if not lasts:
+            self.leave(int(np.count_nonzero(busy)))
+        return lasts
+
+    @property
+    def coarse(self) -> float:
+        """Work that a coarse search may do."""
+        return COARSE_PART * self._left
+
+    @property
+    def short(self) -> bool:
+        """Whether more than half of it is used up: what is hardly like an array is left out then."""
+        return self._left < 0.5 * self._most
+
+    def earn(self, patterns: float = 1.0) -> None:
+        """Take the work of a pattern more, or of a part of one.
+
+        Parameters
+        ----------
+        patterns
+            Patterns that have passed, at least 0.
+        """
+        self._left = min(self._left + patterns * self._rate, self._most)
+
+    def spend(self, work: float) -> None:
+        """Do work; a search may end with less than nothing left.
+
+        Parameters
+        ----------
+        work
+            Work done, in places looked at.
+        """
+        self._left -= work
+        self.load += SearchLoad(work=work)
+
+    def fit(self) -> bool:
+        """Whether a candidate may be fitted; it counts as fitted or as dropped."""
+        fits = self._left > 0
+        if fits:
+            self.load += SearchLoad(fitted=1)
+        else:
+            self.drop()
+        return fits
+
+    def drop(self) -> None:
+        """Count a candidate that is looked at no further."""
+        self.load += SearchLoad(dropped=1)
+
+    def leave(self, blocks: int) -> None:
+        """Count busy blocks that were not searched.
+
+        Parameters
+        ----------
+        blocks
+            How many of them, at least 0.
+        """
+        self.load += SearchLoad(blocks=blocks)
+
+
+class BoundedSearch:
+    """Coarse search for some headers within a budget; where it breaks off, the next one goes on.
+
+    Parameters
+    ----------
+    parameters
+        What is looked for.
+    headers
+        Those looked for, each with what it may mean.
+    budget
+        What it may cost.
+
+    Attributes
+    ----------
+    compared
+        Whether anything was like enough to a header to be compared, in the last search; if not, nothing is like others.
+    """
+
+    def __init__(self, parameters: SearchParameters, headers: Headers, budget: Budget):
+        self.parameters, self.headers, self.sides = parameters, headers, parameters.sides()
+        self.compared = False
+        self._budget = budget
+        # where on the sensor the next search begins, row and column of its block
+        self._next = 0, 0
+
+    def candidates(self, change: NDArray[np.float32], busy: NDArray[np.bool_], frame: Frame) -> NDArray[np.float64]:
+        """Best candidates, (candidates, 5) as `coarse.Searched` has them.
+
+        Parameters
+        ----------
+        change
+            (rows, columns) gray levels of what alternates.
+        busy
+            (blocks down, blocks across), whether an array may have its centre there.
+        frame
+            The first of the frames, for place and full scale.
+        """
+        self._budget.spend(PIXEL_WORK * change.size)
+        begin, count = self._begin(busy, frame), busy.size
+        found = coarse_search(
+            change,
+            busy,
+            frame,
+            self.parameters,
+            self.headers.cells,
+            self.sides,
+            self.headers.apart,
+            begin,
+            self._budget.coarse,
+        )
+        self._budget.spend(found.work)
+        self.compared, self._next = found.compared > 0, (0, 0)
+        if found.passed < count:
+            left = (begin + np.arange(found.passed, count)) % count
+            self._budget.leave(int(np.count_nonzero(busy.ravel()[left])))
+            down, across = divmod(int(left[0]), busy.shape[1])
+            self._next = down + frame.origin[1] // BLOCK_PX, across + frame.origin[0] // BLOCK_PX
+            self.compared = True
+        return found.rows
+
+    def _begin(self, busy: NDArray[np.bool_], frame: Frame) -> int:
+        """Number of the block to begin with: that at which the last search broke off, if these frames show it."""
+        (rows, columns), (x, y) = busy.shape, frame.origin
+        down, across = self._next[0] - y // BLOCK_PX, self._next[1] - x // BLOCK_PX
+        return down * columns + min(max(across, 0), columns - 1) if 0 <= down < rows else 0

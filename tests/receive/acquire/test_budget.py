@@ -1,0 +1,101 @@
+"""What searches may cost where more alternates than there is time for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from heliograph.base.frames import Frame
+from heliograph.receive import ReceiveSettings, make_receiver
+from heliograph.receive.acquire.budget import BEGIN_PART, KEPT_PATTERNS, WORK_PER_MS, BoundedSearch, Budget, SearchLoad
+from heliograph.receive.acquire.coarse import SearchParameters
+from heliograph.receive.acquire.hypotheses import headers
+from heliograph.receive.acquire.pyramid import PyramidSearch
+from heliograph.receive.events import DropEvent, Event
+from heliograph.receive.image.orientation import UPRIGHT
+from heliograph.receive.settings import DetectSettings
+from heliograph.signal.header import all_header_cells
+from heliograph.signal.settings import SignalSettings
+
+PARAMETERS = SearchParameters(
+    min_side_px=8.0, max_side_px=32.0, min_contrast=0.03, score=0.9, regularity=0.15, candidates=6, blur_px=0.55
+)
+SOUGHT = headers((UPRIGHT,))
+
+
+def flicker(count: int, seed: int, shape: tuple[int, int] = (96, 128)) -> list[Frame]:
+    """Frames of which each square of 8 px has another gray level every time."""
+    levels = np.random.default_rng(seed).integers(0, 256, (count, shape[0] // 8, shape[1] // 8), np.uint8)
+    return [Frame(k, 1e-3 * k, np.kron(one, np.ones((8, 8), np.uint8))) for k, one in enumerate(levels)]
+
+
+def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
+    budget, everything = Budget(0.5), np.ones((2, 3), bool)
+    budget.spend(KEPT_PATTERNS * 0.5 * WORK_PER_MS)
+    assert not budget.fit()
+    assert not budget.begins(everything)
+    assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (0, 1, 6)
+    for _ in range(round(BEGIN_PART * KEPT_PATTERNS) + 1):
+        budget.earn()
+    assert budget.begins(everything)
+    assert budget.fit()
+    assert not budget.begins(np.zeros((2, 3), bool))
+    assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (1, 1, 6)
+
+
+def test_a_search_that_breaks_off_is_gone_on_with() -> None:
+    """The frames shift between the searches: the place kept is one on the sensor."""
+    change = np.random.default_rng(0).normal(0, 30, (136, 136)).astype(np.float32)
+    # what is searched last
+    change[96:128, 96:128] += 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
+    budget, left, rows = Budget(1e-3), list[int](), np.empty((0, 5))
+    search = BoundedSearch(PARAMETERS, SOUGHT, budget)
+    while not rows.size and len(left) < 100:
+        shift, before = 8 * (len(left) % 2), budget.load.blocks
+        frame = Frame(0, 0.0, np.zeros((136, 136 - shift), np.uint8), origin=(shift, 0))
+        # enough for some blocks
+        budget.spend(2 * (budget.coarse - 1e5))
+        rows = search.candidates(change[:, shift:].copy(), np.ones((17, 17 - shift // 8), bool), frame)
+        left.append(budget.load.blocks - before)
+    assert len(left) > 3
+    assert left[0] > 100
+    assert rows[0, 4] == 4
+    # a block's part of the places may be searched before the best one
+    assert rows[0, 1:3] + (shift, 0) == pytest.approx([112, 112], abs=8)
+
+
+def test_a_busy_scene_costs_what_it_may() -> None:
+    frames = flicker(400, 1)
+    search = PyramidSearch(replace(PARAMETERS, busy_ms=0.01), SignalSettings())
+    for frame in frames:
+        search.push(frame)
+    # what was there, what came, and what the last search may overdraw: a block of places, and a fit begun
+    assert search.load.work < (KEPT_PATTERNS + len(frames)) * 0.01 * WORK_PER_MS + 3e6
+    assert search.load.blocks > 1000
+
+
+@pytest.mark.parametrize("kind", ["plain", "soft"])
+def test_what_is_left_out_is_told(kind: str) -> None:
+    events = list[Event]()
+    settings = ReceiveSettings(receiver=kind, detect=DetectSettings(busy_ms=0.002))
+    receiver = make_receiver(SignalSettings(), settings, events.append)
+    for frame in flicker(120, 2):
+        list(receiver.push(frame))
+    drops = [event for event in events if isinstance(event, DropEvent)]
+    assert drops
+    assert all(0 < event.time_s < 0.12 and event.load.left_out > 0 for event in drops)
+    total = sum((event.load for event in drops), SearchLoad())
+    assert total.left_out == receiver.load.left_out  # type: ignore[attr-defined]
+
+
+def test_an_array_costs_less_than_it_may() -> None:
+    """The default leaves nothing out where hardly anything else alternates."""
+    events = list[Event]()
+    receiver = make_receiver(SignalSettings(), ReceiveSettings(receiver="soft"), events.append)
+    cells = np.kron(all_header_cells()[3], np.ones((8, 8)))
+    rng = np.random.default_rng(4)
+    for k in range(60):
+        pixels = rng.integers(20, 24, (128, 160)).astype(np.uint8)
+        pixels[40:72, 60:92] += (100 * (cells * (-1) ** k > 0)).astype(np.uint8)
+        list(receiver.push(Frame(k, 1e-3 * k, pixels)))
+    assert not any(isinstance(event, DropEvent) for event in events)
