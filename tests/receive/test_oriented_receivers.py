@@ -17,7 +17,7 @@ FRAME = Frame(0, 0.0, np.zeros((4, 4), np.uint8))
 
 @dataclass
 class Scripted:
-    """Stands for an array's receiver: each frame and the end give a packet of its name."""
+    """Stands for an array's receiver: each frame, or every so many, and the end give a packet of its name."""
 
     name: str
     orientation: Orientation
@@ -25,12 +25,14 @@ class Scripted:
     sure: bool = True
     done: bool = False
     proves_at: int = 99
+    every: int = 1
     frames: list[Frame] = field(default_factory=list)
 
     def push(self, frame: Frame) -> Iterator[Any]:
         self.frames.append(frame)
         self.proven |= len(self.frames) >= self.proves_at
-        yield f"{self.name}{len(self.frames)}"
+        if len(self.frames) % self.every == 0:
+            yield f"{self.name}{len(self.frames)}"
 
     def flush(self, over: bool = False) -> Iterator[Any]:
         yield f"{self.name} {'over' if over else 'at the end'}"
@@ -42,6 +44,48 @@ def array_of(*receivers: Scripted, settled: bool = False) -> OrientedReceivers:
 
 def pushed(array: OrientedReceivers) -> list[Any]:
     return list(array.push(FRAME))
+
+
+def test_until_its_first_packet_the_first_reads_alone() -> None:
+    a, b = Scripted("a", UPRIGHT, every=3), Scripted("b", ORIENTATIONS[2], every=3, proves_at=6)
+    array = array_of(a, b)
+    frames = [Frame(k, 1e-3 * k, np.zeros((4, 4), np.uint8)) for k in range(7)]
+    told = []
+    for k, frame in enumerate(frames):
+        told += list(array.push(frame))
+        assert len(a.frames) == min(k + 1, 6)
+        assert len(b.frames) == (k + 1 if k >= 2 else 0)
+    assert cast(list[Any], told) == ["a3", "b6"]
+    # the others get the same frames, each once
+    assert [one.index for one in b.frames] == list(range(7))
+
+
+def test_the_others_get_no_frame_where_its_first_packet_is_right() -> None:
+    a, b = Scripted("a", UPRIGHT, every=3, proves_at=3), Scripted("b", ORIENTATIONS[2])
+    array = array_of(a, b)
+    told = [packet for _ in range(6) for packet in pushed(array)]
+    assert told == ["a3", "a6"]
+    assert not b.frames
+
+
+def test_the_others_read_what_they_missed_when_all_ends_before_its_first_packet() -> None:
+    a, b = Scripted("a", UPRIGHT, every=9), Scripted("b", ORIENTATIONS[2], every=9, proves_at=2)
+    array = array_of(a, b)
+    for _ in range(2):
+        assert pushed(array) == []
+    assert [*cast(Any, array.flush())] == ["b at the end"]
+    assert (len(a.frames), len(b.frames)) == (2, 2)
+
+
+def test_one_that_leads_by_the_cameras_orientation_reads_what_it_missed() -> None:
+    a, b = Scripted("a", UPRIGHT, every=9), Scripted("b", ORIENTATIONS[2], every=4)
+    array = array_of(a, b)
+    for _ in range(3):
+        pushed(array)
+    assert array.settle(ORIENTATIONS[2])
+    assert pushed(array) == ["b4"]
+    assert pushed(array) == []
+    assert (len(a.frames), len(b.frames)) == (3, 5)
 
 
 def test_until_a_codeword_is_right_the_first_speaks_and_all_read() -> None:

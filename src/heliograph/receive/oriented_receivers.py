@@ -1,4 +1,8 @@
-"""Receivers of one array: one for each way in which its header may be read, until a codeword is right."""
+"""Receivers of one array: one for each way in which its header may be read, until a codeword is right.
+
+Turned arrays are rare. So the most plausible receiver alone gets frames until its first packet is over. If no codeword
+of that is right, the others get the same frames then.
+"""
 
 from collections.abc import Iterator, Sequence
 
@@ -21,6 +25,8 @@ class OrientedReceivers:
 
     def __init__(self, receivers: Sequence[ArrayReceiver], settled: bool):
         self._receivers, self._settled = list(receivers), settled
+        # whether the first gets frames alone, and those that the others have not had
+        self._first, self._alone, self._held = self._receivers[0], len(self._receivers) > 1, list[Frame]()
 
     @property
     def leading(self) -> ArrayReceiver:
@@ -50,12 +56,16 @@ class OrientedReceivers:
         frame
             The frame, with the time that the clock gives it.
         """
-        read = list[tuple[ArrayReceiver, list[ComingPacket]]]()
+        read, wait = list[tuple[ArrayReceiver, list[ComingPacket]]](), False
         for one in self._receivers:
-            read.append((one, list(one.push(frame))))
-            if one.proven:
-                # the others are mistaken: their packets need not be decoded
+            packets = [packet for each in (*self._missed(one), frame) for packet in one.push(each)]
+            read.append((one, packets))
+            wait = self._alone and one is self._first and not packets
+            # where a codeword is right, the others are mistaken: their packets need not be decoded
+            if wait or one.proven:
                 break
+        self._alone = wait
+        self._held = [*self._held, frame] if wait else []
         yield from self._believed(read)
 
     def overdue(self, time_s: float) -> bool:
@@ -76,7 +86,9 @@ class OrientedReceivers:
         over
             Whether it has come to its end unseen.
         """
-        yield from self._believed([(one, list(one.flush(over))) for one in self._receivers])
+        late = {one: [packet for each in self._missed(one) for packet in one.push(each)] for one in self._receivers}
+        self._alone, self._held = False, []
+        yield from self._believed([(one, [*packets, *one.flush(over)]) for one, packets in late.items()])
 
     def settle(self, orientation: Orientation) -> bool:
         """Leave out what the camera's orientation rules out.
@@ -94,6 +106,10 @@ class OrientedReceivers:
         if left:
             self._receivers, self._settled = left, True
         return bool(left)
+
+    def _missed(self, one: ArrayReceiver) -> list[Frame]:
+        """Frames that a receiver has not had."""
+        return [] if one is self._first else self._held
 
     def _believed(self, read: list[tuple[ArrayReceiver, list[ComingPacket]]]) -> Iterator[ComingPacket]:
         """Packets of the receiver of which a codeword was right, else of the upright one."""
