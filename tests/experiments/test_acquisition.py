@@ -1,10 +1,19 @@
 """Acquisition of an array that is switched on."""
 
+import pytest
+
 from heliograph.experiments.detection.acquisition import Acquired, AcquisitionTrial, acquire, outcomes_text
 
 
 def test_an_array_is_found_by_its_first_header() -> None:
     assert acquire(AcquisitionTrial(seed=0, within=5)).headers == 1
+
+
+@pytest.mark.parametrize("seed", [135, 497, 556, 586])
+@pytest.mark.slow
+def test_a_pair_of_data_before_a_header_is_not_taken_for_its_first(seed: int) -> None:
+    """In these trials that pair looks a little like the header, and stood for it while the header's end was to come."""
+    assert acquire(AcquisitionTrial(seed=seed, within=20)).headers == 1
 
 
 def test_an_array_out_of_reach_is_missed() -> None:

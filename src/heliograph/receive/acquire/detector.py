@@ -322,10 +322,8 @@ class Detector:
         start = int(np.argmax(sums))
         seen, header = windows[start], filled(slots[start : start + self._span])
         there = slots[start : start + self._header]
-        # where frames are missing, a pair of data and the header's first may pass for it
-        later = SLACK if None in there else 1
-        if start >= len(sums) - later or seen is None or header is None:
-            # it may begin later still, and a pair of data like it stand for its first: the next search has more of it
+        if start >= len(sums) - SLACK or seen is None or header is None:
+            # it may begin a pair later, and a pair of data like it stand for its first: the next search has more of it
             return None
         change = -np.diff(seen) * sign[:-1]
         regularity = float(change.min() / max(change.mean(), TINY))
