@@ -237,7 +237,7 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
         console.say_prose(
             f"more alternates in these frames than searching may cost: {report['dropped_candidates']} candidates and "
             f"{report['dropped_blocks']} blocks were left out; say by --region where the array is, or raise "
-            f"receive.detect.busy_ms"
+            f"receive.detect.busy_part"
         )
     if not report["arrays"]:
         console.say("no array found")

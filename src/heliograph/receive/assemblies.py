@@ -213,7 +213,7 @@ def search_parameters(
         score=detect.score,
         regularity=regularity,
         candidates=detect.candidates,
-        busy_ms=detect.busy_ms,
+        busy_part=detect.busy_part,
         impaired=impaired,
         all_on=signal.header == "all_on",
         blur_px=blur_px,

@@ -86,9 +86,10 @@ class OrientedReceivers:
         over
             Whether it has come to its end unseen.
         """
-        late = {one: [packet for each in self._missed(one) for packet in one.push(each)] for one in self._receivers}
+        late = [[packet for each in self._missed(one) for packet in one.push(each)] for one in self._receivers]
         self._alone, self._held = False, []
-        yield from self._believed([(one, [*packets, *one.flush(over)]) for one, packets in late.items()])
+        read = zip(self._receivers, late, strict=True)
+        yield from self._believed([(one, [*packets, *one.flush(over)]) for one, packets in read])
 
     def settle(self, orientation: Orientation) -> bool:
         """Leave out what the camera's orientation rules out.

@@ -81,10 +81,10 @@ class DetectSettings:
         Least correlation with the header's image of a detection. Lower lets clutter through.
     candidates
         Most candidates examined per search, 1 to 64. More finds arrays among more clutter and takes longer.
-    busy_ms
-        Processor time in ms that searching for arrays may take per pattern on average where much alternates, 0.001 to
-        1e6. It is counted in steps of work, so a film is read alike on every machine. What does not fit in is left out,
-        and told. More finds arrays in busier scenes, but a camera may have to wait.
+    busy_part
+        Part of a core's time, of the camera's, that searching for arrays may take on average where much alternates,
+        0.001 to 1000. It is counted in steps of work, so a film is read alike on every machine. What does not fit in is
+        left out, and told. More finds arrays in busier scenes, but a camera may have to wait.
     corners
         Where somebody sees an array in the film: x and y in px of the four corners of its LED area, one after the other
         around it, in the frames as they are read; empty for none. Arrays are then looked for about it alone, turned and
@@ -99,7 +99,7 @@ class DetectSettings:
     min_contrast: Fraction = 0.03
     score: Fraction = 0.9
     candidates: Annotated[int, Field(ge=1, le=64)] = 6
-    busy_ms: Annotated[float, Field(ge=0.001, le=1e6)] = 0.3
+    busy_part: Annotated[float, Field(ge=0.001, le=1000)] = 0.3
     corners: Corners | tuple[()] = ()
     region: Region | tuple[()] = ()
 

@@ -7,7 +7,7 @@ import pytest
 
 from heliograph.base.frames import Frame
 from heliograph.receive import ReceiveSettings, make_receiver
-from heliograph.receive.acquire.budget import BEGIN_PART, KEPT_PATTERNS, WORK_PER_MS, BoundedSearch, Budget, SearchLoad
+from heliograph.receive.acquire.budget import BEGIN_PART, KEPT_S, WORK_PER_MS, BoundedSearch, Budget, SearchLoad
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.hypotheses import headers
 from heliograph.receive.acquire.pyramid import PyramidSearch
@@ -30,12 +30,12 @@ def flicker(count: int, seed: int, shape: tuple[int, int] = (96, 128)) -> list[F
 
 
 def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
-    budget, everything = Budget(0.5), np.ones((2, 3), bool)
-    budget.spend(KEPT_PATTERNS * 0.5 * WORK_PER_MS)
+    budget, everything = Budget(0.5, 1e-3), np.ones((2, 3), bool)
+    budget.spend(1e3 * KEPT_S * 0.5 * WORK_PER_MS)
     assert not budget.fit()
     assert not budget.begins(everything)
     assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (0, 1, 6)
-    for _ in range(round(BEGIN_PART * KEPT_PATTERNS) + 1):
+    for _ in range(round(BEGIN_PART * 1e3 * KEPT_S) + 1):
         budget.earn()
     assert budget.begins(everything)
     assert budget.fit()
@@ -48,7 +48,7 @@ def test_a_search_that_breaks_off_is_gone_on_with() -> None:
     change = np.random.default_rng(0).normal(0, 30, (136, 136)).astype(np.float32)
     # what is searched last
     change[96:128, 96:128] += 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
-    budget, left, rows = Budget(1e-3), list[int](), np.empty((0, 5))
+    budget, left, rows = Budget(1e-3, 1e-3), list[int](), np.empty((0, 5))
     search = BoundedSearch(PARAMETERS, SOUGHT, budget)
     while not rows.size and len(left) < 100:
         shift, before = 8 * (len(left) % 2), budget.load.blocks
@@ -66,18 +66,18 @@ def test_a_search_that_breaks_off_is_gone_on_with() -> None:
 
 def test_a_busy_scene_costs_what_it_may() -> None:
     frames = flicker(400, 1)
-    search = PyramidSearch(replace(PARAMETERS, busy_ms=0.01), SignalSettings())
+    search = PyramidSearch(replace(PARAMETERS, busy_part=0.01), SignalSettings())
     for frame in frames:
         search.push(frame)
     # what was there, what came, and what the last search may overdraw: a block of places, and a fit begun
-    assert search.load.work < (KEPT_PATTERNS + len(frames)) * 0.01 * WORK_PER_MS + 3e6
+    assert search.load.work < (1e3 * KEPT_S + len(frames)) * 0.01 * WORK_PER_MS + 3e6
     assert search.load.blocks > 1000
 
 
 @pytest.mark.parametrize("kind", ["plain", "soft"])
 def test_what_is_left_out_is_told(kind: str) -> None:
     events = list[Event]()
-    settings = ReceiveSettings(receiver=kind, detect=DetectSettings(busy_ms=0.002))
+    settings = ReceiveSettings(receiver=kind, detect=DetectSettings(busy_part=0.002))
     receiver = make_receiver(SignalSettings(), settings, events.append)
     for frame in flicker(120, 2):
         list(receiver.push(frame))

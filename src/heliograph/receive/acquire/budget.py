@@ -23,11 +23,11 @@ FIT_WORK = 200_000.0
 PIXEL_WORK = 0.25
 """Work of combining frames and summing them up, for each pixel of the part that is searched."""
 
-KEPT_PATTERNS = 3000
-"""Patterns whose work is kept at most: with the default setting 162 million places, or 0.9 s.
+KEPT_S = 3.0
+"""Seconds whose work is kept at most: with the default setting 162 million places, or 0.9 s of a core.
 
 Of 44 passages behind posts the dearest took 130 million in 1.2 s, in which a fifth of that was used before it was
-needed. With 2000 patterns three of its packets were lost, with 2500 and more none.
+needed. With 2 s three of its packets were lost, with 2.5 s and more none.
 """
 
 BEGIN_PART = 1 / 20
@@ -83,8 +83,10 @@ class Budget:
 
     Parameters
     ----------
-    busy_ms
-        Processor time in ms that they may take per pattern on average, above 0, by `WORK_PER_MS`.
+    busy_part
+        Part of a core's time that they may take on average, above 0, by `WORK_PER_MS`.
+    period_s
+        Time from pattern to pattern in s.
 
     Attributes
     ----------
@@ -92,9 +94,10 @@ class Budget:
         What they did and left out so far.
     """
 
-    def __init__(self, busy_ms: float):
-        self._rate = busy_ms * WORK_PER_MS
-        self._most = self._left = KEPT_PATTERNS * self._rate
+    def __init__(self, busy_part: float, period_s: float):
+        per_s = busy_part * 1e3 * WORK_PER_MS
+        self._rate, self._most = per_s * period_s, KEPT_S * per_s
+        self._left = self._most
         self.load = SearchLoad()
 
     def begins(self, busy: NDArray[np.bool_]) -> bool:
@@ -182,12 +185,13 @@ class BoundedSearch:
     Attributes
     ----------
     compared
-        Whether anything was like enough to a header to be compared, in the last search; if not, nothing is like others.
+        Whether the last search found anything like enough to a header to be compared, True before the first; if not,
+        nothing is like other headers either.
     """
 
     def __init__(self, parameters: SearchParameters, headers: Headers, budget: Budget):
         self.parameters, self.headers, self.sides = parameters, headers, parameters.sides()
-        self.compared = False
+        self.compared = True
         self._budget = budget
         # where on the sensor the next search begins, row and column of its block
         self._next = 0, 0

@@ -83,8 +83,8 @@ class SearchParameters:
         Least ratio of the weakest to the mean alternation of the header's frames, 0 to 1; clutter alternates unevenly.
     candidates
         Most candidates fitted per search.
-    busy_ms
-        Processor time in ms that searches may take per pattern on average, by the count of `budget`.
+    busy_part
+        Part of a core's time that searches may take on average, by the count of `budget`.
     impaired
         Whether tilted and partly hidden arrays are looked for too; more clutter is taken for one of them.
     all_on
@@ -106,7 +106,7 @@ class SearchParameters:
     score: float
     regularity: float
     candidates: int
-    busy_ms: float = 0.3
+    busy_part: float = 0.3
     impaired: bool = False
     all_on: bool = False
     blur_px: float

@@ -101,7 +101,7 @@ class Detector:
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None = None):
         self._parameters, self._side = parameters, signal.side
-        self.budget, self._earns = budget or Budget(parameters.busy_ms), budget is None
+        self.budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
         # a lit square may be anything's; a tilted one all the more
         tilted = parameters.impaired and not parameters.all_on
         # corners by hand are off by some px, which is a tilt of a far array

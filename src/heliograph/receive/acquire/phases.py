@@ -40,7 +40,7 @@ class PhasedSearch:
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings):
         self._parameters, self._signal = parameters, signal
-        self._budget, self._patterns = Budget(parameters.busy_ms), 1.0
+        self._budget, self._patterns = Budget(parameters.busy_part, signal.pattern_period_s), 1.0
         self._streams: list[_Stream] = []
         self._kept: deque[Frame] = deque()
 
@@ -72,7 +72,7 @@ class PhasedSearch:
         alike = period_s > light_s * (1 - STEP_TOLERANCE)
         phases = 1 if alike else _phases(light_s / period_s)
         # so many times as many frames are searched
-        self._budget, self._patterns = Budget(phases * self._parameters.busy_ms), period_s / light_s
+        self._budget, self._patterns = Budget(phases * self._parameters.busy_part, light_s), period_s / light_s
         if alike:
             detectors: list[_FrameDetector] = [self._detector()]
             if self._signal.header_pairs > 1:

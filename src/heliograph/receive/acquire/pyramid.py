@@ -67,7 +67,7 @@ class PyramidSearch:
         levels = level_parameters(parameters, signal.side)
         self._least = ROUNDED * PART_LIT * parameters.min_contrast
         self._reduced: dict[tuple[int, float], list[Frame]] = {}
-        self._budget, self._earns = budget or Budget(parameters.busy_ms), budget is None
+        self._budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
         self._levels = [(View(k), Detector(one, signal, self._budget)) for k, one in enumerate(levels)]
         self._smallest_px = [2**k * one.min_side_px for k, one in enumerate(levels)][1:]
 

@@ -75,7 +75,7 @@ class StraddledDetector:
         self._sides = parameters.sides()
         # turned ones are looked for only once the camera is known to see them so
         upright = headers((UPRIGHT,), ORIENTATIONS[1:])
-        self._budget, self._earns = budget or Budget(parameters.busy_ms), budget is None
+        self._budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
         self._coarse = BoundedSearch(parameters, ALL_ON if parameters.all_on else upright, self._budget)
         self._frames: deque[Frame] = deque(maxlen=self._header + 1)
 
