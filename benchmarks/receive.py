@@ -163,10 +163,8 @@ def main() -> None:
     for name, frames in cases[:2]:
         per_s = following_rate(frames)
         print(f"{name + ', no search':36} {1e3 / per_s:8.3f} ms {per_s:7.0f} frames/s")
-    for name, receiver in (
-        ("plain", plain()),
-        ("soft", soft_receiver(load_settings().signal, ReceiveSettings(), ignore)),
-    ):
+    for name, make in (("plain", plain_receiver), ("soft", soft_receiver)):
+        receiver = make(load_settings().signal, ReceiveSettings().in_time(), ignore)
         first, then = flickering(receiver)
         load = receiver.load
         print(f"searching what flickers all over, {name}: {first:.2f} ms a frame of 300, then {then:.2f} ms; {load}")

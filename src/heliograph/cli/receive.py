@@ -81,7 +81,7 @@ def run_receive(
             check_truth(source, known, signal)
         if departure:
             console.complain(departure)
-        aloud, reading = not as_json and not told.follow, _on_all_cores(settings, source)
+        aloud, reading = not as_json and not told.follow, _in_time(_on_all_cores(settings, source), source)
         with (
             Folder(output) as folder,
             News(told) as news,
@@ -166,6 +166,13 @@ def _on_all_cores(settings: "LinkSettings", source: "FilmReader") -> "LinkSettin
     if asked or not long or (os.cpu_count() or 1) < 2:
         return settings
     return replace(settings, receive=replace(receive, decode=replace(receive.decode, beside=True)))
+
+
+def _in_time(settings: "LinkSettings", source: "FilmReader") -> "LinkSettings":
+    """Settings by which a search has a bound where a live camera does not wait for it."""
+    from heliograph.media.live.reader import live_of
+
+    return settings if live_of(source) is None else replace(settings, receive=settings.receive.in_time())
 
 
 def finish_folder(folder: "Folder", report: dict[str, Any], watch: Watch) -> MediaError | None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from heliograph.base.errors import SettingsError
+from heliograph.receive.acquire.budget import UNBOUNDED_PART
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
 from heliograph.receive.acquire.given import GivenSearch, around, pose_of
@@ -213,7 +214,7 @@ def search_parameters(
         score=detect.score,
         regularity=regularity,
         candidates=detect.candidates,
-        busy_part=detect.busy_part,
+        busy_part=UNBOUNDED_PART if given or detect.busy_part is None else detect.busy_part,
         impaired=impaired,
         all_on=signal.header == "all_on",
         blur_px=blur_px,

@@ -11,6 +11,9 @@ from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.coming import ComingPacket
 from heliograph.receive.image.orientation import UPRIGHT, Orientation
 
+HELD_BYTES = 128e6
+"""Bytes of frames that are kept for the others at most: 244 frames of 1024 x 512. Beyond it they read along."""
+
 
 class OrientedReceivers:
     """An array that is followed, its identity and orientation taken to be any of several until a codeword is right.
@@ -60,12 +63,15 @@ class OrientedReceivers:
         for one in self._receivers:
             packets = [packet for each in (*self._missed(one), frame) for packet in one.push(each)]
             read.append((one, packets))
-            wait = self._alone and one is self._first and not packets
+            room = len(self._held) * frame.pixels.nbytes < HELD_BYTES
+            wait = self._alone and one is self._first and not packets and room
             # where a codeword is right, the others are mistaken: their packets need not be decoded
             if wait or one.proven:
                 break
-        self._alone = wait
-        self._held = [*self._held, frame] if wait else []
+        if wait:
+            self._held.append(frame)
+        else:
+            self._alone, self._held = False, []
         yield from self._believed(read)
 
     def overdue(self, time_s: float) -> bool:
@@ -86,10 +92,14 @@ class OrientedReceivers:
         over
             Whether it has come to its end unseen.
         """
-        late = [[packet for each in self._missed(one) for packet in one.push(each)] for one in self._receivers]
+        read = list[tuple[ArrayReceiver, list[ComingPacket]]]()
+        for one in self._receivers:
+            late = [packet for each in self._missed(one) for packet in one.push(each)]
+            read.append((one, [*late, *one.flush(over)]))
+            if self._alone and one.proven:
+                break
         self._alone, self._held = False, []
-        read = zip(self._receivers, late, strict=True)
-        yield from self._believed([(one, [*packets, *one.flush(over)]) for one, packets in read])
+        yield from self._believed(read)
 
     def settle(self, orientation: Orientation) -> bool:
         """Leave out what the camera's orientation rules out.
@@ -106,6 +116,8 @@ class OrientedReceivers:
         left = [one for one in self._receivers if one.orientation == orientation]
         if left:
             self._receivers, self._settled = left, True
+            if left == [self._first]:
+                self._alone, self._held = False, []
         return bool(left)
 
     def _missed(self, one: ArrayReceiver) -> list[Frame]:

@@ -1,7 +1,7 @@
 """Settings of the receiver: what it knows of the light and the camera, and what a user may tune."""
 
 from collections.abc import Mapping
-from dataclasses import field, fields, is_dataclass
+from dataclasses import field, fields, is_dataclass, replace
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
@@ -62,6 +62,10 @@ class CalibrationSettings:
     exposure_s: Annotated[float, Field(ge=1e-9, le=10)] | None = None
 
 
+LIVE_BUSY_PART = 0.3
+"""Part of a core that searching for arrays takes at most, of a live camera: following one takes half of it."""
+
+
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
 class DetectSettings:
@@ -83,8 +87,9 @@ class DetectSettings:
         Most candidates examined per search, 1 to 64. More finds arrays among more clutter and takes longer.
     busy_part
         Part of a core's time, of the camera's, that searching for arrays may take on average where much alternates,
-        0.001 to 1000. It is counted in steps of work, so a film is read alike on every machine. What does not fit in is
-        left out, and told. More finds arrays in busier scenes, but a camera may have to wait.
+        0.01 to 1000. If it is left out, a film has no bound, as it can wait; a live camera has 0.3. It is counted in
+        steps of work, so a film is read alike on every machine. What does not fit in is left out, and told. Where
+        corners or a region say where an array is, there is no bound.
     corners
         Where somebody sees an array in the film: x and y in px of the four corners of its LED area, one after the other
         around it, in the frames as they are read; empty for none. Arrays are then looked for about it alone, turned and
@@ -99,7 +104,7 @@ class DetectSettings:
     min_contrast: Fraction = 0.03
     score: Fraction = 0.9
     candidates: Annotated[int, Field(ge=1, le=64)] = 6
-    busy_part: Annotated[float, Field(ge=0.001, le=1000)] = 0.3
+    busy_part: Annotated[float, Field(ge=0.01, le=1000)] | None = None
     corners: Corners | tuple[()] = ()
     region: Region | tuple[()] = ()
 
@@ -257,6 +262,12 @@ class ReceiveSettings:
         if self.detect.min_side_px is not None:
             return self.detect.min_side_px
         return SMALLEST_SIDE_PX.get(self.receiver, min(SMALLEST_SIDE_PX.values()))
+
+    def in_time(self) -> "ReceiveSettings":
+        """The same for a live camera, which does not wait: with a bound of what searching may take."""
+        if self.detect.busy_part is not None or not RECEIVERS.is_built_in(self.receiver):
+            return self
+        return replace(self, detect=replace(self.detect, busy_part=LIVE_BUSY_PART))
 
     @model_validator(mode="after")
     def _consistent(self) -> "ReceiveSettings":

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
+from heliograph.link.settings import load_settings
 from heliograph.receive import ReceiveSettings, make_receiver
 from heliograph.receive.acquire.budget import BEGIN_PART, KEPT_S, WORK_PER_MS, BoundedSearch, Budget, SearchLoad
 from heliograph.receive.acquire.coarse import SearchParameters
@@ -77,7 +78,7 @@ def test_a_busy_scene_costs_what_it_may() -> None:
 @pytest.mark.parametrize("kind", ["plain", "soft"])
 def test_what_is_left_out_is_told(kind: str) -> None:
     events = list[Event]()
-    settings = ReceiveSettings(receiver=kind, detect=DetectSettings(busy_part=0.002))
+    settings = ReceiveSettings(receiver=kind, detect=DetectSettings(busy_part=0.01))
     receiver = make_receiver(SignalSettings(), settings, events.append)
     for frame in flicker(120, 2):
         list(receiver.push(frame))
@@ -91,7 +92,7 @@ def test_what_is_left_out_is_told(kind: str) -> None:
 def test_an_array_costs_less_than_it_may() -> None:
     """The default leaves nothing out where hardly anything else alternates."""
     events = list[Event]()
-    receiver = make_receiver(SignalSettings(), ReceiveSettings(receiver="soft"), events.append)
+    receiver = make_receiver(SignalSettings(), ReceiveSettings(receiver="soft").in_time(), events.append)
     cells = np.kron(all_header_cells()[3], np.ones((8, 8)))
     rng = np.random.default_rng(4)
     for k in range(60):
@@ -99,3 +100,21 @@ def test_an_array_costs_less_than_it_may() -> None:
         pixels[40:72, 60:92] += (100 * (cells * (-1) ** k > 0)).astype(np.uint8)
         list(receiver.push(Frame(k, 1e-3 * k, pixels)))
     assert not any(isinstance(event, DropEvent) for event in events)
+    assert receiver.load.work < 0.1 * KEPT_S * 0.3e3 * WORK_PER_MS  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("kind", ["plain", "soft"])
+@pytest.mark.parametrize("place", ["region=[40, 20, 80, 80]", "corners=[60, 40, 92, 40, 92, 72, 60, 72]"])
+def test_where_somebody_says_where_an_array_is_there_is_no_bound(kind: str, place: str) -> None:
+    """All of such a place counts as busy, and a search of noise would use up any bound before an array comes."""
+    settings = load_settings("static", None, [f"receive.receiver={kind}", f"receive.detect.{place}"]).receive.in_time()
+    search, rng = make_receiver(SignalSettings(), settings), np.random.default_rng(5)
+    for k in range(300):
+        list(search.push(Frame(k, 1e-3 * k, rng.integers(20, 60, (128, 160), np.uint8))))
+    assert search.load.left_out == 0  # type: ignore[attr-defined]
+
+
+def test_a_film_can_wait_and_a_live_camera_cannot() -> None:
+    assert ReceiveSettings().detect.busy_part is None
+    assert ReceiveSettings().in_time().detect.busy_part == 0.3
+    assert ReceiveSettings(detect=DetectSettings(busy_part=2.0)).in_time().detect.busy_part == 2.0

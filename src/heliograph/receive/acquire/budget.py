@@ -30,6 +30,9 @@ Of 44 passages behind posts the dearest took 130 million in 1.2 s, in which a fi
 needed. With 2 s three of its packets were lost, with 2.5 s and more none.
 """
 
+UNBOUNDED_PART = 1e6
+"""Part of a core's time that no search takes: stands for no bound."""
+
 BEGIN_PART = 1 / 20
 """Part of it that must be there for a search to begin: searches now and then, which fit what they find, are worth more
 than many that break off at once."""
@@ -125,15 +128,9 @@ class Budget:
         """Whether more than half of it is used up: what is hardly like an array is left out then."""
         return self._left < 0.5 * self._most
 
-    def earn(self, patterns: float = 1.0) -> None:
-        """Take the work of a pattern more, or of a part of one.
-
-        Parameters
-        ----------
-        patterns
-            Patterns that have passed, at least 0.
-        """
-        self._left = min(self._left + patterns * self._rate, self._most)
+    def earn(self) -> None:
+        """Take the work of a pattern more."""
+        self._left = min(self._left + self._rate, self._most)
 
     def spend(self, work: float) -> None:
         """Do work; a search may end with less than nothing left.
@@ -208,8 +205,7 @@ class BoundedSearch:
         frame
             The first of the frames, for place and full scale.
         """
-        self._budget.spend(PIXEL_WORK * change.size)
-        begin, count = self._begin(busy, frame), busy.size
+        begin, count, limit = self._begin(busy, frame), busy.size, self._budget.coarse
         found = coarse_search(
             change,
             busy,
@@ -219,9 +215,9 @@ class BoundedSearch:
             self.sides,
             self.headers.apart,
             begin,
-            self._budget.coarse,
+            limit,
         )
-        self._budget.spend(found.work)
+        self._budget.spend(PIXEL_WORK * change.size + found.work)
         self.compared, self._next = found.compared > 0, (0, 0)
         if found.passed < count:
             left = (begin + np.arange(found.passed, count)) % count

@@ -106,7 +106,7 @@ class SearchParameters:
     score: float
     regularity: float
     candidates: int
-    busy_part: float = 0.3
+    busy_part: float = 1e6
     impaired: bool = False
     all_on: bool = False
     blur_px: float

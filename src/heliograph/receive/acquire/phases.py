@@ -40,7 +40,8 @@ class PhasedSearch:
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings):
         self._parameters, self._signal = parameters, signal
-        self._budget, self._patterns = Budget(parameters.busy_part, signal.pattern_period_s), 1.0
+        # shared by the two detectors of a camera of the light's rate
+        self._budget = Budget(parameters.busy_part, signal.pattern_period_s)
         self._streams: list[_Stream] = []
         self._kept: deque[Frame] = deque()
 
@@ -52,7 +53,8 @@ class PhasedSearch:
     @property
     def load(self) -> SearchLoad:
         """What the searches of all streams did and left out so far."""
-        return self._budget.load
+        streams = [detector.load for stream in self._streams if len(self._streams) > 1 for detector in stream.detectors]
+        return sum(streams, self._budget.load)
 
     def start(self, period_s: float) -> None:
         """Begin to search frames of a camera as fast as the light or faster; see `HeaderSearch`.
@@ -70,18 +72,18 @@ class PhasedSearch:
                 f"misstates it"
             )
         alike = period_s > light_s * (1 - STEP_TOLERANCE)
-        phases = 1 if alike else _phases(light_s / period_s)
-        # so many times as many frames are searched
-        self._budget, self._patterns = Budget(phases * self._parameters.busy_part, light_s), period_s / light_s
         if alike:
-            detectors: list[_FrameDetector] = [self._detector()]
+            detectors: list[_FrameDetector] = [PyramidSearch(self._parameters, self._signal, self._budget)]
             if self._signal.header_pairs > 1:
                 # of the finest level alone: larger arrays are not looked for half a pattern out of step
                 finest = level_parameters(self._parameters, self._signal.side)[0]
                 detectors.append(StraddledDetector(finest, self._signal, self._budget))
             self._streams = [_EveryFrame(detectors, period_s)]
         else:
-            self._streams = [_Nearest(self._detector(), light_s, k / phases) for k in range(phases)]
+            phases = _phases(light_s / period_s)
+            # each with a budget of its own: one of them alone may be in step with an array
+            searches = [PyramidSearch(self._parameters, self._signal) for _ in range(phases)]
+            self._streams = [_Nearest(one, light_s, k / phases) for k, one in enumerate(searches)]
         patterns = 2 * self._signal.header_pairs + 2 * PATTERNS_KEPT
         self._kept = deque(maxlen=math.ceil(patterns * light_s / period_s))
 
@@ -90,9 +92,6 @@ class PhasedSearch:
         for stream in self._streams:
             for detector in stream.detectors:
                 detector.settle(orientation)
-
-    def _detector(self) -> PyramidSearch:
-        return PyramidSearch(self._parameters, self._signal, self._budget)
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
         """Take the next frame; see `HeaderSearch`.
@@ -105,7 +104,7 @@ class PhasedSearch:
             Poses of arrays already followed.
         """
         self._kept.append(frame)
-        self._budget.earn(self._patterns)
+        self._budget.earn()
         known, found = list(taken), list[Detection]()
         for stream in self._streams:
             shown = stream.push(frame)
@@ -120,6 +119,10 @@ class PhasedSearch:
 
 class _FrameDetector(Protocol):
     """Looks for headers in a stream of one frame per pattern."""
+
+    @property
+    def load(self) -> SearchLoad:
+        """What the searches did and left out so far."""
 
     def settle(self, orientation: Orientation) -> None:
         """Look for one orientation alone from now on; see `HeaderSearch`."""

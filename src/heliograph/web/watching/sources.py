@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -160,9 +160,12 @@ def _film(asked: Asked, shared: Shared, path: Path, name: str) -> Iterator[Sourc
         if asked.kind == "named" and not is_camera(path) and beside.is_file():
             known = open_truth(beside)
             check_truth(film, known, signal)
+        live = live_of(film)
+        if live is not None:
+            settings = replace(settings, receive=settings.receive.in_time())
         yield Source(
             name=name, frames=film, width=film.width, height=film.height, bits=film.bits, rate_hz=film.rate_hz,
-            frame_count=film.frame_count, signal=signal, settings=settings, truth=known, live=live_of(film),
+            frame_count=film.frame_count, signal=signal, settings=settings, truth=known, live=live,
             metadata=film.metadata,
         )  # fmt: skip
 
