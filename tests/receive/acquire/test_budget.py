@@ -8,7 +8,7 @@ import pytest
 from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
 from heliograph.receive import ReceiveSettings, make_receiver
-from heliograph.receive.acquire.budget import BEGIN_PART, KEPT_S, WORK_PER_MS, BoundedSearch, Budget, SearchLoad
+from heliograph.receive.acquire.budget import BEGIN_PART, SAVED_S, WORK_PER_MS, BoundedSearch, Budget, SearchLoad
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.hypotheses import headers
 from heliograph.receive.acquire.pyramid import PyramidSearch
@@ -32,11 +32,11 @@ def flicker(count: int, seed: int, shape: tuple[int, int] = (96, 128)) -> list[F
 
 def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
     budget, everything = Budget(0.5, 1e-3), np.ones((2, 3), bool)
-    budget.spend(1e3 * KEPT_S * 0.5 * WORK_PER_MS)
+    budget.spend(1e3 * SAVED_S * 0.5 * WORK_PER_MS)
     assert not budget.fit()
     assert not budget.begins(everything)
     assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (0, 1, 6)
-    for _ in range(round(BEGIN_PART * 1e3 * KEPT_S) + 1):
+    for _ in range(round(BEGIN_PART * 1e3 * SAVED_S) + 1):
         budget.earn()
     assert budget.begins(everything)
     assert budget.fit()
@@ -71,7 +71,7 @@ def test_a_busy_scene_costs_what_it_may() -> None:
     for frame in frames:
         search.push(frame)
     # what was there, what came, and what the last search may overdraw: a block of places, and a fit begun
-    assert search.load.work < (1e3 * KEPT_S + len(frames)) * 0.01 * WORK_PER_MS + 3e6
+    assert search.load.work < (1e3 * SAVED_S + len(frames)) * 0.01 * WORK_PER_MS + 3e6
     assert search.load.blocks > 1000
 
 
@@ -100,7 +100,7 @@ def test_an_array_costs_less_than_it_may() -> None:
         pixels[40:72, 60:92] += (100 * (cells * (-1) ** k > 0)).astype(np.uint8)
         list(receiver.push(Frame(k, 1e-3 * k, pixels)))
     assert not any(isinstance(event, DropEvent) for event in events)
-    assert receiver.load.work < 0.1 * KEPT_S * 0.3e3 * WORK_PER_MS  # type: ignore[attr-defined]
+    assert receiver.load.work < 0.1 * SAVED_S * 0.3e3 * WORK_PER_MS  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("kind", ["plain", "soft"])

@@ -23,7 +23,7 @@ FIT_WORK = 200_000.0
 PIXEL_WORK = 0.25
 """Work of combining frames and summing them up, for each pixel of the part that is searched."""
 
-KEPT_S = 3.0
+SAVED_S = 3.0
 """Seconds whose work is kept at most: with the default setting 162 million places, or 0.9 s of a core.
 
 Of 44 passages behind posts the dearest took 130 million in 1.2 s, in which a fifth of that was used before it was
@@ -99,7 +99,7 @@ class Budget:
 
     def __init__(self, busy_part: float, period_s: float):
         per_s = busy_part * 1e3 * WORK_PER_MS
-        self._rate, self._most = per_s * period_s, KEPT_S * per_s
+        self._rate, self._most = per_s * period_s, SAVED_S * per_s
         self._left = self._most
         self.load = SearchLoad()
 
