@@ -8,11 +8,24 @@ import pytest
 from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
 from heliograph.receive import ReceiveSettings, make_receiver
-from heliograph.receive.acquire.budget import BEGIN_PART, SAVED_S, WORK_PER_MS, BoundedSearch, Budget, SearchLoad
+from heliograph.receive.acquire.budget import (
+    CALM_SEARCHES,
+    LAVISH_PART,
+    NEW_PART,
+    PLENTY_PART,
+    SAVED_S,
+    SEARCH_PART,
+    VAIN_SEARCHES,
+    WORK_PER_MS,
+    BoundedSearch,
+    Budget,
+    SearchedBlocks,
+    SearchLoad,
+)
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.hypotheses import headers
 from heliograph.receive.acquire.pyramid import PyramidSearch
-from heliograph.receive.events import DropEvent, Event
+from heliograph.receive.events import DetectEvent, DropEvent, Event
 from heliograph.receive.image.orientation import UPRIGHT
 from heliograph.receive.settings import DetectSettings
 from heliograph.signal.header import all_header_cells
@@ -31,17 +44,71 @@ def flicker(count: int, seed: int, shape: tuple[int, int] = (96, 128)) -> list[F
 
 
 def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
-    budget, everything = Budget(0.5, 1e-3), np.ones((2, 3), bool)
-    budget.spend(1e3 * SAVED_S * 0.5 * WORK_PER_MS)
-    assert not budget.fit()
-    assert not budget.begins(everything)
-    assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (0, 1, 6)
-    for _ in range(round(BEGIN_PART * 1e3 * SAVED_S) + 1):
-        budget.earn()
+    budget, everything, pattern = Budget(0.5, 1e-3), np.ones((2, 3), bool), 0.5 * WORK_PER_MS
+    most = 1e3 * SAVED_S * pattern
     assert budget.begins(everything)
     assert budget.fit()
+    # one search takes a part of what is not kept for new arrays
+    budget.spend(1.01 * LAVISH_PART * (1 - PLENTY_PART) * most)
+    assert not budget.fit()
+    assert budget.coarse <= 0
+    assert budget.begins(everything)
+    assert budget.fit()
+    budget.spend(NEW_PART * most)
+    assert budget.begins(everything)
+    assert budget.coarse == pytest.approx(0.5 * SEARCH_PART * most)
+    budget.spend(most)
+    assert not budget.begins(everything)
+    assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, 6)
+    for _ in range(round(1.2 * most / pattern)):
+        budget.earn()
+    assert budget.begins(everything)
     assert not budget.begins(np.zeros((2, 3), bool))
-    assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (1, 1, 6)
+    assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, 6)
+
+
+def test_what_was_searched_in_vain_leaves_half_to_what_is_new() -> None:
+    budget, busy, frame = Budget(0.5, 1e-3), np.zeros((3, 4), bool), Frame(0, 0.0, np.zeros((24, 32), np.uint8))
+    busy[0] = True
+    searched = SearchedBlocks(budget)
+    for _ in range(VAIN_SEARCHES):
+        assert searched.of(busy, frame)[0].all()
+    # while there is enough, it is searched on
+    assert searched.of(busy, frame)[0].all()
+    budget.spend(0.6 * 1e3 * SAVED_S * 0.5 * WORK_PER_MS)
+    both = busy.copy()
+    both[2, 1] = True
+    found = searched.of(both, frame)
+    assert found[2, 1]
+    assert np.count_nonzero(found) == 1
+    assert budget.load.blocks == 4
+    # what comes into question no longer is not left out
+    assert not searched.of(both, frame, among=~both).any()
+    assert budget.load.blocks == 4
+    # what was calm for long is new again, and so is all of another part of the sensor
+    for _ in range(2 * CALM_SEARCHES * VAIN_SEARCHES):
+        searched.of(np.zeros((3, 4), bool), frame)
+    assert searched.of(busy, frame)[0].all()
+    for _ in range(VAIN_SEARCHES):
+        searched.of(busy, frame)
+    assert not searched.of(busy, frame).any()
+    assert searched.of(busy, Frame(0, 0.0, frame.pixels, origin=(8, 0)))[0].all()
+
+
+@pytest.mark.parametrize("kind", ["plain", "soft"])
+def test_an_array_beside_what_flickers_for_long_is_found(kind: str) -> None:
+    settings = ReceiveSettings(receiver=kind, detect=DetectSettings(busy_part=0.3))
+    receiver, found = make_receiver(SignalSettings(), settings, lambda event: found.append(event)), list[Event]()
+    header, rng = np.kron(all_header_cells()[4], np.ones((8, 8))), np.random.default_rng(6)
+    for frame in flicker(600, 3, (64, 64)):
+        pixels = rng.integers(40, 44, (128, 192)).astype(np.uint8)
+        pixels[32:96, :64] = frame.pixels
+        if frame.index > 580:
+            pixels[32:64, 128:160] = 40 + np.uint8(100 * (header * (-1) ** frame.index > 0))
+        list(receiver.push(Frame(frame.index, frame.time_s, pixels)))
+    assert receiver.load.left_out > 0  # type: ignore[attr-defined]
+    detected = [event.detection for event in found if isinstance(event, DetectEvent)]
+    assert [one.identity for one in detected if one.fit.pose.x > 100] == [4]
 
 
 def test_a_search_that_breaks_off_is_gone_on_with() -> None:

@@ -5,7 +5,7 @@ import { speedWords } from "./frame";
 import { drawGrey } from "./grey";
 import { drawLights } from "./lights";
 import { pictureType, type Model } from "./model";
-import { LAYERS, type About, type Bin, type Histogram, type Layer } from "./rows";
+import { LAYERS, type About, type Bin, type Histogram, type Layer, type LeftOut } from "./rows";
 import { drawing, svg } from "./svg";
 
 function put(id: string, ...children: (Node | string)[]): void {
@@ -171,7 +171,14 @@ function stages(model: Model): void {
     make("td", {}, make("progress", { max: Math.max(total, 1e-9), value: seconds, "aria-label": STAGE_WORDS[name] ?? name })),
     make("td", {}, `${((1000 * seconds) / Math.max(state.frames, 1)).toFixed(2)}`), make("td", {}, percent(seconds / Math.max(total, 1e-9)))));
   put("stages", make("table", { class: "small" }, head("Stage", "Part", "ms/frame", "of all"), make("tbody", {}, ...rows)),
-    make("p", { class: "dim small" }, `${state.frames} frames, ${(state.frames / Math.max(total, 1e-9)).toFixed(0)} a second without waiting.`));
+    make("p", { class: "dim small" }, `${state.frames} frames, ${(state.frames / Math.max(total, 1e-9)).toFixed(0)} a second without waiting.`), ...leftOut(state.left_out));
+}
+
+/** What the search left out, where more alternates than it may cost. */
+function leftOut(left: LeftOut): HTMLElement[] {
+  if (left.candidates + left.blocks === 0) return [];
+  return [make("p", { class: "dim small" }, `More alternates than the search may cost: ${left.candidates} candidates and ${left.blocks} blocks were left out. `
+    + "Say where the array is by its corners or a region, or raise receive.detect.busy_part.")];
 }
 
 /** Draws all panels: those that cost more only when their rows changed. */

@@ -10,6 +10,7 @@ export interface Lane { lane: number; kind: string; points_m: [number, number][]
 export interface Junction { id: number; name?: string | null; lane_width_m?: number | null; lanes?: Lane[]; groups?: Group[] }
 export interface Tally { ok: number; failed: number; bytes: number }
 export interface ArrayCounts { id: number; packets: number; layers: Record<Layer, Tally> }
+export interface LeftOut { candidates: number; blocks: number }
 export interface Bin { from_m: number; to_m: number; layers: Record<Layer, { wrong: number; sent: number; low: number; high: number }> }
 export interface Histogram { scale: number; zeros: number[]; ones: number[]; open: number[]; known: number; wrong: number }
 
@@ -23,7 +24,7 @@ export type Row =
   | { event: "file"; id: number; file: string; bytes: number; symbols: number; needed: number; whole: boolean; name?: string; data?: string }
   | { event: "lights"; id: number; time_s: number; junctions: { id: number; groups: Group[] }[] }
   | { event: "unfinished"; messages: { id: number; layer: Layer; stream: number; had: number; bytes: number }[] }
-  | { event: "state"; frames: number; time_s: number; seconds: number; paused: boolean; arrays: ArrayCounts[]; stages: Record<string, number>; failed: number; errors?: Bin[]; false_codewords?: number }
+  | { event: "state"; frames: number; time_s: number; seconds: number; paused: boolean; arrays: ArrayCounts[]; left_out: LeftOut; stages: Record<string, number>; failed: number; errors?: Bin[]; false_codewords?: number }
   | { event: "camera"; text: string }
   | { event: "saved"; bundle: string; bytes: number }
   | { event: "end"; stopped: boolean }

@@ -1,8 +1,9 @@
 """What searches may cost: a scene in which much alternates must not make a camera wait.
 
 Work is counted and not timed, so a film is read alike on every machine. Each pattern brings some work to be done, and
-what is not used is kept for an array that comes into sight. Where it is used up, searches leave something out: frames
-that were not searched are not kept for later, as newer ones take their place.
+what is not used is kept for an array that comes into sight. One search takes a small part of that. When half is used
+up, searches leave something out: what they have searched in vain, and what is little like an array. Frames that were
+not searched are not kept for later, as newer ones take their place.
 """
 
 from dataclasses import dataclass
@@ -33,12 +34,36 @@ needed. With 2 s three of its packets were lost, with 2.5 s and more none.
 UNBOUNDED_PART = 1e6
 """Part of a core's time that no search takes: stands for no bound."""
 
+VAIN_SEARCHES = 25
+"""Searches after which nothing new is hoped for from a block that goes on alternating: those of half a packet.
+
+An array behind a post goes on alternating too. While more than half of what is kept is left it is searched on: of 44
+passages behind posts none lost a codeword by it.
+"""
+
+CALM_SEARCHES = 4
+"""Searches in which a block must not alternate to make up for one in which it did."""
+
 BEGIN_PART = 1 / 20
 """Part of it that must be there for a search to begin: searches now and then, which fit what they find, are worth more
 than many that break off at once."""
 
-COARSE_PART = 1 / 10
-"""Part of what is left that one coarse search takes at most: its candidates are to be fitted too, and frames wait."""
+NEW_PART = 1 / 2
+"""Part of it that is kept for what is new and like an array."""
+
+SEARCH_PART = 1 / 100
+"""Part of it that one search takes at most, once the rest is used up: with the default setting 9 ms.
+
+A patch of 64 px that begins to flicker takes more, and would use up all before it is known to be searched in vain. Half
+of it lost a packet behind a post.
+"""
+
+PLENTY_PART = 3 / 4
+"""Part of it above which a search may take more than that."""
+
+LAVISH_PART = 1 / 4
+"""Part of what is above it that one search takes at most: that of an array just come into sight takes up to 10 million
+places, a quarter of the 40 million that are there at first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +118,19 @@ class Budget:
 
     Attributes
     ----------
+    bounded
+        Whether there is a bound at all.
     load
         What they did and left out so far.
     """
 
     def __init__(self, busy_part: float, period_s: float):
         per_s = busy_part * 1e3 * WORK_PER_MS
+        self.bounded = busy_part < UNBOUNDED_PART
         self._rate, self._most = per_s * period_s, SAVED_S * per_s
         self._left = self._most
+        # what is to be left when the search ends
+        self._end = 0.0
         self.load = SearchLoad()
 
     def begins(self, busy: NDArray[np.bool_]) -> bool:
@@ -114,19 +144,21 @@ class Budget:
         if not busy.any():
             return False
         lasts = self._left >= BEGIN_PART * self._most
+        most = max(SEARCH_PART * self._most, LAVISH_PART * (self._left - PLENTY_PART * self._most))
+        self._end = self._left - most
         if not lasts:
             self.leave(int(np.count_nonzero(busy)))
         return lasts
 
     @property
     def coarse(self) -> float:
-        """Work that a coarse search may do."""
-        return COARSE_PART * self._left
+        """Work that a coarse search may do: half of the search's, as its candidates are to be fitted too."""
+        return 0.5 * (self._left - self._end)
 
     @property
     def short(self) -> bool:
-        """Whether more than half of it is used up: what is hardly like an array is left out then."""
-        return self._left < 0.5 * self._most
+        """Whether no more is left than what is kept for that which is new and like an array."""
+        return self._left < NEW_PART * self._most
 
     def earn(self) -> None:
         """Take the work of a pattern more."""
@@ -145,7 +177,7 @@ class Budget:
 
     def fit(self) -> bool:
         """Whether a candidate may be fitted; it counts as fitted or as dropped."""
-        fits = self._left > 0
+        fits = self._left > self._end
         if fits:
             self.load += SearchLoad(fitted=1)
         else:
@@ -165,6 +197,47 @@ class Budget:
             How many of them, at least 0.
         """
         self.load += SearchLoad(blocks=blocks)
+
+
+class SearchedBlocks:
+    """Blocks that alternate search after search and show no array: where there is little time, new ones come first.
+
+    Parameters
+    ----------
+    budget
+        What searches may cost.
+    """
+
+    def __init__(self, budget: Budget):
+        self._budget = budget
+        self._origin = 0, 0
+        # (blocks down, blocks across), CALM_SEARCHES for each search in vain
+        self._vain = np.zeros((0, 0), np.int16)
+
+    def of(self, busy: NDArray[np.bool_], frame: Frame, among: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+        """Blocks to be searched of those in which something alternates; the others count as left out.
+
+        Parameters
+        ----------
+        busy
+            (blocks down, blocks across), whether an array may have its centre there and none is followed.
+        frame
+            The first of the frames, for place.
+        among
+            (blocks down, blocks across), whether a block comes into question otherwise; None for all.
+        """
+        sought = busy if among is None else busy & among
+        if not self._budget.bounded:
+            return sought
+        if busy.shape != self._vain.shape or frame.origin != self._origin:
+            self._origin, self._vain = frame.origin, np.zeros(busy.shape, np.int16)
+        weary = sought & (self._vain >= CALM_SEARCHES * VAIN_SEARCHES)
+        most = 2 * CALM_SEARCHES * VAIN_SEARCHES
+        self._vain = np.clip(self._vain + np.where(busy, CALM_SEARCHES, -1), 0, most).astype(np.int16)
+        if not self._budget.short or not weary.any():
+            return sought
+        self._budget.leave(int(np.count_nonzero(weary)))
+        return sought & ~weary
 
 
 class BoundedSearch:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, SearchLoad
+from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, SearchedBlocks, SearchLoad
 from heliograph.receive.acquire.candidate import (
     HIDING_BLUR,
     LEVEL_SPREAD,
@@ -114,6 +114,7 @@ class Detector:
         turned = headers(ORIENTATIONS[1:])
         sought = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT,), ORIENTATIONS[1:]), turned)
         self._coarse = tuple(BoundedSearch(parameters, one, self.budget) for one in sought)
+        self._searched = SearchedBlocks(self.budget)
         self._every = 2 if self._header >= 4 else 1
         self._span = min(self._header, 4)
         self._window = self._header + 2 * SLACK
@@ -151,7 +152,7 @@ class Detector:
         found = list[Detection]()
         for due in self.due(frame):
             change, known = self.change(due.slots), [*taken, *(one.fit.pose for one in found)]
-            busy = None if change is None else self.busy(due.slots, change, known)
+            busy = None if change is None else self.worth(due.slots, self.busy(due.slots, change, known))
             if busy is not None and self.budget.begins(busy):
                 found += self.search(due.slots, busy, known, due.turned)
         return found
@@ -219,6 +220,18 @@ class Detector:
         first = next(frame for frame in slots if frame is not None)
         parameters = self._parameters
         return busy_blocks(change, first, taken, self._side, parameters.min_contrast, parameters.everywhere)
+
+    def worth(self, slots: Slots, busy: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Busy blocks that are worth a search; to be asked once for frames.
+
+        Parameters
+        ----------
+        slots
+            Frames that are due.
+        busy
+            (blocks down, blocks across), where something alternates in them beside the arrays followed.
+        """
+        return self._searched.of(busy, next(frame for frame in slots if frame is not None))
 
     def alternating(self, slots: Slots, busy: NDArray[np.bool_], around_px: float) -> NDArray[np.float32] | None:
         """What alternates in frames that are due, where it does.

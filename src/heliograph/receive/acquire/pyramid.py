@@ -111,7 +111,7 @@ class PyramidSearch:
         finest = self._levels[0][1]
         change = finest.change(due.slots)
         # what alternates on a level alternates in the frames themselves
-        busy = None if change is None else finest.busy(due.slots, change, taken)
+        busy = None if change is None else finest.worth(due.slots, finest.busy(due.slots, change, taken))
         if change is None or busy is None or not self._budget.begins(busy):
             return []
         known, found = list(taken), list[Detection]()
@@ -123,7 +123,9 @@ class PyramidSearch:
             there = detector.change(seen) if k else change
             if there is None:
                 continue
-            for one in detector.search(seen, detector.busy(seen, there, poses), poses, due.turned):
+            alternates = detector.busy(seen, there, poses)
+            worth = detector.worth(seen, alternates) if k else alternates & busy
+            for one in detector.search(seen, worth, poses, due.turned):
                 known.append(view.pose_out(one.fit.pose))
                 found.append(replace(one, fit=view.fit_out(one.fit), drift=view.motion_out(one.drift)))
         return found

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, SearchLoad
+from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, SearchedBlocks, SearchLoad
 from heliograph.receive.acquire.candidate import LEVEL_SPREAD, cell_weights, fit_near, followed, of_size, plausible
 from heliograph.receive.acquire.coarse import (
     DIFFERENCE,
@@ -77,6 +77,7 @@ class StraddledDetector:
         upright = headers((UPRIGHT,), ORIENTATIONS[1:])
         self._budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
         self._coarse = BoundedSearch(parameters, ALL_ON if parameters.all_on else upright, self._budget)
+        self._searched = SearchedBlocks(self._budget)
         self._frames: deque[Frame] = deque(maxlen=self._header + 1)
 
     @property
@@ -118,7 +119,7 @@ class StraddledDetector:
         )
         if not busy.any():
             return []
-        busy &= self._quiet(frames, means)
+        busy = self._searched.of(busy, frames[0], self._quiet(frames, means))
         if not self._budget.begins(busy):
             return []
         ends, busy = searched_part(ends, busy, self._sides[-1])
@@ -142,11 +143,11 @@ class StraddledDetector:
         taken: Sequence[Pose],
     ) -> Detection | None:
         """Fit a candidate's pose; its start is that of the first frame and half a pattern."""
-        self._budget.spend(FIT_WORK)
         (start, number, _), parameters, sought = candidate, self._parameters, self._coarse.headers
         weights = cell_weights(sought.cells[number], self._side)
         if followed(start, taken, self._side):
             return None
+        self._budget.spend(FIT_WORK)
         fit = fit_near(change, origin, start, weights, LEVEL_SPREAD)
         if fit is None or fit.score < DATA_SCORE * parameters.score:
             return None

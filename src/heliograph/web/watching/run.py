@@ -212,6 +212,7 @@ class Run:
             "seconds": round(time.monotonic() - self._began, 3),
             "paused": self.gate.paused,
             "detections": reception.detections,
+            "left_out": {"candidates": reception.left_out.dropped, "blocks": reception.left_out.blocks},
             "arrays": reception.report(1.0)["arrays"],
             "stages": {name: round(seconds, 4) for name, seconds in self._stages.seconds.items()},
             "failed": 0 if failures is None else failures.packets,

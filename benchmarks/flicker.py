@@ -1,0 +1,151 @@
+"""An array that comes into sight beside what flickers: `python -m benchmarks.flicker [--films 12] [--seed 1]`.
+
+In each film squares of 8 px change at random, within a larger square of 16 to 160 px. An array at rest comes into sight
+0 to 3 s later, for eight packets. It is 40 to 60 m away, where "plain" reads all layers. Sizes, places and times are
+drawn at random by the seed. Frames are searched with the bound of a live camera. Counted are the packets read whole,
+the processor time of a frame, and for how long frames of a camera would wait at most.
+"""
+
+import argparse
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from heliograph.base.workers import THREAD_LIMITS, limit_threads
+
+os.environ.update(THREAD_LIMITS)  # before NumPy is imported: algebra in one thread
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.frames import Frame
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import default_messages, simulate
+from heliograph.measure.statistics import Count
+from heliograph.receive import make_receiver
+
+PACKETS = 8
+SQUARE_PX = 8
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A film.
+
+    Attributes
+    ----------
+    settings
+        The link.
+    lead_s
+        Time from the beginning until the array comes into sight.
+    size
+        Squares in a row of what flickers.
+    place
+        Its first row and column, in squares.
+    seed
+        Of the noise and of what flickers.
+    """
+
+    settings: LinkSettings
+    lead_s: float
+    size: int
+    place: tuple[int, int]
+    seed: int
+
+    def frames(self) -> Iterator[Frame]:
+        """Frames of the film."""
+        rng = np.random.default_rng(self.seed)
+        shown = [frame.pixels for frame, _ in simulate(self.settings, default_messages(self.settings), self.seed)]
+        dark = np.median(shown, axis=0).astype(np.uint8)
+        lead = round(self.lead_s / self.settings.signal.pattern_period_s)
+        for k in range(lead + len(shown)):
+            pixels = _noisy(dark, rng) if k < lead else shown[k - lead].astype(np.uint8)
+            self._flicker(pixels, rng)
+            yield Frame(k, k * self.settings.signal.pattern_period_s, pixels)
+
+    def _flicker(self, pixels: NDArray[np.uint8], rng: np.random.Generator) -> None:
+        squares = rng.integers(0, 256, (self.size, self.size), np.uint8)
+        rows, columns = (slice(SQUARE_PX * at, SQUARE_PX * (at + self.size)) for at in self.place)
+        pixels[rows, columns] = np.kron(squares, np.ones((SQUARE_PX, SQUARE_PX), np.uint8))
+
+
+def _noisy(dark: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Noise of a gray level about a frame without the array."""
+    noise = rng.integers(-1, 2, dark.shape, np.int16)
+    return np.asarray(np.clip(dark + noise, 0, 255), np.uint8)
+
+
+def draw(rng: np.random.Generator) -> Scene:
+    """Draw a film whose array, in the middle, is clear of what flickers.
+
+    Parameters
+    ----------
+    rng
+        Source of randomness.
+    """
+    channel = {"distance_m": rng.uniform(40, 60), "duration_s": PACKETS * 0.1, "arrays": [{"x_m": 0.0, "y_m": 0.0}]}
+    settings = load_settings("static", {"channel": channel})
+    camera, size = settings.channel.camera, int(rng.integers(2, 21))
+    rows, columns = camera.height // SQUARE_PX, camera.width // SQUARE_PX
+    # half of the frame, left or right, less what an array at 40 m takes
+    free = columns // 2 - 8 - size
+    column = int(rng.integers(0, free)) + int(rng.integers(0, 2)) * (columns // 2 + 8)
+    return Scene(
+        settings, rng.uniform(0, 3), size, (int(rng.integers(0, rows - size)), column), int(rng.integers(2**31))
+    )
+
+
+def receive(scene: Scene, receiver: str) -> tuple[int, float, float]:
+    """Packets read whole, processor time of a frame, and most that a frame waits, in ms.
+
+    Parameters
+    ----------
+    scene
+        The film.
+    receiver
+        Name of the receiver.
+    """
+    settings = replace(scene.settings.receive, receiver=receiver).in_time()
+    made, spent = make_receiver(scene.settings.signal, settings), 0.0
+    late, waits, whole, count = 0.0, 0.0, 0, 0
+    for frame in scene.frames():
+        start = time.process_time()
+        packets = list(made.push(frame))
+        took = time.process_time() - start
+        spent, count = spent + took, count + 1
+        late = max(0.0, late + took - scene.settings.signal.pattern_period_s)
+        waits, whole = max(waits, late), whole + sum(one.status == "ok" for one in packets)
+    whole += sum(one.status == "ok" for one in made.finish())
+    return whole, spent / count * 1e3, waits * 1e3
+
+
+def main() -> None:
+    """Count what is read beside what flickers."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--films", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--receivers", default="plain,soft")
+    given = parser.parse_args()
+    limit_threads()
+    cv2.setNumThreads(1)
+    scenes = [draw(np.random.default_rng((given.seed, k))) for k in range(given.films)]
+    for name in given.receivers.split(","):
+        receive(scenes[0], name)  # compiles
+        found = [receive(scene, name) for scene in scenes]
+        lost = Count()
+        for whole, *_ in found:
+            lost.add(PACKETS, PACKETS - whole)
+        low, high = lost.interval()
+        ms, waits = np.array([one[1] for one in found]), np.array([one[2] for one in found])
+        print(
+            f"{name}: packets lost {lost.errors}/{lost.trials} ({low:.1e} to {high:.1e}), by film "
+            f"{[PACKETS - one[0] for one in found]}; {np.median(ms):.2f} ms a frame (most {ms.max():.2f}); frames wait "
+            f"for {np.median(waits):.0f} ms at most in the middle film, {waits.max():.0f} in the worst",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
