@@ -25,24 +25,23 @@ class _Holders:
 
     def __init__(self) -> None:
         self._lock, self._count = threading.Lock(), 0
-        self._before: list[int] = []
+        # libraries and the numbers of threads that they had, of those that had more than one
+        self._before: list[tuple[Any, int]] = []
 
     def enter(self) -> None:
         with self._lock:
             if not self._count:
-                self._before = [library.num_threads for library in _libraries()]
-                for library, before in zip(_libraries(), self._before, strict=True):
-                    if before != 1:
-                        _set(library, 1)
+                self._before = [(one, number) for one in _libraries() if (number := one.num_threads) != 1]
+                for library, _ in self._before:
+                    _set(library, 1)
             self._count += 1
 
     def leave(self) -> None:
         with self._lock:
             self._count -= 1
             if not self._count:
-                for library, before in zip(_libraries(), self._before, strict=True):
-                    if before != 1:
-                        _set(library, before)
+                for library, before in self._before:
+                    _set(library, before)
 
 
 def _set(library: Any, threads: int) -> None:

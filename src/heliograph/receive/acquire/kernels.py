@@ -133,15 +133,21 @@ def middle_of_busy(means, spans, blank, busy, least, left):
         for i in range(spans[k, 0], min(spans[k, 2], rows)):
             for j in range(spans[k, 1], min(spans[k, 3], columns)):
                 left[i, j] = blank
-    most, blanked = np.float32(0.0), 0
+    # the most of each column first, of many at once
+    tops, blanked = np.zeros(columns, np.float32), 0
     for i in range(rows):
         for j in range(columns):
-            most = max(most, left[i, j])
+            tops[j] = left[i, j] if left[i, j] > tops[j] else tops[j]
+    most = np.float32(0.0)
+    for j in range(columns):
+        most = max(most, tops[j])
+    if most <= least:
+        return -1, True
+    for i in range(rows):
+        for j in range(columns):
             blanked += left[i, j] == blank
     # those blanked come first
     middle, below, still = blanked + (rows * columns - blanked) // 2, 0, 0
-    if most <= least:
-        return -1, True
     for i in range(rows):
         for j in range(columns):
             below += left[i, j] < most / np.float32(busy)

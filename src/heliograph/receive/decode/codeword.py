@@ -121,7 +121,8 @@ def soft_to_llr(soft: Floats, seen: NDArray[np.bool_]) -> Floats:
     if not known.size:
         return np.zeros_like(soft)
     # with m2 = a^2 + s^2 and m4 = a^4 + 6 a^2 s^2 + 3 s^4: a^4 = (3 m2^2 - m4) / 2
-    m2, m4 = float(np.mean(known**2)), float(np.mean(known**4))
+    squared = known * known
+    m2, m4 = float(squared.mean()), float((squared * squared).mean())
     a2 = min(np.sqrt(max((3 * m2**2 - m4) / 2, LEAST_POWER * m2**2)), MOST_POWER * m2)
     # LLR = 2 a y / s^2
     llr = 2 * np.sqrt(a2) / max(m2 - a2, TINY) * soft

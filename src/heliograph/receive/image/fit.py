@@ -197,7 +197,7 @@ def fit_array(
         The pixels give no pose, as numbers that are not finite do.
     """
     # a sum is finite where all of it is
-    if not isfinite(image.sum()):
+    if not isfinite(np.add.reduce(image, axis=None)):
         raise np.linalg.LinAlgError("the fit of an array's pose has no solution: pixels are not finite")
     free, margins = len(prior.covariance), _PANEL if panel else _NO_PANEL
     background = plane(*image.shape)
@@ -230,7 +230,7 @@ def fit_array(
     )
     if open_pixels is not None:
         drawn.forget()
-    if not isfinite(linear.sum()):
+    if not all(map(isfinite, linear.tolist())):
         raise np.linalg.LinAlgError("the fit of an array's pose has no solution")
     return Fit(vector, covariance, float(linear[0]), float(score))
 
