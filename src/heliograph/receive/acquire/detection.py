@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.budget import SearchLoad
+from heliograph.receive.acquire.candidate import apart
 from heliograph.receive.acquire.header_fit import CLEAR
 from heliograph.receive.acquire.hypotheses import Hypothesis
 from heliograph.receive.image.fit import Fit
@@ -148,3 +149,20 @@ class HeaderSearch(Protocol):
         -------
         Arrays whose header lies in the last frames.
         """
+
+
+def distinct(detections: list[Detection], side: int) -> list[Detection]:
+    """One detection a place, the best.
+
+    Parameters
+    ----------
+    detections
+        Detections of the same frames, in any order.
+    side
+        LEDs in a row.
+    """
+    kept: list[Detection] = []
+    for one in sorted(detections, key=lambda d: -d.score):
+        if all(apart(one.fit.pose, other.fit.pose, side) for other in kept):
+            kept.append(one)
+    return kept

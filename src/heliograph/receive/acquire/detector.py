@@ -36,7 +36,7 @@ from heliograph.receive.acquire.coarse import (
     busy_blocks,
     searched_part,
 )
-from heliograph.receive.acquire.detection import HIDDEN_REGULARITY, Detection
+from heliograph.receive.acquire.detection import HIDDEN_REGULARITY, Detection, distinct
 from heliograph.receive.acquire.drift import drift_of
 from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header, fit_moving
@@ -383,20 +383,3 @@ class Detector:
 def _tilt(pose: Pose) -> float:
     """Stretch and shear together."""
     return math.hypot(pose.stretch, pose.shear)
-
-
-def distinct(detections: list[Detection], side: int) -> list[Detection]:
-    """One detection a place, the best.
-
-    Parameters
-    ----------
-    detections
-        Detections of the same frames, in any order.
-    side
-        LEDs in a row.
-    """
-    kept: list[Detection] = []
-    for one in sorted(detections, key=lambda d: -d.score):
-        if all(apart(one.fit.pose, other.fit.pose, side) for other in kept):
-            kept.append(one)
-    return kept

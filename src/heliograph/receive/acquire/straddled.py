@@ -27,8 +27,7 @@ from heliograph.receive.acquire.coarse import (
     combined_means,
     searched_part,
 )
-from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.acquire.detector import distinct
+from heliograph.receive.acquire.detection import Detection, distinct
 from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.hypotheses import ALL_ON, headers
 from heliograph.receive.acquire.slots import alike
