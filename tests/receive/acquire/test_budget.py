@@ -9,17 +9,17 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
 from heliograph.receive import ReceiveSettings, make_receiver
 from heliograph.receive.acquire.budget import (
-    CALM_SEARCHES,
+    CALM_PATTERNS,
     LAVISH_PART,
     NEW_PART,
+    OLD_PACKETS,
     PLENTY_PART,
     SAVED_S,
     SEARCH_PART,
-    VAIN_SEARCHES,
     WORK_PER_MS,
     BoundedSearch,
     Budget,
-    SearchedBlocks,
+    OldBlocks,
     SearchLoad,
 )
 from heliograph.receive.acquire.coarse import SearchParameters
@@ -47,15 +47,18 @@ def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
     budget, everything, pattern = Budget(0.5, 1e-3), np.ones((2, 3), bool), 0.5 * WORK_PER_MS
     most = 1e3 * SAVED_S * pattern
     assert budget.begins(everything)
+    budget.part()
     assert budget.fit()
     # one search takes a part of what is not kept for new arrays
     budget.spend(1.01 * LAVISH_PART * (1 - PLENTY_PART) * most)
     assert not budget.fit()
     assert budget.coarse <= 0
     assert budget.begins(everything)
+    budget.part()
     assert budget.fit()
     budget.spend(NEW_PART * most)
     assert budget.begins(everything)
+    budget.part()
     assert budget.coarse == pytest.approx(0.5 * SEARCH_PART * most)
     budget.spend(most)
     assert not budget.begins(everything)
@@ -67,48 +70,97 @@ def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
     assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, 6)
 
 
-def test_what_was_searched_in_vain_leaves_half_to_what_is_new() -> None:
-    budget, busy, frame = Budget(0.5, 1e-3), np.zeros((3, 4), bool), Frame(0, 0.0, np.zeros((24, 32), np.uint8))
-    busy[0] = True
-    searched = SearchedBlocks(budget)
-    for _ in range(VAIN_SEARCHES):
-        assert searched.of(busy, frame)[0].all()
-    # while there is enough, it is searched on
-    assert searched.of(busy, frame)[0].all()
-    budget.spend(0.6 * 1e3 * SAVED_S * 0.5 * WORK_PER_MS)
+def test_each_part_of_a_search_has_a_share_and_what_others_left() -> None:
+    """The largest arrays are looked for first, and turned ones last: neither must take all."""
+    budget, most = Budget(0.5, 1e-3), 1e3 * SAVED_S * 0.5 * WORK_PER_MS
+    budget.spend(0.6 * most)
+    assert budget.begins(np.ones((2, 3), bool), 4)
+    share = SEARCH_PART * most / 4
+    budget.part()
+    assert budget.coarse == pytest.approx(share / 2)
+    budget.spend(share)
+    assert not budget.fit()
+    budget.part()
+    assert budget.coarse == pytest.approx(share / 2)
+    assert budget.fit()
+    # what the second does not use, the third may
+    budget.part()
+    assert budget.coarse == pytest.approx(share)
+
+
+def test_the_less_is_left_the_more_is_left_out() -> None:
+    """First what is not like a header, then what has alternated for longer than a packet, too."""
+    budget, busy, pixels = Budget(0.5, 1e-3), np.zeros((3, 4), bool), np.zeros((24, 32), np.uint8)
+    most, busy[0] = 1e3 * SAVED_S * 0.5 * WORK_PER_MS, True
+    like = np.zeros_like(busy)
+    like[:, :2] = True
+    blocks, old = OldBlocks(budget, 100), round(100 * OLD_PACKETS) + 2
+    for k in range(2, old + 2, 2):
+        assert np.array_equal(blocks.left_out(busy, like, Frame(k, 0.0, pixels), 2), busy)
+    budget.spend((1.01 - PLENTY_PART) * most)
+    assert np.array_equal(blocks.left_out(busy, like, Frame(old + 2, 0.0, pixels), 2), busy & like)
+    assert budget.load.blocks == 2
+    budget.spend((PLENTY_PART - NEW_PART) * most)
     both = busy.copy()
-    both[2, 1] = True
-    found = searched.of(both, frame)
-    assert found[2, 1]
-    assert np.count_nonzero(found) == 1
-    assert budget.load.blocks == 4
+    both[2, 1:3] = True
+    found = blocks.left_out(both, like, Frame(old + 4, 0.0, pixels), 2)
+    assert np.argwhere(found).tolist() == [[2, 1]]
+    assert budget.load.blocks == 7
     # what comes into question no longer is not left out
-    assert not searched.of(both, frame, among=~both).any()
-    assert budget.load.blocks == 4
-    # what was calm for long is new again, and so is all of another part of the sensor
-    for _ in range(2 * CALM_SEARCHES * VAIN_SEARCHES):
-        searched.of(np.zeros((3, 4), bool), frame)
-    assert searched.of(busy, frame)[0].all()
-    for _ in range(VAIN_SEARCHES):
-        searched.of(busy, frame)
-    assert not searched.of(busy, frame).any()
-    assert searched.of(busy, Frame(0, 0.0, frame.pixels, origin=(8, 0)))[0].all()
+    assert not blocks.left_out(both, like, Frame(old + 6, 0.0, pixels), 2, among=~both).any()
+    assert budget.load.blocks == 7
+    # a part of the sensor that is read anew is new
+    assert blocks.left_out(busy, like, Frame(old + 8, 0.0, pixels, origin=(8, 0)), 2)[0, :2].all()
 
 
+@pytest.mark.parametrize("asked", [True, False])
+def test_what_was_calm_for_long_is_new_again(asked: bool) -> None:
+    """Where nothing alternates nobody asks: a gap in the frames' numbers is calm too."""
+    budget, busy, pixels = Budget(0.5, 1e-3), np.ones((2, 3), bool), np.zeros((16, 24), np.uint8)
+    budget.spend(0.6 * 1e3 * SAVED_S * 0.5 * WORK_PER_MS)
+    blocks, long, now = OldBlocks(budget, 100), round(100 * OLD_PACKETS), 0
+
+    def left() -> np.ndarray:
+        return blocks.left_out(busy, busy, Frame(now, 0.0, pixels), 1)
+
+    for _ in range(long):
+        now += 1
+        assert left().all()
+    for _ in range(long):
+        now += 1
+        assert not left().any()
+    # half of that is not enough
+    now += long // 2
+    assert not left().any()
+    for _ in range(2 * CALM_PATTERNS * long):
+        now += 1
+        if asked:
+            blocks.left_out(~busy, busy, Frame(now, 0.0, pixels), 1)
+    now += 1
+    assert left().all()
+
+
+@pytest.mark.parametrize("dark", [0, 20, 90], ids=["at its header", "early in a packet", "late in a packet"])
 @pytest.mark.parametrize("kind", ["plain", "soft"])
-def test_an_array_beside_what_flickers_for_long_is_found(kind: str) -> None:
+def test_an_array_beside_what_flickers_for_long_is_found(kind: str, dark: int) -> None:
+    """It comes into sight after the patterns of a packet that were dark, and shows data until its next header."""
     settings = ReceiveSettings(receiver=kind, detect=DetectSettings(busy_part=0.3))
     receiver, found = make_receiver(SignalSettings(), settings, lambda event: found.append(event)), list[Event]()
-    header, rng = np.kron(all_header_cells()[4], np.ones((8, 8))), np.random.default_rng(6)
-    for frame in flicker(600, 3, (64, 64)):
+    header, rng = np.kron(all_header_cells()[4] > 0, np.ones((8, 8))), np.random.default_rng(6)
+    for frame in flicker(720, 3, (64, 64)):
         pixels = rng.integers(40, 44, (128, 192)).astype(np.uint8)
         pixels[32:96, :64] = frame.pixels
-        if frame.index > 580:
-            pixels[32:64, 128:160] = 40 + np.uint8(100 * (header * (-1) ** frame.index > 0))
+        place = (frame.index - 500 + dark) % 100
+        if frame.index % 2 == 0:
+            shown = header if place < 4 else np.kron(rng.integers(0, 5, (16, 16)) / 4, np.ones((2, 2)))
+        else:
+            shown = 1 - shown
+        if frame.index >= 500:
+            pixels[32:64, 128:160] = 40 + (100 * shown).astype(np.uint8)
         list(receiver.push(Frame(frame.index, frame.time_s, pixels)))
     assert receiver.load.left_out > 0  # type: ignore[attr-defined]
     detected = [event.detection for event in found if isinstance(event, DetectEvent)]
-    assert [one.identity for one in detected if one.fit.pose.x > 100] == [4]
+    assert 4 in [one.identity for one in detected if one.fit.pose.x > 100]
 
 
 def test_a_search_that_breaks_off_is_gone_on_with() -> None:

@@ -14,7 +14,8 @@ from heliograph.base.frames import Frame
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.detector import Detector
-from heliograph.signal.header import IDENTITIES
+from heliograph.receive.image.orientation import Orientation
+from heliograph.signal.header import IDENTITIES, all_header_cells
 from heliograph.signal.settings import SignalSettings
 
 Light = Callable[[int, np.random.Generator], NDArray[np.float64]]
@@ -239,3 +240,22 @@ def test_cells_dimmed_by_a_format_change_neither_gain_nor_tilt(mode: str) -> Non
     assert dimmed.gain == pytest.approx(plain.gain, rel=0.02)
     assert dimmed.pose.pitch == pytest.approx(plain.pose.pitch, rel=0.003)
     assert (dimmed.pose.stretch, dimmed.pose.shear) == pytest.approx((0, 0), abs=0.01)
+
+
+@pytest.mark.parametrize("start", range(8, 16))
+def test_a_turned_array_is_found_wherever_its_packets_begin(start: int) -> None:
+    """Packets last a whole number of searches, and turned headers are looked for in every other one."""
+    header, rng = np.kron(all_header_cells()[4] > 0, np.ones((8, 8))), np.random.default_rng(3)
+    detector, found, shown = Detector(PLAIN, SignalSettings()), list[Detection](), np.full((32, 32), 0.5)
+    for k in range(220):
+        if (k - start) % 2 == 0:
+            data = np.kron(rng.integers(0, 5, (16, 16)) / 4, np.ones((2, 2)))
+            shown = header if (k - start) % 100 < 4 else data
+        else:
+            shown = 1 - shown
+        pixels = rng.integers(38, 43, (96, 96)).astype(np.uint8)
+        pixels[30:62, 34:66] += (100 * shown[::-1, ::-1]).astype(np.uint8)
+        found += detector.push(Frame(k, k * 1e-3, cv2.GaussianBlur(pixels, (0, 0), 0.7).astype(np.uint8)))
+    whole = [one for one in found if one.clear and abs(one.fit.pose.pitch - 2) < 0.1]
+    assert {(one.identity, one.orientation) for one in whole} == {(4, Orientation(2))}
+    assert {round(1e3 * one.start_time_s) % 100 for one in whole} == {start}

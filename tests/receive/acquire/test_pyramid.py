@@ -11,7 +11,7 @@ from scenes import SIDE, draw, frame_of
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.acquire import pyramid
-from heliograph.receive.acquire.budget import SearchLoad
+from heliograph.receive.acquire.budget import SAVED_S, WORK_PER_MS, Budget, SearchLoad
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.pyramid import PyramidSearch, level_parameters
@@ -190,3 +190,20 @@ def test_the_last_frames_are_the_cameras_own() -> None:
     search_of(frames, search=search)
     assert [one.index for one in search.recent] == list(range(4, 12))
     assert all(one.pixels is frames[one.index].pixels for one in search.recent)
+
+
+def test_a_near_array_is_found_beside_what_has_flickered_for_long() -> None:
+    """What is left out as old is so on all levels: the flicker is searched no more, the array's own blocks are."""
+    budget, rng, searched = Budget(0.3, 1e-3), np.random.default_rng(2), 0.0
+    search, found = PyramidSearch(SEARCH, SignalSettings(), budget), list[Detection]()
+    header = [replace(frame, index=frame.index + 300) for frame in frames_of((NEAR, 11))]
+    for frame in [*frames_of(count=304)[4:], *header]:
+        # beyond the near array, which ends 58 px from its centre
+        frame.pixels[20:180, 180:228] = np.kron(rng.integers(0, 256, (20, 6), np.uint8), np.ones((8, 8), np.uint8))
+        if frame.index == 300:
+            # less than half is left of what is kept
+            budget.spend(0.6 * SAVED_S * 0.3e3 * WORK_PER_MS - budget.load.work)
+            searched = budget.load.work
+        found += search.push(replace(frame, time_s=1e-3 * frame.index))
+    assert 11 in [one.identity for one in found]
+    assert budget.load.work - searched < 8e6

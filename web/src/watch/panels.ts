@@ -177,7 +177,7 @@ function stages(model: Model): void {
 /** What the search left out, where more alternates than it may cost. */
 function leftOut(left: LeftOut): HTMLElement[] {
   if (left.candidates + left.blocks === 0) return [];
-  return [make("p", { class: "dim small" }, `More alternates than the search may cost: ${left.candidates} candidates and ${left.blocks} blocks were left out. `
+  return [make("p", { class: "dim small" }, `So far ${left.candidates} candidates and ${left.blocks} blocks were left out, as more alternated than the search may cost. `
     + "Say where the array is by its corners or a region, or raise receive.detect.busy_part.")];
 }
 

@@ -1,12 +1,14 @@
 """What searches may cost: a scene in which much alternates must not make a camera wait.
 
 Work is counted and not timed, so a film is read alike on every machine. Each pattern brings some work to be done, and
-what is not used is kept for an array that comes into sight. One search takes a small part of that. When half is used
-up, searches leave something out: what they have searched in vain, and what is little like an array. Frames that were
-not searched are not kept for later, as newer ones take their place.
+what is not used is kept for an array that comes into sight. One search takes a small part of that, shared out evenly to
+the sizes and headers that it looks for. When a quarter is used up, blocks are left out in which nothing is like a
+header just now; when half is, those too that have alternated for longer than a packet, and candidates that are little
+like an array. Frames that were not searched are not kept for later, as newer ones take their place.
 """
 
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,28 +23,29 @@ WORK_PER_MS = 180_000.0
 FIT_WORK = 200_000.0
 """Work of a fit of a candidate: 1.1 ms."""
 
-PIXEL_WORK = 0.25
-"""Work of combining frames and summing them up, for each pixel of the part that is searched."""
+PIXEL_WORK = 0.8
+"""Work of combining frames and summing them up, for each pixel of the part that is searched: 4.4 ns of a whole frame,
+whose sums do not fit into the processor's cache."""
 
 SAVED_S = 3.0
 """Seconds whose work is kept at most: with the default setting 162 million places, or 0.9 s of a core.
 
-Of 44 passages behind posts the dearest took 130 million in 1.2 s, in which a fifth of that was used before it was
-needed. With 2 s three of its packets were lost, with 2.5 s and more none.
+With 2 s four of 48 arrays were not found that came into sight soon after something began to flicker beside them, with
+3 s none; of 44 passages behind posts none lost a codeword with 1.5 s (docs/performance.md).
 """
 
 UNBOUNDED_PART = 1e6
 """Part of a core's time that no search takes: stands for no bound."""
 
-VAIN_SEARCHES = 25
-"""Searches after which nothing new is hoped for from a block that goes on alternating: those of half a packet.
+OLD_PACKETS = 1.2
+"""Packets for which a block may alternate before it is old: an array shows a header in each.
 
-An array behind a post goes on alternating too. While more than half of what is kept is left it is searched on: of 44
-passages behind posts none lost a codeword by it.
+It comes into sight at any pattern of a packet. With half of a packet six of nine such arrays beside what flickers were
+not found at all. An array behind a post alternates for longer; while half of what is kept is left, that is searched.
 """
 
-CALM_SEARCHES = 4
-"""Searches in which a block must not alternate to make up for one in which it did."""
+CALM_PATTERNS = 4
+"""Patterns in which a block must not alternate to make up for one in which it did."""
 
 BEGIN_PART = 1 / 20
 """Part of it that must be there for a search to begin: searches now and then, which fit what they find, are worth more
@@ -54,12 +57,11 @@ NEW_PART = 1 / 2
 SEARCH_PART = 1 / 100
 """Part of it that one search takes at most, once the rest is used up: with the default setting 9 ms.
 
-A patch of 64 px that begins to flicker takes more, and would use up all before it is known to be searched in vain. Half
-of it lost a packet behind a post.
+A patch of 64 px that begins to flicker takes more. Half of it lost a packet behind a post.
 """
 
 PLENTY_PART = 3 / 4
-"""Part of it above which a search may take more than that."""
+"""Part of it above which a search may take more than that, and looks at all that alternates."""
 
 LAVISH_PART = 1 / 4
 """Part of what is above it that one search takes at most: that of an array just come into sight takes up to 10 million
@@ -129,31 +131,42 @@ class Budget:
         self.bounded = busy_part < UNBOUNDED_PART
         self._rate, self._most = per_s * period_s, SAVED_S * per_s
         self._left = self._most
-        # what is to be left when the search ends
-        self._end = 0.0
+        # what is to be left when the part of a search ends, and when the next part does
+        self._end = self._share = 0.0
         self.load = SearchLoad()
 
-    def begins(self, busy: NDArray[np.bool_]) -> bool:
+    def begins(self, busy: NDArray[np.bool_], parts: int = 1) -> bool:
         """Whether a search begins; else its blocks count as left out.
 
         Parameters
         ----------
         busy
             (blocks down, blocks across), whether an array may have its centre there.
+        parts
+            Parts of the search, 1 or more: `part` begins each. What one does not use, later ones may.
         """
-        if not busy.any():
+        if not (blocks := np.count_nonzero(busy)):
             return False
         lasts = self._left >= BEGIN_PART * self._most
         most = max(SEARCH_PART * self._most, LAVISH_PART * (self._left - PLENTY_PART * self._most))
-        self._end = self._left - most
+        self._end, self._share = self._left, most / parts
         if not lasts:
-            self.leave(int(np.count_nonzero(busy)))
+            self.leave(int(blocks))
         return lasts
+
+    def part(self) -> None:
+        """Begin the next part of a search."""
+        self._end -= self._share
 
     @property
     def coarse(self) -> float:
-        """Work that a coarse search may do: half of the search's, as its candidates are to be fitted too."""
+        """Work that a coarse search may do: half of the part's, as its candidates are to be fitted too."""
         return 0.5 * (self._left - self._end)
+
+    @property
+    def plenty(self) -> bool:
+        """Whether so much is left that all is searched."""
+        return self._left > PLENTY_PART * self._most
 
     @property
     def short(self) -> bool:
@@ -199,45 +212,67 @@ class Budget:
         self.load += SearchLoad(blocks=blocks)
 
 
-class SearchedBlocks:
-    """Blocks that alternate search after search and show no array: where there is little time, new ones come first.
+class OldBlocks:
+    """How long blocks have alternated and shown no array: where there is little time, new ones come first.
 
     Parameters
     ----------
     budget
         What searches may cost.
+    packet_patterns
+        Patterns of a packet, header included.
     """
 
-    def __init__(self, budget: Budget):
+    def __init__(self, budget: Budget, packet_patterns: int):
         self._budget = budget
-        self._origin = 0, 0
-        # (blocks down, blocks across), CALM_SEARCHES for each search in vain
-        self._vain = np.zeros((0, 0), np.int16)
+        self._old = CALM_PATTERNS * ceil(OLD_PACKETS * packet_patterns)
+        self._origin, self._last = (0, 0), 0
+        # (blocks down, blocks across), CALM_PATTERNS for each pattern in which it alternated
+        self._age = np.zeros((0, 0), np.int32)
 
-    def of(self, busy: NDArray[np.bool_], frame: Frame, among: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
-        """Blocks to be searched of those in which something alternates; the others count as left out.
+    def left_out(
+        self,
+        busy: NDArray[np.bool_],
+        telling: NDArray[np.bool_],
+        frame: Frame,
+        patterns: int,
+        among: NDArray[np.bool_] | None = None,
+    ) -> NDArray[np.bool_]:
+        """Where there is little time, leave out old blocks, and those in which nothing is like a header; count them.
+
+        To be asked once for the frames of a search. Where it is not asked, nothing alternates.
 
         Parameters
         ----------
         busy
             (blocks down, blocks across), whether an array may have its centre there and none is followed.
+        telling
+            (blocks down, blocks across), whether that and what is beside it is like a header.
         frame
-            The first of the frames, for place.
+            The first of the frames, for place and number.
+        patterns
+            Patterns since the frames of the search before, at most.
         among
             (blocks down, blocks across), whether a block comes into question otherwise; None for all.
+
+        Returns
+        -------
+        The blocks to be searched.
         """
         sought = busy if among is None else busy & among
-        if not self._budget.bounded:
+        if busy.shape != self._age.shape or frame.origin != self._origin:
+            self._origin, self._age = frame.origin, np.zeros(busy.shape, np.int32)
+        passed, self._last = max(frame.index - self._last, 0), frame.index
+        patterns = min(patterns, passed)
+        grown = np.where(busy, CALM_PATTERNS * patterns - (passed - patterns), -passed)
+        self._age = np.clip(self._age + grown, 0, 2 * self._old).astype(np.int32)
+        if self._budget.plenty:
             return sought
-        if busy.shape != self._vain.shape or frame.origin != self._origin:
-            self._origin, self._vain = frame.origin, np.zeros(busy.shape, np.int16)
-        weary = sought & (self._vain >= CALM_SEARCHES * VAIN_SEARCHES)
-        most = 2 * CALM_SEARCHES * VAIN_SEARCHES
-        self._vain = np.clip(self._vain + np.where(busy, CALM_SEARCHES, -1), 0, most).astype(np.int16)
-        if not self._budget.short or not weary.any():
-            return sought
-        self._budget.leave(int(np.count_nonzero(weary)))
-        return sought & ~weary
+        left = sought & telling
+        if self._budget.short:
+            left &= self._age <= self._old
+        self._budget.leave(int(np.count_nonzero(sought) - np.count_nonzero(left)))
+        return left
 
 
 class BoundedSearch:

@@ -37,13 +37,13 @@ class Candidate(NamedTuple):
         Pose from which its fit starts, on the sensor.
     number
         Number of its header among those searched.
-    sign
-        1 where the header comes first, -1 where its inverse does.
+    score
+        Correlation with its header, -1 to 1: above 0 where the header comes first, below where its inverse does.
     """
 
     start: Pose
     number: int
-    sign: float
+    score: float
 
 
 def pose_of(corners: Sequence[float], side: int, blur: float) -> Pose:
@@ -110,7 +110,7 @@ def candidates_of(
     rows = coarse.candidates(change, busy, frame)
     (x, y), blur = frame.origin, coarse.parameters.blur_px
     poses = [Pose(row[1] - 0.5 + x, row[2] - 0.5 + y, row[3] / side, 0.0, blur) for row in rows]
-    return [Candidate(pose, int(row[4]), float(np.sign(row[0]))) for pose, row in zip(poses, rows, strict=True)]
+    return [Candidate(pose, int(row[4]), float(row[0])) for pose, row in zip(poses, rows, strict=True)]
 
 
 def _given(
@@ -140,12 +140,13 @@ def _given(
     for row in found.rows:
         x, y = (drawn @ [row[1] - 0.5, row[2] - 0.5, 1.0] + frame.origin).tolist()
         pose = replace(start, x=x, y=y, pitch=float(row[3]) / side, blur=parameters.blur_px)
-        out.append(Candidate(pose, int(row[4]), float(np.sign(row[0]))))
+        out.append(Candidate(pose, int(row[4]), float(row[0])))
     if sides[0] <= side * start.pitch <= sides[-1] and _within(change, frame.origin, start, side):
         light = cell_light(change, frame.origin, start, np.ones((side, side)))
-        alike = searched.cells @ light / max(float(np.linalg.norm(light)), TINY)
+        # each header has 16 cells of +-1
+        alike = searched.cells @ light / max(4 * float(np.linalg.norm(light)), TINY)
         best = int(np.argmax(np.abs(alike)))
-        out.append(Candidate(replace(start, blur=parameters.blur_px), best, float(np.sign(alike[best]))))
+        out.append(Candidate(replace(start, blur=parameters.blur_px), best, float(alike[best])))
     return out
 
 

@@ -110,22 +110,30 @@ class PyramidSearch:
         """Search frames on all levels."""
         finest = self._levels[0][1]
         change = finest.change(due.slots)
-        # what alternates on a level alternates in the frames themselves
-        busy = None if change is None else finest.worth(due.slots, finest.busy(due.slots, change, taken))
-        if change is None or busy is None or not self._budget.begins(busy):
+        if change is None:
             return []
+        # what alternates on a level alternates in the frames themselves
+        alternating = finest.busy(due.slots, change, taken)
+        busy = finest.new(due.slots, change, alternating)
+        if not np.count_nonzero(busy):
+            return []
+        old = alternating & ~busy
+        leaves_out = np.count_nonzero(old)
         known, found = list(taken), list[Detection]()
         shown = self._shown(due.slots, busy)
-        for k, (view, detector) in reversed(list(enumerate(self._levels))):
-            if k > shown:
-                continue
+        if not self._budget.begins(busy, (shown + 1) * finest.parts(due.turned)):
+            return []
+        for k, (view, detector) in reversed(list(enumerate(self._levels[: shown + 1]))):
             seen, poses = self._slots(due.slots, k), [view.pose_in(pose) for pose in known]
             there = detector.change(seen) if k else change
             if there is None:
                 continue
             alternates = detector.busy(seen, there, poses)
-            worth = detector.worth(seen, alternates) if k else alternates & busy
-            for one in detector.search(seen, worth, poses, due.turned):
+            if k == 0:
+                alternates &= busy
+            elif leaves_out:
+                alternates &= _but_old(old, busy, due.slots, seen, k)
+            for one in detector.search(seen, alternates, poses, due.turned):
                 known.append(view.pose_out(one.fit.pose))
                 found.append(replace(one, fit=view.fit_out(one.fit), drift=view.motion_out(one.drift)))
         return found
@@ -186,6 +194,30 @@ def level_parameters(parameters: SearchParameters, side: int) -> list[SearchPara
         start = parameters.start and View(k).pose_in(parameters.start)
         levels.append(replace(parameters, min_side_px=min(sizes), max_side_px=max(sizes), blur_px=blur, start=start))
     return levels
+
+
+def _but_old(
+    old: NDArray[np.bool_], new: NDArray[np.bool_], slots: Slots, seen: Slots, level: int
+) -> NDArray[np.bool_]:
+    """Blocks of a level but those that hold old blocks alone, (blocks down, blocks across).
+
+    Parameters
+    ----------
+    old, new
+        (blocks down, blocks across) of the frames themselves: those left out, and those searched.
+    slots, seen
+        Those frames, and as the level has them.
+    level
+        Number of the level, at least 1.
+    """
+    frame, reduced = (next(one for one in frames if one is not None) for frames in (slots, seen))
+    out = np.ones([-(-size // BLOCK_PX) for size in reduced.pixels.shape], bool)
+    for blocks, searched in ((old, False), (new, True)):
+        # the middles of the blocks, on the sensor and on the level
+        middles = (np.argwhere(blocks) + 0.5) * BLOCK_PX + frame.origin[::-1]
+        down, across = ((middles / 2**level - reduced.origin[::-1]) // BLOCK_PX).astype(int).T
+        out[down, across] = searched
+    return out
 
 
 def _name(frame: Frame) -> tuple[int, float]:

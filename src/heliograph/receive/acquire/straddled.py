@@ -12,12 +12,14 @@ accelerates evenly cancels. The frames between are quiet, as those of data never
 
 from collections import deque
 from collections.abc import Sequence
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, SearchedBlocks, SearchLoad
+from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, OldBlocks, SearchLoad
 from heliograph.receive.acquire.candidate import LEVEL_SPREAD, cell_weights, fit_near, followed, of_size, plausible
 from heliograph.receive.acquire.coarse import (
     DIFFERENCE,
@@ -76,7 +78,7 @@ class StraddledDetector:
         upright = headers((UPRIGHT,), ORIENTATIONS[1:])
         self._budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
         self._coarse = BoundedSearch(parameters, ALL_ON if parameters.all_on else upright, self._budget)
-        self._searched = SearchedBlocks(self._budget)
+        self._old = OldBlocks(self._budget, signal.packet_patterns)
         self._frames: deque[Frame] = deque(maxlen=self._header + 1)
 
     @property
@@ -118,20 +120,22 @@ class StraddledDetector:
         )
         if not busy.any():
             return []
-        busy = self._searched.of(busy, frames[0], self._quiet(frames, means))
+        within = combined_means([*frames[1:3], *frames[1:3]], DIFFERENCE)
+        quiet = _quiet(within, means)
+        if self._budget.bounded:
+            # of one block what flickers may be quiet by chance
+            around = _quiet(cv2.blur(within, (3, 3)), cv2.blur(means, (3, 3)))
+            busy = self._old.left_out(busy, around, frames[0], 1, quiet)
+        else:
+            busy &= quiet
         if not self._budget.begins(busy):
             return []
+        self._budget.part()
         ends, busy = searched_part(ends, busy, self._sides[-1])
         change = combined(ends, weights)
-        candidates = [one for one in candidates_of(change, busy, ends[0], self._coarse, self._side) if one.sign > 0]
+        candidates = [one for one in candidates_of(change, busy, ends[0], self._coarse, self._side) if one.score > 0]
         found = [self._fit(frames, change, ends[0].origin, one, taken) for one in candidates if self._budget.fit()]
         return distinct([one for one in found if one is not None], self._side)
-
-    def _quiet(self, frames: Sequence[Frame], means: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Blocks in which hardly anything changes within the header."""
-        within = combined_means([*frames[1:3], *frames[1:3]], DIFFERENCE)
-        # the means are of twice what changes over the header
-        return np.asarray(within < 0.5 * QUIET * means)
 
     def _fit(
         self,
@@ -166,3 +170,9 @@ class StraddledDetector:
         seen = header_amplitudes(frames, fit.pose, weights)
         ends = np.array([1, -1]) * (seen[[0, -1]] - seen[1:-1].mean())
         return float(ends.min() / ends.mean()) if ends.mean() > 0 else 0.0
+
+
+def _quiet(within: NDArray[Any], over: NDArray[Any]) -> NDArray[np.bool_]:
+    """Blocks in which hardly anything changes within the header, by the means of that, and of what does over it."""
+    # the latter are of twice what changes
+    return np.asarray(within < 0.5 * QUIET * over)

@@ -117,13 +117,12 @@ class SteppedClock:
 
     def _check_rate(self) -> None:
         """Compare the rate of the last frames with the light's; a late stamp or a missing frame says nothing of it."""
-        steps, self._gaps = self._gaps, []
-        # mostly each step is the light's
+        taken, self._gaps = self._gaps, []
+        # mostly each step is the light's, and no median is needed
         even = STEP_TOLERANCE * self.period_s
-        if all(abs(gap - number * self.period_s) <= even * number for gap, number in steps):
+        if all(abs(gap - number * self.period_s) <= even * number for gap, number in taken):
             return
-        taken = np.array(steps)
-        gaps, numbers = taken.T
+        gaps, numbers = np.array(taken).T
         # a number that was rounded up after one that was rounded down skips one: times alone count steps
         steps = np.maximum(np.round(gaps / frame_period(gaps / numbers)), 1)
         period_s = float(gaps.sum() / steps.sum())
