@@ -1,4 +1,4 @@
-"""An array that comes into sight beside what flickers: `python -m benchmarks.flicker [--films 12] [--seed 1]`.
+"""An array that comes into sight beside what flickers: `python -m benchmarks.flicker [--films 24] [--seed 1]`.
 
 In each film squares of 8 px change at random, within a larger square of 16 to 160 px. An array at rest comes into sight
 0 to 3 s later, anywhere in a packet, and shows eight whole ones. It is 20 to 60 m away, where "plain" reads all layers.
@@ -71,17 +71,19 @@ class Scene:
         pixels[rows, columns] = np.kron(squares, np.ones((SQUARE_PX, SQUARE_PX), np.uint8))
 
 
-def draw(rng: np.random.Generator) -> Scene:
+def draw(rng: np.random.Generator, any_phase: bool) -> Scene:
     """Draw a film whose array, in the middle, is clear of what flickers.
 
     Parameters
     ----------
     rng
         Source of randomness.
+    any_phase
+        Whether the array may begin amid a frame.
     """
     signal = load_settings("static").signal
-    # "plain" reads what is in step with the camera alone
-    gone_s = int(rng.integers(signal.packet_patterns)) * signal.pattern_period_s
+    gone = rng.uniform(0, signal.packet_patterns)
+    gone_s = (gone if any_phase else int(gone)) * signal.pattern_period_s
     distance_m, lead_s = rng.uniform(20, 60), rng.uniform(1e-3, 3)
     starts = {"dark": (lead_s, 1e3), "lit": ((PACKETS + 1) * signal.packet_s, -gone_s)}
     links = {
@@ -133,13 +135,14 @@ def receive(scene: Scene, receiver: str) -> tuple[int, float, float]:
 def main() -> None:
     """Count what is read beside what flickers."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--films", type=int, default=12)
+    parser.add_argument("--films", type=int, default=24)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--receivers", default="plain,soft")
+    parser.add_argument("--any-phase", action="store_true", help="out of step too, which plain does not read")
     given = parser.parse_args()
     limit_threads()
     cv2.setNumThreads(1)
-    scenes = [draw(np.random.default_rng((given.seed, k))) for k in range(given.films)]
+    scenes = [draw(np.random.default_rng((given.seed, k)), given.any_phase) for k in range(given.films)]
     for name in given.receivers.split(","):
         receive(scenes[0], name)  # compiles
         found = [receive(scene, name) for scene in scenes]

@@ -29,6 +29,7 @@ from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, Pairing, PoseAt
 from heliograph.receive.timing.light_clock import PATTERNS_AROUND
 from heliograph.receive.timing.slips import SlipWatch
+from heliograph.receive.track.activity import check_pose
 from heliograph.receive.track.lone_frames import REACH
 from heliograph.receive.track.track import TrackedPair
 from heliograph.receive.track.tracker import Tracker
@@ -260,6 +261,7 @@ class ArrayReceiver:
                 self._read_header(in_packet, pair)
             else:
                 self._read_data(place, pair)
+            check_pose(self._track.state.pose, self._signal.side, pair.pattern.pixels.shape)
             self._poses[number] = self._track.state.pose_at
         # the light's clock asks for those around a header
         oldest = number + 1 - self._signal.header_pairs - PATTERNS_AROUND

@@ -137,6 +137,21 @@ def test_what_hides_the_array_is_not_followed() -> None:
     assert after.seen
 
 
+def test_what_is_no_array_moves_the_pose_by_bounded_steps() -> None:
+    """A blur that ran away once asked for gigabytes of memory."""
+    rng, pose, decisions = np.random.default_rng(8), Pose(40.4, 40.3, pitch_at(80.0), 0.01, 0.53), tracker_of()
+    wide = expected(pose, 0.011)
+    # nothing is known of the array, so the frames alone decide
+    state = PoseState(wide.state.time_s, wide.state.mean, 1e6 * wide.state.covariance)
+    for k in range(10):
+        squares = [np.repeat(np.repeat(rng.uniform(0, 1, (10, 10)), 8, 0), 8, 1) for _ in range(2)]
+        first, second = (frame_of(light, 10 + 2 * k + n, rng) for n, light in enumerate(squares))
+        track = Track(state, GAIN, GAIN, SOUND, state.time_s, SOUND)
+        step = decisions.follow(track, FramePair(first, second)).fit.vector[:5] - pose.full_vector()[:5]
+        assert np.abs(step[2:]).max() <= 0.2 + 1e-9
+        assert np.abs(step[:2]).max() <= 0.8 + 1e-9
+
+
 def test_noise_is_that_of_twice_a_frame() -> None:
     noise = tracker_of().noise
     # photons and read noise of the reference link, in gray levels of 15000 electrons

@@ -31,7 +31,7 @@ SAVED_S = 3.0
 """Seconds whose work is kept at most: with the default setting 162 million places, or 0.9 s of a core.
 
 With 2 s four of 48 arrays were not found that came into sight soon after something began to flicker beside them, with
-3 s none; of 44 passages behind posts none lost a codeword with 1.5 s (docs/performance.md).
+3 s none. Of 44 passages behind posts none lost a codeword with 1.5 s (docs/performance.md).
 """
 
 UNBOUNDED_PART = 1e6

@@ -2,6 +2,8 @@
 
 from math import erf, exp, hypot, pi, sqrt
 
+import numpy as np
+
 from heliograph.base.arrays import Floats
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.track import kernels
@@ -27,6 +29,34 @@ edge.
 
 LEAST_HALF_PX = 1.5
 """Half the side in px, at least, of the square whose change counts: 3 px, however small an array seems."""
+
+MOST_BLUR_SIDES, MOST_FRAMES = 0.5, 4.0
+"""Widest blur of what is followed, in its sides, and widest side, in those of a frame: beyond them nothing is read.
+
+Of what flickered and was taken for an array the blur came to 170,000 px, and no memory held its image.
+"""
+
+
+def check_pose(pose: Pose, side: int, shape: tuple[int, ...]) -> None:
+    """Check that what is followed may still be an array.
+
+    Parameters
+    ----------
+    pose
+        Its pose in frames.
+    side
+        LEDs in a row.
+    shape
+        Rows and columns of a frame.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        It is too blurred, or too large, or its pose is not a number.
+    """
+    width = side * pose.pitch
+    if not (pose.blur <= MOST_BLUR_SIDES * width and width <= MOST_FRAMES * max(shape)):
+        raise np.linalg.LinAlgError(f"a blur of {pose.blur:.3g} px of {width:.3g} px is none of an array")
 
 
 def is_active(change: Floats, noise: float, pose: Pose, corner: tuple[int, int], side: int, gain: float) -> bool:

@@ -6,6 +6,7 @@ of the undecided symbols is noise of known colour, so a guess made at a wrong po
 """
 
 from dataclasses import replace
+from math import exp
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from heliograph.receive.equalise.lmmse import equalise, products
 from heliograph.receive.image import kernels as image_kernels
 from heliograph.receive.image.fit import Fit
 from heliograph.receive.image.footprint import to_grid
+from heliograph.receive.image.gauss_newton import LONGEST, LONGEST_PX
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.robust import correlation
 from heliograph.receive.image.window import covered
@@ -153,7 +155,11 @@ class DecisionDirectedTracker:
         spreads = np.append(FRAME_GAIN_SPREAD * self._gain, np.full(IMAGE_COUNT, BACKGROUND_SPREAD))
         precision[range(POSE_SIZE, start.size), range(POSE_SIZE, start.size)] = spreads**-2
         matrix, rhs, score = self._equations(frame, state, start)
-        found = start + np.linalg.solve(matrix + precision, rhs)
+        step = np.linalg.solve(matrix + precision, rhs)
+        # what is no array gives steps of any length
+        longest = [max(LONGEST_PX, 0.5 * exp(expected[2]))] * 2 + [*LONGEST[: POSE_SIZE - 2]]
+        step[:POSE_SIZE] = np.clip(step[:POSE_SIZE], np.negative(longest), longest)
+        found = start + step
         self._background = self._background + BACKGROUND_WEIGHT * (found[POSE_SIZE + 1 :] - self._background)
         after = np.asarray(np.linalg.inv(matrix + precision)[:POSE_SIZE, :POSE_SIZE], np.float64)
         vector = np.append(found[:POSE_SIZE], state.tilt.mean)
