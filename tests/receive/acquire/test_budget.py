@@ -74,7 +74,8 @@ def test_each_part_of_a_search_has_a_share_and_what_others_left() -> None:
     """The largest arrays are looked for first, and turned ones last: neither must take all."""
     budget, most = Budget(0.5, 1e-3), 1e3 * SAVED_S * 0.5 * WORK_PER_MS
     budget.spend(0.6 * most)
-    assert budget.begins(np.ones((2, 3), bool), 4)
+    assert budget.begins(np.ones((2, 3), bool))
+    budget.share(4)
     share = SEARCH_PART * most / 4
     budget.part()
     assert budget.coarse == pytest.approx(share / 2)
@@ -83,9 +84,10 @@ def test_each_part_of_a_search_has_a_share_and_what_others_left() -> None:
     budget.part()
     assert budget.coarse == pytest.approx(share / 2)
     assert budget.fit()
-    # what the second does not use, the third may
+    # what the second does not use, and the third that is passed over, the fourth may
+    budget.passed(3)
     budget.part()
-    assert budget.coarse == pytest.approx(share)
+    assert budget.coarse == pytest.approx(1.5 * share)
 
 
 def test_the_less_is_left_the_more_is_left_out() -> None:
@@ -160,7 +162,8 @@ def test_an_array_beside_what_flickers_for_long_is_found(kind: str, dark: int) -
         list(receiver.push(Frame(frame.index, frame.time_s, pixels)))
     assert receiver.load.left_out > 0  # type: ignore[attr-defined]
     detected = [event.detection for event in found if isinstance(event, DetectEvent)]
-    assert 4 in [one.identity for one in detected if one.fit.pose.x > 100]
+    # light of data may be taken for a part of a header, but not beyond doubt
+    assert {one.identity for one in detected if one.fit.pose.x > 100 and one.clear} == {4}
 
 
 def test_a_search_that_breaks_off_is_gone_on_with() -> None:

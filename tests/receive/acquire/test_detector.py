@@ -242,15 +242,18 @@ def test_cells_dimmed_by_a_format_change_neither_gain_nor_tilt(mode: str) -> Non
     assert (dimmed.pose.stretch, dimmed.pose.shear) == pytest.approx((0, 0), abs=0.01)
 
 
+@pytest.mark.parametrize("data_pairs", [18, 19])
 @pytest.mark.parametrize("start", range(8, 16))
-def test_a_turned_array_is_found_wherever_its_packets_begin(start: int) -> None:
-    """Packets last a whole number of searches, and turned headers are looked for in every other one."""
+def test_a_turned_array_is_found_wherever_its_packets_begin(start: int, data_pairs: int) -> None:
+    """Packets last a whole number of searches, odd or even, and turned headers are looked for in every other one."""
+    signal = SignalSettings(data_pairs=data_pairs)
+    patterns = signal.packet_patterns
     header, rng = np.kron(all_header_cells()[4] > 0, np.ones((8, 8))), np.random.default_rng(3)
-    detector, found, shown = Detector(PLAIN, SignalSettings()), list[Detection](), np.full((32, 32), 0.5)
-    for k in range(220):
+    detector, found, shown = Detector(PLAIN, signal), list[Detection](), np.full((32, 32), 0.5)
+    for k in range(start + 2 * patterns):
         if (k - start) % 2 == 0:
             data = np.kron(rng.integers(0, 5, (16, 16)) / 4, np.ones((2, 2)))
-            shown = header if (k - start) % 100 < 4 else data
+            shown = header if (k - start) % patterns < 4 else data
         else:
             shown = 1 - shown
         pixels = rng.integers(38, 43, (96, 96)).astype(np.uint8)
@@ -258,4 +261,4 @@ def test_a_turned_array_is_found_wherever_its_packets_begin(start: int) -> None:
         found += detector.push(Frame(k, k * 1e-3, cv2.GaussianBlur(pixels, (0, 0), 0.7).astype(np.uint8)))
     whole = [one for one in found if one.clear and abs(one.fit.pose.pitch - 2) < 0.1]
     assert {(one.identity, one.orientation) for one in whole} == {(4, Orientation(2))}
-    assert {round(1e3 * one.start_time_s) % 100 for one in whole} == {start}
+    assert {round(1e3 * one.start_time_s) % patterns for one in whole} == {start}

@@ -192,18 +192,45 @@ def test_the_last_frames_are_the_cameras_own() -> None:
     assert all(one.pixels is frames[one.index].pixels for one in search.recent)
 
 
-def test_a_near_array_is_found_beside_what_has_flickered_for_long() -> None:
-    """What is left out as old is so on all levels: the flicker is searched no more, the array's own blocks are."""
-    budget, rng, searched = Budget(0.3, 1e-3), np.random.default_rng(2), 0.0
-    search, found = PyramidSearch(SEARCH, SignalSettings(), budget), list[Detection]()
-    header = [replace(frame, index=frame.index + 300) for frame in frames_of((NEAR, 11))]
-    for frame in [*frames_of(count=304)[4:], *header]:
-        # beyond the near array, which ends 58 px from its centre
-        frame.pixels[20:180, 180:228] = np.kron(rng.integers(0, 256, (20, 6), np.uint8), np.ones((8, 8), np.uint8))
-        if frame.index == 300:
-            # less than half is left of what is kept
-            budget.spend(0.6 * SAVED_S * 0.3e3 * WORK_PER_MS - budget.load.work)
-            searched = budget.load.work
-        found += search.push(replace(frame, time_s=1e-3 * frame.index))
-    assert 11 in [one.identity for one in found]
-    assert budget.load.work - searched < 8e6
+def flickering_frame(k: int, rng: np.random.Generator, origin: tuple[int, int] = (0, 0)) -> Frame:
+    """A frame of 256 x 192 pixels, all of which but a rim flickers in squares of 8 px."""
+    pixels = np.full((192, 256), 40, np.uint8)
+    pixels[16:176, 16:240] = np.kron(rng.integers(0, 256, (20, 28), np.uint8), np.ones((8, 8), np.uint8))
+    return Frame(k, 1e-3 * k, pixels, origin=origin)
+
+
+def scarce_search() -> PyramidSearch:
+    """A search that has used up more than half of what it may cost, and gets no more."""
+    budget = Budget(0.3, 1e-3)
+    budget.spend(0.6 * SAVED_S * 0.3e3 * WORK_PER_MS)
+    return PyramidSearch(SEARCH, SignalSettings(), budget)
+
+
+@pytest.mark.parametrize("level", [1, 2])
+def test_what_is_left_out_as_old_is_so_on_all_levels(level: int) -> None:
+    frame = flickering_frame(0, np.random.default_rng(2), (200, 120))
+    reduced = frame
+    for _ in range(level):
+        reduced = halved(reduced)
+    old = np.zeros((24, 32), bool)
+    old[:, :16] = True
+    searched = pyramid._but_old(old, ~old, [frame], [pyramid._rimmed(reduced)], level)
+    # sensor px of the middles of the level's blocks
+    x0, y0 = pyramid._rimmed(reduced).origin
+    rows, columns = (8 * np.arange(n) + 3.5 for n in searched.shape)
+    x, y = 2**level * (columns + x0), 2**level * (rows + y0)
+    inside = (y > 120 + 8 * 2**level) & (y < 120 + 192 - 8 * 2**level)
+    left, right = (x > 200 + 8 * 2**level) & (x < 328 - 8 * 2**level), x > 328 + 8 * 2**level
+    assert left.any()
+    assert not searched[np.ix_(inside, left)].any()
+    assert searched[np.ix_(inside, right)].all()
+    # and the rim, where nothing is
+    assert searched[0].all()
+
+
+@pytest.mark.parametrize("jump", [(64, 0), (-64, 0), (0, 96), (-96, -32), (160, 0)])
+def test_a_window_may_jump_while_blocks_are_left_out(jump: tuple[int, int]) -> None:
+    search, rng = scarce_search(), np.random.default_rng(3)
+    for k in range(60):
+        search.push(flickering_frame(k, rng, (200 + jump[0], 200 + jump[1]) if k >= 30 else (200, 200)))
+    assert search.load.blocks > 0

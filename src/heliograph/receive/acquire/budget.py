@@ -131,32 +131,54 @@ class Budget:
         self.bounded = busy_part < UNBOUNDED_PART
         self._rate, self._most = per_s * period_s, SAVED_S * per_s
         self._left = self._most
-        # what is to be left when the part of a search ends, and when the next part does
-        self._end = self._share = 0.0
+        # what was left when a search began, what it may take, its parts, how many have begun, and what each leaves
+        self._begun = self._allowed = 0.0
+        self._parts, self._part, self._end = 1, 0, 0.0
         self.load = SearchLoad()
 
-    def begins(self, busy: NDArray[np.bool_], parts: int = 1) -> bool:
-        """Whether a search begins; else its blocks count as left out.
+    def begins(self, busy: NDArray[np.bool_]) -> bool:
+        """Whether a search begins, for now of one part; else its blocks count as left out.
 
         Parameters
         ----------
         busy
             (blocks down, blocks across), whether an array may have its centre there.
-        parts
-            Parts of the search, 1 or more: `part` begins each. What one does not use, later ones may.
         """
         if not (blocks := np.count_nonzero(busy)):
             return False
+        self._begun = self._left
+        self._allowed = max(SEARCH_PART * self._most, LAVISH_PART * (self._left - PLENTY_PART * self._most))
+        self.share(1)
         lasts = self._left >= BEGIN_PART * self._most
-        most = max(SEARCH_PART * self._most, LAVISH_PART * (self._left - PLENTY_PART * self._most))
-        self._end, self._share = self._left, most / parts
         if not lasts:
             self.leave(int(blocks))
         return lasts
 
+    def share(self, parts: int) -> None:
+        """Share a search out to parts; what one does not use, later ones may.
+
+        Parameters
+        ----------
+        parts
+            How many, 1 or more; `part` begins each.
+        """
+        self._parts, self._end = parts, self._begun
+        self.passed(0)
+
+    def passed(self, parts: int) -> None:
+        """Have so many parts behind it, begun or not.
+
+        Parameters
+        ----------
+        parts
+            How many, at least 0.
+        """
+        self._part = parts
+
     def part(self) -> None:
         """Begin the next part of a search."""
-        self._end -= self._share
+        self._part += 1
+        self._end = self._begun - self._allowed * self._part / self._parts
 
     @property
     def coarse(self) -> float:

@@ -134,6 +134,7 @@ class Detector:
         sought = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT,), ORIENTATIONS[1:]), turned)
         self._coarse = tuple(BoundedSearch(parameters, one, self.budget) for one in sought)
         self._old, self._usual = OldBlocks(self.budget, signal.packet_patterns), np.zeros((0, 0), np.float32)
+        self._place: tuple[object, ...] | None = None
         self._every = 2 if self._header >= 4 else 1
         self._span = min(self._header, 4)
         self._window = self._header + 2 * SLACK
@@ -173,7 +174,8 @@ class Detector:
         for due in self.due(frame):
             change, known = self.change(due.slots), [*taken, *(one.fit.pose for one in found)]
             busy = None if change is None else self.new(due.slots, change, self.busy(due.slots, change, known))
-            if busy is not None and self.budget.begins(busy, self.parts(due.turned)):
+            if busy is not None and self.budget.begins(busy):
+                self.budget.share(self.parts(due.turned))
                 found += self.search(due.slots, busy, known, due.turned)
         return found
 
@@ -205,8 +207,9 @@ class Detector:
             every = (self._next - 1) % self._every == 0 or any(kept is None for kept in self._frames)
             if every and self._header_of(self._frames) is not None:
                 self._searches += 1
-                # other searches of each packet: of some phases one alone sees all of a header
-                turned = (self._searches + self._searches // self._packet) % 2 == 1
+                # not the same ones of each packet: of some phases one alone sees all of a header
+                packets = self._searches // self._packet if self._packet % 2 == 0 else 0
+                turned = (self._searches + packets) % 2 == 1
                 out.append(Due(in_common(self._frames), turned))
         return out
 
@@ -258,9 +261,12 @@ class Detector:
         if not self.budget.bounded:
             return busy
         around: NDArray[np.float32] = cv2.blur(change, (3, 3))  # type: ignore[assignment]
-        usual = self._usual if self._usual.shape == around.shape else around
-        self._usual = usual + np.float32(USUAL_WEIGHT) * (around - usual)
         first = next(frame for frame in slots if frame is not None)
+        place = first.origin, around.shape
+        # of what is seen first all may be a header
+        usual = self._usual if self._place == place else np.zeros_like(around)
+        self._usual = usual + np.float32(USUAL_WEIGHT) * (around - usual) if self._place == place else around
+        self._place = place
         return self._old.left_out(busy, around > SURGE * usual, first, self._every)
 
     def parts(self, turned: bool) -> int:

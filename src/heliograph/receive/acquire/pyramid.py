@@ -66,7 +66,7 @@ class PyramidSearch:
     def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None = None):
         levels = level_parameters(parameters, signal.side)
         self._least = ROUNDED * PART_LIT * parameters.min_contrast
-        self._reduced: dict[tuple[int, float], list[Frame]] = {}
+        self._reduced: dict[tuple[object, ...], list[Frame]] = {}
         self._budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
         self._levels = [(View(k), Detector(one, signal, self._budget)) for k, one in enumerate(levels)]
         self._smallest_px = [2**k * one.min_side_px for k, one in enumerate(levels)][1:]
@@ -119,11 +119,13 @@ class PyramidSearch:
             return []
         old = alternating & ~busy
         leaves_out = np.count_nonzero(old)
-        known, found = list(taken), list[Detection]()
-        shown = self._shown(due.slots, busy)
-        if not self._budget.begins(busy, (shown + 1) * finest.parts(due.turned)):
+        if not self._budget.begins(busy):
             return []
+        known, found = list(taken), list[Detection]()
+        shown, kinds = self._shown(due.slots, busy), finest.parts(due.turned)
+        self._budget.share((shown + 1) * kinds)
         for k, (view, detector) in reversed(list(enumerate(self._levels[: shown + 1]))):
+            self._budget.passed((shown - k) * kinds)
             seen, poses = self._slots(due.slots, k), [view.pose_in(pose) for pose in known]
             there = detector.change(seen) if k else change
             if there is None:
@@ -216,13 +218,14 @@ def _but_old(
         # the middles of the blocks, on the sensor and on the level
         middles = (np.argwhere(blocks) + 0.5) * BLOCK_PX + frame.origin[::-1]
         down, across = ((middles / 2**level - reduced.origin[::-1]) // BLOCK_PX).astype(int).T
-        out[down, across] = searched
+        # what all frames show may be less on a level, by some pixels of a rim
+        out[np.clip(down, 0, out.shape[0] - 1), np.clip(across, 0, out.shape[1] - 1)] = searched
     return out
 
 
-def _name(frame: Frame) -> tuple[int, float]:
-    """What tells frames apart, and those that stand for frames before the film too."""
-    return frame.index, frame.time_s
+def _name(frame: Frame) -> tuple[object, ...]:
+    """What tells frames apart, those that stand for frames before the film, and those cut to what others show."""
+    return frame.index, frame.time_s, frame.origin, frame.pixels.shape
 
 
 def _rimmed(frame: Frame) -> Frame:

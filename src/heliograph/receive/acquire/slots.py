@@ -34,7 +34,8 @@ class Due:
     slots
         Frames of successive patterns, of one size and place; None stands for those that are missing.
     turned
-        Whether turned headers are due too: every header is in sight of two searches, and every other one is enough.
+        Whether turned headers are due too, in every other search: a header that one search alone sees is found by the
+        other ones a packet later.
     """
 
     slots: Slots

@@ -30,7 +30,7 @@ edge.
 LEAST_HALF_PX = 1.5
 """Half the side in px, at least, of the square whose change counts: 3 px, however small an array seems."""
 
-MOST_BLUR_SIDES, MOST_FRAMES = 0.5, 4.0
+MOST_BLUR_SIDES, MOST_FRAMES = 0.5, 2.0
 """Widest blur of what is followed, in its sides, and widest side, in those of a frame: beyond them nothing is read.
 
 Of what flickered and was taken for an array the blur came to 170,000 px, and no memory held its image.
@@ -55,7 +55,9 @@ def check_pose(pose: Pose, side: int, shape: tuple[int, ...]) -> None:
         It is too blurred, or too large, or its pose is not a number.
     """
     width = side * pose.pitch
-    if not (pose.blur <= MOST_BLUR_SIDES * width and width <= MOST_FRAMES * max(shape)):
+    if not width <= MOST_FRAMES * max(shape):
+        raise np.linalg.LinAlgError(f"a width of {width:.3g} px is none of an array in a frame of {max(shape)} px")
+    if not pose.blur <= MOST_BLUR_SIDES * width:
         raise np.linalg.LinAlgError(f"a blur of {pose.blur:.3g} px of {width:.3g} px is none of an array")
 
 
