@@ -137,7 +137,7 @@ class Budget:
         self.load = SearchLoad()
 
     def begins(self, busy: NDArray[np.bool_]) -> bool:
-        """Whether a search begins, for now of one part; else its blocks count as left out.
+        """Whether a search begins, as one part until it is shared out; else its blocks count as left out.
 
         Parameters
         ----------

@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,6 +42,7 @@ from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header, fit_moving
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, Hypothesis, headers
 from heliograph.receive.acquire.slots import Due, Slots, alike, before, filled, in_common
+from heliograph.receive.acquire.usual import UsualAlternation
 from heliograph.receive.image.fit import Fit, header_amplitudes
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.image.pose import Pose
@@ -90,17 +90,6 @@ In 120 films of an array 20 to 140 m away, yawed, rolled and out of step at rand
 detections had less, and 97 % of 13,315 that did not: light of data, mostly.
 """
 
-SURGE = 1.4
-"""Least alternation of a block and those beside it, over what is usual there, of a header.
-
-Of levels of data p and q, 0 to 1, four frames show p + q - 1. A header's -1 and 1 are 2.5 times as much in the mean.
-In a camera that is 0.2 patterns out of step they are 2.4 times as much, and at 0.4 1.4 times. From there on `straddled`
-finds it.
-"""
-
-USUAL_WEIGHT = 1 / 8
-"""Weight of a search in what is usual: eight of them count, a sixth of a packet."""
-
 SLACK = 2
 """Frames by which the start of the header may differ from the window searched, either way: every second is searched."""
 
@@ -133,8 +122,7 @@ class Detector:
         turned = headers(ORIENTATIONS[1:])
         sought = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT,), ORIENTATIONS[1:]), turned)
         self._coarse = tuple(BoundedSearch(parameters, one, self.budget) for one in sought)
-        self._old, self._usual = OldBlocks(self.budget, signal.packet_patterns), np.zeros((0, 0), np.float32)
-        self._place: tuple[object, ...] | None = None
+        self._old, self._usual = OldBlocks(self.budget, signal.packet_patterns), UsualAlternation()
         self._every = 2 if self._header >= 4 else 1
         self._span = min(self._header, 4)
         self._window = self._header + 2 * SLACK
@@ -260,14 +248,8 @@ class Detector:
         """
         if not self.budget.bounded:
             return busy
-        around: NDArray[np.float32] = cv2.blur(change, (3, 3))  # type: ignore[assignment]
         first = next(frame for frame in slots if frame is not None)
-        place = first.origin, around.shape
-        # of what is seen first all may be a header
-        usual = self._usual if self._place == place else np.zeros_like(around)
-        self._usual = usual + np.float32(USUAL_WEIGHT) * (around - usual) if self._place == place else around
-        self._place = place
-        return self._old.left_out(busy, around > SURGE * usual, first, self._every)
+        return self._old.left_out(busy, self._usual.surges(change, first.origin), first, self._every)
 
     def parts(self, turned: bool) -> int:
         """Coarse searches of frames.
