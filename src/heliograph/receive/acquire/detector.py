@@ -7,7 +7,6 @@ to frame.
 """
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -41,7 +40,7 @@ from heliograph.receive.acquire.drift import drift_of
 from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header, fit_moving
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, Hypothesis, headers
-from heliograph.receive.acquire.slots import Due, Slots, alike, before, filled, in_common
+from heliograph.receive.acquire.slots import SLACK, Due, HeaderFrames, Slots, filled
 from heliograph.receive.acquire.usual import UsualAlternation
 from heliograph.receive.image.fit import Fit, header_amplitudes
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
@@ -90,9 +89,6 @@ In 120 films of an array 20 to 140 m away, yawed, rolled and out of step at rand
 detections had less, and 97 % of 13,315 that did not: light of data, mostly.
 """
 
-SLACK = 2
-"""Frames by which the start of the header may differ from the window searched, either way: every second is searched."""
-
 
 class Detector:
     """Looks for headers in a stream of one frame per pattern.
@@ -123,12 +119,8 @@ class Detector:
         sought = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT,), ORIENTATIONS[1:]), turned)
         self._coarse = tuple(BoundedSearch(parameters, one, self.budget) for one in sought)
         self._old, self._usual = OldBlocks(self.budget, signal.packet_patterns), UsualAlternation()
-        self._every = 2 if self._header >= 4 else 1
         self._span = min(self._header, 4)
-        self._window = self._header + 2 * SLACK
-        self._frames: deque[Frame | None] = deque(maxlen=self._window)
-        self._packet = signal.packet_patterns // self._every
-        self._next = self._searches = 0
+        self._frames = HeaderFrames(self._header, self._span, signal.packet_patterns)
 
     def start(self, period_s: float) -> None:
         """Begin; the frames are taken to come one per pattern, whatever the period; see `HeaderSearch`."""
@@ -146,7 +138,7 @@ class Detector:
     @property
     def recent(self) -> Sequence[Frame]:
         """The last frames, oldest first: enough to hold the header of an array just found."""
-        return [frame for frame in self._frames if frame is not None]
+        return self._frames.there
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
         """Take the next frame; see `HeaderSearch`.
@@ -177,29 +169,7 @@ class Detector:
         """
         if self._earns:
             self.budget.earn()
-        lost = frame.index - self._next
-        last = self._frames[-1] if self._frames else None
-        if last is not None and not (alike(last, frame) and 0 <= lost <= self._window):
-            self._frames.clear()
-        if not self._frames:
-            lost = self._searches = 0
-            # a header may begin with the first frame: let that frame stand for those before it
-            self._frames.extend(before(frame, SLACK))
-        out = list[Due]()
-        for one in [*([None] * lost), frame]:
-            self._frames.append(one)
-            self._next = frame.index + 1 if one is frame else self._next + 1
-            if len(self._frames) < self._window:
-                continue
-            # every second place is enough, but not where frames are missing
-            every = (self._next - 1) % self._every == 0 or any(kept is None for kept in self._frames)
-            if every and self._header_of(self._frames) is not None:
-                self._searches += 1
-                # not the same ones of each packet: of some phases one alone sees all of a header
-                packets = self._searches // self._packet if self._packet % 2 == 0 else 0
-                turned = (self._searches + packets) % 2 == 1
-                out.append(Due(in_common(self._frames), turned))
-        return out
+        return self._frames.push(frame)
 
     def change(self, slots: Slots) -> NDArray[np.float32] | None:
         """How much alternates in frames to be searched.
@@ -213,7 +183,7 @@ class Detector:
         -------
         (blocks down, blocks across) gray levels; None where no array of the sizes looked for finds room.
         """
-        header = self._header_of(slots)
+        header = self._frames.header_of(slots)
         if header is None or min(header[0].pixels.shape) < self._sides[0]:
             return None
         return alternation_means(header)
@@ -249,7 +219,7 @@ class Detector:
         if not self.budget.bounded:
             return busy
         first = next(frame for frame in slots if frame is not None)
-        return self._old.left_out(busy, self._usual.surges(change, first.origin), first, self._every)
+        return self._old.left_out(busy, self._usual.surges(change, first.origin), first, self._frames.every)
 
     def parts(self, turned: bool) -> int:
         """Coarse searches of frames.
@@ -278,7 +248,7 @@ class Detector:
         (rows, columns) gray levels of the smallest part of the frames that holds all of it; None where too many are
         missing.
         """
-        header = self._header_of(slots)
+        header = self._frames.header_of(slots)
         return None if header is None else alternation_of(searched_part(header, busy, around_px)[0])
 
     def search(self, slots: Slots, busy: NDArray[np.bool_], taken: Sequence[Pose], turned: bool) -> list[Detection]:
@@ -295,7 +265,7 @@ class Detector:
         turned
             Whether arrays that are not upright are looked for too.
         """
-        header = self._header_of(slots)
+        header = self._frames.header_of(slots)
         if header is None or not busy.any():
             return []
         header, busy = searched_part(header, busy, self._sides[-1])
@@ -318,10 +288,6 @@ class Detector:
                 break
         # one in clear sight that is none of these sizes is looked for on another level
         return [one for one in found if of_size(one.fit, self._parameters, self._side)]
-
-    def _header_of(self, slots: Slots) -> list[Frame] | None:
-        """The frames that are to show a header's beginning; None where too many are missing."""
-        return filled([*slots][SLACK : SLACK + self._span])
 
     def _refine(
         self,

@@ -1,5 +1,6 @@
 """Frames of successive patterns as a search holds them: a frame that is missing leaves its slot empty."""
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -21,6 +22,9 @@ MISSING_FRAMES = 0.25
 
 Were two missing, frames of data before or after might pass for a header.
 """
+
+SLACK = 2
+"""Frames by which the start of the header may differ from the window searched, either way: every second is searched."""
 
 Shown = TypeVar("Shown")
 
@@ -98,3 +102,78 @@ def alike(last: Frame, frame: Frame) -> bool:
         Two frames of a film, in the order of time.
     """
     return last.pixels.dtype == frame.pixels.dtype and last.bits == frame.bits
+
+
+class HeaderFrames:
+    """The last frames of a stream of one frame per pattern, as many as hold a header wherever it begins.
+
+    Parameters
+    ----------
+    header
+        Patterns of a header.
+    span
+        Patterns of its beginning that are combined, as many at most.
+    packet_patterns
+        Patterns of a packet.
+
+    Attributes
+    ----------
+    every
+        Patterns from one search to the next.
+    """
+
+    def __init__(self, header: int, span: int, packet_patterns: int):
+        self.every = 2 if header >= 4 else 1
+        self._span, self._window, self._packet = span, header + 2 * SLACK, packet_patterns // self.every
+        self._frames: deque[Frame | None] = deque(maxlen=self._window)
+        self._next = self._searches = 0
+
+    @property
+    def there(self) -> list[Frame]:
+        """Those that are not missing, oldest first."""
+        return [frame for frame in self._frames if frame is not None]
+
+    def push(self, frame: Frame) -> list[Due]:
+        """Take the next frame; give the last ones as often as they are to be searched now.
+
+        Parameters
+        ----------
+        frame
+            Next frame, one per pattern; a gap in their numbers is of frames that are missing.
+        """
+        lost = frame.index - self._next
+        last = self._frames[-1] if self._frames else None
+        if last is not None and not (alike(last, frame) and 0 <= lost <= self._window):
+            self._frames.clear()
+        if not self._frames:
+            lost = self._searches = 0
+            # a header may begin with the first frame: let that frame stand for those before it
+            self._frames.extend(before(frame, SLACK))
+        out = list[Due]()
+        for one in [*([None] * lost), frame]:
+            self._frames.append(one)
+            self._next = frame.index + 1 if one is frame else self._next + 1
+            if len(self._frames) < self._window:
+                continue
+            # every second place is enough, but not where frames are missing
+            due = (self._next - 1) % self.every == 0 or any(kept is None for kept in self._frames)
+            if due and self.header_of(self._frames) is not None:
+                out.append(Due(in_common(self._frames), self._turned()))
+        return out
+
+    def header_of(self, slots: Slots) -> list[Frame] | None:
+        """The frames that are to show a header's beginning; None where too many are missing.
+
+        Parameters
+        ----------
+        slots
+            Frames that are due.
+        """
+        return filled([*slots][SLACK : SLACK + self._span])
+
+    def _turned(self) -> bool:
+        """Whether turned headers are due in the search that begins now."""
+        self._searches += 1
+        # not the same ones of each packet: of some phases one alone sees all of a header
+        packets = self._searches // self._packet if self._packet % 2 == 0 else 0
+        return (self._searches + packets) % 2 == 1
