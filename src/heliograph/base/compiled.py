@@ -113,7 +113,7 @@ class _Kept:
         if found is None:
             compile_time.tell(path is not None)
             if path is not None:
-                compile_ahead.start_once(self._module, self._name)
+                compile_ahead.begins(self._module, self._name, signature)
         return found
 
     def save_overload(self, signature: Any, result: Any) -> None:
