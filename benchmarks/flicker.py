@@ -48,6 +48,8 @@ class Scene:
         Its first row and column, in squares.
     seed
         Of the noise and of what flickers.
+    turned
+        Whether the camera sees all of it upside down.
     """
 
     dark: LinkSettings
@@ -55,6 +57,7 @@ class Scene:
     size: int
     place: tuple[int, int]
     seed: int
+    turned: bool = False
 
     def frames(self) -> Iterator[Frame]:
         """Frames of the film."""
@@ -63,7 +66,7 @@ class Scene:
         for k, (frame, _) in enumerate(chain(*films)):
             pixels = frame.pixels.astype(np.uint8)
             self._flicker(pixels, rng)
-            yield Frame(k, k * period_s, pixels)
+            yield Frame(k, k * period_s, np.ascontiguousarray(pixels[::-1, ::-1]) if self.turned else pixels)
 
     def _flicker(self, pixels: NDArray[np.uint8], rng: np.random.Generator) -> None:
         squares = rng.integers(0, 256, (self.size, self.size), np.uint8)
@@ -71,7 +74,7 @@ class Scene:
         pixels[rows, columns] = np.kron(squares, np.ones((SQUARE_PX, SQUARE_PX), np.uint8))
 
 
-def draw(rng: np.random.Generator, any_phase: bool) -> Scene:
+def draw(rng: np.random.Generator, any_phase: bool, turned: bool, modulation: str) -> Scene:
     """Draw a film whose array, in the middle, is clear of what flickers.
 
     Parameters
@@ -80,21 +83,27 @@ def draw(rng: np.random.Generator, any_phase: bool) -> Scene:
         Source of randomness.
     any_phase
         Whether the array may begin amid a frame.
+    turned
+        Whether the camera sees it upside down.
+    modulation
+        That of the data.
     """
     signal = load_settings("static").signal
     gone = rng.uniform(0, signal.packet_patterns)
     gone_s = (gone if any_phase else int(gone)) * signal.pattern_period_s
     distance_m, lead_s = rng.uniform(20, 60), rng.uniform(1e-3, 3)
-    starts = {"dark": (lead_s, 1e3), "lit": ((PACKETS + 1) * signal.packet_s, -gone_s)}
+    # it ends with the last whole packet, as a part of another one may be read too
+    starts = {"dark": (lead_s, 1e3), "lit": (PACKETS * signal.packet_s + -gone_s % signal.packet_s, -gone_s)}
     links = {
         name: load_settings(
             "static",
             {
+                "signal": {"modulation": modulation},
                 "channel": {
                     "distance_m": distance_m,
                     "duration_s": duration_s,
                     "arrays": [{"x_m": 0.0, "y_m": 0.0, "start_s": start_s}],
-                }
+                },
             },
         )
         for name, (duration_s, start_s) in starts.items()
@@ -105,7 +114,7 @@ def draw(rng: np.random.Generator, any_phase: bool) -> Scene:
     free = columns // 2 - 8 - size
     column = int(rng.integers(0, free)) + int(rng.integers(0, 2)) * (columns // 2 + 8)
     place = int(rng.integers(0, rows - size)), column
-    return Scene(links["dark"], links["lit"], size, place, int(rng.integers(2**31)))
+    return Scene(links["dark"], links["lit"], size, place, int(rng.integers(2**31)), turned)
 
 
 def receive(scene: Scene, receiver: str) -> tuple[int, float, float]:
@@ -139,10 +148,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--receivers", default="plain,soft")
     parser.add_argument("--any-phase", action="store_true", help="out of step too, which plain does not read")
+    parser.add_argument("--turned", action="store_true", help="seen upside down")
+    parser.add_argument("--modulation", default="haar", help="haar or ook")
     given = parser.parse_args()
     limit_threads()
     cv2.setNumThreads(1)
-    scenes = [draw(np.random.default_rng((given.seed, k)), given.any_phase) for k in range(given.films)]
+    kind = given.any_phase, given.turned, given.modulation
+    scenes = [draw(np.random.default_rng((given.seed, k)), *kind) for k in range(given.films)]
     for name in given.receivers.split(","):
         receive(scenes[0], name)  # compiles
         found = [receive(scene, name) for scene in scenes]

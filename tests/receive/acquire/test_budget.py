@@ -7,23 +7,23 @@ import pytest
 
 from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
+from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import ReceiveSettings, make_receiver
+from heliograph.receive.acquire import detector
 from heliograph.receive.acquire.budget import (
-    CALM_PATTERNS,
     LAVISH_PART,
     NEW_PART,
-    OLD_PACKETS,
     PLENTY_PART,
     SAVED_S,
     SEARCH_PART,
     WORK_PER_MS,
     BoundedSearch,
     Budget,
-    OldBlocks,
     SearchLoad,
 )
-from heliograph.receive.acquire.coarse import SearchParameters
+from heliograph.receive.acquire.coarse import SearchedPart, SearchParameters
 from heliograph.receive.acquire.hypotheses import headers
+from heliograph.receive.acquire.old_blocks import CALM_PATTERNS, OLD_PACKETS, OldBlocks
 from heliograph.receive.acquire.pyramid import PyramidSearch
 from heliograph.receive.events import DetectEvent, DropEvent, Event
 from heliograph.receive.image.orientation import UPRIGHT
@@ -47,19 +47,17 @@ def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
     budget, everything, pattern = Budget(0.5, 1e-3), np.ones((2, 3), bool), 0.5 * WORK_PER_MS
     most = 1e3 * SAVED_S * pattern
     assert budget.begins(everything)
-    budget.part()
     assert budget.fit()
     # one search takes a part of what is not kept for new arrays
     budget.spend(1.01 * LAVISH_PART * (1 - PLENTY_PART) * most)
     assert not budget.fit()
     assert budget.coarse <= 0
     assert budget.begins(everything)
-    budget.part()
     assert budget.fit()
     budget.spend(NEW_PART * most)
     assert budget.begins(everything)
-    budget.part()
-    assert budget.coarse == pytest.approx(0.5 * SEARCH_PART * most)
+    left = LAVISH_PART * (1 - PLENTY_PART) * most * 1.01 + NEW_PART * most
+    assert budget.coarse == pytest.approx(0.5 * SEARCH_PART * (most - left))
     budget.spend(most)
     assert not budget.begins(everything)
     assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, 6)
@@ -68,26 +66,6 @@ def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
     assert budget.begins(everything)
     assert not budget.begins(np.zeros((2, 3), bool))
     assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, 6)
-
-
-def test_each_part_of_a_search_has_a_share_and_what_others_left() -> None:
-    """The largest arrays are looked for first, and turned ones last: neither must take all."""
-    budget, most = Budget(0.5, 1e-3), 1e3 * SAVED_S * 0.5 * WORK_PER_MS
-    budget.spend(0.6 * most)
-    assert budget.begins(np.ones((2, 3), bool))
-    budget.share(4)
-    share = SEARCH_PART * most / 4
-    budget.part()
-    assert budget.coarse == pytest.approx(share / 2)
-    budget.spend(share)
-    assert not budget.fit()
-    budget.part()
-    assert budget.coarse == pytest.approx(share / 2)
-    assert budget.fit()
-    # what the second does not use, and the third that is passed over, the fourth may
-    budget.passed(3)
-    budget.part()
-    assert budget.coarse == pytest.approx(1.5 * share)
 
 
 def test_the_less_is_left_the_more_is_left_out() -> None:
@@ -166,6 +144,57 @@ def test_an_array_beside_what_flickers_for_long_is_found(kind: str, dark: int) -
     assert {one.identity for one in detected if one.fit.pose.x > 100 and one.clear} == {4}
 
 
+@pytest.mark.parametrize("start_s", [-0.04, -0.041])
+@pytest.mark.parametrize(("modulation", "turned"), [("haar", True), ("ook", False)])
+def test_an_array_alone_is_found_with_a_bound_too(modulation: str, turned: bool, start_s: float) -> None:
+    """It comes into sight amid a packet, 25 m away, and all blocks that alternate are its own."""
+    content = {"distance_m": 25.0, "duration_s": 0.26, "arrays": [{"x_m": 0.0, "y_m": 0.0, "start_s": start_s}]}
+    link = load_settings("static", {"signal": {"modulation": modulation}, "channel": content})
+    receiver, found = make_receiver(link.signal, link.receive.in_time(), lambda e: found.append(e)), list[Event]()
+    way = -1 if turned else 1
+    for k, (frame, _) in enumerate(simulate(link, default_messages(link), 1)):
+        pixels = np.ascontiguousarray(frame.pixels[::way, ::way]).astype(np.uint8)
+        list(receiver.push(Frame(k, 1e-3 * k, pixels)))
+    assert any(isinstance(event, DetectEvent) for event in found)
+
+
+def test_small_things_that_flicker_far_apart_hide_no_array() -> None:
+    """A frame of 1920 x 1080 px costs more to sum up than a search may take; four squares and an array cost little."""
+    search = PyramidSearch(replace(PARAMETERS, busy_part=0.3), SignalSettings())
+    search._budget.spend(0.6 * 1e3 * SAVED_S * 0.3 * WORK_PER_MS)
+    header, rng, found = np.kron(all_header_cells()[4] > 0, np.ones((8, 8))), np.random.default_rng(1), list[float]()
+    for k in range(400):
+        pixels = np.full((1080, 1920), 40, np.uint8)
+        for y in (8, 1064):
+            for x in (8, 1904):
+                pixels[y : y + 8, x : x + 8] = rng.integers(0, 256)
+        if k % 2 == 0:
+            shown = header if 82 <= k % 100 < 86 else np.kron(rng.integers(0, 5, (16, 16)) / 4, np.ones((2, 2)))
+        else:
+            shown = 1 - shown
+        if k >= 300:
+            pixels[540:572, 960:992] = 40 + (100 * shown).astype(np.uint8)
+        found += [one.fit.pose.x for one in search.push(Frame(k, 1e-3 * k, pixels))]
+    assert found == pytest.approx([975.5], abs=0.5)
+
+
+def test_little_like_a_header_is_not_fitted_where_less_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = list[int]()
+    for least in (detector.SHORT_COARSE, 1.1):
+        monkeypatch.setattr(detector, "SHORT_COARSE", least)
+        search = PyramidSearch(replace(PARAMETERS, busy_part=0.3), SignalSettings())
+        search._budget.spend(0.3 * 1e3 * SAVED_S * 0.3 * WORK_PER_MS)
+        for k in range(12):
+            pixels = np.full((96, 128), 40, np.uint8)
+            if 4 <= k < 8:
+                sign = 1 - 2 * (k % 2)
+                pixels[32:64, 48:80] = 100 + 60 * sign * np.kron(all_header_cells()[4], np.ones((8, 8)))
+            found += [one.identity for one in search.push(Frame(k, 1e-3 * k, pixels))]
+        assert (search.load.fitted > 0) == (least < 1)
+        assert search.load.dropped > 0 or least < 1
+    assert found == [4]
+
+
 def test_a_search_that_breaks_off_is_gone_on_with() -> None:
     """The frames shift between the searches: the place kept is one on the sensor."""
     change = np.random.default_rng(0).normal(0, 30, (136, 136)).astype(np.float32)
@@ -178,7 +207,8 @@ def test_a_search_that_breaks_off_is_gone_on_with() -> None:
         frame = Frame(0, 0.0, np.zeros((136, 136 - shift), np.uint8), origin=(shift, 0))
         # enough for some blocks
         budget.spend(2 * (budget.coarse - 1e5))
-        rows = search.candidates(change[:, shift:].copy(), np.ones((17, 17 - shift // 8), bool), frame)
+        part = SearchedPart(change[:, shift:].copy(), np.ones((17, 17 - shift // 8), bool), frame)
+        [rows] = search.candidates([part])
         left.append(budget.load.blocks - before)
     assert len(left) > 3
     assert left[0] > 100

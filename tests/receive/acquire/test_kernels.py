@@ -1,5 +1,7 @@
 """The detector's compiled kernels against the reference, which says the same slowly."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import pytest
@@ -49,18 +51,23 @@ def test_alternation_cancels_even_acceleration() -> None:
     assert coarse.alternation_of(frames[:2]).any()
 
 
+def last_pixels(part: Sequence[Frame]) -> NDArray[np.float32]:
+    return part[-1].pixels.astype(np.float32)
+
+
 @pytest.mark.parametrize("place", [(0, 0), (9, 12), (4, 6)])
 def test_the_part_searched_holds_what_it_should(place: tuple[int, int]) -> None:
     rng = np.random.default_rng(3)
     frames = [Frame(k, k * 1e-3, rng.integers(0, 256, (77, 101), np.uint8), origin=(5, 7)) for k in range(4)]
     busy = np.zeros((10, 13), bool)
     busy[place] = True
-    (first, *_), blocks = coarse.searched_part(frames, busy, 16.0)
+    [(change, blocks, first)] = coarse.searched_parts(frames, busy, 16.0, last_pixels)
     x, y = first.origin[0] - 5, first.origin[1] - 7
     assert x % 8 == 0
     assert y % 8 == 0
     rows, columns = first.pixels.shape
     assert np.array_equal(first.pixels, frames[0].pixels[y : y + rows, x : x + columns])
+    assert np.array_equal(change, frames[-1].pixels[y : y + rows, x : x + columns])
     assert blocks[place[0] - y // 8, place[1] - x // 8]
     assert blocks.sum() == 1
     # 16 px and more about the block, as far as the frame goes
@@ -68,6 +75,24 @@ def test_the_part_searched_holds_what_it_should(place: tuple[int, int]) -> None:
     assert y + rows >= min(8 * place[0] + 24, 77)
     assert x <= max(8 * place[1] - 16, 0)
     assert x + columns >= min(8 * place[1] + 24, 101)
+
+
+def test_blocks_far_from_each_other_are_searched_in_parts_of_their_own() -> None:
+    frame, busy = Frame(0, 0.0, np.zeros((512, 1024), np.uint8), origin=(3, 1)), np.zeros((64, 128), bool)
+    busy[2, 3] = busy[4, 4] = busy[40, 120] = busy[60, 60] = True
+    parts = coarse.searched_parts([frame], busy, 32.0, last_pixels)
+    assert sorted(int(part.busy.sum()) for part in parts) == [1, 1, 2]
+    found = np.zeros((64, 128), int)
+    for part in parts:
+        x, y = (part.first.origin[0] - 3) // 8, (part.first.origin[1] - 1) // 8
+        down, across = part.busy.shape
+        found[y : y + down, x : x + across] += part.busy
+        assert part.change.shape == part.first.pixels.shape
+    assert np.array_equal(found, busy)
+    assert sum(part.change.size for part in parts) < 0.1 * frame.pixels.size
+    # where they are everywhere, parts would take no less than all
+    busy[::6, ::6] = True
+    assert len(coarse.searched_parts([frame], busy, 32.0, last_pixels)) == 1
 
 
 def headers(seed: int, pixels: int) -> NDArray[np.float32]:

@@ -1,5 +1,6 @@
 """The search of a pyramid's levels: every size is looked for on one of them, and found where it is on the sensor."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -11,13 +12,14 @@ from scenes import SIDE, draw, frame_of
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.acquire import pyramid
-from heliograph.receive.acquire.budget import SAVED_S, WORK_PER_MS, Budget, SearchLoad
+from heliograph.receive.acquire.budget import SAVED_S, UNBOUNDED_PART, WORK_PER_MS, Budget, SearchLoad
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.pyramid import PyramidSearch, level_parameters
+from heliograph.receive.acquire.slots import first_there
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT
 from heliograph.receive.image.view import View, halved
-from heliograph.signal.header import header_levels
+from heliograph.signal.header import all_header_cells, header_levels
 from heliograph.signal.settings import SignalSettings
 
 SEARCH = SearchParameters(
@@ -214,7 +216,7 @@ def test_what_is_left_out_as_old_is_so_on_all_levels(level: int) -> None:
         reduced = halved(reduced)
     old = np.zeros((24, 32), bool)
     old[:, :16] = True
-    searched = pyramid._but_old(old, ~old, [frame], [pyramid._rimmed(reduced)], level)
+    searched = pyramid._but_left(old, ~old, [frame], [pyramid._rimmed(reduced)], level)
     # sensor px of the middles of the level's blocks
     x0, y0 = pyramid._rimmed(reduced).origin
     rows, columns = (8 * np.arange(n) + 3.5 for n in searched.shape)
@@ -234,3 +236,39 @@ def test_a_window_may_jump_while_blocks_are_left_out(jump: tuple[int, int]) -> N
     for k in range(60):
         search.push(flickering_frame(k, rng, (200 + jump[0], 200 + jump[1]) if k >= 30 else (200, 200)))
     assert search.load.blocks > 0
+
+
+def test_no_level_searches_what_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An array of 96 px is found on the first reduced level, unless its blocks are taken for those left out."""
+    found = list[int]()
+    for nothing in (False, True):
+        if nothing:
+            monkeypatch.setattr(pyramid, "_but_left", lambda *slots: np.zeros(blocks_of(slots[3]), bool))
+        search, rng = scarce_search(), np.random.default_rng(3)
+        for k in range(80):
+            frame = flickering_frame(k, rng, (200, 200))
+            pixels = np.full((400, 600), 40, np.uint8)
+            pixels[:192, :256] = frame.pixels
+            if 60 <= k < 64:
+                sign = 1 - 2 * (k % 2)
+                pixels[280:376, 400:496] = 100 + 60 * sign * np.kron(all_header_cells()[4], np.ones((24, 24)))
+            found += [one.identity for one in search.push(Frame(k, 1e-3 * k, pixels)) if one.clear]
+        assert search.load.blocks > 0
+    assert found == [4]
+
+
+def blocks_of(slots: Sequence[Frame | None]) -> tuple[int, int]:
+    """Blocks down and across of frames."""
+    rows, columns = first_there(slots).pixels.shape
+    return -(-rows // 8), -(-columns // 8)
+
+
+@pytest.mark.parametrize("origin", [(0, 1), (3, 2), (5, 7)])
+@pytest.mark.parametrize("rows", range(8, 14))
+def test_frames_that_are_low_are_searched(rows: int, origin: tuple[int, int]) -> None:
+    """A reduced frame begins with an even row: of some a level has nothing left."""
+    search, rng = PyramidSearch(replace(SEARCH, busy_part=UNBOUNDED_PART), SignalSettings()), np.random.default_rng(0)
+    for k in range(12):
+        pixels = rng.integers(0, 256, (rows, 300)).astype(np.uint8)
+        search.push(Frame(k, 1e-3 * k, pixels, origin=origin))
+    assert not search.load.fitted

@@ -1,12 +1,16 @@
 """What surges over what usually alternates."""
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import numpy as np
+import pytest
 
 from heliograph.receive.acquire.usual import SURGE, UsualAlternation
 
 
 def test_a_header_surges_over_its_data_and_flicker_of_even_strength_does_not() -> None:
-    usual, change = UsualAlternation(), np.ones((6, 8), np.float32)
+    usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
     assert usual.surges(change, (0, 0)).all()
     for _ in range(5):
         assert not usual.surges(change, (0, 0)).any()
@@ -18,12 +22,41 @@ def test_a_header_surges_over_its_data_and_flicker_of_even_strength_does_not() -
     for _ in range(20):
         usual.surges(change, (0, 0))
     assert not usual.surges(change, (0, 0)).any()
-    assert usual.surges(np.float32(1.01 * SURGE) * change, (0, 0)).all()
+    assert usual.surges(np.float32(1.01 * SURGE["haar"]) * change, (0, 0)).all()
 
 
 def test_what_is_seen_first_may_be_a_header() -> None:
-    usual, change = UsualAlternation(), np.ones((6, 8), np.float32)
+    usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
     usual.surges(change, (0, 0))
     assert not usual.surges(change, (0, 0)).any()
     assert usual.surges(change, (8, 0)).all()
     assert usual.surges(change[:5], (8, 0)).all()
+
+
+@pytest.mark.parametrize("levels", [(0, 0.25, 0.5, 0.75, 1), (0, 1)], ids=["haar", "ook"])
+@pytest.mark.parametrize("first", [0, 1], ids=["pattern", "inverse"])
+@pytest.mark.parametrize("phase", [0.0, 0.2])
+def test_headers_surge_over_data_whatever_a_search_begins_with(
+    levels: Sequence[float], first: int, phase: float
+) -> None:
+    usual, rng = UsualAlternation("haar" if len(levels) > 2 else "ook"), np.random.default_rng(2)
+    header, told = rng.integers(0, 2, (6, 6, 16)).astype(float), list[bool]()
+    before = False
+    patterns = [
+        one
+        for _ in range(12)
+        for pattern in [header, header, *(rng.choice(levels, header.shape) for _ in range(48))]
+        for one in (pattern, 1 - pattern)
+    ]
+    frames = [(1 - phase) * one + phase * two for one, two in pairwise(patterns)]
+    for k in range(first, len(frames) - 3, 2):
+        a, b, c, d = frames[k : k + 4]
+        # each block the mean size of its LEDs' change
+        surges = usual.surges(np.abs(a - 3 * b + 3 * c - d).mean(axis=2).astype(np.float32), (0, 0))
+        surging = bool(surges[1:-1, 1:-1].all())
+        if k > 200 and k % 100 == first:
+            # amid a header that begins with its inverse, two searches see most of it
+            told.append(surging or (before and first == 1))
+        before = surging
+    assert len(told) > 8
+    assert all(told)

@@ -7,14 +7,14 @@ header just now; when half is, those too that have alternated for longer than a 
 like an array. Frames that were not searched are not kept for later, as newer ones take their place.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.coarse import BLOCK_PX, SearchParameters, coarse_search
+from heliograph.receive.acquire.coarse import BLOCK_PX, SearchedPart, SearchParameters, coarse_search
 from heliograph.receive.acquire.hypotheses import Headers
 
 WORK_PER_MS = 180_000.0
@@ -37,16 +37,6 @@ With 2 s four of 48 arrays were not found that came into sight soon after someth
 UNBOUNDED_PART = 1e6
 """Part of a core's time that no search takes: stands for no bound."""
 
-OLD_PACKETS = 1.2
-"""Packets for which a block may alternate before it is old: an array shows a header in each.
-
-It comes into sight at any pattern of a packet. With half of a packet six of nine such arrays beside what flickers were
-not found at all. An array behind a post alternates for longer; while half of what is kept is left, that is searched.
-"""
-
-CALM_PATTERNS = 4
-"""Patterns in which a block must not alternate to make up for one in which it did."""
-
 BEGIN_PART = 1 / 20
 """Part of it that must be there for a search to begin: searches now and then, which fit what they find, are worth more
 than many that break off at once."""
@@ -54,7 +44,7 @@ than many that break off at once."""
 NEW_PART = 1 / 2
 """Part of it that is kept for what is new and like an array."""
 
-SEARCH_PART = 1 / 100
+SEARCH_PART = 1 / 20
 """Part of it that one search takes at most, once the rest is used up: with the default setting 9 ms.
 
 A patch of 64 px that begins to flicker takes more. Half of it lost a packet behind a post.
@@ -131,13 +121,12 @@ class Budget:
         self.bounded = busy_part < UNBOUNDED_PART
         self._rate, self._most = per_s * period_s, SAVED_S * per_s
         self._left = self._most
-        # what was left when a search began, what it may take, its parts, how many have begun, and what each leaves
-        self._begun = self._allowed = 0.0
-        self._parts, self._part, self._end = 1, 0, 0.0
+        # what the search leaves that has begun
+        self._end = 0.0
         self.load = SearchLoad()
 
     def begins(self, busy: NDArray[np.bool_]) -> bool:
-        """Whether a search begins, as one part until it is shared out; else its blocks count as left out.
+        """Whether a search begins; else its blocks count as left out.
 
         Parameters
         ----------
@@ -146,43 +135,15 @@ class Budget:
         """
         if not (blocks := np.count_nonzero(busy)):
             return False
-        self._begun = self._left
-        self._allowed = max(SEARCH_PART * self._most, LAVISH_PART * (self._left - PLENTY_PART * self._most))
-        self.share(1)
+        self._end = self._left - max(SEARCH_PART * self._left, LAVISH_PART * (self._left - PLENTY_PART * self._most))
         lasts = self._left >= BEGIN_PART * self._most
         if not lasts:
             self.leave(int(blocks))
         return lasts
 
-    def share(self, parts: int) -> None:
-        """Share a search out to parts; what one does not use, later ones may.
-
-        Parameters
-        ----------
-        parts
-            How many, 1 or more; `part` begins each.
-        """
-        self._parts, self._end = parts, self._begun
-        self.passed(0)
-
-    def passed(self, parts: int) -> None:
-        """Have so many parts behind it, begun or not.
-
-        Parameters
-        ----------
-        parts
-            How many, at least 0.
-        """
-        self._part = parts
-
-    def part(self) -> None:
-        """Begin the next part of a search."""
-        self._part += 1
-        self._end = self._begun - self._allowed * self._part / self._parts
-
     @property
     def coarse(self) -> float:
-        """Work that a coarse search may do: half of the part's, as its candidates are to be fitted too."""
+        """Work that a coarse search may do: half of what the search may, as candidates are to be fitted too."""
         return 0.5 * (self._left - self._end)
 
     @property
@@ -234,69 +195,6 @@ class Budget:
         self.load += SearchLoad(blocks=blocks)
 
 
-class OldBlocks:
-    """How long blocks have alternated and shown no array: where there is little time, new ones come first.
-
-    Parameters
-    ----------
-    budget
-        What searches may cost.
-    packet_patterns
-        Patterns of a packet, header included.
-    """
-
-    def __init__(self, budget: Budget, packet_patterns: int):
-        self._budget = budget
-        self._old = CALM_PATTERNS * ceil(OLD_PACKETS * packet_patterns)
-        self._origin, self._last = (0, 0), 0
-        # (blocks down, blocks across), CALM_PATTERNS for each pattern in which it alternated
-        self._age = np.zeros((0, 0), np.int32)
-
-    def left_out(
-        self,
-        busy: NDArray[np.bool_],
-        telling: NDArray[np.bool_],
-        frame: Frame,
-        patterns: int,
-        among: NDArray[np.bool_] | None = None,
-    ) -> NDArray[np.bool_]:
-        """Where there is little time, leave out old blocks, and those in which nothing is like a header; count them.
-
-        To be asked once for the frames of a search. Where it is not asked, nothing alternates.
-
-        Parameters
-        ----------
-        busy
-            (blocks down, blocks across), whether an array may have its centre there and none is followed.
-        telling
-            (blocks down, blocks across), whether that and what is beside it is like a header.
-        frame
-            The first of the frames, for place and number.
-        patterns
-            Patterns since the frames of the search before, at most.
-        among
-            (blocks down, blocks across), whether a block comes into question otherwise; None for all.
-
-        Returns
-        -------
-        The blocks to be searched.
-        """
-        sought = busy if among is None else busy & among
-        if busy.shape != self._age.shape or frame.origin != self._origin:
-            self._origin, self._age = frame.origin, np.zeros(busy.shape, np.int32)
-        passed, self._last = max(frame.index - self._last, 0), frame.index
-        patterns = min(patterns, passed)
-        grown = np.where(busy, CALM_PATTERNS * patterns - (passed - patterns), -passed)
-        self._age = np.clip(self._age + grown, 0, 2 * self._old).astype(np.int32)
-        if self._budget.plenty:
-            return sought
-        left = sought & telling
-        if self._budget.short:
-            left &= self._age <= self._old
-        self._budget.leave(int(np.count_nonzero(sought) - np.count_nonzero(left)))
-        return left
-
-
 class BoundedSearch:
     """Coarse search for some headers within a budget; where it breaks off, the next one goes on.
 
@@ -323,42 +221,35 @@ class BoundedSearch:
         # where on the sensor the next search begins, row and column of its block
         self._next = 0, 0
 
-    def candidates(self, change: NDArray[np.float32], busy: NDArray[np.bool_], frame: Frame) -> NDArray[np.float64]:
-        """Best candidates, (candidates, 5) as `coarse.Searched` has them.
+    def candidates(self, parts: Sequence[SearchedPart]) -> list[NDArray[np.float64]]:
+        """Best candidates of each part, (candidates, 5) as `coarse.Searched` has them.
 
         Parameters
         ----------
-        change
-            (rows, columns) gray levels of what alternates.
-        busy
-            (blocks down, blocks across), whether an array may have its centre there.
-        frame
-            The first of the frames, for place and full scale.
+        parts
+            What is searched; what one leaves of the work that may be done, the others have.
         """
-        begin, count, limit = self._begin(busy, frame), busy.size, self._budget.coarse
-        found = coarse_search(
-            change,
-            busy,
-            frame,
-            self.parameters,
-            self.headers.cells,
-            self.sides,
-            self.headers.apart,
-            begin,
-            limit,
-        )
-        self._budget.spend(PIXEL_WORK * change.size + found.work)
-        self.compared, self._next = found.compared > 0, (0, 0)
-        if found.passed < count:
-            left = (begin + np.arange(found.passed, count)) % count
-            self._budget.leave(int(np.count_nonzero(busy.ravel()[left])))
-            down, across = divmod(int(left[0]), busy.shape[1])
-            self._next = down + frame.origin[1] // BLOCK_PX, across + frame.origin[0] // BLOCK_PX
-            self.compared = True
-        return found.rows
+        parameters, out, begun = self.parameters, list[NDArray[np.float64]](), self._next
+        self.compared, self._next = False, (0, 0)
+        for k, (change, busy, frame) in enumerate(parts):
+            begin, count = _begin(begun, busy, frame), busy.size
+            limit = self._budget.coarse / (len(parts) - k)
+            cells, apart = self.headers.cells, self.headers.apart
+            found = coarse_search(change, busy, frame, parameters, cells, self.sides, apart, begin, limit)
+            self._budget.spend(PIXEL_WORK * change.size + found.work)
+            self.compared |= found.compared > 0
+            out.append(found.rows)
+            if found.passed < count:
+                left = (begin + np.arange(found.passed, count)) % count
+                self._budget.leave(int(np.count_nonzero(busy.ravel()[left])))
+                down, across = divmod(int(left[0]), busy.shape[1])
+                self._next = down + frame.origin[1] // BLOCK_PX, across + frame.origin[0] // BLOCK_PX
+                self.compared = True
+        return out
 
-    def _begin(self, busy: NDArray[np.bool_], frame: Frame) -> int:
-        """Number of the block to begin with: that at which the last search broke off, if these frames show it."""
-        (rows, columns), (x, y) = busy.shape, frame.origin
-        down, across = self._next[0] - y // BLOCK_PX, self._next[1] - x // BLOCK_PX
-        return down * columns + min(max(across, 0), columns - 1) if 0 <= down < rows else 0
+
+def _begin(begun: tuple[int, int], busy: NDArray[np.bool_], frame: Frame) -> int:
+    """Number of the block to begin with: that at which the last search broke off, if these frames show it."""
+    (rows, columns), (x, y) = busy.shape, frame.origin
+    down, across = begun[0] - y // BLOCK_PX, begun[1] - x // BLOCK_PX
+    return down * columns + min(max(across, 0), columns - 1) if 0 <= down < rows else 0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, OldBlocks, SearchLoad
+from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, SearchLoad
 from heliograph.receive.acquire.candidate import (
     HIDING_BLUR,
     LEVEL_SPREAD,
@@ -29,18 +29,20 @@ from heliograph.receive.acquire.candidate import (
     plausible,
 )
 from heliograph.receive.acquire.coarse import (
+    SearchedPart,
     SearchParameters,
     alternation_means,
     alternation_of,
     busy_blocks,
-    searched_part,
+    searched_parts,
 )
 from heliograph.receive.acquire.detection import HIDDEN_REGULARITY, Detection, distinct
 from heliograph.receive.acquire.drift import drift_of
 from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header, fit_moving
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, Hypothesis, headers
-from heliograph.receive.acquire.slots import SLACK, Due, HeaderFrames, Slots, filled
+from heliograph.receive.acquire.old_blocks import OldBlocks
+from heliograph.receive.acquire.slots import SLACK, Due, DueFrames, Slots, filled, first_there
 from heliograph.receive.acquire.usual import UsualAlternation
 from heliograph.receive.image.fit import Fit, header_amplitudes
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
@@ -118,9 +120,9 @@ class Detector:
         turned = headers(ORIENTATIONS[1:])
         sought = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT,), ORIENTATIONS[1:]), turned)
         self._coarse = tuple(BoundedSearch(parameters, one, self.budget) for one in sought)
-        self._old, self._usual = OldBlocks(self.budget, signal.packet_patterns), UsualAlternation()
+        self._old, self._usual = OldBlocks(self.budget, signal.packet_patterns), UsualAlternation(signal.modulation)
         self._span = min(self._header, 4)
-        self._frames = HeaderFrames(self._header, self._span, signal.packet_patterns)
+        self._frames = DueFrames(self._header, self._span, signal.packet_patterns)
 
     def start(self, period_s: float) -> None:
         """Begin; the frames are taken to come one per pattern, whatever the period; see `HeaderSearch`."""
@@ -153,9 +155,10 @@ class Detector:
         found = list[Detection]()
         for due in self.due(frame):
             change, known = self.change(due.slots), [*taken, *(one.fit.pose for one in found)]
-            busy = None if change is None else self.new(due.slots, change, self.busy(due.slots, change, known))
-            if busy is not None and self.budget.begins(busy):
-                self.budget.share(self.parts(due.turned))
+            if change is None:
+                continue
+            busy = self.worth_searching(due.slots, change, self.busy(due.slots, change, known))
+            if self.budget.begins(busy):
                 found += self.search(due.slots, busy, known, due.turned)
         return found
 
@@ -200,11 +203,11 @@ class Detector:
         taken
             Poses of arrays already followed.
         """
-        first = next(frame for frame in slots if frame is not None)
+        first = first_there(slots)
         parameters = self._parameters
         return busy_blocks(change, first, taken, self._side, parameters.min_contrast, parameters.everywhere)
 
-    def new(self, slots: Slots, change: NDArray[np.float32], busy: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def worth_searching(self, slots: Slots, change: NDArray[np.float32], busy: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Busy blocks but those that are left out for want of time; to be asked once for frames.
 
         Parameters
@@ -218,7 +221,7 @@ class Detector:
         """
         if not self.budget.bounded:
             return busy
-        first = next(frame for frame in slots if frame is not None)
+        first = first_there(slots)
         return self._old.left_out(busy, self._usual.surges(change, first.origin), first, self._frames.every)
 
     def parts(self, turned: bool) -> int:
@@ -231,7 +234,7 @@ class Detector:
         """
         return len(self._coarse) if turned else 1
 
-    def alternating(self, slots: Slots, busy: NDArray[np.bool_], around_px: float) -> NDArray[np.float32] | None:
+    def alternating(self, slots: Slots, busy: NDArray[np.bool_], around_px: float) -> list[NDArray[np.float32]]:
         """What alternates in frames that are due, where it does.
 
         Parameters
@@ -245,11 +248,10 @@ class Detector:
 
         Returns
         -------
-        (rows, columns) gray levels of the smallest part of the frames that holds all of it; None where too many are
-        missing.
+        (rows, columns) gray levels of the parts of the frames that hold it; none where too many are missing.
         """
         header = self._frames.header_of(slots)
-        return None if header is None else alternation_of(searched_part(header, busy, around_px)[0])
+        return [one.change for one in searched_parts(header, busy, around_px, alternation_of)] if header else []
 
     def search(self, slots: Slots, busy: NDArray[np.bool_], taken: Sequence[Pose], turned: bool) -> list[Detection]:
         """Look for headers in frames.
@@ -268,20 +270,19 @@ class Detector:
         header = self._frames.header_of(slots)
         if header is None or not busy.any():
             return []
-        header, busy = searched_part(header, busy, self._sides[-1])
-        change = alternation_of(header)
+        parts = searched_parts(header, busy, self._sides[-1], alternation_of)
         found = list[Detection]()
         for coarse in self._coarse[: self.parts(turned)]:
-            self.budget.part()
-            candidates = candidates_of(change, busy, header[0], coarse, self._side)
             fitted = list[Detection]()
-            for one in candidates:
+            for one, part in candidates_of(parts, coarse, self._side):
                 # what overlaps an array in clear sight would be left out as the less clear one
                 fits = all(not d.clear or apart(one.start, d.fit.pose, self._side) for d in [*found, *fitted])
-                if self.budget.short and abs(one.score) < SHORT_COARSE:
+                if not fits:
+                    continue
+                if not self.budget.plenty and abs(one.score) < SHORT_COARSE:
                     self.budget.drop()
-                elif fits and self.budget.fit():
-                    fitted += self._refine(slots, change, header[0].origin, one, coarse.headers, taken)
+                elif self.budget.fit():
+                    fitted += self._refine(slots, part, one, coarse.headers, taken)
             # what seems an upright array partly hidden may be a turned one in clear sight
             found = distinct([*found, *(d for d in fitted if d.clear or not found)], self._side)
             if (found and all(one.clear for one in found)) or not coarse.compared:
@@ -292,8 +293,7 @@ class Detector:
     def _refine(
         self,
         slots: Slots,
-        change: NDArray[np.float32],
-        origin: tuple[int, int],
+        part: SearchedPart,
         candidate: Candidate,
         searched: Headers,
         taken: Sequence[Pose],
@@ -306,7 +306,9 @@ class Detector:
         best, least = None, WORTH
         for tilt in self._tilts:
             self.budget.spend(FIT_WORK)
-            rough = fit_near(change, origin, start, math.copysign(1.0, score) * weights, tilt, HIDING_BLUR)
+            rough = fit_near(
+                part.change, part.first.origin, start, math.copysign(1.0, score) * weights, tilt, HIDING_BLUR
+            )
             if rough is None or rough.score < least:
                 break
             if tilt == UPRIGHT_SPREAD and self.budget.short and rough.score < SHORT_WORTH:

@@ -14,7 +14,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.budget import BoundedSearch, SearchLoad
 from heliograph.receive.acquire.candidate import CANDIDATE_MARGIN_PX, cell_light
-from heliograph.receive.acquire.coarse import BLOCK_PX, RING, coarse_search
+from heliograph.receive.acquire.coarse import BLOCK_PX, RING, SearchedPart, coarse_search
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose
@@ -84,47 +84,43 @@ def pose_of(corners: Sequence[float], side: int, blur: float) -> Pose:
 
 
 def candidates_of(
-    change: NDArray[np.float32],
-    busy: NDArray[np.bool_],
-    frame: Frame,
-    coarse: BoundedSearch,
-    side: int,
-) -> list[Candidate]:
+    parts: Sequence[SearchedPart], coarse: BoundedSearch, side: int
+) -> list[tuple[Candidate, SearchedPart]]:
     """What may be arrays: the best of the coarse search; where a pose was given, arrays turned and tilted as that one.
 
     Parameters
     ----------
-    change
-        (rows, columns) gray levels of what alternates.
-    busy
-        (blocks down, blocks across), whether an array may have its centre there.
-    frame
-        The first of the frames, for place and full scale.
+    parts
+        What is searched.
     coarse
         The coarse search, with what is looked for.
     side
         LEDs in a row.
+
+    Returns
+    -------
+    Each with its part, the best first.
     """
     if coarse.parameters.start is not None:
-        return _given(change, frame, coarse, coarse.parameters.start, side)
-    rows = coarse.candidates(change, busy, frame)
-    (x, y), blur = frame.origin, coarse.parameters.blur_px
-    poses = [Pose(row[1] - 0.5 + x, row[2] - 0.5 + y, row[3] / side, 0.0, blur) for row in rows]
-    return [Candidate(pose, int(row[4]), float(row[0])) for pose, row in zip(poses, rows, strict=True)]
+        start = coarse.parameters.start
+        return [(one, part) for part in parts for one in _given(part, coarse, start, side)]
+    blur = coarse.parameters.blur_px
+    found = list[tuple[Candidate, SearchedPart]]()
+    for part, rows in zip(parts, coarse.candidates(parts), strict=True):
+        x, y = part.first.origin
+        for score, across, down, width, number in rows.tolist():
+            pose = Pose(across - 0.5 + x, down - 0.5 + y, width / side, 0.0, blur)
+            found.append((Candidate(pose, int(number), score), part))
+    return sorted(found, key=lambda one: -abs(one[0].score))[: coarse.parameters.candidates]
 
 
-def _given(
-    change: NDArray[np.float32],
-    frame: Frame,
-    coarse: BoundedSearch,
-    start: Pose,
-    side: int,
-) -> list[Candidate]:
+def _given(part: SearchedPart, coarse: BoundedSearch, start: Pose, side: int) -> list[Candidate]:
     """Candidates turned and tilted as a pose, and that pose itself.
 
     The coarse search takes arrays for upright. So what alternates is drawn as it would look if the given array were
     upright, and searched. Then the given pose itself is a candidate, with the header that its cells resemble most.
     """
+    change, frame = part.change, part.first
     rows, columns = change.shape
     # upright image -> change: about the middles of both, by the given roll and tilt
     map_ = start.axes / start.pitch

@@ -17,7 +17,7 @@ from heliograph.receive.acquire.budget import Budget, SearchLoad
 from heliograph.receive.acquire.coarse import BLOCK_PX, PART_LIT, RING, SIDE_STEP, SearchParameters
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.acquire.detector import Detector
-from heliograph.receive.acquire.slots import Due, Slots, in_common
+from heliograph.receive.acquire.slots import Due, Slots, first_there, in_common
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.view import View, halved, reduced_blur
@@ -114,19 +114,17 @@ class PyramidSearch:
             return []
         # what alternates on a level alternates in the frames themselves
         alternating = finest.busy(due.slots, change, taken)
-        busy = finest.new(due.slots, change, alternating)
-        if not np.count_nonzero(busy):
-            return []
-        old = alternating & ~busy
-        leaves_out = np.count_nonzero(old)
+        busy = finest.worth_searching(due.slots, change, alternating)
         if not self._budget.begins(busy):
             return []
+        left = alternating & ~busy
+        leaves_out = np.count_nonzero(left)
         known, found = list(taken), list[Detection]()
-        shown, kinds = self._shown(due.slots, busy), finest.parts(due.turned)
-        self._budget.share((shown + 1) * kinds)
+        shown = self._shown(due.slots, busy)
         for k, (view, detector) in reversed(list(enumerate(self._levels[: shown + 1]))):
-            self._budget.passed((shown - k) * kinds)
             seen, poses = self._slots(due.slots, k), [view.pose_in(pose) for pose in known]
+            if not seen:
+                continue
             there = detector.change(seen) if k else change
             if there is None:
                 continue
@@ -134,7 +132,7 @@ class PyramidSearch:
             if k == 0:
                 alternates &= busy
             elif leaves_out:
-                alternates &= _but_old(old, busy, due.slots, seen, k)
+                alternates &= _but_left(left, busy, due.slots, seen, k)
             for one in detector.search(seen, alternates, poses, due.turned):
                 known.append(view.pose_out(one.fit.pose))
                 found.append(replace(one, fit=view.fit_out(one.fit), drift=view.motion_out(one.drift)))
@@ -147,29 +145,33 @@ class PyramidSearch:
         """
         alternating = np.count_nonzero(busy) * BLOCK_PX**2
         most = sum(alternating >= LEAST_ALTERNATING_PART * side**2 for side in self._smallest_px)
-        change = self._levels[0][1].alternating(slots, busy, AROUND_PX) if most else None
-        if change is None:
+        changes = self._levels[0][1].alternating(slots, busy, AROUND_PX) if most else []
+        if not changes:
             return 0
-        least = self._least * next(one.full_scale for one in slots if one is not None)
+        least = self._least * first_there(slots).full_scale
         for level in range(most):
-            change = np.asarray(cv2.pyrDown(change), np.float32)
-            means = cv2.blur(np.abs(change), (BLOCK_PX, BLOCK_PX), borderType=cv2.BORDER_CONSTANT)
-            if means.max() <= least:
+            changes = [np.asarray(cv2.pyrDown(change), np.float32) for change in changes]
+            if all(_block_means(change).max() <= least for change in changes):
                 return level
         return most
 
     def _slots(self, slots: Slots, level: int) -> Slots:
-        """Frames that are due, as a level has them."""
+        """Frames that are due, as a level has them; none where they are too small for it."""
         if level == 0:
             return slots
         there = [one for one in slots if one is not None]
         self._reduced = {_name(one): self._reduced.get(_name(one)) or self._seen(one) for one in there}
+        if any(len(seen) <= level for seen in self._reduced.values()):
+            return []
         return in_common([None if one is None else self._reduced[_name(one)][level] for one in slots])
 
     def _seen(self, frame: Frame) -> list[Frame]:
-        """The frame on each level; on the reduced ones with a rim, as a near array may fill the frame."""
+        """The frame on each level that it has pixels for; on reduced ones with a rim, as a near array may fill it."""
         seen, reduced = [frame], frame
         for _ in self._levels[1:]:
+            # an odd first row or column is left out
+            if min(reduced.pixels.shape) < 3:
+                break
             reduced = halved(reduced)
             seen.append(_rimmed(reduced))
         return seen
@@ -198,29 +200,35 @@ def level_parameters(parameters: SearchParameters, side: int) -> list[SearchPara
     return levels
 
 
-def _but_old(
-    old: NDArray[np.bool_], new: NDArray[np.bool_], slots: Slots, seen: Slots, level: int
+def _but_left(
+    left: NDArray[np.bool_], searched: NDArray[np.bool_], slots: Slots, seen: Slots, level: int
 ) -> NDArray[np.bool_]:
-    """Blocks of a level but those that hold old blocks alone, (blocks down, blocks across).
+    """Blocks of a level but those that hold blocks left out and none that is searched, (blocks down, blocks across).
 
     Parameters
     ----------
-    old, new
+    left, searched
         (blocks down, blocks across) of the frames themselves: those left out, and those searched.
     slots, seen
         Those frames, and as the level has them.
     level
         Number of the level, at least 1.
     """
-    frame, reduced = (next(one for one in frames if one is not None) for frames in (slots, seen))
+    frame, reduced = first_there(slots), first_there(seen)
     out = np.ones([-(-size // BLOCK_PX) for size in reduced.pixels.shape], bool)
-    for blocks, searched in ((old, False), (new, True)):
+    for blocks, kept in ((left, False), (searched, True)):
         # the middles of the blocks, on the sensor and on the level
         middles = (np.argwhere(blocks) + 0.5) * BLOCK_PX + frame.origin[::-1]
         down, across = ((middles / 2**level - reduced.origin[::-1]) // BLOCK_PX).astype(int).T
         # what all frames show may be less on a level, by some pixels of a rim
-        out[np.clip(down, 0, out.shape[0] - 1), np.clip(across, 0, out.shape[1] - 1)] = searched
+        out[np.clip(down, 0, out.shape[0] - 1), np.clip(across, 0, out.shape[1] - 1)] = kept
     return out
+
+
+def _block_means(change: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Mean size of what alternates in a block about each pixel, (rows, columns)."""
+    means = cv2.blur(np.abs(change), (BLOCK_PX, BLOCK_PX), borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(means, np.float32)
 
 
 def _name(frame: Frame) -> tuple[object, ...]:

@@ -104,7 +104,18 @@ def alike(last: Frame, frame: Frame) -> bool:
     return last.pixels.dtype == frame.pixels.dtype and last.bits == frame.bits
 
 
-class HeaderFrames:
+def first_there(slots: Slots) -> Frame:
+    """The first frame that is not missing.
+
+    Parameters
+    ----------
+    slots
+        Frames of successive patterns, one of them there at least.
+    """
+    return next(frame for frame in slots if frame is not None)
+
+
+class DueFrames:
     """The last frames of a stream of one frame per pattern, as many as hold a header wherever it begins.
 
     Parameters

@@ -19,19 +19,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, OldBlocks, SearchLoad
+from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, SearchLoad
 from heliograph.receive.acquire.candidate import LEVEL_SPREAD, cell_weights, fit_near, followed, of_size, plausible
 from heliograph.receive.acquire.coarse import (
     DIFFERENCE,
+    SearchedPart,
     SearchParameters,
     busy_blocks,
     combined,
     combined_means,
-    searched_part,
+    searched_parts,
 )
 from heliograph.receive.acquire.detection import Detection, distinct
 from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.hypotheses import ALL_ON, headers
+from heliograph.receive.acquire.old_blocks import OldBlocks
 from heliograph.receive.acquire.slots import alike
 from heliograph.receive.image.fit import Fit, header_amplitudes
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
@@ -130,18 +132,17 @@ class StraddledDetector:
             busy &= quiet
         if not self._budget.begins(busy):
             return []
-        self._budget.part()
-        ends, busy = searched_part(ends, busy, self._sides[-1])
-        change = combined(ends, weights)
-        candidates = [one for one in candidates_of(change, busy, ends[0], self._coarse, self._side) if one.score > 0]
-        found = [self._fit(frames, change, ends[0].origin, one, taken) for one in candidates if self._budget.fit()]
+        parts = searched_parts(ends, busy, self._sides[-1], lambda part: combined(part, weights))
+        found = list[Detection | None]()
+        for one, part in candidates_of(parts, self._coarse, self._side):
+            if one.score > 0 and self._budget.fit():
+                found.append(self._fit(frames, part, one, taken))
         return distinct([one for one in found if one is not None], self._side)
 
     def _fit(
         self,
         frames: Sequence[Frame],
-        change: NDArray[np.float32],
-        origin: tuple[int, int],
+        part: SearchedPart,
         candidate: Candidate,
         taken: Sequence[Pose],
     ) -> Detection | None:
@@ -151,7 +152,7 @@ class StraddledDetector:
         if followed(start, taken, self._side):
             return None
         self._budget.spend(FIT_WORK)
-        fit = fit_near(change, origin, start, weights, LEVEL_SPREAD)
+        fit = fit_near(part.change, part.first.origin, start, weights, LEVEL_SPREAD)
         if fit is None or fit.score < DATA_SCORE * parameters.score:
             return None
         if not (plausible(fit, parameters, frames[0].full_scale) and of_size(fit, parameters, self._side)):
