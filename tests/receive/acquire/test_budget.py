@@ -21,9 +21,10 @@ from heliograph.receive.acquire.budget import (
     Budget,
     SearchLoad,
 )
-from heliograph.receive.acquire.coarse import SearchedPart, SearchParameters
+from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.hypotheses import headers
 from heliograph.receive.acquire.old_blocks import CALM_PATTERNS, OLD_PACKETS, OldBlocks
+from heliograph.receive.acquire.parts import SearchedPart
 from heliograph.receive.acquire.pyramid import PyramidSearch
 from heliograph.receive.events import DetectEvent, DropEvent, Event
 from heliograph.receive.image.orientation import UPRIGHT

@@ -22,7 +22,7 @@ def test_a_header_surges_over_its_data_and_flicker_of_even_strength_does_not() -
     for _ in range(20):
         usual.surges(change, (0, 0))
     assert not usual.surges(change, (0, 0)).any()
-    assert usual.surges(np.float32(1.01 * SURGE["haar"]) * change, (0, 0)).all()
+    assert usual.surges(np.float32(1.01 * SURGE) * change, (0, 0)).all()
 
 
 def test_what_is_seen_first_may_be_a_header() -> None:

@@ -1,10 +1,10 @@
 """What searches may cost: a scene in which much alternates must not make a camera wait.
 
-Work is counted and not timed, so a film is read alike on every machine. Each pattern brings some work to be done, and
-what is not used is kept for an array that comes into sight. One search takes a small part of that, shared out evenly to
-the sizes and headers that it looks for. When a quarter is used up, blocks are left out in which nothing is like a
-header just now; when half is, those too that have alternated for longer than a packet, and candidates that are little
-like an array. Frames that were not searched are not kept for later, as newer ones take their place.
+Work is counted and not timed, so a film is read alike on every machine. Each frame of a pattern brings some work to be
+done, and what is not used is kept for an array that comes into sight. One search takes a part of that. When a quarter
+is used up, blocks are left out in which nothing is like a header just now (`usual`), and candidates that are little
+like one; when half is, those blocks too that have alternated for longer than two packets (`old_blocks`). Frames that
+were not searched are not kept for later, as newer ones take their place.
 """
 
 from collections.abc import Sequence
@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.coarse import BLOCK_PX, SearchedPart, SearchParameters, coarse_search
+from heliograph.receive.acquire.coarse import BLOCK_PX, SearchParameters, coarse_search
 from heliograph.receive.acquire.hypotheses import Headers
+from heliograph.receive.acquire.parts import SearchedPart
 
 WORK_PER_MS = 180_000.0
 """Places looked at in a ms, on the machine of `docs/performance.md`."""
@@ -31,7 +32,7 @@ SAVED_S = 3.0
 """Seconds whose work is kept at most: with the default setting 162 million places, or 0.9 s of a core.
 
 With 2 s four of 48 arrays were not found that came into sight soon after something began to flicker beside them, with
-3 s none. Of 44 passages behind posts none lost a codeword with 1.5 s (docs/performance.md).
+3 s none (docs/performance.md).
 """
 
 UNBOUNDED_PART = 1e6
@@ -45,9 +46,10 @@ NEW_PART = 1 / 2
 """Part of it that is kept for what is new and like an array."""
 
 SEARCH_PART = 1 / 20
-"""Part of it that one search takes at most, once the rest is used up: with the default setting 9 ms.
+"""Part of what is left that one search takes at most, but for `LAVISH_PART`: with the default setting 34 ms at three
+quarters, 2 ms where hardly any is left.
 
-A patch of 64 px that begins to flicker takes more. Half of it lost a packet behind a post.
+To look for a turned array 25 m away takes more than 9 ms: with so little none was found.
 """
 
 PLENTY_PART = 3 / 4

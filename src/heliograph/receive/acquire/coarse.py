@@ -4,8 +4,8 @@ Hardly anything alternates in a road scene. So means over blocks come first, and
 blocks is searched.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -266,75 +266,6 @@ def busy_blocks(
     return np.asarray(cv2.dilate(busy.view(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
 
 
-class SearchedPart(NamedTuple):
-    """A part of frames that is searched.
-
-    Attributes
-    ----------
-    change
-        (rows, columns) gray levels of what alternates.
-    busy
-        (blocks down, blocks across), whether an array may have its centre there.
-    first
-        The first of the frames, for place and full scale.
-    """
-
-    change: NDArray[np.float32]
-    busy: NDArray[np.bool_]
-    first: Frame
-
-
-def searched_parts(
-    frames: Sequence[Frame],
-    busy: NDArray[np.bool_],
-    largest_px: float,
-    change_of: Callable[[Sequence[Frame]], NDArray[np.float32]],
-) -> list[SearchedPart]:
-    """The parts of frames that candidates in busy blocks are seen in, from a block's first pixel on.
-
-    Blocks that are far from each other have parts of their own, where these are smaller together than one for all.
-
-    Parameters
-    ----------
-    frames
-        Frames of one size and place.
-    busy
-        (blocks down, blocks across), one of them True at least.
-    largest_px
-        Side in px of the largest array looked for.
-    change_of
-        Gives what alternates in frames, (rows, columns) gray levels.
-    """
-    # an array and its ring about a centre in a busy block, and two blocks for where its fit moves it and tilts it
-    reach = int(np.ceil((0.5 + RING) * largest_px / BLOCK_PX)) + 2
-    groups = [busy]
-    if max(busy.shape) > 4 * reach:
-        around = cv2.dilate(busy.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
-        count, number = cv2.connectedComponents(around)
-        groups = [busy & (number == k) for k in range(1, count)]
-    spans, whole = [_spans_of(group, reach) for group in groups], _spans_of(busy, reach)
-    if sum(_blocks(*one) for one in spans) > _blocks(*whole):
-        groups, spans = [busy], [whole]
-    parts = []
-    for group, (down, across) in zip(groups, spans, strict=True):
-        rows, columns = (slice(span.start * BLOCK_PX, span.stop * BLOCK_PX) for span in (down, across))
-        place = frames[0].origin[0] + columns.start, frames[0].origin[1] + rows.start
-        cut = [replace(frame, pixels=frame.pixels[rows, columns], origin=place) for frame in frames]
-        parts.append(SearchedPart(change_of(cut), group[down, across], cut[0]))
-    return parts
-
-
-def _spans_of(busy: NDArray[np.bool_], reach: int) -> tuple[slice, slice]:
-    """Rows and columns of the blocks that are busy, and so many around."""
-    down, across = (slice(*_span(np.any(busy, axis=axis), reach)) for axis in (1, 0))
-    return down, across
-
-
-def _blocks(down: slice, across: slice) -> int:
-    """How many blocks rows and columns hold."""
-    return int((down.stop - down.start) * (across.stop - across.start))
-
-
 class Searched(NamedTuple):
     """What a coarse search found and did.
 
@@ -420,12 +351,6 @@ def coarse_search(
 def _four(frames: Sequence[Frame]) -> tuple[Sequence[Frame], FrameWeights]:
     """Two or four frames as four, and the weights of what alternates in them."""
     return (frames, ALTERNATION) if len(frames) == 4 else ([*frames, *frames], DIFFERENCE)
-
-
-def _span(busy: NDArray[np.bool_], reach: int) -> tuple[int, int]:
-    """First and end of the busy places, and of those around."""
-    places = np.flatnonzero(busy)
-    return max(int(places[0]) - reach, 0), min(int(places[-1]) + 1 + reach, busy.size)
 
 
 @lru_cache(maxsize=64)  # a frame is searched by several detectors

@@ -29,12 +29,10 @@ from heliograph.receive.acquire.candidate import (
     plausible,
 )
 from heliograph.receive.acquire.coarse import (
-    SearchedPart,
     SearchParameters,
     alternation_means,
     alternation_of,
     busy_blocks,
-    searched_parts,
 )
 from heliograph.receive.acquire.detection import HIDDEN_REGULARITY, Detection, distinct
 from heliograph.receive.acquire.drift import drift_of
@@ -42,6 +40,7 @@ from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header, fit_moving
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, Hypothesis, headers
 from heliograph.receive.acquire.old_blocks import OldBlocks
+from heliograph.receive.acquire.parts import SearchedPart, searched_parts
 from heliograph.receive.acquire.slots import SLACK, Due, DueFrames, Slots, filled, first_there
 from heliograph.receive.acquire.usual import UsualAlternation
 from heliograph.receive.image.fit import Fit, header_amplitudes
@@ -85,7 +84,7 @@ SHORT_WORTH = 0.7
 """The same where searches have used up more than half of what they may cost."""
 
 SHORT_COARSE = 0.6
-"""Least score of a candidate, before any fit, where they have used up as much.
+"""Least score of a candidate, before any fit, where they have used up more than a quarter.
 
 In 120 films of an array 20 to 140 m away, yawed, rolled and out of step at random, 4 % of those that became clear
 detections had less, and 97 % of 13,315 that did not: light of data, mostly.

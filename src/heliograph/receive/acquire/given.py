@@ -14,8 +14,9 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.budget import BoundedSearch, SearchLoad
 from heliograph.receive.acquire.candidate import CANDIDATE_MARGIN_PX, cell_light
-from heliograph.receive.acquire.coarse import BLOCK_PX, RING, SearchedPart, coarse_search
+from heliograph.receive.acquire.coarse import BLOCK_PX, RING, coarse_search
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
+from heliograph.receive.acquire.parts import SearchedPart
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import Window, window_around

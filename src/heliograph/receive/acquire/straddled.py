@@ -23,17 +23,16 @@ from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, S
 from heliograph.receive.acquire.candidate import LEVEL_SPREAD, cell_weights, fit_near, followed, of_size, plausible
 from heliograph.receive.acquire.coarse import (
     DIFFERENCE,
-    SearchedPart,
     SearchParameters,
     busy_blocks,
     combined,
     combined_means,
-    searched_parts,
 )
 from heliograph.receive.acquire.detection import Detection, distinct
 from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.hypotheses import ALL_ON, headers
 from heliograph.receive.acquire.old_blocks import OldBlocks
+from heliograph.receive.acquire.parts import SearchedPart, searched_parts
 from heliograph.receive.acquire.slots import alike
 from heliograph.receive.image.fit import Fit, header_amplitudes
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
