@@ -24,9 +24,10 @@ WORK_PER_MS = 180_000.0
 FIT_WORK = 200_000.0
 """Work of a fit of a candidate: 1.1 ms."""
 
-PIXEL_WORK = 0.8
-"""Work of combining frames and summing them up, for each pixel of the part that is searched: 4.4 ns of a whole frame,
-whose sums do not fit into the processor's cache."""
+PIXEL_WORK = 0.4
+"""Work of combining frames and summing them up, for each pixel of the part that is searched: 1.2 ns, and as much again
+for what else a search does. With 0.22 what flickers all over took a fifth more than the bound, with 0.8 a tenth less.
+"""
 
 SAVED_S = 3.0
 """Seconds whose work is kept at most: with the default setting 162 million places, or 0.9 s of a core.

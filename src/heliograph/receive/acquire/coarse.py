@@ -4,6 +4,7 @@ Hardly anything alternates in a road scene. So means over blocks come first, and
 blocks is searched.
 """
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -288,6 +289,26 @@ class Searched(NamedTuple):
     compared: int
 
 
+class _Sums(threading.local):
+    """Integral images in memory that each thread keeps: that of a whole frame's takes longer to get than to fill."""
+
+    def __init__(self) -> None:
+        self._kept = np.empty((2, 0))
+
+    def of(self, change: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Integral images of an image and of its square, (rows + 1, columns + 1) each, until the next are asked for."""
+        shape = change.shape[0] + 1, change.shape[1] + 1
+        size = shape[0] * shape[1]
+        if size > self._kept.shape[1]:
+            self._kept = np.empty((2, size))
+        total, square = (one[:size].reshape(shape) for one in self._kept)
+        cv2.integral2(change, total, square, cv2.CV_64F, cv2.CV_64F)
+        return total, square
+
+
+_sums = _Sums()
+
+
 def coarse_search(
     change: NDArray[np.float32],
     busy: NDArray[np.bool_],
@@ -324,7 +345,7 @@ def coarse_search(
     """
     from heliograph.receive.acquire import kernels
 
-    total, square = cv2.integral2(change, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
+    total, square = _sums.of(change)
     best = np.zeros((parameters.candidates, 5))
     contrast = COARSE_CONTRAST * parameters.min_contrast * frame.full_scale
     corner = np.array(frame.origin, np.float64)

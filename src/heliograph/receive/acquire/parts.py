@@ -4,12 +4,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.coarse import BLOCK_PX, RING
+
+PART_BLOCKS = 3000
+"""Blocks of 8 x 8 pixels that it takes as long to combine and to sum up as a part takes beside its pixels: 250 us."""
 
 
 class SearchedPart(NamedTuple):
@@ -53,14 +55,11 @@ def searched_parts(
     """
     # an array and its ring about a centre in a busy block, and two blocks for where its fit moves it and tilts it
     reach = int(np.ceil((0.5 + RING) * largest_px / BLOCK_PX)) + 2
-    groups = [busy]
-    if max(busy.shape) > 4 * reach:
-        around = cv2.dilate(busy.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
-        count, number = cv2.connectedComponents(around)
-        groups = [busy & (number == k) for k in range(1, count)]
-    spans, whole = [_spans_of(group, reach) for group in groups], _spans_of(busy, reach)
-    if sum(_blocks(*one) for one in spans) > _blocks(*whole):
-        groups, spans = [busy], [whole]
+    groups, spans = [busy], [_spans_of(busy, reach)]
+    if _blocks(*spans[0]) > PART_BLOCKS and len(apart := _apart(busy, 2 * reach)) > 1:
+        spans_apart = [_spans_of(group, reach) for group in apart]
+        if sum(PART_BLOCKS + _blocks(*one) for one in spans_apart) < PART_BLOCKS + _blocks(*spans[0]):
+            groups, spans = apart, spans_apart
     parts = []
     for group, (down, across) in zip(groups, spans, strict=True):
         rows, columns = (slice(span.start * BLOCK_PX, span.stop * BLOCK_PX) for span in (down, across))
@@ -68,6 +67,24 @@ def searched_parts(
         cut = [replace(frame, pixels=frame.pixels[rows, columns], origin=place) for frame in frames]
         parts.append(SearchedPart(change_of(cut), group[down, across], cut[0]))
     return parts
+
+
+def _apart(busy: NDArray[np.bool_], gap: int) -> list[NDArray[np.bool_]]:
+    """Busy blocks by groups that have more than so many calm columns between them, and then rows."""
+    groups = []
+    for columns in _runs(np.any(busy, axis=0), gap):
+        for rows in _runs(np.any(busy[:, columns], axis=1), gap):
+            groups.append(np.zeros_like(busy))
+            groups[-1][rows, columns] = busy[rows, columns]
+    return groups
+
+
+def _runs(busy: NDArray[np.bool_], gap: int) -> list[slice]:
+    """Places from the first to the last that is busy, cut where more than so many in a row are calm."""
+    places = np.flatnonzero(busy)
+    cuts = np.flatnonzero(places[1:] - places[:-1] > gap)
+    firsts, lasts = [0, *(cuts + 1).tolist()], [*cuts.tolist(), -1]
+    return [slice(int(places[k]), int(places[j]) + 1) for k, j in zip(firsts, lasts, strict=True)]
 
 
 def _spans_of(busy: NDArray[np.bool_], reach: int) -> tuple[slice, slice]:
