@@ -73,8 +73,8 @@ def begins(module: str, name: str, signature: Any) -> None:
         with contextlib.suppress(OSError):
             _helpers.extend(_helper(number, count) for number in range(count))
     for helper in _helpers:
-        # it may have ended
-        with contextlib.suppress(OSError):
+        # it may have ended, or its pipe be closed
+        with contextlib.suppress(OSError, ValueError):
             if helper.stdin is not None:
                 helper.stdin.write(_key(module, name, signature) + b"\n")
 

@@ -218,6 +218,29 @@ def test_a_search_that_breaks_off_is_gone_on_with() -> None:
     assert rows[0, 1:3] + (shift, 0) == pytest.approx([112, 112], abs=8)
 
 
+def test_parts_that_break_off_are_all_gone_on_with() -> None:
+    """Three of noise, and little to spend: the last blocks of each are searched too, and no part takes all."""
+    rng, budget = np.random.default_rng(0), Budget(1e-3, 1e-3)
+    search, found = BoundedSearch(PARAMETERS, SOUGHT, budget), list[set[float]]([set(), set(), set()])
+    header = 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
+    parts, spent = [], list[float]()
+    for k in range(3):
+        change = rng.normal(0, 30, (136, 136)).astype(np.float32)
+        change[96:128, 96:128] += header
+        frame = Frame(0, 0.0, np.zeros((136, 136), np.uint8), origin=(400 * k, 8 * k))
+        parts.append(SearchedPart(change, np.ones((17, 17), bool), frame))
+    for _ in range(60):
+        # enough for some blocks of each
+        budget.spend(2 * (budget.coarse - 3e5))
+        most = budget.coarse
+        for k, rows in enumerate(search.candidates(parts)):
+            found[k] |= set(rows[:, 4].tolist()) if rows.size else set()
+        # a block of each part may be overdrawn
+        spent.append(2 * (most - budget.coarse) / most)
+    assert max(spent) < 1.3
+    assert all(4 in one for one in found)
+
+
 def test_a_busy_scene_costs_what_it_may() -> None:
     frames = flicker(400, 1)
     search = PyramidSearch(replace(PARAMETERS, busy_part=0.01), SignalSettings())

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.coarse import BLOCK_PX, SearchParameters, coarse_search
+from heliograph.receive.acquire.coarse import BLOCK_PX, NOT_SEARCHED, SearchParameters, coarse_search
 from heliograph.receive.acquire.hypotheses import Headers
 from heliograph.receive.acquire.parts import SearchedPart
 
@@ -221,8 +221,8 @@ class BoundedSearch:
         self.parameters, self.headers, self.sides = parameters, headers, parameters.sides()
         self.compared = True
         self._budget = budget
-        # where on the sensor the next search begins, row and column of its block
-        self._next = 0, 0
+        # where on the sensor parts broke off, row and column of the block
+        self._next = list[tuple[int, int]]()
 
     def candidates(self, parts: Sequence[SearchedPart]) -> list[NDArray[np.float64]]:
         """Best candidates of each part, (candidates, 5) as `coarse.Searched` has them.
@@ -233,26 +233,35 @@ class BoundedSearch:
             What is searched; what one leaves of the work that may be done, the others have.
         """
         parameters, out, begun = self.parameters, list[NDArray[np.float64]](), self._next
-        self.compared, self._next = False, (0, 0)
+        self.compared, self._next, most = False, [], self._budget.coarse
         for k, (change, busy, frame) in enumerate(parts):
-            begin, count = _begin(begun, busy, frame), busy.size
-            limit = self._budget.coarse / (len(parts) - k)
-            cells, apart = self.headers.cells, self.headers.apart
-            found = coarse_search(change, busy, frame, parameters, cells, self.sides, apart, begin, limit)
-            self._budget.spend(PIXEL_WORK * change.size + found.work)
+            begin, count = _begin(begun, busy, frame, len(parts) == 1), busy.size
+            limit, cells, apart = most / (len(parts) - k), self.headers.cells, self.headers.apart
+            found, work = NOT_SEARCHED, 0.0
+            if limit > 0:
+                found = coarse_search(change, busy, frame, parameters, cells, self.sides, apart, begin, limit)
+                work = PIXEL_WORK * change.size + found.work
+            self._budget.spend(work)
+            most -= work
             self.compared |= found.compared > 0
             out.append(found.rows)
             if found.passed < count:
                 left = (begin + np.arange(found.passed, count)) % count
                 self._budget.leave(int(np.count_nonzero(busy.ravel()[left])))
                 down, across = divmod(int(left[0]), busy.shape[1])
-                self._next = down + frame.origin[1] // BLOCK_PX, across + frame.origin[0] // BLOCK_PX
+                self._next.append((down + frame.origin[1] // BLOCK_PX, across + frame.origin[0] // BLOCK_PX))
                 self.compared = True
         return out
 
 
-def _begin(begun: tuple[int, int], busy: NDArray[np.bool_], frame: Frame) -> int:
-    """Number of the block to begin with: that at which the last search broke off, if these frames show it."""
+def _begin(begun: Sequence[tuple[int, int]], busy: NDArray[np.bool_], frame: Frame, alone: bool) -> int:
+    """Number of the block to begin with: that at which the last search broke off, if these frames show it.
+
+    A part that is alone may show another piece of the row in which it was.
+    """
     (rows, columns), (x, y) = busy.shape, frame.origin
-    down, across = begun[0] - y // BLOCK_PX, begun[1] - x // BLOCK_PX
-    return down * columns + min(max(across, 0), columns - 1) if 0 <= down < rows else 0
+    for row, column in begun:
+        down, across = row - y // BLOCK_PX, column - x // BLOCK_PX
+        if 0 <= down < rows and (alone or 0 <= across < columns):
+            return down * columns + min(max(across, 0), columns - 1)
+    return 0

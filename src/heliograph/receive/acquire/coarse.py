@@ -289,6 +289,10 @@ class Searched(NamedTuple):
     compared: int
 
 
+NOT_SEARCHED = Searched(np.zeros((0, 5)), 0, 0, 0)
+"""What a search finds that may do no work."""
+
+
 class _Sums(threading.local):
     """Integral images in memory that each thread keeps: that of a whole frame's takes longer to get than to fill."""
 

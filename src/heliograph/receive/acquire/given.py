@@ -100,7 +100,7 @@ def candidates_of(
 
     Returns
     -------
-    Each with its part, the best first.
+    Each with its part, the best first; where a pose was given, part by part, and that pose last.
     """
     if coarse.parameters.start is not None:
         start = coarse.parameters.start

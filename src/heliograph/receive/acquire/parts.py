@@ -70,7 +70,7 @@ def searched_parts(
 
 
 def _apart(busy: NDArray[np.bool_], gap: int) -> list[NDArray[np.bool_]]:
-    """Busy blocks by groups that have more than so many calm columns between them, and then rows."""
+    """Busy blocks by groups that have at least so many calm columns between them, or rows."""
     groups = []
     for columns in _runs(np.any(busy, axis=0), gap):
         for rows in _runs(np.any(busy[:, columns], axis=1), gap):
@@ -80,7 +80,7 @@ def _apart(busy: NDArray[np.bool_], gap: int) -> list[NDArray[np.bool_]]:
 
 
 def _runs(busy: NDArray[np.bool_], gap: int) -> list[slice]:
-    """Places from the first to the last that is busy, cut where more than so many in a row are calm."""
+    """Places from the first to the last that is busy, cut where at least so many in a row are calm."""
     places = np.flatnonzero(busy)
     cuts = np.flatnonzero(places[1:] - places[:-1] > gap)
     firsts, lasts = [0, *(cuts + 1).tolist()], [*cuts.tolist(), -1]

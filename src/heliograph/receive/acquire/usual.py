@@ -8,9 +8,9 @@ SURGE, OOK_SURGE = 1.4, 1.1
 """Least alternation of a block and those beside it, over what is usual there, of a header; and beside data of OOK.
 
 Of patterns of data p, q and so on, 0 to 1, four frames show p + q - 1 where a search begins with a pattern, and
-(4 - p - 6 q - r) / 4 where it begins with an inverse; a header shows -1 and 1. In the mean that is 2.4 and 1.9 times as
-much as data of five even levels, and 2.0 and 1.2 times as much as data that are on or off. Of those that are 0.4
-patterns out of step it is 1.4 times with five levels; from there on `straddled` finds them.
+(4 - p - 6 q - r) / 4 where it begins with an inverse; a header shows -1 and 1, or 7/8 of that. In the mean that is 2.5
+and 1.9 times as much as data of five even levels, and 2.0 and 1.2 times as much as data that are on or off. Of those
+that are 0.4 patterns out of step it is 1.4 times with five levels; from there on `straddled` finds them.
 """
 
 USUAL_WEIGHT = 1 / 8
