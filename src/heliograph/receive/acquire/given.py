@@ -92,7 +92,7 @@ def candidates_of(
     Parameters
     ----------
     parts
-        What is searched.
+        Parts of the frames, with what alternates in them and where an array may have its centre.
     coarse
         The coarse search, with what is looked for.
     side
