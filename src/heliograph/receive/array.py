@@ -31,7 +31,7 @@ from heliograph.receive.timing.light_clock import PATTERNS_AROUND
 from heliograph.receive.timing.slips import SlipWatch
 from heliograph.receive.track.activity import check_pose
 from heliograph.receive.track.lone_frames import REACH
-from heliograph.receive.track.track import Track, TrackedPair
+from heliograph.receive.track.track import TrackedPair
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
@@ -285,26 +285,20 @@ class ArrayReceiver:
 
     def _read_header(self, number: int, pair: FramePair) -> None:
         tracked = self._tracker.follow(self._track, pair, self._header)
-        self._check(tracked.track, pair)
         self._note(pair, tracked)
         read = self._reader.read_header(number, pair, tracked)
-        self._check(read.track, pair)
+        check_pose(read.track.state.pose, self._signal.side, pair.pattern.pixels.shape)
         self._track = read.track
         self._gathered.header.append(read.score)
 
     def _read_data(self, place: int, pair: FramePair) -> None:
         # all LEDs show in a pair's sum; only the reader knows what shows in data without inverses
         tracked = self._reader.follow(pair, self._track)
-        self._check(tracked.track, pair)
         self._note(pair, tracked)
         self._track = tracked.track
         if tracked.seen:
             self._reader.take(place, pair, tracked)
             self._gathered.seen[place] = True
-
-    def _check(self, track: Track, pair: FramePair) -> None:
-        """Give the array up before a pose is taken over that is none of an array."""
-        check_pose(track.state.pose, self._signal.side, pair.pattern.pixels.shape)
 
     def _read_lone(self, place: int, lone: LoneFrame) -> None:
         """Keep the frame that is left of a pair where the array was in sight not long before."""
@@ -314,7 +308,8 @@ class ArrayReceiver:
             self._gathered.seen[place] = True
 
     def _note(self, pair: FramePair, tracked: TrackedPair) -> None:
-        """Gather what every pair of a packet gives."""
+        """Gather what every pair of a packet gives; one whose pose is none of an array gives the array up."""
+        check_pose(tracked.state.pose, self._signal.side, pair.pattern.pixels.shape)
         gathered = self._gathered
         gathered.frames += [pair.pattern.index, pair.inverted.index]
         gathered.scores.append(tracked.fit.score)
