@@ -11,6 +11,7 @@ from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import ReceiveSettings, make_receiver
 from heliograph.receive.acquire import detector
 from heliograph.receive.acquire.budget import (
+    AMPLE_PART,
     LAVISH_PART,
     NEW_PART,
     PLENTY_PART,
@@ -81,7 +82,9 @@ def test_the_less_is_left_the_more_is_left_out() -> None:
     budget.spend((1.01 - PLENTY_PART) * most)
     assert np.array_equal(blocks.left_out(busy, like, Frame(old + 2, 0.0, pixels), 2), busy & like)
     assert budget.load.blocks == 2
+    assert 0 <= budget.scarcity < 0.05
     budget.spend((PLENTY_PART - NEW_PART) * most)
+    assert budget.scarcity == 1
     both = busy.copy()
     both[2, 1:3] = True
     found = blocks.left_out(both, like, Frame(old + 4, 0.0, pixels), 2)
@@ -184,7 +187,7 @@ def test_little_like_a_header_is_not_fitted_where_less_is_left(monkeypatch: pyte
     for least in (detector.SHORT_COARSE, 1.1):
         monkeypatch.setattr(detector, "SHORT_COARSE", least)
         search = PyramidSearch(replace(PARAMETERS, busy_part=0.3), SignalSettings())
-        search._budget.spend(0.3 * 1e3 * SAVED_S * 0.3 * WORK_PER_MS)
+        search._budget.spend((1.01 - AMPLE_PART) * 1e3 * SAVED_S * 0.3 * WORK_PER_MS)
         for k in range(12):
             pixels = np.full((96, 128), 40, np.uint8)
             if 4 <= k < 8:
@@ -194,6 +197,19 @@ def test_little_like_a_header_is_not_fitted_where_less_is_left(monkeypatch: pyte
         assert (search.load.fitted > 0) == (least < 1)
         assert search.load.dropped > 0 or least < 1
     assert found == [4]
+
+
+def test_a_camera_switched_on_amid_a_packet_does_not_wait_for_its_data() -> None:
+    """Data are little like headers: without a bound they are fitted in each search, until the first header comes."""
+    content = {"distance_m": 80.0, "duration_s": 0.09, "arrays": [{"x_m": 0.0, "y_m": 0.0, "start_s": -0.0105}]}
+    link = load_settings("static", {"channel": content})
+    frames, work = [frame for frame, _ in simulate(link, default_messages(link), 1)], list[float]()
+    for settings in (link.receive, link.receive.in_time()):
+        receiver = make_receiver(link.signal, replace(settings, receiver="soft"))
+        for frame in frames:
+            list(receiver.push(frame))
+        work.append(receiver.load.work / WORK_PER_MS)  # type: ignore[attr-defined]
+    assert work[1] < 0.5 * work[0]
 
 
 def test_a_search_that_breaks_off_is_gone_on_with() -> None:
