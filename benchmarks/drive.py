@@ -258,7 +258,9 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], dest="changes", metavar="KEY=VALUE")
     parser.add_argument("--cores", action="store_true")
     parser.add_argument("--rate", type=float, default=1000.0, help="frames a second")
-    parser.add_argument("--begin", default="", metavar="FRAME,...", help="first frames, in place of all else")
+    parser.add_argument(
+        "--begin", default="", metavar="FRAME,...", help="frames left out at first; nothing else is printed"
+    )
     asked = parser.parse_args()
     limit_threads()
     cv2.setNumThreads(1)

@@ -142,7 +142,7 @@ def test_an_array_beside_what_flickers_for_long_is_found(kind: str, dark: int) -
         if frame.index >= 500:
             pixels[32:64, 128:160] = 40 + (100 * shown).astype(np.uint8)
         list(receiver.push(Frame(frame.index, frame.time_s, pixels)))
-    assert receiver.load.left_out > 0  # type: ignore[attr-defined]
+    assert receiver.load.left_out > 0  # type: ignore[attr-defined]  # of those that search
     detected = [event.detection for event in found if isinstance(event, DetectEvent)]
     # light of data may be taken for a part of a header, but not beyond doubt
     assert {one.identity for one in detected if one.fit.pose.x > 100 and one.clear} == {4}
@@ -208,7 +208,7 @@ def test_a_camera_switched_on_amid_a_packet_does_not_wait_for_its_data() -> None
         receiver = make_receiver(link.signal, replace(settings, receiver="soft"))
         for frame in frames:
             list(receiver.push(frame))
-        work.append(receiver.load.work / WORK_PER_MS)  # type: ignore[attr-defined]
+        work.append(receiver.load.work / WORK_PER_MS)  # type: ignore[attr-defined]  # of those that search
     assert work[1] < 0.5 * work[0]
 
 
@@ -278,7 +278,7 @@ def test_what_is_left_out_is_told(kind: str) -> None:
     assert drops
     assert all(0 < event.time_s < 0.12 and event.load.left_out > 0 for event in drops)
     total = sum((event.load for event in drops), SearchLoad())
-    assert total.left_out == receiver.load.left_out  # type: ignore[attr-defined]
+    assert total.left_out == receiver.load.left_out  # type: ignore[attr-defined]  # of those that search
 
 
 def test_an_array_costs_less_than_it_may() -> None:
@@ -292,7 +292,7 @@ def test_an_array_costs_less_than_it_may() -> None:
         pixels[40:72, 60:92] += (100 * (cells * (-1) ** k > 0)).astype(np.uint8)
         list(receiver.push(Frame(k, 1e-3 * k, pixels)))
     assert not any(isinstance(event, DropEvent) for event in events)
-    assert receiver.load.work < 0.1 * SAVED_S * 0.3e3 * WORK_PER_MS  # type: ignore[attr-defined]
+    assert receiver.load.work < 0.1 * SAVED_S * 0.3e3 * WORK_PER_MS  # type: ignore[attr-defined]  # of those that search
 
 
 @pytest.mark.parametrize("kind", ["plain", "soft"])
@@ -303,7 +303,7 @@ def test_where_somebody_says_where_an_array_is_there_is_no_bound(kind: str, plac
     search, rng = make_receiver(SignalSettings(), settings), np.random.default_rng(5)
     for k in range(300):
         list(search.push(Frame(k, 1e-3 * k, rng.integers(20, 60, (128, 160), np.uint8))))
-    assert search.load.left_out == 0  # type: ignore[attr-defined]
+    assert search.load.left_out == 0  # type: ignore[attr-defined]  # of those that search
 
 
 def test_a_film_can_wait_and_a_live_camera_cannot() -> None:
