@@ -9,7 +9,7 @@ import typer
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.registry import load_parts
-from heliograph.cli import console, film_commands, measure, options, study_commands
+from heliograph.cli import console, film_commands, light_commands, measure, options, study_commands
 
 app = typer.Typer(
     rich_markup_mode=None,
@@ -17,13 +17,13 @@ app = typer.Typer(
 )
 
 for _command in (
-    film_commands.simulate,
-    film_commands.transmit,
+    light_commands.simulate,
+    light_commands.transmit,
     film_commands.receive,
     film_commands.cameras,
     film_commands.probe,
     film_commands.convert,
-    film_commands.demo,
+    light_commands.demo,
     film_commands.serve,
     study_commands.sweep,
     study_commands.budget,
