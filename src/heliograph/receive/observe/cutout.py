@@ -10,7 +10,7 @@ from heliograph.receive.image import kernels as image_kernels
 from heliograph.receive.image.footprint import by_squares, footprints
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import RIM_PX, covered, cut_out, window_around
-from heliograph.receive.observe import kernels
+from heliograph.receive.observe import noise_kernels
 from heliograph.receive.timing.combination import Combination
 from heliograph.receive.timing.frame_pair import FramePair
 
@@ -141,7 +141,7 @@ class Cutout:
         # b(x - p_1) - b(x - p_2) = (p_2 - p_1) grad b, b = (r + r' - g (A_1 + A_2) 1 / 2) / 2
         steady, shining = np.empty_like(self.difference), by_squares(self.shining(led_gains))
         x, y = second.x - first.x, second.y - first.y
-        kernels.motion_compensated(
+        noise_kernels.motion_compensated(
             self.difference, self.total, (*ends[0],), (*ends[1],), shining, 0.5 * gain, x, y, steady
         )
         return replace(self, difference=steady)

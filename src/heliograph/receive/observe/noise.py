@@ -10,7 +10,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels
 from heliograph.receive.image.footprint import by_squares, footprints
 from heliograph.receive.image.robust import robust_std
-from heliograph.receive.observe import kernels as observe_kernels
+from heliograph.receive.observe import noise_kernels
 from heliograph.receive.observe.cutout import ALL_SHOWN, Cutout
 
 INSIDE = 0.8
@@ -104,7 +104,7 @@ def noise_beside(cutouts: Sequence[Cutout], side: int) -> float:
     squares, count = 0.0, 0
     for cutout in cutouts:
         light = footprints(cutout.middle, cutout.corner, cutout.shape, side)
-        power, pixels = observe_kernels.power_beside(cutout.difference, (*light,), BESIDE)
+        power, pixels = noise_kernels.power_beside(cutout.difference, (*light,), BESIDE)
         squares, count = squares + power, count + pixels
     return max(squares / max(count, 1), LEAST_NOISE)
 
@@ -132,7 +132,7 @@ def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None
     gains, residual = sight if led_gains is None else cutout.shining(led_gains), np.empty(cutout.shape)
     lit_by, covered = (by_squares(gains), by_squares(sight)), cutout.covered or (ALL_SHOWN, ALL_SHOWN)
     first, last = (*frames[0],), (*frames[1],)
-    count = observe_kernels.unevenness(cutout.total, first, last, *lit_by, *covered, INSIDE, residual)
+    count = noise_kernels.unevenness(cutout.total, first, last, *lit_by, *covered, INSIDE, residual)
     residual *= np.sqrt(count / max(count - _PARAMETERS, 1))
     # of the sum A_1 x + A_2 (1 - x) motion leaves (A_1 - A_2) (x - 1/2), and random data have the variance 1/16
     moved = gain**2 / 16 * kernels.squared_difference(*frames[0], *frames[1]) / (side * cutout.middle.pitch) ** 2
@@ -145,7 +145,7 @@ def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None
 def _beside(cutout: Cutout, side: int) -> tuple[float, int]:
     """Power of the difference beside the array, in units of a difference of two frames, and the pixels there."""
     light = footprints(cutout.poses[0], cutout.corner, cutout.shape, side)
-    power, pixels = observe_kernels.power_beside(cutout.difference, (*light,), BESIDE)
+    power, pixels = noise_kernels.power_beside(cutout.difference, (*light,), BESIDE)
     return power if cutout.combination is None else power / cutout.combination.noise, pixels
 
 

@@ -21,7 +21,7 @@ from scipy.linalg import blas
 from heliograph.base.arrays import Floats
 from heliograph.receive.image import kernels as image_kernels
 from heliograph.receive.image.footprint import Footprints, by_squares, footprints, image_of
-from heliograph.receive.observe import kernels
+from heliograph.receive.observe import kernels, noise_kernels
 from heliograph.receive.observe.cutout import ALL_SHOWN, RING_PX, Cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.timing.combination import Combination
@@ -269,7 +269,7 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
     covered = cutout.covered or (ALL_SHOWN, ALL_SHOWN)
     root, white, offset = np.empty((3, *shape))
     between, start, end = (_alike(light) for light in (middle, *ends))
-    kernels.whitened(
+    noise_kernels.whitened(
         noise.lit,
         noise.dark,
         int(RING_PX),
