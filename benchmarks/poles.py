@@ -1,7 +1,7 @@
 """Posts that pass before an array: `python -m benchmarks.poles [--passages 300] [--seed 1] [--receivers plain,soft]`.
 
 With `--brief` the array is 50 m away, and a post hides it, or parts of it, during up to a quarter of the pairs of one
-packet. Counted are the codewords of that packet.
+packet. Counted are the codewords of that packet. With `--live` searches have the bound of a live camera.
 
 Else:
 
@@ -161,7 +161,7 @@ def draw_brief(rng: np.random.Generator) -> Passage:
     return replace(passage, settings=replace(passage.settings, channel=channel), post=post)
 
 
-def receive(passage: Passage, frames: Sequence[Frame], receiver: str) -> list[Packet]:
+def receive(passage: Passage, frames: Sequence[Frame], receiver: str, live: bool = False) -> list[Packet]:
     """Packets that a receiver gives.
 
     Parameters
@@ -172,9 +172,11 @@ def receive(passage: Passage, frames: Sequence[Frame], receiver: str) -> list[Pa
         Frames of its film.
     receiver
         Name of the receiver.
+    live
+        Whether its searches have the bound of a live camera.
     """
-    settings = passage.settings
-    made = make_receiver(settings.signal, replace(settings.receive, receiver=receiver))
+    settings = replace(passage.settings.receive, receiver=receiver)
+    made = make_receiver(passage.settings.signal, settings.in_time() if live else settings)
     return [packet for frame in frames for packet in made.push(frame)] + list(made.finish())
 
 
@@ -219,10 +221,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--receivers", default="plain,soft")
     parser.add_argument("--brief", action="store_true", help="posts of up to a quarter of a packet, at 50 m")
+    parser.add_argument("--live", action="store_true", help="searches with the bound of a live camera")
     given = parser.parse_args()
     names = given.receivers.split(",")
     if given.brief:
-        count_brief(given.passages, given.seed, names)
+        count_brief(given.passages, given.seed, names, given.live)
         return
     words = {name: Counter[str]() for name in names}
     clear, lost = {name: Count() for name in names}, Count()
@@ -231,7 +234,7 @@ def main() -> None:
         for k in track(range(given.passages), "passages", console=Console(stderr=True), transient=True):
             passage = draw(np.random.default_rng((given.seed, k)))
             frames = list(passage.frames())
-            packets = {name: receive(passage, frames, name) for name in names}
+            packets = {name: receive(passage, frames, name, given.live) for name in names}
             found = {name: right(passage, packets[name]) for name in names}
             for name, one in found.items():
                 words[name].update(layer for _, layer, _ in one)
@@ -244,7 +247,7 @@ def main() -> None:
         print(f"right with plain but not with soft {_text(lost)}")
 
 
-def count_brief(passages: int, seed: int, names: Sequence[str]) -> None:
+def count_brief(passages: int, seed: int, names: Sequence[str], live: bool) -> None:
     """Count codewords lost of packets that a post hides during up to a quarter of their pairs.
 
     Parameters
@@ -253,13 +256,16 @@ def count_brief(passages: int, seed: int, names: Sequence[str]) -> None:
         How many, and of which seed.
     names
         Names of the receivers.
+    live
+        Whether searches have the bound of a live camera.
     """
     lost = {(name, layer): Count() for name in names for layer in LAYERS}
     for k in range(passages):
         passage = draw_brief(np.random.default_rng((seed, k)))
         frames = list(passage.frames())
         for name in names:
-            found = Counter(layer for number, layer, _ in right(passage, receive(passage, frames, name)) if number == 1)
+            packets = receive(passage, frames, name, live)
+            found = Counter(layer for number, layer, _ in right(passage, packets) if number == 1)
             for layer in LAYERS:
                 sent = PacketFormat(passage.settings.signal).layers[layer].codewords
                 lost[name, layer].add(sent, sent - found[layer])

@@ -12,6 +12,7 @@ from heliograph.receive import ReceiveSettings, make_receiver
 from heliograph.receive.acquire import detector
 from heliograph.receive.acquire.budget import (
     AMPLE_PART,
+    FIRST_PART,
     LAVISH_PART,
     NEW_PART,
     PLENTY_PART,
@@ -51,15 +52,15 @@ def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
     assert budget.begins(everything)
     assert budget.fit()
     # one search takes a part of what is not kept for new arrays
-    budget.spend(1.01 * LAVISH_PART * (1 - PLENTY_PART) * most)
+    spent = 1.01 * max(LAVISH_PART * (FIRST_PART - PLENTY_PART), SEARCH_PART * FIRST_PART) * most
+    budget.spend(spent)
     assert not budget.fit()
     assert budget.coarse <= 0
     assert budget.begins(everything)
     assert budget.fit()
     budget.spend(NEW_PART * most)
     assert budget.begins(everything)
-    left = LAVISH_PART * (1 - PLENTY_PART) * most * 1.01 + NEW_PART * most
-    assert budget.coarse == pytest.approx(0.5 * SEARCH_PART * (most - left))
+    assert budget.coarse == pytest.approx(0.5 * SEARCH_PART * ((FIRST_PART - NEW_PART) * most - spent))
     budget.spend(most)
     assert not budget.begins(everything)
     assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, 6)
@@ -78,8 +79,9 @@ def test_the_less_is_left_the_more_is_left_out() -> None:
     like[:, :2] = True
     blocks, old = OldBlocks(budget, 100), round(100 * OLD_PACKETS) + 2
     for k in range(2, old + 2, 2):
-        assert np.array_equal(blocks.left_out(busy, like, Frame(k, 0.0, pixels), 2), busy)
-    budget.spend((1.01 - PLENTY_PART) * most)
+        assert np.array_equal(blocks.left_out(busy, like, Frame(k, 0.0, pixels), 2), busy & like)
+    assert budget.load.blocks == 0
+    budget.spend((FIRST_PART + 0.01 - PLENTY_PART) * most)
     assert np.array_equal(blocks.left_out(busy, like, Frame(old + 2, 0.0, pixels), 2), busy & like)
     assert budget.load.blocks == 2
     assert 0 <= budget.scarcity < 0.05
@@ -182,21 +184,35 @@ def test_small_things_that_flicker_far_apart_hide_no_array() -> None:
     assert found == pytest.approx([975.5], abs=0.5)
 
 
-def test_little_like_a_header_is_not_fitted_where_less_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("left", "before", "fits", "counts"),
+    [
+        (AMPLE_PART + 0.01, "header", True, False),
+        (AMPLE_PART - 0.01, "header", False, False),
+        (AMPLE_PART - 0.01, "calm", True, False),
+        (PLENTY_PART - 0.01, "calm", False, True),
+    ],
+    ids=["ample", "nothing strikes", "strikes", "scarce"],
+)
+def test_what_is_little_like_a_header_is_fitted_by_what_is_left(
+    monkeypatch: pytest.MonkeyPatch, left: float, before: str, fits: bool, counts: bool
+) -> None:
+    """Much more alternates than usual where it was calm before; not where the film begins with a header."""
     found = list[int]()
     for least in (detector.SHORT_COARSE, 1.1):
         monkeypatch.setattr(detector, "SHORT_COARSE", least)
         search = PyramidSearch(replace(PARAMETERS, busy_part=0.3), SignalSettings())
-        search._budget.spend((1.01 - AMPLE_PART) * 1e3 * SAVED_S * 0.3 * WORK_PER_MS)
-        for k in range(12):
+        search._budget.spend((FIRST_PART - left) * 1e3 * SAVED_S * 0.3 * WORK_PER_MS)
+        first = 4 if before == "calm" else 0
+        for k in range(first + 8):
             pixels = np.full((96, 128), 40, np.uint8)
-            if 4 <= k < 8:
+            if first <= k < first + 4:
                 sign = 1 - 2 * (k % 2)
                 pixels[32:64, 48:80] = 100 + 60 * sign * np.kron(all_header_cells()[4], np.ones((8, 8)))
             found += [one.identity for one in search.push(Frame(k, 1e-3 * k, pixels))]
-        assert (search.load.fitted > 0) == (least < 1)
-        assert search.load.dropped > 0 or least < 1
-    assert found == [4]
+        assert (search.load.fitted > 0) == (least < 1 or fits)
+        assert (search.load.dropped > 0) == counts or least < 1
+    assert found == ([4, 4] if fits else [4])
 
 
 def test_a_camera_switched_on_amid_a_packet_does_not_wait_for_its_data() -> None:

@@ -5,35 +5,65 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from heliograph.receive.acquire.usual import LEAST_SURGE, SURGE, UsualAlternation
+from heliograph.receive.acquire.usual import EARLY_SEARCHES, LEAST_SURGE, SURGE, UsualAlternation
+
+Bools = NDArray[np.bool_]
+
+
+def surges(usual: UsualAlternation, change: NDArray[np.float32], origin: tuple[int, int], scarcity: float) -> Bools:
+    return usual.surges(change, origin, scarcity)[0]
 
 
 def test_a_header_surges_over_its_data_and_flicker_of_even_strength_does_not() -> None:
     usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
-    assert usual.surges(change, (0, 0), 1.0).all()
+    for _ in range(EARLY_SEARCHES):
+        assert surges(usual, change, (0, 0), 1.0).all()
     for _ in range(5):
-        assert not usual.surges(change, (0, 0), 1.0).any()
+        assert not surges(usual, change, (0, 0), 1.0).any()
     change[:3, :4] = 2.5
-    header = usual.surges(change, (0, 0), 1.0)
+    header = surges(usual, change, (0, 0), 1.0)
     assert header[:3, :4].any()
     assert not header[5].any()
     # what stays is usual soon
     for _ in range(20):
-        usual.surges(change, (0, 0), 1.0)
-    assert not usual.surges(change, (0, 0), 1.0).any()
+        surges(usual, change, (0, 0), 1.0)
+    assert not surges(usual, change, (0, 0), 1.0).any()
     # the scarcer time is, the more is asked
-    assert usual.surges(np.float32(1.01 * SURGE) * change, (0, 0), 1.0).all()
-    assert not usual.surges(np.float32(1.1 * LEAST_SURGE) * change, (0, 0), 1.0).any()
-    assert usual.surges(np.float32(1.1 * LEAST_SURGE) * change, (0, 0), 0.0).all()
+    assert surges(usual, np.float32(1.01 * SURGE) * change, (0, 0), 1.0).all()
+    surges(usual, change, (0, 0), 1.0)
+    assert not surges(usual, np.float32(1.1 * LEAST_SURGE) * change, (0, 0), 1.0).any()
+    assert surges(usual, np.float32(1.1 * LEAST_SURGE) * change, (0, 0), 0.0).all()
+
+
+def test_what_surged_strongly_does_so_for_one_more_search() -> None:
+    """A search that sees a header too late leaves it to the next, in which it surges no more."""
+    usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
+    for _ in range(5):
+        told, strong = usual.surges(change, (0, 0), 0.0)
+        assert not strong.any()
+    told, strong = usual.surges(np.float32(0.5 * (LEAST_SURGE + SURGE)) * change, (0, 0), 0.0)
+    assert told.all()
+    assert not strong.any()
+    for factor in (1.1 * SURGE, 1.0):
+        told, strong = usual.surges(np.float32(factor) * change, (0, 0), 1.0)
+        assert told.all()
+        assert strong.all()
+    told, strong = usual.surges(change, (0, 0), 1.0)
+    assert not told.any()
+    assert not strong.any()
 
 
 def test_what_is_seen_first_may_be_a_header() -> None:
     usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
-    usual.surges(change, (0, 0), 1.0)
-    assert not usual.surges(change, (0, 0), 1.0).any()
-    assert usual.surges(change, (8, 0), 1.0).all()
-    assert usual.surges(change[:5], (8, 0), 1.0).all()
+    for _ in range(EARLY_SEARCHES):
+        surges(usual, change, (0, 0), 1.0)
+    assert not surges(usual, change, (0, 0), 1.0).any()
+    for _ in range(EARLY_SEARCHES):
+        assert surges(usual, change, (8, 0), 1.0).all()
+    assert not surges(usual, change, (8, 0), 1.0).any()
+    assert surges(usual, change[:5], (8, 0), 1.0).all()
 
 
 @pytest.mark.parametrize("levels", [(0, 0.25, 0.5, 0.75, 1), (0, 1)], ids=["haar", "ook"])
@@ -55,8 +85,8 @@ def test_headers_surge_over_data_whatever_a_search_begins_with(
     for k in range(first, len(frames) - 3, 2):
         a, b, c, d = frames[k : k + 4]
         # each block the mean size of its LEDs' change
-        surges = usual.surges(np.abs(a - 3 * b + 3 * c - d).mean(axis=2).astype(np.float32), (0, 0), 1.0)
-        surging = bool(surges[1:-1, 1:-1].all())
+        seen = surges(usual, np.abs(a - 3 * b + 3 * c - d).mean(axis=2).astype(np.float32), (0, 0), 1.0)
+        surging = bool(seen[1:-1, 1:-1].all())
         if k > 200 and k % 100 == first:
             # amid a header that begins with its inverse, two searches see most of it
             told.append(surging or (before and first == 1))

@@ -2,9 +2,10 @@
 
 Work is counted and not timed, so a film is read alike on every machine. Each frame of a pattern brings some work to be
 done, and what is not used is kept for an array that comes into sight. One search takes a part of that. When a
-twentieth is used up, candidates are left out that are little like a header; when a quarter is, blocks in which nothing
-is like one just now (`usual`); when half is, those blocks too that have alternated for longer than two packets
-(`old_blocks`). Frames that were not searched are not kept for later, as newer ones take their place.
+twentieth is used up, blocks are left out in which nothing is like a header just now (`usual`), and candidates that are
+little like one unless much more alternates than usual; when a quarter is, such candidates in any case; when half is,
+those blocks too that have alternated for longer than two packets (`old_blocks`). Frames that were not searched are not
+kept for later, as newer ones take their place.
 """
 
 from collections.abc import Sequence
@@ -54,11 +55,16 @@ To look for a turned array 25 m away takes more than 9 ms: with so little none w
 """
 
 PLENTY_PART = 3 / 4
-"""Part of it above which a search may take more than that, and looks at all blocks that alternate."""
+"""Part of it above which a search may take more than that, and fits all candidates where much more alternates than
+usual."""
 
 AMPLE_PART = 19 / 20
-"""Part of it above which candidates are fitted that are little like a header: the data of an array before its first
-header are mostly such, and frames wait for what they cost. With three quarters they waited for 230 ms, now for 150."""
+"""Part of it above which all blocks that alternate are searched, and all candidates fitted: else the data of an array
+before its first header are, and frames wait for that (docs/performance.md)."""
+
+FIRST_PART = 9 / 10
+"""Part of it that is there at first: less than `AMPLE_PART`, as nothing is usual yet, and all data of an array would be
+fitted."""
 
 LAVISH_PART = 1 / 4
 """Part of what is above it that one search takes at most: that of an array just come into sight takes up to 10 million
@@ -127,19 +133,23 @@ class Budget:
         per_s = busy_part * 1e3 * WORK_PER_MS
         self.bounded = busy_part < UNBOUNDED_PART
         self._rate, self._most = per_s * period_s, SAVED_S * per_s
-        self._left = self._most
+        self._left = (FIRST_PART if self.bounded else 1.0) * self._most
+        self._strikes = False
         # what the search leaves that has begun
         self._end = 0.0
         self.load = SearchLoad()
 
-    def begins(self, busy: NDArray[np.bool_]) -> bool:
+    def begins(self, busy: NDArray[np.bool_], strikes: bool = False) -> bool:
         """Whether a search begins; else its blocks count as left out.
 
         Parameters
         ----------
         busy
             (blocks down, blocks across), whether an array may have its centre there.
+        strikes
+            Whether in one of them much more alternates than usual.
         """
+        self._strikes = strikes
         if not (blocks := np.count_nonzero(busy)):
             return False
         self._end = self._left - max(SEARCH_PART * self._left, LAVISH_PART * (self._left - PLENTY_PART * self._most))
@@ -155,13 +165,18 @@ class Budget:
 
     @property
     def ample(self) -> bool:
-        """Whether hardly anything is used up: candidates little like a header are fitted too."""
+        """Whether hardly anything is used up: blocks are searched in which nothing is like a header."""
         return self._left > AMPLE_PART * self._most
 
     @property
     def plenty(self) -> bool:
-        """Whether so much is left that all blocks are searched."""
+        """Whether less than a quarter is used up."""
         return self._left > PLENTY_PART * self._most
+
+    @property
+    def fits_all(self) -> bool:
+        """Whether candidates little like a header are fitted too, in the search that has begun."""
+        return self.ample or (self._strikes and self.plenty)
 
     @property
     def scarcity(self) -> float:

@@ -84,7 +84,7 @@ SHORT_WORTH = 0.7
 """The same where searches have used up more than half of what they may cost."""
 
 SHORT_COARSE = 0.6
-"""Least score of a candidate, before any fit, where they have used up more than a twentieth.
+"""The same before any fit, where they have used up more than a twentieth and nothing strikes.
 
 In 120 films of an array 20 to 140 m away, yawed, rolled and out of step at random, 4 % of those that became clear
 detections had less, and 97 % of 13,315 that did not: light of data, mostly.
@@ -156,8 +156,8 @@ class Detector:
             change, known = self.change(due.slots), [*taken, *(one.fit.pose for one in found)]
             if change is None:
                 continue
-            busy = self.worth_searching(due.slots, change, self.busy(due.slots, change, known))
-            if self.budget.begins(busy):
+            busy, strikes = self.worth_searching(due.slots, change, self.busy(due.slots, change, known))
+            if self.budget.begins(busy, strikes):
                 found += self.search(due.slots, busy, known, due.turned)
         return found
 
@@ -206,8 +206,10 @@ class Detector:
         parameters = self._parameters
         return busy_blocks(change, first, taken, self._side, parameters.min_contrast, parameters.everywhere)
 
-    def worth_searching(self, slots: Slots, change: NDArray[np.float32], busy: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Busy blocks but those that are left out for want of time; to be asked once for frames.
+    def worth_searching(
+        self, slots: Slots, change: NDArray[np.float32], busy: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.bool_], bool]:
+        """Busy blocks but those that are left out to save time; to be asked once for frames.
 
         Parameters
         ----------
@@ -217,12 +219,17 @@ class Detector:
             (blocks down, blocks across) gray levels, how much alternates in them.
         busy
             (blocks down, blocks across), where something alternates in them beside the arrays followed.
+
+        Returns
+        -------
+        (blocks down, blocks across), and whether in one of them much more alternates than usual.
         """
         if not self.budget.bounded:
-            return busy
+            return busy, False
         first = first_there(slots)
-        surges = self._usual.surges(change, first.origin, self.budget.scarcity)
-        return self._old.left_out(busy, surges, first, self._frames.every)
+        surges, strong = self._usual.surges(change, first.origin, self.budget.scarcity)
+        searched = self._old.left_out(busy, surges | self.budget.ample, first, self._frames.every)
+        return searched, bool((searched & strong).any())
 
     def parts(self, turned: bool) -> int:
         """Coarse searches of frames.
@@ -279,8 +286,9 @@ class Detector:
                 fits = all(not d.clear or apart(one.start, d.fit.pose, self._side) for d in [*found, *fitted])
                 if not fits:
                     continue
-                if not self.budget.ample and abs(one.score) < SHORT_COARSE:
-                    self.budget.drop()
+                if abs(one.score) < SHORT_COARSE and not self.budget.fits_all:
+                    if not self.budget.plenty:
+                        self.budget.drop()
                 elif self.budget.fit():
                     fitted += self._refine(slots, part, one, coarse.headers, taken)
             # what seems an upright array partly hidden may be a turned one in clear sight

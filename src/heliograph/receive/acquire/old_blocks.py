@@ -43,16 +43,17 @@ class OldBlocks:
         patterns: int,
         among: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.bool_]:
-        """Where there is little time, leave out old blocks, and those in which nothing is like a header; count them.
+        """Leave out blocks in which nothing is like a header and, where there is little time, old ones.
 
-        To be asked once for the frames of a search. Where it is not asked, nothing alternates.
+        What is left out for want of time is counted. To be asked once for the frames of a search. Where it is not
+        asked, nothing alternates.
 
         Parameters
         ----------
         busy
             (blocks down, blocks across), whether an array may have its centre there and none is followed.
         telling
-            (blocks down, blocks across), whether that and what is beside it is like a header.
+            (blocks down, blocks across), whether that and what is beside it is like a header, or there is time for all.
         frame
             The first of the frames, for place and number.
         patterns
@@ -71,10 +72,9 @@ class OldBlocks:
         patterns = min(patterns, passed)
         grown = np.where(busy, CALM_PATTERNS * patterns - (passed - patterns), -passed)
         self._age = np.clip(self._age + grown, 0, 2 * self._old).astype(np.int32)
-        if self._budget.plenty:
-            return sought
         left = sought & telling
         if self._budget.short:
             left &= self._age <= self._old
-        self._budget.leave(int(np.count_nonzero(sought) - np.count_nonzero(left)))
+        if not self._budget.plenty:
+            self._budget.leave(int(np.count_nonzero(sought) - np.count_nonzero(left)))
         return left

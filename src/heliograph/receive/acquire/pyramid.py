@@ -114,8 +114,8 @@ class PyramidSearch:
             return []
         # what alternates on a level alternates in the frames themselves
         alternating = finest.busy(due.slots, change, taken)
-        busy = finest.worth_searching(due.slots, change, alternating)
-        if not self._budget.begins(busy):
+        busy, strikes = finest.worth_searching(due.slots, change, alternating)
+        if not self._budget.begins(busy, strikes):
             return []
         left = alternating & ~busy
         leaves_out = np.count_nonzero(left)

@@ -126,7 +126,7 @@ class StraddledDetector:
         if self._budget.bounded:
             # of one block what flickers may be quiet by chance
             around = _quiet(cv2.blur(within, (3, 3)), cv2.blur(means, (3, 3)))
-            busy = self._old.left_out(busy, around, frames[0], 1, quiet)
+            busy = self._old.left_out(busy, around | self._budget.plenty, frames[0], 1, quiet)
         else:
             busy &= quiet
         if not self._budget.begins(busy):

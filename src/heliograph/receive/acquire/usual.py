@@ -16,6 +16,9 @@ have few LEDs in three blocks, so their data vary: with 1.4 alone "soft" never f
 22 m away and a third of a pattern out of step. With 1.2 alone it did not find one beside what flickers for long.
 """
 
+EARLY_SEARCHES = 3
+"""Searches of a place seen first in which nothing is usual yet: they may see a header."""
+
 USUAL_WEIGHT = 1 / 8
 """Weight of a search in what is usual: eight of them count, a sixth of a packet of 100 patterns."""
 
@@ -32,9 +35,15 @@ class UsualAlternation:
     def __init__(self, modulation: str):
         self._least, self._most = (OOK_SURGE, OOK_SURGE) if modulation == "ook" else (LEAST_SURGE, SURGE)
         self._mean, self._origin = np.zeros((0, 0), np.float32), (0, 0)
+        self._strong, self._searches = np.zeros((0, 0), bool), 0
 
-    def surges(self, change: NDArray[np.float32], origin: tuple[int, int], scarcity: float) -> NDArray[np.bool_]:
+    def surges(
+        self, change: NDArray[np.float32], origin: tuple[int, int], scarcity: float
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Take what alternates in the frames of a search; tell where that is as much more than usual as a header's.
+
+        A search that sees a header too late to fit it leaves it to the next one, in which it surges no more: so what
+        surged strongly does so for one more search.
 
         Parameters
         ----------
@@ -47,12 +56,16 @@ class UsualAlternation:
 
         Returns
         -------
-        (blocks down, blocks across); all of a place that is seen first.
+        (blocks down, blocks across) twice: where it surges as much as that, and where by the most that is asked for.
+        At first all of a place surges, and nothing strongly.
         """
         around = np.asarray(cv2.blur(change, (3, 3)), np.float32)
         if (around.shape, origin) != (self._mean.shape, self._origin):
             self._mean, self._origin = around, origin
-            return np.ones(around.shape, bool)
+            self._strong, self._searches = np.zeros(around.shape, bool), 0
+        self._searches += 1
+        before, self._strong = self._strong, around > self._most * self._mean
         surges = around > (self._least + scarcity * (self._most - self._least)) * self._mean
         self._mean = self._mean + np.float32(USUAL_WEIGHT) * (around - self._mean)
-        return np.asarray(surges)
+        strong = self._strong | before
+        return surges | strong | (self._searches <= EARLY_SEARCHES), strong
