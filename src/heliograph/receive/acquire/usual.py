@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 LEAST_SURGE, SURGE, OOK_SURGE = 1.2, 1.4, 1.1
 """Least alternation of a block and those beside it, over what is usual there, of a header: the first where there is
-most time to search, the second where there is least; and beside data of OOK.
+most time to search, the second where there is least; and beside data of OOK. By the second it surges strongly.
 
 Of patterns of data p, q and so on, 0 to 1, four frames show p + q - 1 where a search begins with a pattern, and
 (4 - p - 6 q - r) / 4 where it begins with an inverse; a header shows -1 and 1, or 7/8 of that. In the mean that is 2.5
@@ -56,15 +56,15 @@ class UsualAlternation:
 
         Returns
         -------
-        (blocks down, blocks across) twice: where it surges as much as that, and where by the most that is asked for.
-        At first all of a place surges, and nothing strongly.
+        (blocks down, blocks across) twice: where it surges as much as that, and where strongly. At first all of a place
+        surges, and nothing strongly.
         """
         around = np.asarray(cv2.blur(change, (3, 3)), np.float32)
         if (around.shape, origin) != (self._mean.shape, self._origin):
             self._mean, self._origin = around, origin
             self._strong, self._searches = np.zeros(around.shape, bool), 0
         self._searches += 1
-        before, self._strong = self._strong, around > self._most * self._mean
+        before, self._strong = self._strong, around > SURGE * self._mean
         surges = around > (self._least + scarcity * (self._most - self._least)) * self._mean
         self._mean = self._mean + np.float32(USUAL_WEIGHT) * (around - self._mean)
         strong = self._strong | before
