@@ -2,7 +2,7 @@
 
 Each is at rest at a random distance, yawed and rolled, anywhere in a packet and out of step with the camera, as drawn
 by the seed. Its own data alternate until its first header comes, and use up what searches may cost. The films are read
-with the bound of a live camera's search and without it. Counted are packets of which a codeword is right: films that
+with the bound of a live camera's search and without it. Counted are packets of which a codeword is read: films that
 have one, and those that have fewer with the bound.
 """
 
@@ -60,7 +60,7 @@ def draw(rng: np.random.Generator, near_m: float, far_m: float, modulation: str)
 
 
 def read(link: LinkSettings, receiver: str, frames: Sequence[Frame]) -> tuple[int, int]:
-    """Packets with a right codeword, with the bound of a live camera and without it.
+    """Packets of which a codeword is read, with the bound of a live camera and without it.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def read(link: LinkSettings, receiver: str, frames: Sequence[Frame]) -> tuple[in
     """
     settings = replace(link.receive, receiver=receiver)
     bounded, unbounded = (
-        sum(_right(packet, link) for packet in _packets(make_receiver(link.signal, one), frames))
+        sum(_read(packet, link) for packet in _packets(make_receiver(link.signal, one), frames))
         for one in (settings.in_time(), settings)
     )
     return bounded, unbounded
@@ -85,7 +85,7 @@ def _packets(receiver: Receiver, frames: Sequence[Frame]) -> Iterator[Packet]:
     yield from receiver.finish()
 
 
-def _right(packet: Packet, link: LinkSettings) -> bool:
+def _read(packet: Packet, link: LinkSettings) -> bool:
     own = packet.identity == link.transmit.identities[0]
     return own and any(word.status == "ok" for words in packet.layers.values() for word in words)
 
@@ -97,13 +97,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--near", type=float, default=12.0, help="least distance in m")
     parser.add_argument("--far", type=float, default=32.0, help="largest distance in m")
-    parser.add_argument("--receivers", default="plain,soft")
+    parser.add_argument("--receivers", help="plain, soft; of ook only plain reads")
     parser.add_argument("--turned", action="store_true", help="seen upside down")
     parser.add_argument("--modulation", default="haar", help="haar or ook")
     given = parser.parse_args()
     limit_threads()
     cv2.setNumThreads(1)
-    counts: dict[str, list[tuple[int, int]]] = {name: [] for name in given.receivers.split(",")}
+    names = given.receivers or ("plain" if given.modulation == "ook" else "plain,soft")
+    counts: dict[str, list[tuple[int, int]]] = {name: [] for name in names.split(",")}
     for k in range(given.films):
         link = draw(np.random.default_rng((given.seed, k)), given.near, given.far, given.modulation)
         turn = UPSIDE_DOWN if given.turned else UPRIGHT

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from heliograph.receive.acquire.usual import EARLY_SEARCHES, LEAST_SURGE, SURGE, UsualAlternation
+from heliograph.receive.acquire.usual import EARLY_SEARCHES, LEAST_SURGE, OOK_SURGE, SURGE, UsualAlternation
 
 Bools = NDArray[np.bool_]
 
@@ -17,15 +17,15 @@ def surges(usual: UsualAlternation, change: NDArray[np.float32], origin: tuple[i
 
 
 def test_a_header_surges_over_its_data_and_flicker_of_even_strength_does_not() -> None:
-    usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
+    usual, change = UsualAlternation("haar"), np.ones((10, 12), np.float32)
     for _ in range(EARLY_SEARCHES):
         assert surges(usual, change, (0, 0), 1.0).all()
     for _ in range(5):
         assert not surges(usual, change, (0, 0), 1.0).any()
-    change[:3, :4] = 2.5
+    change[:4, :4] = 2.5
     header = surges(usual, change, (0, 0), 1.0)
-    assert header[:3, :4].any()
-    assert not header[5].any()
+    assert header[:3, :3].all()
+    assert not header[7:].any()
     # what stays is usual soon
     for _ in range(20):
         surges(usual, change, (0, 0), 1.0)
@@ -37,22 +37,41 @@ def test_a_header_surges_over_its_data_and_flicker_of_even_strength_does_not() -
     assert surges(usual, np.float32(1.1 * LEAST_SURGE) * change, (0, 0), 0.0).all()
 
 
-def test_what_surged_strongly_does_so_for_one_more_search() -> None:
+@pytest.mark.parametrize(
+    ("modulation", "factor", "strikes", "lasts"),
+    [
+        ("haar", 0.5 * (LEAST_SURGE + SURGE), False, False),
+        ("haar", 1.1 * SURGE, True, True),
+        ("ook", 0.5 * (OOK_SURGE + SURGE), False, True),
+        ("ook", 1.1 * SURGE, True, True),
+    ],
+)
+def test_what_surges_does_so_for_one_more_search(modulation: str, factor: float, strikes: bool, lasts: bool) -> None:
     """A search that sees a header too late leaves it to the next, in which it surges no more."""
-    usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
+    usual, change = UsualAlternation(modulation), np.ones((6, 8), np.float32)
     for _ in range(5):
         told, strong = usual.surges(change, (0, 0), 0.0)
         assert not strong.any()
-    told, strong = usual.surges(np.float32(0.5 * (LEAST_SURGE + SURGE)) * change, (0, 0), 0.0)
+    assert not told.any()
+    told, strong = usual.surges(np.float32(factor) * change, (0, 0), 0.0)
     assert told.all()
-    assert not strong.any()
-    for factor in (1.1 * SURGE, 1.0):
-        told, strong = usual.surges(np.float32(factor) * change, (0, 0), 1.0)
-        assert told.all()
-        assert strong.all()
+    assert strong.all() == strong.any() == strikes
+    told, strong = usual.surges(change, (0, 0), 1.0)
+    assert told.all() == told.any() == lasts
+    assert strong.all() == strong.any() == strikes
     told, strong = usual.surges(change, (0, 0), 1.0)
     assert not told.any()
     assert not strong.any()
+
+
+def test_what_is_there_anew_is_usual_at_once() -> None:
+    """Of an array that comes into sight two searches strike, the second as it may be its header."""
+    usual, change = UsualAlternation("haar"), np.full((6, 8), 0.1, np.float32)
+    for _ in range(5):
+        usual.surges(change, (0, 0), 0.0)
+    change *= np.float32(10)
+    told = [usual.surges(change, (0, 0), 0.0) for _ in range(3)]
+    assert [bool(one.all()) for pair in told for one in pair] == [True, True, True, True, False, False]
 
 
 def test_what_is_seen_first_may_be_a_header() -> None:

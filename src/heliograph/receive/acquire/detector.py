@@ -83,13 +83,6 @@ detections and 21,325 did not. None and 51 % of them had less; 0.6 would refuse 
 SHORT_WORTH = 0.7
 """The same where searches have used up more than half of what they may cost."""
 
-SHORT_COARSE = 0.6
-"""The same before any fit, where they have used up more than a twentieth and nothing strikes.
-
-In 120 films of an array 20 to 140 m away, yawed, rolled and out of step at random, 4 % of those that became clear
-detections had less, and 97 % of 13,315 that did not: light of data, mostly.
-"""
-
 
 class Detector:
     """Looks for headers in a stream of one frame per pattern.
@@ -119,7 +112,9 @@ class Detector:
         turned = headers(ORIENTATIONS[1:])
         sought = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT,), ORIENTATIONS[1:]), turned)
         self._coarse = tuple(BoundedSearch(parameters, one, self.budget) for one in sought)
-        self._old, self._usual = OldBlocks(self.budget, signal.packet_patterns), UsualAlternation(signal.modulation)
+        self._old = OldBlocks(self.budget, signal.packet_patterns)
+        # data look otherwise to a search that begins with an inverse
+        self._usual = UsualAlternation(signal.modulation), UsualAlternation(signal.modulation)
         self._span = min(self._header, 4)
         self._frames = DueFrames(self._header, self._span, signal.packet_patterns)
 
@@ -222,14 +217,15 @@ class Detector:
 
         Returns
         -------
-        (blocks down, blocks across), and whether in one of them much more alternates than usual.
+        (blocks down, blocks across), and whether much more alternates than usual in one of them, or did so before.
         """
         if not self.budget.bounded:
             return busy, False
         first = first_there(slots)
-        surges, strong = self._usual.surges(change, first.origin, self.budget.scarcity)
+        usual = self._usual[first.index % 2]
+        surges, strikes = usual.surges(change, first.origin, self.budget.scarcity)
         searched = self._old.left_out(busy, surges | self.budget.ample, first, self._frames.every)
-        return searched, bool((searched & strong).any())
+        return searched, bool((searched & strikes).any())
 
     def parts(self, turned: bool) -> int:
         """Coarse searches of frames.
@@ -286,10 +282,7 @@ class Detector:
                 fits = all(not d.clear or apart(one.start, d.fit.pose, self._side) for d in [*found, *fitted])
                 if not fits:
                     continue
-                if abs(one.score) < SHORT_COARSE and not self.budget.fits_all:
-                    if not self.budget.plenty:
-                        self.budget.drop()
-                elif self.budget.fit():
+                if self.budget.fit(one.score):
                     fitted += self._refine(slots, part, one, coarse.headers, taken)
             # what seems an upright array partly hidden may be a turned one in clear sight
             found = distinct([*found, *(d for d in fitted if d.clear or not found)], self._side)

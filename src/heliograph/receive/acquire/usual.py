@@ -5,8 +5,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEAST_SURGE, SURGE, OOK_SURGE = 1.2, 1.4, 1.1
-"""Least alternation of a block and those beside it, over what is usual there, of a header: the first where there is
-most time to search, the second where there is least; and beside data of OOK. By the second it surges strongly.
+"""Least alternation of a block and those about it, over what is usual there, of a header: the first where there is
+most time to search, the second where there is least; and beside data of OOK.
 
 Of patterns of data p, q and so on, 0 to 1, four frames show p + q - 1 where a search begins with a pattern, and
 (4 - p - 6 q - r) / 4 where it begins with an inverse; a header shows -1 and 1, or 7/8 of that. In the mean that is 2.5
@@ -22,6 +22,14 @@ EARLY_SEARCHES = 3
 USUAL_WEIGHT = 1 / 8
 """Weight of a search in what is usual: eight of them count, a sixth of a packet of 100 patterns."""
 
+ANEW = 4.0
+"""Alternation of a block and those about it, over what is usual there, from which on it is there anew: more than a
+header's over data. It is usual at once: else data surge for ten searches where an array comes into sight."""
+
+AROUND_BLOCKS = 5
+"""Blocks of a side over which the mean is taken: of a near array three have few LEDs, whose data often surge by
+chance."""
+
 
 class UsualAlternation:
     """How much alternates about each block, in the mean of the last searches.
@@ -35,7 +43,8 @@ class UsualAlternation:
     def __init__(self, modulation: str):
         self._least, self._most = (OOK_SURGE, OOK_SURGE) if modulation == "ook" else (LEAST_SURGE, SURGE)
         self._mean, self._origin = np.zeros((0, 0), np.float32), (0, 0)
-        self._strong, self._searches = np.zeros((0, 0), bool), 0
+        self._surged = self._struck = np.zeros((0, 0), bool)
+        self._searches = 0
 
     def surges(
         self, change: NDArray[np.float32], origin: tuple[int, int], scarcity: float
@@ -43,7 +52,7 @@ class UsualAlternation:
         """Take what alternates in the frames of a search; tell where that is as much more than usual as a header's.
 
         A search that sees a header too late to fit it leaves it to the next one, in which it surges no more: so what
-        surged strongly does so for one more search.
+        surged by the most that is asked for, or strikes, does so for one more search.
 
         Parameters
         ----------
@@ -56,16 +65,17 @@ class UsualAlternation:
 
         Returns
         -------
-        (blocks down, blocks across) twice: where it surges as much as that, and where strongly. At first all of a place
-        surges, and nothing strongly.
+        (blocks down, blocks across) twice: where it surges as much as that, and where it strikes, as it surges by
+        `SURGE`. At first all of a place surges, and nothing strikes.
         """
-        around = np.asarray(cv2.blur(change, (3, 3)), np.float32)
+        around = np.asarray(cv2.blur(change, (AROUND_BLOCKS, AROUND_BLOCKS)), np.float32)
         if (around.shape, origin) != (self._mean.shape, self._origin):
-            self._mean, self._origin = around, origin
-            self._strong, self._searches = np.zeros(around.shape, bool), 0
+            self._mean, self._origin, self._searches = around, origin, 0
+            self._surged = self._struck = np.zeros(around.shape, bool)
         self._searches += 1
-        before, self._strong = self._strong, around > SURGE * self._mean
+        surged, struck = self._surged, self._struck
+        self._surged, self._struck = around > self._most * self._mean, around > SURGE * self._mean
         surges = around > (self._least + scarcity * (self._most - self._least)) * self._mean
-        self._mean = self._mean + np.float32(USUAL_WEIGHT) * (around - self._mean)
-        strong = self._strong | before
-        return surges | strong | (self._searches <= EARLY_SEARCHES), strong
+        kept = np.where(around > ANEW * self._mean, np.float32(1), np.float32(USUAL_WEIGHT))
+        self._mean = self._mean + kept * (around - self._mean)
+        return surges | self._surged | surged | (self._searches <= EARLY_SEARCHES), self._struck | struck
