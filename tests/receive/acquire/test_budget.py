@@ -247,7 +247,8 @@ def alone(duration_s: float, modulation: str = "haar", **place: float) -> LinkSe
     """A link of an array at rest, in view all the time."""
     here = {"x_m": 0.0, "y_m": 0.0, **{name: one for name, one in place.items() if name != "distance_m"}}
     channel = {"distance_m": place["distance_m"], "duration_s": duration_s, "arrays": [here]}
-    return load_settings("static", {"channel": channel, "signal": {"modulation": modulation}})
+    sent = {"signal": {"modulation": modulation}, "transmit": {"identities": [29]}}
+    return load_settings("static", {"channel": channel, **sent})
 
 
 @pytest.mark.slow
@@ -256,6 +257,7 @@ def alone(duration_s: float, modulation: str = "haar", **place: float) -> LinkSe
     [
         ("soft", "haar", 29.4, -39.0, -7.0, -0.0457),
         ("soft", "haar", 17.1, 24.0, -6.0, -0.03353),
+        ("soft", "haar", 23.754, -25.47, -6.21, -0.0292),
         ("plain", "haar", 14.8, 14.0, 0.0, -0.00362),
         ("plain", "haar", 30.4, 1.0, 9.0, -0.01442),
         ("plain", "ook", 15.2, 0.0, 0.0, -0.027),

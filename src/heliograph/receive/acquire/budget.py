@@ -141,7 +141,7 @@ class Budget:
         self.bounded = busy_part < UNBOUNDED_PART
         self._rate, self._most = per_s * period_s, SAVED_S * per_s
         self._left = self._most - min(FIRST_SHORT_MS * WORK_PER_MS, 2 * (1 - AMPLE_PART) * self._most)
-        self._strikes = False
+        self._strikes = self._expects = False
         # what the search leaves that has begun
         self._end = 0.0
         self.load = SearchLoad()
@@ -156,7 +156,7 @@ class Budget:
         strikes
             Whether in one of them much more alternates than usual.
         """
-        self._strikes = strikes
+        self._strikes, self._expects = strikes, False
         if not (blocks := np.count_nonzero(busy)):
             return False
         self._end = self._left - max(SEARCH_PART * self._left, LAVISH_PART * (self._left - PLENTY_PART * self._most))
@@ -214,7 +214,7 @@ class Budget:
         score
             Its correlation with a header before any fit, -1 to 1; left out for one that is fitted in any case.
         """
-        if abs(score) < LITTLE_SCORE and not (self.ample or (self._strikes and self.plenty)):
+        if abs(score) < LITTLE_SCORE and not (self.ample or self._expects or (self._strikes and self.plenty)):
             if not self.plenty:
                 self.drop()
             return False
@@ -224,6 +224,10 @@ class Budget:
         else:
             self.drop()
         return fits
+
+    def expect(self) -> None:
+        """Know that there is an array: in the search that has begun candidates are fitted however little like one."""
+        self._expects = True
 
     def drop(self) -> None:
         """Count a candidate that is looked at no further."""

@@ -288,8 +288,11 @@ class Detector:
             found = distinct([*found, *(d for d in fitted if d.clear or not found)], self._side)
             if (found and all(one.clear for one in found)) or not coarse.compared:
                 break
-        # one in clear sight that is none of these sizes is looked for on another level
-        return [one for one in found if of_size(one.fit, self._parameters, self._side)]
+        sized = [one for one in found if of_size(one.fit, self._parameters, self._side)]
+        if len(sized) < len(found):
+            # one in clear sight that is none of these sizes is looked for on another level
+            self.budget.expect()
+        return sized
 
     def _refine(
         self,
