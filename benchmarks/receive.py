@@ -1,6 +1,7 @@
 """Speed of the plain receiver on whole frames kept in memory, in processor time, beside filters of the same frame.
 
-`python -m benchmarks.receive [CLIP ...]`: a drive past nothing is searched over each clip of a road too.
+`python -m benchmarks.receive [CLIP ...]`: a drive past nothing is searched over each clip of a road too, as a film and
+with the bound of a live camera.
 """
 
 import argparse
@@ -46,16 +47,17 @@ def empty(background: str = "footage", clip: Path | None = None) -> list[Frame]:
     return film(load_settings("static", {"channel": scene}), recordings)
 
 
-def plain() -> StreamReceiver:
-    """The plain receiver of the reference link."""
-    return plain_receiver(load_settings().signal, ReceiveSettings(), ignore)
+def plain(live: bool = False) -> StreamReceiver:
+    """The plain receiver of the reference link; its searches have the bound of a live camera or none."""
+    settings = ReceiveSettings().in_time() if live else ReceiveSettings()
+    return plain_receiver(load_settings().signal, settings, ignore)
 
 
-def rate(frames: Sequence[Frame]) -> tuple[float, list[Packet], int]:
+def rate(frames: Sequence[Frame], live: bool) -> tuple[float, list[Packet], int]:
     """Median frames/s over the runs, the packets read and the candidates fitted."""
     rates, packets, fitted = list[float](), list[Packet](), 0
     for _ in range(RUNS):
-        receiver, packets = plain(), []
+        receiver, packets = plain(live), []
         start = time.process_time()
         for frame in frames:
             packets += receiver.push(frame)
@@ -157,8 +159,9 @@ def main() -> None:
         ("searching, drawn scene shaken", empty("synthetic")),
         *((f"searching, {clip.stem}", empty(clip=clip)) for clip in clips),
     )
-    for name, frames in cases:
-        per_s, packets, fitted = rate(frames)
+    bounded = [(f"{name}, live", frames, True) for name, frames in cases if name.startswith("searching")]
+    for name, frames, live in (*((*one, False) for one in cases), *bounded):
+        per_s, packets, fitted = rate(frames, live)
         ms = 1e3 / per_s
         read = sum(p.status == "ok" for p in packets)
         ratios = f"{ms / difference:6.1f} absdiffs {ms / blur:5.1f} blurs"

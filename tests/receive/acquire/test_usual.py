@@ -74,6 +74,29 @@ def test_what_is_there_anew_is_usual_at_once() -> None:
     assert [bool(one.all()) for pair in told for one in pair] == [True, True, True, True, False, False]
 
 
+@pytest.mark.parametrize("before", [0, 20])
+def test_where_it_was_calm_all_strikes(before: int) -> None:
+    usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
+    for _ in range(before):
+        told, strong = usual.surges(change, (0, 0), 1.0)
+    for _ in range(20):
+        usual.calm()
+    told, strong = usual.surges(change, (0, 0), 1.0)
+    assert told.all()
+    assert strong.all()
+    # it was a place seen first, or one that was calm
+    assert usual.surges(change, (0, 0), 1.0)[1].all()
+    assert not usual.surges(change, (0, 0), 1.0)[0].any()
+
+
+def test_one_calm_search_is_nothing_unusual() -> None:
+    usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
+    for _ in range(20):
+        usual.surges(change, (0, 0), 1.0)
+    usual.calm()
+    assert not usual.surges(change, (0, 0), 0.0)[0].any()
+
+
 def test_what_is_seen_first_may_be_a_header() -> None:
     usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
     for _ in range(EARLY_SEARCHES):

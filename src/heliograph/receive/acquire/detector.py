@@ -223,6 +223,9 @@ class Detector:
             return busy, False
         first = first_there(slots)
         usual = self._usual[first.index % 2]
+        if not busy.any():
+            usual.calm()
+            return busy, False
         surges, strikes = usual.surges(change, first.origin, self.budget.scarcity)
         searched = self._old.left_out(busy, surges | self.budget.ample, first, self._frames.every)
         return searched, bool((searched & strikes).any())

@@ -44,7 +44,11 @@ class UsualAlternation:
         self._least, self._most = (OOK_SURGE, OOK_SURGE) if modulation == "ook" else (LEAST_SURGE, SURGE)
         self._mean, self._origin = np.zeros((0, 0), np.float32), (0, 0)
         self._surged = self._struck = np.zeros((0, 0), bool)
-        self._searches = 0
+        self._searches = self._calm = 0
+
+    def calm(self) -> None:
+        """Take it that nothing alternates in the frames of a search: that takes no time, and is so nearly always."""
+        self._calm += 1
 
     def surges(
         self, change: NDArray[np.float32], origin: tuple[int, int], scarcity: float
@@ -70,9 +74,12 @@ class UsualAlternation:
         """
         around = np.asarray(cv2.blur(change, (AROUND_BLOCKS, AROUND_BLOCKS)), np.float32)
         if (around.shape, origin) != (self._mean.shape, self._origin):
-            self._mean, self._origin, self._searches = around, origin, 0
+            self._mean, self._origin, self._searches = around * np.float32(self._calm == 0), origin, 0
             self._surged = self._struck = np.zeros(around.shape, bool)
-        self._searches += 1
+        if self._calm:
+            self._mean = self._mean * np.float32((1 - USUAL_WEIGHT) ** self._calm)
+            self._surged = self._struck = np.zeros(around.shape, bool)
+        self._searches, self._calm = self._searches + self._calm + 1, 0
         surged, struck = self._surged, self._struck
         self._surged, self._struck = around > self._most * self._mean, around > SURGE * self._mean
         surges = around > (self._least + scarcity * (self._most - self._least)) * self._mean
