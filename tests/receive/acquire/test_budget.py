@@ -229,7 +229,8 @@ def test_what_is_little_like_a_header_is_fitted_by_what_is_left(
 
 
 @pytest.mark.parametrize(
-    ("kind", "distance_m", "most_ms"), [("plain", 25.0, 22.0), ("plain", 60.0, 10.0), ("soft", 60.0, 60.0)]
+    ("kind", "distance_m", "most_ms"),
+    [("plain", 25.0, 22.0), ("plain", 60.0, 10.0), ("soft", 25.0, 60.0), ("soft", 60.0, 15.0)],
 )
 def test_a_camera_switched_on_amid_a_packet_does_not_wait_for_its_data(
     kind: str, distance_m: float, most_ms: float

@@ -1,15 +1,18 @@
 """Headers of which every frame straddles two patterns."""
 
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
 from scenes import film, link
 
 from heliograph.base.frames import Frame
+from heliograph.receive.acquire import straddled
+from heliograph.receive.acquire.budget import SAVED_S, WORK_PER_MS, Budget
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.acquire.straddled import StraddledDetector
+from heliograph.receive.acquire.straddled import LEAST_SURGE, StraddledDetector
 from heliograph.signal.settings import SignalSettings
 
 PARAMETERS = SearchParameters(
@@ -17,10 +20,12 @@ PARAMETERS = SearchParameters(
 )
 
 
-def frames_at(phase: float, distance_m: float, identity: int = 5, seed: int = 1, count: int = 12) -> list[Frame]:
-    """Frames of a light that begins 3 patterns and a phase after them, with the end of a packet before it."""
+def frames_at(
+    phase: float, distance_m: float, identity: int = 5, seed: int = 1, count: int = 12, before: int = 3
+) -> list[Frame]:
+    """Frames of a light that begins some patterns and a phase after them, with the end of a packet before it."""
     settings = link(f"transmit.identities=[{identity}]", "signal.data_pairs=16", distance_m=distance_m)
-    start_s = (3 + phase - 36) * 1e-3
+    start_s = (before + phase - 36) * 1e-3
     array = replace(settings.channel.arrays[0], start_s=start_s)
     return film(replace(settings, channel=replace(settings.channel, arrays=(array,))), count, seed)
 
@@ -43,6 +48,40 @@ def test_its_gain_is_that_of_the_array_with_all_leds_on() -> None:
     (one,) = found(frames_at(0.5, 80.0))
     # light of 0.8 full scales, as the reference link has
     assert one.fit.gain == pytest.approx(0.8 * 255, rel=0.1)
+
+
+@pytest.mark.parametrize("phase", [0.46, 0.5, 0.54])
+@pytest.mark.parametrize(("distance_m", "identity"), [(30.0, 0), (50.0, 13), (100.0, 29)])
+def test_it_is_found_with_a_bound_and_its_data_are_mostly_left_out(
+    phase: float, distance_m: float, identity: int
+) -> None:
+    """More changes over a header than over as many patterns of data, each beginning with an inverse or not."""
+    work = list[float]()
+    for surge in (LEAST_SURGE, 0.0):
+        budget = Budget(1.0, 1e-3)
+        # a tenth is used up: blocks of data would have been searched until then
+        budget.spend(used := 0.1 * SAVED_S * 1e3 * WORK_PER_MS)
+        detector, header = StraddledDetector(PARAMETERS, SignalSettings(), budget), list[Detection]()
+        with mock.patch.object(straddled, "LEAST_SURGE", surge):
+            for k, frame in enumerate(frames_at(phase, distance_m, identity, count=76, before=32)):
+                header += detector.push(frame)
+                if k == 30:
+                    # none of its header is seen yet
+                    work.append(budget.load.work - used)
+        if surge:
+            due = [one for one in header if one.start_time_s == pytest.approx((32 + phase) * 1e-3, abs=1e-4)]
+            assert [one.identity for one in due] == [identity]
+    assert work[0] < 0.7 * work[1]
+
+
+@pytest.mark.parametrize("before", [0, 1, 2])
+def test_a_header_seen_first_is_found_with_a_bound(before: int) -> None:
+    """Nothing is usual yet, so it surges over nothing."""
+    budget = Budget(1.0, 1e-3)
+    budget.spend(0.1 * SAVED_S * 1e3 * WORK_PER_MS)
+    detector = StraddledDetector(PARAMETERS, SignalSettings(), budget)
+    shown = [one for frame in frames_at(0.5, 50.0, count=12, before=before) for one in detector.push(frame)]
+    assert [one.identity for one in shown] == [5]
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.5])

@@ -12,9 +12,7 @@ accelerates evenly cancels. The frames between are quiet, as those of data never
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,6 +32,7 @@ from heliograph.receive.acquire.hypotheses import ALL_ON, headers
 from heliograph.receive.acquire.old_blocks import OldBlocks
 from heliograph.receive.acquire.parts import SearchedPart, searched_parts
 from heliograph.receive.acquire.slots import alike
+from heliograph.receive.acquire.usual import Usual
 from heliograph.receive.image.fit import Fit, header_amplitudes
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.image.pose import Pose
@@ -54,6 +53,18 @@ DATA_SCORE = 0.78
 Of resolved LEDs it is 1 / sqrt(1 + 2 * 0.36 / 16 / 0.25) = 0.92: levels of data cut at 2 have the variance 0.36, and
 two of them, 1/4 each, stand beside a header of +-1/2. Of far arrays the high layer alone is left of the data, and
 weighs more: eight headers scored 0.85 to 0.86 at 25 m, 0.88 to 0.90 at 50 m, 0.86 at 100 m and 0.76 to 0.82 at 130 m.
+"""
+
+
+LEAST_SURGE, SURGE_BLOCKS = 1.3, 3
+"""Least that changes over a header, in parts of what usually does over as many patterns of data; and the blocks of a
+side over which that is asked.
+
+Of patterns p, q and so on, 0 to 1, what changes over them is q - p + s - t where the first frame shows the end of an
+inverse, as that of a header does, and 2 (2 q - p - s) where it shows an inverse's beginning. So each of the two is
+compared with its own. A header with data about it is 2 - p - q. In the mean that is 2 times what changes over data of
+five levels. Of 200 headers that were found, 12 to 150 m away and 0.38 to 0.62 patterns out of step, the least had 1.38,
+and that 100 m away; of blocks of data that were quiet 3 to 13 % had 1.3.
 """
 
 
@@ -80,6 +91,7 @@ class StraddledDetector:
         self._budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
         self._coarse = BoundedSearch(parameters, ALL_ON if parameters.all_on else upright, self._budget)
         self._old = OldBlocks(self._budget, signal.packet_patterns)
+        self._usual = Usual(SURGE_BLOCKS), Usual(SURGE_BLOCKS)
         self._frames: deque[Frame] = deque(maxlen=self._header + 1)
 
     @property
@@ -119,14 +131,17 @@ class StraddledDetector:
         busy = busy_blocks(
             means, frames[0], taken, self._side, self._parameters.min_contrast, self._parameters.everywhere
         )
+        usual = self._usual[frames[0].index % 2]
         if not busy.any():
+            usual.calm()
             return []
         within = combined_means([*frames[1:3], *frames[1:3]], DIFFERENCE)
-        quiet = _quiet(within, means)
+        # the latter are of twice what changes
+        quiet = within < 0.5 * QUIET * means
         if self._budget.bounded:
-            # of one block what flickers may be quiet by chance
-            around = _quiet(cv2.blur(within, (3, 3)), cv2.blur(means, (3, 3)))
-            busy = self._old.left_out(busy, around | self._budget.plenty, frames[0], 1, quiet)
+            now, _, early = usual.surge(means, frames[0].origin)
+            telling = (now > LEAST_SURGE) | early | self._budget.ample
+            busy = self._old.left_out(busy, telling, frames[0], 1, quiet)
         else:
             busy &= quiet
         if not self._budget.begins(busy):
@@ -170,9 +185,3 @@ class StraddledDetector:
         seen = header_amplitudes(frames, fit.pose, weights)
         ends = np.array([1, -1]) * (seen[[0, -1]] - seen[1:-1].mean())
         return float(ends.min() / ends.mean()) if ends.mean() > 0 else 0.0
-
-
-def _quiet(within: NDArray[Any], over: NDArray[Any]) -> NDArray[np.bool_]:
-    """Blocks in which hardly anything changes within the header, by the means of that, and of what does over it."""
-    # the latter are of twice what changes
-    return np.asarray(within < 0.5 * QUIET * over)

@@ -1,8 +1,12 @@
 """What usually alternates where, against which a header stands out."""
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from heliograph.base.arrays import TINY
 
 LEAST_SURGE, SURGE, OOK_SURGE = 1.2, 1.4, 1.1
 """Least alternation of a block and those about it, over what is usual there, of a header: the first where there is
@@ -31,8 +35,70 @@ AROUND_BLOCKS = 5
 chance."""
 
 
-class UsualAlternation:
+class Surge(NamedTuple):
+    """What alternates about each block, in parts of what is usual there.
+
+    Attributes
+    ----------
+    now
+        (blocks down, blocks across), of a search; all that alternates at all is above every bound where nothing does
+        usually.
+    before
+        The same of the search before; 0 where nothing alternated then, or the place was another one.
+    early
+        Whether the place is so new that nothing is usual in it.
+    """
+
+    now: NDArray[np.float32]
+    before: NDArray[np.float32]
+    early: bool
+
+
+class Usual:
     """How much alternates about each block, in the mean of the last searches.
+
+    Parameters
+    ----------
+    around
+        Blocks of a side about each over which its mean is taken.
+    """
+
+    def __init__(self, around: int):
+        self._around, self._mean, self._origin = around, np.zeros((0, 0), np.float32), (0, 0)
+        self._before = self._mean
+        self._searches = self._calm = 0
+
+    def calm(self) -> None:
+        """Take it that nothing alternates in the frames of a search: that takes no time, and is so nearly always."""
+        self._calm += 1
+
+    def surge(self, change: NDArray[np.float32], origin: tuple[int, int]) -> Surge:
+        """Take what alternates in the frames of a search, and compare it with what usually does.
+
+        Parameters
+        ----------
+        change
+            (blocks down, blocks across) gray levels of what alternates.
+        origin
+            (x, y) on the sensor of the first block.
+        """
+        around = np.asarray(cv2.blur(change, (self._around, self._around)), np.float32)
+        if (around.shape, origin) != (self._mean.shape, self._origin):
+            self._mean, self._origin, self._searches = around * np.float32(self._calm == 0), origin, 0
+            self._before = np.zeros_like(around)
+        if self._calm:
+            self._mean = self._mean * np.float32((1 - USUAL_WEIGHT) ** self._calm)
+            self._before = np.zeros_like(around)
+        self._searches, self._calm = self._searches + self._calm + 1, 0
+        now = np.asarray(around / np.maximum(self._mean, np.float32(TINY)), np.float32)
+        kept = np.where(now > ANEW, np.float32(1), np.float32(USUAL_WEIGHT))
+        self._mean = self._mean + kept * (around - self._mean)
+        surge, self._before = Surge(now, self._before, self._searches <= EARLY_SEARCHES), now
+        return surge
+
+
+class UsualAlternation:
+    """Where as much more alternates than usual as in a header, and that soon before.
 
     Parameters
     ----------
@@ -42,13 +108,11 @@ class UsualAlternation:
 
     def __init__(self, modulation: str):
         self._least, self._most = (OOK_SURGE, OOK_SURGE) if modulation == "ook" else (LEAST_SURGE, SURGE)
-        self._mean, self._origin = np.zeros((0, 0), np.float32), (0, 0)
-        self._surged = self._struck = np.zeros((0, 0), bool)
-        self._searches = self._calm = 0
+        self._usual = Usual(AROUND_BLOCKS)
 
     def calm(self) -> None:
-        """Take it that nothing alternates in the frames of a search: that takes no time, and is so nearly always."""
-        self._calm += 1
+        """Take it that nothing alternates; see `Usual`."""
+        self._usual.calm()
 
     def surges(
         self, change: NDArray[np.float32], origin: tuple[int, int], scarcity: float
@@ -72,17 +136,6 @@ class UsualAlternation:
         (blocks down, blocks across) twice: where it surges as much as that, and where it strikes, as it surges by
         `SURGE`. At first all of a place surges, and nothing strikes.
         """
-        around = np.asarray(cv2.blur(change, (AROUND_BLOCKS, AROUND_BLOCKS)), np.float32)
-        if (around.shape, origin) != (self._mean.shape, self._origin):
-            self._mean, self._origin, self._searches = around * np.float32(self._calm == 0), origin, 0
-            self._surged = self._struck = np.zeros(around.shape, bool)
-        if self._calm:
-            self._mean = self._mean * np.float32((1 - USUAL_WEIGHT) ** self._calm)
-            self._surged = self._struck = np.zeros(around.shape, bool)
-        self._searches, self._calm = self._searches + self._calm + 1, 0
-        surged, struck = self._surged, self._struck
-        self._surged, self._struck = around > self._most * self._mean, around > SURGE * self._mean
-        surges = around > (self._least + scarcity * (self._most - self._least)) * self._mean
-        kept = np.where(around > ANEW * self._mean, np.float32(1), np.float32(USUAL_WEIGHT))
-        self._mean = self._mean + kept * (around - self._mean)
-        return surges | self._surged | surged | (self._searches <= EARLY_SEARCHES), self._struck | struck
+        now, before, early = self._usual.surge(change, origin)
+        least = self._least + scarcity * (self._most - self._least)
+        return (now > least) | (before > self._most) | early, (now > SURGE) | (before > SURGE)
