@@ -18,6 +18,9 @@ SIGNS = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1], [1, -1, -1, 1]],
 VALUES = np.array([[1 - 2 * (k >> i & 1) for i in range(4)] for k in range(16)], np.float64)
 """(16, 4) all values of a square's symbols."""
 
+# (4, 2, 8) numbers of the values in which a symbol is +1, and of those in which it is -1
+_SPLIT = np.array([[np.flatnonzero(VALUES[:, i] == sign) for sign in (1, -1)] for i in range(4)])
+
 # level = 4 x = 2 + 1/2 H^T d H
 _LEVELS = 2 + VALUES @ SIGNS / 2
 _LIT = (_LEVELS[..., None] > np.arange(SLOTS)).astype(np.float64)
@@ -83,9 +86,9 @@ def moments(table: Floats, mean: Floats) -> tuple[Floats, Floats]:
     -------
     (symbols,) each.
     """
-    chance = np.exp(_log_chances(mean).sum(-1))
-    first = chance @ table
-    return first.T.reshape(-1), np.maximum(chance @ table**2 - first**2, 0).T.reshape(-1)
+    chance = _chances(mean).prod(1)
+    first = table.T @ chance
+    return first.reshape(-1), np.maximum((table**2).T @ chance - first**2, 0).reshape(-1)
 
 
 def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats) -> Floats:
@@ -110,29 +113,30 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
     -------
     (symbols,).
     """
-    y, v = (a.reshape(4, -1).T[:, None, :] for a in (observed, variance))
-    fit = -0.5 * (table - y) ** 2 / v
-    prior = _log_chances(mean)
-    known = mean.reshape(4, -1).T ** 2
+    y, v = (a.reshape(4, 1, -1) for a in (observed, variance))
+    fit = -0.5 * (table.T[..., None] - y) ** 2 / v
+    prior = np.log(np.maximum(_chances(mean), TINY)).transpose(1, 0, 2)
+    known = mean.reshape(4, -1) ** 2
     # part of the response's power that is products: 0 for the symbols themselves
     products = min(float((table**2).mean() / (table * VALUES).mean() ** 2) - 1, 1.0)
-    out = np.empty((len(fit), 4))
-    for i in range(4):
-        # extrinsic: the symbol's own prior is left out
-        others = prior.sum(-1) - prior[..., i]
-        own, joint = _llr(fit[..., i] + others, i), _llr(fit.sum(-1) + others, i)
-        trust = products + (1 - products) * np.delete(known, i, axis=1).prod(1)
-        out[:, i] = own + trust * (joint - own)
-    return out.T.reshape(-1)
+    # extrinsic: the symbol's own prior is left out
+    others = prior.sum(0) - prior
+    own, joint = _llrs(np.stack([fit + others, fit.sum(0) + others]))
+    # of the three others of each
+    first, last = known[0] * known[1], known[2] * known[3]
+    three = np.stack([known[1] * last, known[0] * last, first * known[3], first * known[2]])
+    trust = products + (1 - products) * three
+    return np.asarray((own + trust * (joint - own)).reshape(-1))
 
 
-def _llr(score: Floats, symbol: int) -> Floats:
-    """LLRs (squares,) of a symbol by the log likelihoods (squares, 16) of all values."""
-    plus, minus = (score[:, sign * VALUES[:, symbol] > 0] for sign in (1, -1))
-    return np.asarray(np.logaddexp.reduce(plus, axis=-1) - np.logaddexp.reduce(minus, axis=-1))
+def _llrs(scores: Floats) -> Floats:
+    """LLRs (..., 4, squares) of each symbol by log likelihoods (..., 4, 16, squares) of all values."""
+    split = scores[:, np.arange(4)[:, None, None], _SPLIT]
+    most = split.max(-2, keepdims=True)
+    plus, minus = np.moveaxis(np.log(np.exp(split - most).sum(-2)) + most[..., 0, :], 2, 0)
+    return np.asarray(plus - minus)
 
 
-def _log_chances(mean: Floats) -> Floats:
-    """(squares, 16, 4) ln P of each symbol's part in each value of its square."""
-    m = mean.reshape(4, -1).T[:, None, :]
-    return np.asarray(np.log(np.maximum(0.5 * (1 + VALUES * m), TINY)))
+def _chances(mean: Floats) -> Floats:
+    """(16, 4, squares) chance of each symbol's part in each value of its square."""
+    return np.asarray(0.5 * (1 + VALUES[..., None] * mean.reshape(4, -1)))
