@@ -35,6 +35,7 @@ os.environ.update(THREAD_LIMITS)  # before NumPy is imported: algebra in one thr
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
@@ -217,10 +218,38 @@ class Result(Future[Any]):
         return self._answer
 
 
-def on_two_cores(frames: Sequence[Frame], settings: LinkSettings, rate_hz: float) -> None:
-    """Delays as if following and decoding had a core each, by the processor time of every step."""
-    settings = link(settings, settings.receive.receiver, True)
-    read(link(settings, settings.receive.receiver, False), frames[:WARM_FRAMES])
+@dataclass
+class TwoCores:
+    """What frames at a camera's rate come to if following and decoding have a core each.
+
+    Attributes
+    ----------
+    delays_ms
+        Of each packet, from its last frame to its bytes.
+    waits_ms
+        Of each frame, until it is taken.
+    follow_ms, decode_ms
+        Processor time of a frame, in the mean.
+    """
+
+    delays_ms: NDArray[np.float64]
+    waits_ms: NDArray[np.float64]
+    follow_ms: float
+    decode_ms: float
+
+
+def timed_on_two_cores(frames: Sequence[Frame], settings: LinkSettings, rate_hz: float) -> TwoCores:
+    """Delays as if following and decoding had a core each, by the processor time of every step.
+
+    Parameters
+    ----------
+    frames
+        The film's.
+    settings
+        The link, whose receiver decodes beside following.
+    rate_hz
+        Rate in Hz at which frames come.
+    """
     runs = [Stopwatch() for _ in range(RUNS)]
     for run in runs:
         run.read(frames, settings)
@@ -239,10 +268,18 @@ def on_two_cores(frames: Sequence[Frame], settings: LinkSettings, rate_hz: float
         else:
             now = max(now, ends[step.number])
     delays = [ends[task] - (last - first) / rate_hz for task, last in runs[0].last_frames.items()]
-    wait, delay = np.array(waits) * 1e3, np.array(delays) * 1e3
+    follow, decode = (spent[kind] / len(frames) * 1e3 for kind in ("follow", "task"))
+    return TwoCores(np.array(delays) * 1e3, np.array(waits) * 1e3, follow, decode)
+
+
+def on_two_cores(frames: Sequence[Frame], settings: LinkSettings, rate_hz: float) -> None:
+    settings = link(settings, settings.receive.receiver, True)
+    read(link(settings, settings.receive.receiver, False), frames[:WARM_FRAMES])
+    took = timed_on_two_cores(frames, settings, rate_hz)
+    delay, wait = took.delays_ms, took.waits_ms
     print(
         f"{settings.receive.receiver:6} at {rate_hz:g} frames/s, a core each: "
-        f"{spent['follow'] / len(frames) * 1e3:.3f} ms a frame to follow, {spent['task'] / len(frames) * 1e3:.3f} to "
+        f"{took.follow_ms:.3f} ms a frame to follow, {took.decode_ms:.3f} to "
         f"decode; delay in ms of {len(delay)} packets {np.median(delay):.0f} in the middle, 90 % "
         f"{np.quantile(delay, 0.9):.0f}, most {delay.max():.0f}, the first {np.round(delay[:4]).astype(int).tolist()}; "
         f"frames waiting: 99 % {np.quantile(wait, 0.99):.0f}, most {wait.max():.0f}",
