@@ -273,6 +273,7 @@ def timed_on_two_cores(frames: Sequence[Frame], settings: LinkSettings, rate_hz:
 
 
 def on_two_cores(frames: Sequence[Frame], settings: LinkSettings, rate_hz: float) -> None:
+    """Print delays as if following and decoding had a core each."""
     settings = link(settings, settings.receive.receiver, True)
     read(link(settings, settings.receive.receiver, False), frames[:WARM_FRAMES])
     took = timed_on_two_cores(frames, settings, rate_hz)

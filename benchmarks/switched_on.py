@@ -66,6 +66,9 @@ def tell(name: str, distances_m: list[float], took: list[drive.TwoCores]) -> Non
         What each film took.
     """
     delays = np.concatenate([one.delays_ms for one in took])
+    if not delays.size:
+        print(f"{name}: no packet in {len(took)} films", flush=True)
+        return
     waits = np.array([one.waits_ms.max() for one in took])
     late = [
         f"{k} ({distance:.0f} m: {np.round(one.delays_ms).astype(int).tolist()})"

@@ -41,8 +41,7 @@ class Surge(NamedTuple):
     Attributes
     ----------
     now
-        (blocks down, blocks across), of a search; all that alternates at all is above every bound where nothing does
-        usually.
+        (blocks down, blocks across), of a search; very large where usually nothing alternates.
     before
         The same of the search before; 0 where nothing alternated then, or the place was another one.
     early

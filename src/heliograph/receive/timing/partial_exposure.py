@@ -130,7 +130,7 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
 
 
 def _llrs(scores: Floats) -> Floats:
-    """LLRs (..., 4, squares) of each symbol by log likelihoods (..., 4, 16, squares) of all values."""
+    """LLRs (n, 4, squares) of each symbol by n times log likelihoods (n, 4, 16, squares) of all values."""
     split = scores[:, np.arange(4)[:, None, None], _SPLIT]
     most = split.max(-2, keepdims=True)
     plus, minus = np.moveaxis(np.log(np.exp(split - most).sum(-2)) + most[..., 0, :], 2, 0)
