@@ -206,6 +206,19 @@ def test_following_waits_for_a_first_packet_where_its_header_leaves_a_doubt(
     assert [packet.status for packet in packets] == ["ok"] * 3
 
 
+def test_half_a_pattern_out_of_step_following_waits_for_the_first_packet_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pair of a header alternates there, but the light's clock measures it."""
+    array = {"x_m": 0.0, "y_m": 0.0, "start_s": 0.0025}
+    settings, demand = link("receive.receiver=soft", arrays=[array], distance_m=40.0), OnDemand()
+    frames = film(settings, 3 * PACKET + 80)
+    monkeypatch.setattr(assemblies, "decoders", lambda _: demand)
+    receiver, packets = pushed(frames[: 2 * PACKET + 80], settings)
+    assert [packet.header_score for packet in packets] == [0.0]
+    packets += [packet for frame in frames[2 * PACKET + 80 :] for packet in receiver.push(frame)]
+    packets += receiver.finish()
+    assert [packet.status for packet in packets[:3]] == ["ok"] * 3
+
+
 def test_what_a_packet_teaches_reaches_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where following does not know it yet: the next packet is not read as that of an array just found."""
     decode, seen = TakenPairs.decode, list[tuple[bool, int]]()

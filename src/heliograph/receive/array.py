@@ -54,6 +54,7 @@ class _Gathered:
     scores: list[float] = field(default_factory=list)
     poses: list[Pose] = field(default_factory=list)
     header: list[float] = field(default_factory=list)
+    clocked: bool = False  # whether the light's clock measured the header
 
 
 class ArrayReceiver:
@@ -279,6 +280,7 @@ class ArrayReceiver:
         header = self._pairing.header(self._number, self._poses, pose_at, led_gains)
         if header is None:
             return
+        self._gathered.clocked = True
         # a sum hardly tells the array's light from that of its panel
         self._track = replace(self._track, gain=header.gain)
         self._reader.end_header(header)
@@ -320,11 +322,12 @@ class ArrayReceiver:
         """Have decoded what was gathered, and begin the next packet."""
         self._take_over()
         gathered, self._gathered = self._gathered, self._empty()
-        seen, lacks_pair = self._packet(gathered), self._lacks_pair
+        seen, taken, lacks_pair = self._packet(gathered), self._reader.taken(), self._lacks_pair
         # its next header finds it again, in a view that suits
         self._outgrown = not self._view.suits(self._track.state.pose)
-        taken = self._reader.taken()
-        beyond_doubt = not lacks_pair and self._expected(seen, taken)
+        # about half a pattern out of step none of its pairs alternates
+        header_seen = seen.header_score >= HEADER_SEEN or (gathered.clocked and not gathered.header)
+        beyond_doubt = not lacks_pair and header_seen and self._expected(seen, taken)
         coming = self._coming(seen, taken, lacks_pair)
         if beyond_doubt:
             # nothing of it is asked before the next packet's end
@@ -342,8 +345,7 @@ class ArrayReceiver:
 
     def _expected(self, seen: Packet, taken: TakenPacket) -> bool:
         """Whether an array is followed on, whatever comes of decoding its packet: that it is there, is beyond doubt."""
-        clear = seen.header_score >= HEADER_SEEN and seen.pairs_seen >= ENOUGH_SEEN
-        if not clear or not (self._track.shining == 1).all():
+        if seen.pairs_seen < ENOUGH_SEEN or not (self._track.shining == 1).all():
             return False
         if self._read is not None:
             return self._proven and self._read
