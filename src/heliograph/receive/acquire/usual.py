@@ -43,7 +43,8 @@ class Surge(NamedTuple):
     now
         (blocks down, blocks across), of a search; very large where usually nothing alternates.
     before
-        The same of the search before; 0 where nothing alternated then, or the place was another one.
+        (blocks down, blocks across), of the search before; 0 where nothing alternated then, or the place was another
+        one.
     early
         Whether the place is so new that nothing is usual in it.
     """
