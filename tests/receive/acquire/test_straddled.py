@@ -12,7 +12,7 @@ from heliograph.receive.acquire import straddled
 from heliograph.receive.acquire.budget import SAVED_S, WORK_PER_MS, Budget
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.acquire.straddled import LEAST_SURGE, StraddledDetector
+from heliograph.receive.acquire.straddled import STRADDLED_SURGE, StraddledDetector
 from heliograph.signal.settings import SignalSettings
 
 PARAMETERS = SearchParameters(
@@ -57,12 +57,12 @@ def test_it_is_found_with_a_bound_and_its_data_are_mostly_left_out(
 ) -> None:
     """More changes over a header than over as many patterns of data, each beginning with an inverse or not."""
     work = list[float]()
-    for surge in (LEAST_SURGE, 0.0):
+    for surge in (STRADDLED_SURGE, 0.0):
         budget = Budget(1.0, 1e-3)
         # a tenth is used up: blocks of data would have been searched until then
         budget.spend(used := 0.1 * SAVED_S * 1e3 * WORK_PER_MS)
         detector, header = StraddledDetector(PARAMETERS, SignalSettings(), budget), list[Detection]()
-        with mock.patch.object(straddled, "LEAST_SURGE", surge):
+        with mock.patch.object(straddled, "STRADDLED_SURGE", surge):
             for k, frame in enumerate(frames_at(phase, distance_m, identity, count=76, before=32)):
                 header += detector.push(frame)
                 if k == 30:

@@ -56,7 +56,7 @@ weighs more: eight headers scored 0.85 to 0.86 at 25 m, 0.88 to 0.90 at 50 m, 0.
 """
 
 
-LEAST_SURGE, SURGE_BLOCKS = 1.3, 3
+STRADDLED_SURGE, STRADDLED_BLOCKS = 1.3, 3
 """Least that changes over a header, in parts of what usually does over as many patterns of data; and the blocks of a
 side over which that is asked.
 
@@ -93,7 +93,7 @@ class StraddledDetector:
         self._budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
         self._coarse = BoundedSearch(parameters, ALL_ON if parameters.all_on else upright, self._budget)
         self._old = OldBlocks(self._budget, signal.packet_patterns)
-        self._usual = Usual(SURGE_BLOCKS), Usual(SURGE_BLOCKS)
+        self._usual = Usual(STRADDLED_BLOCKS), Usual(STRADDLED_BLOCKS)
         self._frames: deque[Frame] = deque(maxlen=self._header + 1)
 
     @property
@@ -142,7 +142,7 @@ class StraddledDetector:
         quiet = within < 0.5 * QUIET * means
         if self._budget.bounded:
             now, _, early = usual.surge(means, frames[0].origin)
-            telling = (now > LEAST_SURGE) | early | self._budget.ample
+            telling = (now > STRADDLED_SURGE) | early | self._budget.ample
             busy = self._old.left_out(busy, telling, frames[0], 1, quiet)
         else:
             busy &= quiet
