@@ -1,5 +1,6 @@
 """Page *Watch* plays a film of the demonstration in a real browser, and a screen reader finds its way."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -95,6 +96,33 @@ def test_it_is_stepped_through_and_looked_back_on_by_keyboard(address: str, film
         saved.value.save_as(tmp_path / "failed.h5")
     with open_film(tmp_path / "failed.h5") as kept:
         assert sum(1 for _ in kept) > 50
+
+
+def test_counts_from_before_a_pause_do_not_undo_it(address: str) -> None:
+    to_page: list[Any] = []
+    counts: list[str] = []
+
+    def passed_on(socket: Any) -> None:
+        def heard(message: str | bytes) -> None:
+            if isinstance(message, str) and '"event": "state"' in message:
+                counts.append(message)
+            socket.send(message)
+
+        to_page.append(socket)
+        socket.connect_to_server().on_message(heard)
+
+    with browsers.browser() as found, browsers.quiet_page(found, f"{address}watch", **DESK) as page:
+        page.route_web_socket("**/api/watch*", passed_on)
+        page.wait_for_selector("#named option", state="attached")
+        page.select_option("#speed", "0.1")
+        page.click("#open")
+        page.wait_for_selector("#packets li", timeout=60_000)
+        page.get_by_role("button", name="Pause").click()
+        assert json.loads(counts[0])["paused"] is False
+        to_page[0].send(counts[0])
+        page.wait_for_timeout(300)
+        page.get_by_role("button", name="Go on").click()
+        page.get_by_text("The end: 1250 frames, 12 packets").wait_for(timeout=120_000)
 
 
 def test_a_film_that_is_dropped_is_decoded(address: str, film: Path) -> None:

@@ -105,8 +105,7 @@ function heard(row: Row): void {
     notice.say(`The end: ${model.state?.frames ?? 0} frames, ${read} packets.`);
     ended();
   } else {
-    if (row.event === "state") paused = row.paused;
-    apply(model, row);
+    apply(model, row); // counts of before a pause may come after it: `paused` is what was asked for here, not what they say
     timeline.row(row);
   }
   draw();
