@@ -18,6 +18,7 @@ from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
 from heliograph.receive.packets import Packet, Words
 from heliograph.receive.plain.led_by_led import read_led_by_led
+from heliograph.receive.plain.square_by_square import read_square_by_square
 from heliograph.receive.reader_protocol import Decoded
 from heliograph.receive.settings import Feedback
 from heliograph.receive.track.kept_pairs import KeptPairs
@@ -194,7 +195,10 @@ class TakenPairs:
             return None
         # behind a post the scale of these LLRs is wrong; max-log heeds their proportions alone
         options = replace(reading.options, algorithm="max-log")
-        return read_led_by_led(self._with_lone(assumed), self.form, self.identity, options)
+        cutouts = self._with_lone(assumed)
+        if _out_of_step(cutouts):
+            return read_square_by_square(cutouts, self.light.gain, self.form, self.identity, options)
+        return read_led_by_led(cutouts, self.form, self.identity, options)
 
     def _decode(
         self, assumed: Assumption, earlier: SoftBuffer | None, known: Words | None, observe: Observer
@@ -239,7 +243,7 @@ class TakenPairs:
     @one_thread()
     def _brightness_learnt(self, assumed: Assumption, shown: Words) -> LedGains | None:
         """Gains with the brightness of LEDs that a packet showed by themselves, unless that is known."""
-        if self.led_gains is None or self.led_gains.brightness.learnt:
+        if self.led_gains is None or self.led_gains.brightness.learnt or _out_of_step(assumed.cutouts):
             return self.led_gains
         # only these pairs are learnt from
         stride = assumed.led_gains.brightness.stride
@@ -272,6 +276,11 @@ def steady(cutouts: Sequence[Cutout | None]) -> list[Cutout | None]:
         One per pair; None where the array was not seen.
     """
     return [None if one is None else one.steady for one in cutouts]
+
+
+def _out_of_step(cutouts: Sequence[Cutout | None]) -> bool:
+    """Whether any pair was combined of frames out of step."""
+    return any(cutout is not None and cutout.combination is not None for cutout in cutouts)
 
 
 def with_brightness(led_gains: LedGains | None, learnt: LedGains | None) -> LedGains | None:

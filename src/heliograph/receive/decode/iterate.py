@@ -19,13 +19,12 @@ from heliograph.receive.decode.observed import DecodedPacket, ObservedT
 from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer
 from heliograph.receive.equalise.expectation_propagation import LEAST_PRECISION, ExpectationPropagation
 from heliograph.receive.equalise.llr import information
-from heliograph.receive.equalise.lmmse import Estimate, equalise
+from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.equalise.polarity import SymbolMapper
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packets import Words
 from heliograph.receive.settings import Feedback
-from heliograph.receive.timing import partial_exposure
-from heliograph.receive.timing.combination import Combination
+from heliograph.receive.timing.out_of_step import OutOfStep
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
 
@@ -152,10 +151,10 @@ class _Packet:
         What is known of its codewords.
     mapper
         Passes between the layers' bits and the symbols.
-    header
-        (n, n) LEDs lit in its header, as if none were dimmed.
     information
         (codewords,) bit per coded bit in the LLRs of the last iteration.
+    out_of_step
+        How pairs combined of frames out of step show their symbols; None where all are in step.
     propagation
         Sites of the symbols; None where these are taken as Gaussian.
     earlier
@@ -170,8 +169,8 @@ class _Packet:
     channel: GainAndNoise
     layers: dict[str, Layer]
     mapper: SymbolMapper
-    header: NDArray[np.bool_]
     information: Floats
+    out_of_step: OutOfStep | None = None
     propagation: ExpectationPropagation | None = None
     earlier: BufferedPacket | None = None
 
@@ -190,11 +189,13 @@ class _Packet:
         layers = {name: Layer.unknown(layer) for name, layer in form.layers.items()}
         if known is not None:
             layers = {name: layer.with_known(known[name]) for name, layer in layers.items()}
-        header = form.header_pattern(identity) > SLOTS // 2
         codewords = sum(layer.codewords for layer in form.layers.values())
         mapper, none = SymbolMapper(form), np.zeros(codewords)
-        packet = cls(form, identity, options, feedback, statistics, channel, layers, mapper, header, none)
-        if feedback == "propagation" and not packet.combined:
+        packet = cls(form, identity, options, feedback, statistics, channel, layers, mapper, none)
+        combinations = [None if one is None else one.combination for one in statistics]
+        if any(one is not None for one in combinations):
+            packet.out_of_step = OutOfStep.of(combinations, form.header_pattern(identity) > SLOTS // 2)
+        elif feedback == "propagation":
             # an observed symbol of a combined pair holds products, and so has more than two values
             packet.propagation = ExpectationPropagation.begin((len(statistics), form.settings.side**2))
         return packet
@@ -263,7 +264,7 @@ class _Packet:
     @property
     def combined(self) -> bool:
         """Whether any pair was combined of frames out of step."""
-        return any(one is not None and one.combination is not None for one in self.statistics)
+        return self.out_of_step is not None
 
     def expected(self) -> tuple[Floats, Floats]:
         """Mean and variance of all symbols, (patterns, symbols)."""
@@ -337,55 +338,31 @@ class _Packet:
         channel, (mean, variance) = self.channel, self.expected()
         llr, moments = np.zeros_like(mean), np.zeros(4)
         priors = self.propagation.priors(mean, variance) if self.propagation else (mean, variance)
+        shown = None if self.out_of_step is None else self.out_of_step.expected(mean)
+        precision, weighted = np.zeros((2, *mean.shape))
         for number, pair in enumerate(self.statistics):
             if pair is None:
                 continue
             try:
-                if pair.combination is None:
+                if shown is None or pair.combination is None:
                     estimate = equalise(pair, channel.gain, channel.noise, priors[0][number], priors[1][number])
                     llr[number] = self.propagation.take(number, estimate) if self.propagation else estimate.llr
                 else:
-                    around = [mean[k] if 0 <= k < len(mean) else None for k in (number - 1, number + 1)]
-                    llr[number], estimate = _equalise_combined(
-                        pair, pair.combination, channel, mean[number], around, self.header
-                    )
+                    # the observed symbols: functions of the four symbols of a square, and light of the pairs around
+                    light = shown.mean[number] + shown.leak[number]
+                    spread = shown.variance[number] + shown.leak_variance[number]
+                    estimate = equalise(pair, channel.gain, channel.noise, light, spread)
+                    precision[number], weighted[number] = estimate.extrinsic
             except np.linalg.LinAlgError as error:
                 LOG.info("array %d: pair %d is left out: %s", self.identity, number, error)
                 continue
             moments += moments_of(pair, estimate)
+        if self.out_of_step is not None and shown is not None:
+            # from them the symbols follow square by square
+            found = np.maximum(precision, LEAST_PRECISION)
+            squares = self.out_of_step.llrs(weighted / found, 1 / found, shown, mean)
+            llr = np.where(precision.any(1)[:, None], squares, llr)
         self.channel = channel.updated(moments, self.combined)
         parts = self.mapper.bits(llr, [layer.mean() for layer in self.layers.values()])
         pairs = zip(self.layers.items(), parts, strict=True)
         self.layers = {name: layer.equalised(part) for (name, layer), part in pairs}
-
-
-def _equalise_combined(
-    pair: PairStatistics,
-    combination: Combination,
-    channel: GainAndNoise,
-    mean: Floats,
-    around: Sequence[Floats | None],
-    header: NDArray[np.bool_],
-) -> tuple[Floats, Estimate]:
-    """LLRs of the symbols of a pair combined of frames out of step.
-
-    The equaliser estimates the observed symbols: functions of the four symbols of a square, and light of the pairs
-    `around`, which are the header where they are None. From them the symbols follow square by square.
-    """
-    observed, spread = partial_exposure.moments(combination.response, mean)
-    leak, leak_spread = np.zeros_like(mean), np.zeros_like(mean)
-    for response, slots, other in zip(combination.leaks, combination.slots[[0, 2]], around, strict=True):
-        if response is None:
-            continue
-        if other is None:
-            leak += partial_exposure.response_of_levels(slots, header)
-            continue
-        part, more = partial_exposure.moments(response, other)
-        leak, leak_spread = leak + part, leak_spread + more
-    estimate = equalise(pair, channel.gain, channel.noise, observed + leak, spread + leak_spread)
-    precision, weighted = estimate.extrinsic
-    precision = np.maximum(precision, LEAST_PRECISION)
-    llrs = partial_exposure.symbol_llrs(
-        combination.response, weighted / precision - leak, 1 / precision + leak_spread, mean
-    )
-    return llrs, estimate

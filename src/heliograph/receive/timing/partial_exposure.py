@@ -18,8 +18,11 @@ SIGNS = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1], [1, -1, -1, 1]],
 VALUES = np.array([[1 - 2 * (k >> i & 1) for i in range(4)] for k in range(16)], np.float64)
 """(16, 4) all values of a square's symbols."""
 
-# (4, 2, 8) numbers of the values in which a symbol is +1, and of those in which it is -1
-_SPLIT = np.array([[np.flatnonzero(VALUES[:, i] == sign) for sign in (1, -1)] for i in range(4)])
+# (2, 4, 16) which values of a square have +1, and which have -1, of each symbol
+_SPLIT = np.stack([VALUES.T > 0, VALUES.T < 0]).astype(np.float64)
+
+LEAST_LIKELIHOOD = 1e-300
+"""Least likelihood that is told from none: the LLR of two such is beyond `LARGEST_LLR` by far."""
 
 # level = 4 x = 2 + 1/2 H^T d H
 _LEVELS = 2 + VALUES @ SIGNS / 2
@@ -78,17 +81,38 @@ def moments(table: Floats, mean: Floats) -> tuple[Floats, Floats]:
     Parameters
     ----------
     table
-        (16, 4) their `response`.
+        (..., 16, 4) their `response`.
     mean
-        (symbols,) mean of the true ones, -1 to 1.
+        (..., symbols) mean of the true ones, -1 to 1.
 
     Returns
     -------
-    (symbols,) each.
+    (..., symbols) each.
     """
-    chance = _chances(mean).prod(1)
-    first = table.T @ chance
-    return first.reshape(-1), np.maximum((table**2).T @ chance - first**2, 0).reshape(-1)
+    first, second = _moments(table, _chances(mean))
+    return first, np.maximum(second - first**2, 0)
+
+
+def posterior_moments(table: Floats, observed: Floats, variance: Floats, mean: Floats) -> tuple[Floats, Floats]:
+    """Mean of the observed symbols and of their squares without the errors of estimates, once these are known.
+
+    Parameters
+    ----------
+    table
+        (..., 16, 4) their `response` to all values of a square's symbols.
+    observed
+        (..., symbols) estimates of the observed symbols.
+    variance
+        (..., symbols) variances of these estimates, above 0.
+    mean
+        (..., symbols) prior mean of the true symbols, -1 to 1.
+
+    Returns
+    -------
+    (..., symbols) each.
+    """
+    chance = _joint(_fit(table, observed, variance)) * _chances(mean)
+    return _moments(table, chance / chance.sum(-2, keepdims=True))
 
 
 def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats) -> Floats:
@@ -101,42 +125,78 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
     Parameters
     ----------
     table
-        (16, 4) their `response` to all values of a square's symbols.
+        (..., 16, 4) their `response` to all values of a square's symbols.
     observed
-        (symbols,) estimates of the observed symbols.
+        (..., symbols) estimates of the observed symbols.
     variance
-        (symbols,) variances of these estimates, above 0.
+        (..., symbols) variances of these estimates, above 0.
     mean
-        (symbols,) prior mean of the true symbols, -1 to 1.
+        (..., symbols) prior mean of the true symbols, -1 to 1.
 
     Returns
     -------
-    (symbols,).
+    (..., symbols).
     """
-    y, v = (a.reshape(4, 1, -1) for a in (observed, variance))
-    fit = -0.5 * (table.T[..., None] - y) ** 2 / v
-    prior = np.log(np.maximum(_chances(mean), TINY)).transpose(1, 0, 2)
-    known = mean.reshape(4, -1) ** 2
-    # part of the response's power that is products: 0 for the symbols themselves
-    products = min(float((table**2).mean() / (table * VALUES).mean() ** 2) - 1, 1.0)
+    prior, squares = np.clip(mean, TINY - 1, 1 - TINY), _by_kind(mean)
+    chance, fit = _chances(prior), _fit(table, observed, variance)
     # extrinsic: the symbol's own prior is left out
-    others = prior.sum(0) - prior
-    own, joint = _llrs(np.stack([fit + others, fit.sum(0) + others]))
+    own_prior = 2 * np.arctanh(_by_kind(prior))
+    joint = _llrs((_joint(fit) * chance)[..., None, :, :]) - own_prior
+    # in place: new memory costs more than what is computed in it
+    fit -= fit.max(-2, keepdims=True)
+    fit = np.exp(fit, out=fit)
+    fit *= chance[..., None, :, :]
+    own = _llrs(fit) - own_prior
+    # part of the response's power that is products: 0 for the symbols themselves
+    linear = np.einsum("...ki,ki->...", table, VALUES) / VALUES.size
+    products = np.minimum((table**2).mean((-2, -1)) / linear**2 - 1, 1.0)[..., None, None]
     # of the three others of each
+    known = np.moveaxis(squares**2, -2, 0)
     first, last = known[0] * known[1], known[2] * known[3]
-    three = np.stack([known[1] * last, known[0] * last, first * known[3], first * known[2]])
+    three = np.stack([known[1] * last, known[0] * last, first * known[3], first * known[2]], -2)
     trust = products + (1 - products) * three
-    return np.asarray((own + trust * (joint - own)).reshape(-1))
+    return np.asarray((own + trust * (joint - own)).reshape(mean.shape))
 
 
-def _llrs(scores: Floats) -> Floats:
-    """LLRs (n, 4, squares) of each symbol by n times log likelihoods (n, 4, 16, squares) of all values."""
-    split = scores[:, np.arange(4)[:, None, None], _SPLIT]
-    most = split.max(-2, keepdims=True)
-    plus, minus = np.moveaxis(np.log(np.exp(split - most).sum(-2)) + most[..., 0, :], 2, 0)
-    return np.asarray(plus - minus)
+def _by_kind(symbols: Floats) -> Floats:
+    """Symbols (..., symbols) as (..., 4, squares)."""
+    return symbols.reshape(*symbols.shape[:-1], 4, -1)
+
+
+def _moments(table: Floats, chance: Floats) -> tuple[Floats, Floats]:
+    """Mean of the observed symbols and of their squares, (..., symbols), by the chance of each value."""
+    responses = np.swapaxes(table, -2, -1)
+    first, second = responses @ chance, responses**2 @ chance
+    flat = *first.shape[:-2], -1
+    return first.reshape(flat), second.reshape(flat)
+
+
+def _fit(table: Floats, observed: Floats, variance: Floats) -> Floats:
+    """(..., 4, 16, squares) log likelihood of each value of a square by each of its observed symbols."""
+    error = np.swapaxes(table, -2, -1)[..., None] - _by_kind(observed)[..., None, :]
+    error *= error
+    error *= _by_kind(-0.5 / variance)[..., None, :]
+    return np.asarray(error)
+
+
+def _joint(fit: Floats) -> Floats:
+    """(..., 16, squares) likelihood of each value by all observed symbols, at most 1."""
+    together = fit.sum(-3)
+    return np.asarray(np.exp(together - together.max(-2, keepdims=True)))
+
+
+def _llrs(likelihood: Floats) -> Floats:
+    """LLRs (..., 4, squares) of each symbol by likelihoods (..., 4 or 1, 16, squares) of all values."""
+    plus, minus = (np.maximum((part[:, None, :] @ likelihood)[..., 0, :], LEAST_LIKELIHOOD) for part in _SPLIT)
+    return np.asarray(np.log(plus) - np.log(minus))
 
 
 def _chances(mean: Floats) -> Floats:
-    """(16, 4, squares) chance of each symbol's part in each value of its square."""
-    return np.asarray(0.5 * (1 + VALUES[..., None] * mean.reshape(4, -1)))
+    """(..., 16, squares) chance of each value of a square."""
+    symbols = _by_kind(mean)
+    chance = np.ones((*symbols.shape[:-2], 1, symbols.shape[-1]))
+    for i in range(4):
+        # the next bit of a value's number: 0 for +1
+        one = symbols[..., i : i + 1, :]
+        chance = np.concatenate([chance * (0.5 + 0.5 * one), chance * (0.5 - 0.5 * one)], -2)
+    return chance
