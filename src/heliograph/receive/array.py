@@ -2,16 +2,14 @@
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.detection import Detection
 from heliograph.receive.coming import (
     ENOUGH_SEEN,
-    HEADER_SEEN,
     ComingPacket,
     Decoders,
     Glance,
@@ -20,11 +18,12 @@ from heliograph.receive.coming import (
     Work,
 )
 from heliograph.receive.events import Observer, TrackEvent
+from heliograph.receive.gathered import Gathered
 from heliograph.receive.image.orientation import Orientation
 from heliograph.receive.image.pose import Pose, rim_distance
 from heliograph.receive.image.view import CAMERA, View
 from heliograph.receive.packets import Packet
-from heliograph.receive.reader_protocol import PacketReader, TakenPacket
+from heliograph.receive.reader_protocol import Lesson, PacketReader, TakenPacket
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, Pairing, PoseAt
 from heliograph.receive.timing.light_clock import PATTERNS_AROUND
@@ -43,18 +42,6 @@ ASTRAY = 0.5
 
 DUE_PATTERNS = 0.5
 """Patterns by which a header may lie off the start of a packet and still be its own: a pattern off, it is another."""
-
-
-@dataclass(slots=True)
-class _Gathered:
-    """What has been read of the current packet."""
-
-    seen: NDArray[np.bool_]
-    frames: list[int] = field(default_factory=list)
-    scores: list[float] = field(default_factory=list)
-    poses: list[Pose] = field(default_factory=list)
-    header: list[float] = field(default_factory=list)
-    clocked: bool = False  # whether the light's clock measured the header
 
 
 class ArrayReceiver:
@@ -272,7 +259,10 @@ class ArrayReceiver:
             yield self._finish()
         elif in_packet == self._pairs - 1 and self._gathered.frames:
             # single frames of its pairs, but none that shows where the array is
-            self._gathered, self._reader = self._empty(), self._reader.next(beyond_doubt=False)
+            self._gathered, self._reader = (
+                self._empty(),
+                self._reader.next(beyond_doubt=False),
+            )
 
     def _end_header(self) -> None:
         """Correct the clock by the header just over; out of step it is read as a whole."""
@@ -312,29 +302,29 @@ class ArrayReceiver:
     def _note(self, pair: FramePair, tracked: TrackedPair) -> None:
         """Gather what every pair of a packet gives; one whose pose is none of an array gives the array up."""
         check_pose(tracked.state.pose, self._signal.side, pair.pattern.pixels.shape)
-        gathered = self._gathered
-        gathered.frames += [pair.pattern.index, pair.inverted.index]
-        gathered.scores.append(tracked.fit.score)
-        gathered.poses.append(tracked.state.pose)
+        self._gathered.note((pair.pattern.index, pair.inverted.index), tracked)
         self._observe(TrackEvent(self.identity, pair.pattern.index, tracked, self._view))
 
     def _finish(self) -> ComingPacket:
         """Have decoded what was gathered, and begin the next packet."""
         self._take_over()
         gathered, self._gathered = self._gathered, self._empty()
-        seen, taken, lacks_pair = self._packet(gathered), self._reader.taken(), self._lacks_pair
+        # by the camera's clock
+        patterns = 2 * (self._number - self._number % self._pairs) - self._start_lost
+        start_s = self._pairing.origin_s + patterns * self._signal.pattern_period_s
+        seen = gathered.packet(self.identity, start_s, self._view, self._calibration)
+        taken, lacks_pair = self._reader.taken(), self._lacks_pair
         # its next header finds it again, in a view that suits
         self._outgrown = not self._view.suits(self._track.state.pose)
-        # about half a pattern out of step none of its pairs alternates
-        header_seen = seen.header_score >= HEADER_SEEN or (gathered.clocked and not gathered.header)
-        beyond_doubt = not lacks_pair and header_seen and self._expected(seen, taken)
+        beyond_doubt = not lacks_pair and gathered.header_seen and self._expected(seen, taken)
         coming = self._coming(seen, taken, lacks_pair)
-        if beyond_doubt:
-            # nothing of it is asked before the next packet's end
+        if not beyond_doubt:
+            self._conclude(coming)
+        if beyond_doubt or (coming.packet().status == "ok" and not lacks_pair and self._in_sight):
+            # nothing more of it is asked before the next packet's end
             self._beside = coming
         else:
-            self._conclude(coming)
-            self._reader.learn(coming.lesson)
+            self._reader.learn(self._lesson(coming))
         self._reader = self._reader.next(beyond_doubt)
         return coming
 
@@ -343,9 +333,14 @@ class ArrayReceiver:
         """Whether the next header shows where the packet's last pair should be."""
         return self._slips.shows_header(self._number) and self._number % self._pairs == self._pairs - 1
 
+    @property
+    def _in_sight(self) -> bool:
+        """Whether no LED seems hidden or dark."""
+        return bool((self._track.shining == 1).all())
+
     def _expected(self, seen: Packet, taken: TakenPacket) -> bool:
         """Whether an array is followed on, whatever comes of decoding its packet: that it is there, is beyond doubt."""
-        if seen.pairs_seen < ENOUGH_SEEN or not (self._track.shining == 1).all():
+        if seen.pairs_seen < ENOUGH_SEEN or not self._in_sight:
             return False
         if self._read is not None:
             return self._proven and self._read
@@ -362,41 +357,24 @@ class ArrayReceiver:
         """Take over what the packet before has taught, if it was decoded while this one was seen."""
         if self._beside is not None:
             self._conclude(self._beside)
-            self._reader.catch_up(self._beside.lesson)
+            self._reader.catch_up(self._lesson(self._beside))
             self._beside = None
 
     def _conclude(self, coming: ComingPacket) -> None:
         """Know from a packet how the array is followed."""
-        packet, misled = coming.packet(), coming.decoded.misled
+        packet = coming.packet()
         # neither header nor a right codeword: no array, or out of step; it is found again by its next header
         # where LEDs seem to be missing, a packet read in part may have come from a wrong pose
-        whole = bool((self._track.shining == 1).all())
-        self._read = not misled and (packet.status == "ok" or (packet.status == "partial" and whole))
+        self._read = packet.status == "ok" or (packet.status == "partial" and self._in_sight)
         self._proven |= packet.status in ("ok", "partial")
         self._failed = packet.status in ("no_header", "no_array")
 
-    def _packet(self, gathered: _Gathered) -> Packet:
-        """The packet gathered, without its codewords."""
-        header, seen = float(np.mean(gathered.header or [0.0])), float(gathered.seen.mean())
-        pose = self._view.pose_out(gathered.poses[len(gathered.poses) // 2])
-        calibration = self._calibration
-        # by the camera's clock
-        patterns = 2 * (self._number - self._number % self._pairs) - self._start_lost
-        return Packet(
-            identity=self.identity,
-            status="crc_fail",
-            start_time_s=self._pairing.origin_s + patterns * self._signal.pattern_period_s,
-            first_frame=gathered.frames[0],
-            last_frame=gathered.frames[-1],
-            pose=pose,
-            # pinhole: pitch_px = f p / (Z pixel)
-            distance_m=calibration.focal_m * calibration.pitch_m / (pose.frontal_pitch * calibration.pixel_m),
-            header_score=header,
-            track_score=float(np.mean(gathered.scores)),
-            pairs_seen=seen,
-            layers={},
-            orientation=self.orientation,
-        )
+    def _lesson(self, coming: ComingPacket) -> Lesson | None:
+        """What a packet teaches; it may be that the array is not quite as it is followed."""
+        lesson = coming.lesson
+        if lesson is not None and lesson.misled:
+            self._read = False
+        return lesson
 
-    def _empty(self) -> _Gathered:
-        return _Gathered(np.zeros(self._signal.data_pairs, dtype=bool))
+    def _empty(self) -> Gathered:
+        return Gathered.nothing(self._signal.data_pairs)

@@ -34,6 +34,11 @@ class Assumption:
     led_gains: LedGains
     cutouts: Sequence[Cutout | None]
 
+    @property
+    def steady(self) -> "Assumption":
+        """The same with cut-outs without the background's light that moves with the array."""
+        return replace(self, cutouts=[None if one is None else one.steady for one in self.cutouts])
+
 
 @dataclass(frozen=True, slots=True)
 class ReadPacket:

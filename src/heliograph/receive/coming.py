@@ -8,7 +8,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -169,7 +169,7 @@ class Study:
 
     taught: SharedLesson
 
-    def __call__(self) -> Any:
+    def __call__(self) -> Lesson | None:
         """What readers are told of what the packet that was decoded last has taught; None for nothing."""
         before, study = self.taught.content
         if study is None:
@@ -277,7 +277,7 @@ class ComingPacket:
         seen: Packet,
         taken: TakenPacket,
         work: Future[DecodedPacket],
-        lesson: Future[Any],
+        lesson: Future[Lesson | None],
         observe: Observer,
         exposure_range: tuple[float, float] | None,
     ):
@@ -291,18 +291,7 @@ class ComingPacket:
         return self._work.done()
 
     @property
-    def decoded(self) -> Decoded:
-        """What decoding made of it; waits until it is decoded.
-
-        Raises
-        ------
-        HeliographError
-            The process that decodes has ended.
-        """
-        return _result(self._work).decoded
-
-    @property
-    def lesson(self) -> Any:
+    def lesson(self) -> Lesson | None:
         """What readers are told of what it teaches, None for nothing; waits until that is known.
 
         Raises

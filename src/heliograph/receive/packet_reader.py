@@ -188,11 +188,11 @@ class SoftReader:
         """Know the LEDs as the packet has shown them; see `PacketReader`."""
         if lesson is None:
             return
-        before, (after, self._proven) = self._led_gains, lesson
+        before, after = self._led_gains, lesson.led_gains
         # what headers have shown stays here; with other LEDs in sight than they said, it was mistaken
         if before is not None and after is not None and np.array_equal(after.sight, before.sight):
             after = replace(after, seen=before.seen)
-        self._led_gains = after
+        self._led_gains, self._proven = after, lesson.proven
 
     def next(self, beyond_doubt: bool) -> "SoftReader":
         """The reader of the next packet; it knows the LEDs; see `PacketReader`."""

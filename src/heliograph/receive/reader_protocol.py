@@ -33,7 +33,11 @@ class Lesson(Protocol):
     """What a packet teaches of its array: all of it stays where packets are decoded."""
 
     @property
-    def told(self) -> Any:
+    def misled(self) -> bool:
+        """Whether the array is not quite as it is followed."""
+
+    @property
+    def told(self) -> "Lesson":
         """The part of it that readers need, which another process may have to hand over."""
 
 
@@ -45,8 +49,6 @@ class Decoded:
     ----------
     words
         Codewords by layer, decoded or not.
-    misled
-        Whether they show that the array is not quite as it is followed.
     study
         Gives what they teach of the array, which nobody need wait for; None where that is nothing.
     cutouts
@@ -56,7 +58,6 @@ class Decoded:
     """
 
     words: Words
-    misled: bool = False
     study: Callable[[], Lesson | None] | None = None
     cutouts: tuple[Cutout | None, ...] | None = None
     luminances: Floats | None = None

@@ -26,6 +26,9 @@ from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.signal.formats import Format, UnreadableModeError, check_mode
 from heliograph.signal.packet import PacketFormat
 
+OUT_OF_STEP_STRIDE = 4
+"""Pairs out of step of which one is asked for the noise: the equaliser estimates it once more, from all of them."""
+
 
 class Lesson(NamedTuple):
     """What a decoded packet teaches.
@@ -36,15 +39,18 @@ class Lesson(NamedTuple):
         Gains of the LEDs; None where nothing was known of them before.
     proven
         Whether the equaliser has decoded a codeword of the array since it was found.
+    misled
+        Whether the array is not quite as it is followed: the equaliser does not read what the LEDs' positions tell.
     """
 
     led_gains: LedGains | None
     proven: bool
+    misled: bool = False
 
     @property
     def told(self) -> "Lesson":
         """The gains without what has shown them: that is asked for where packets are decoded alone."""
-        return Lesson(None if self.led_gains is None else self.led_gains.told, self.proven)
+        return self._replace(led_gains=None if self.led_gains is None else self.led_gains.told)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,11 +167,19 @@ class TakenPairs:
     def decode(self, observe: Observer, /) -> Decoded:
         """Codewords by layer, of all pairs kept; see `TakenPacket`."""
         check_mode(self.mode, self.form.settings.data_pairs)
-        buffer, as_kept = self.reading.buffer, Assumption(self._gains(), self._cutouts())
-        shown, new = self._led_by_led(as_kept), self.led_gains is not None and not self.proven
-        if shown is not None and not open_words(shown) and not new:
-            return Decoded(shown, study=lambda: Lesson(self._brightness_learnt(as_kept, shown), self.proven))
-        first = replace(as_kept, cutouts=steady(as_kept.cutouts))
+        as_kept = Assumption(self._gains(), self._cutouts())
+        shown = self._led_by_led(as_kept)
+        if shown is not None and not open_words(shown):
+            # whether they were read where the array is, nobody need wait for
+            return Decoded(shown, study=lambda: self._learnt_beside(as_kept, shown))
+        first = as_kept.steady
+        reading, misled = self._equalised(first, shown, observe)
+        cutouts = None if reading.assumed.cutouts is first.cutouts else tuple(reading.assumed.cutouts)
+        return Decoded(reading.words, lambda: self._lesson(reading, misled), cutouts)
+
+    def _equalised(self, first: Assumption, shown: Words | None, observe: Observer) -> tuple[ReadPacket, bool]:
+        """The packet as the equaliser reads it, and whether its poses misled it."""
+        buffer = self.reading.buffer
         earlier = None if buffer is None else buffer.content
 
         def read(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
@@ -174,14 +188,12 @@ class TakenPairs:
         def read_with(known: Words | None) -> ReadPacket:
             return read_packet(first, lambda assumed: self._decode(assumed, earlier, known, observe))
 
-        reading, misled = read_new(first, shown, read_with) if new else (read_packet(first, read), False)
+        reading, misled = read_new(first, shown, read_with) if self._new else (read_packet(first, read), False)
         if misled:
             reading = reading.or_rather(read_packet(first, read))
         if buffer is not None and reading.decoded.buffer is not None:
             buffer.keep(reading.decoded.buffer)
-        proven = self.proven or (new and not misled and reading.open < sum(map(len, reading.words.values())))
-        cutouts = None if reading.assumed.cutouts is first.cutouts else tuple(reading.assumed.cutouts)
-        return Decoded(reading.words, misled, lambda: Lesson(self._learnt(reading), proven), cutouts)
+        return reading, misled
 
     def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:
         """The packet with the cut-outs of its pairs; see `TakenPacket`."""
@@ -226,21 +238,38 @@ class TakenPairs:
         # what hides a part of the array is uneven too
         whole = [cutout for cutout in seen if cutout.in_sight is None]
         gain, values, even = self.light.gain, assumed.led_gains.values, self.even
-        noise = measure_noise(whole if len(whole) > 1 else seen, gain, self._side, values)
-        if even is None or not any(cutout.combination for cutout in seen):
-            return noise
+        asked = whole if len(whole) > 1 else seen
+        if even is None or not _out_of_step(seen):
+            return measure_noise(asked, gain, self._side, values)
         # of pairs out of step the sum is uneven, but not that of a header
+        noise = measure_noise(asked[::OUT_OF_STEP_STRIDE], gain, self._side, values)
         return Noise(min(measure_noise([even], gain, self._side, values).lit, noise.lit), noise.dark)
 
+    @property
+    def _new(self) -> bool:
+        """Whether the equaliser must show yet that the array is where it is followed."""
+        return self.led_gains is not None and not self.proven
+
     @one_thread()
+    def _learnt_beside(self, as_kept: Assumption, shown: Words) -> Lesson:
+        """What a packet teaches whose codewords the LEDs' positions have told."""
+        if self._new:
+            return self._lesson(*self._equalised(as_kept.steady, shown, ignore))
+        return Lesson(self._brightness_learnt(as_kept, shown), self.proven)
+
+    @one_thread()
+    def _lesson(self, reading: ReadPacket, misled: bool) -> Lesson:
+        """What a packet teaches that was equalised."""
+        there = self._new and not misled and reading.open < sum(map(len, reading.words.values()))
+        return Lesson(self._learnt(reading), self.proven or there, misled)
+
     def _learnt(self, reading: ReadPacket) -> LedGains | None:
-        """Gains of the LEDs after a packet was read."""
+        """Gains of the LEDs after a packet was equalised."""
         led_gains = reading.assumed.led_gains
         if self.led_gains is None or (not reading.open and led_gains.brightness.settled):
             return self.led_gains
         return _learnt_from(reading.decoded, led_gains)
 
-    @one_thread()
     def _brightness_learnt(self, assumed: Assumption, shown: Words) -> LedGains | None:
         """Gains with the brightness of LEDs that a packet showed by themselves, unless that is known."""
         if self.led_gains is None or self.led_gains.brightness.learnt or _out_of_step(assumed.cutouts):
@@ -252,7 +281,7 @@ class TakenPairs:
         ]
         if all(cutout is None for cutout in kept):
             return self.led_gains
-        decoded = self._decode(replace(assumed, cutouts=steady(kept)), None, shown, ignore)
+        decoded = self._decode(replace(assumed, cutouts=kept).steady, None, shown, ignore)
         return _learnt_from(decoded, assumed.led_gains, stride=1)
 
     def _gains(self) -> LedGains:
@@ -265,17 +294,6 @@ class TakenPairs:
     @property
     def _side(self) -> int:
         return self.form.settings.side
-
-
-def steady(cutouts: Sequence[Cutout | None]) -> list[Cutout | None]:
-    """Cut-outs without the background's light that moves with the array.
-
-    Parameters
-    ----------
-    cutouts
-        One per pair; None where the array was not seen.
-    """
-    return [None if one is None else one.steady for one in cutouts]
 
 
 def _out_of_step(cutouts: Sequence[Cutout | None]) -> bool:

@@ -18,7 +18,6 @@ from heliograph.receive.decode.layer import HOPELESS, Layer, decode_layer
 from heliograph.receive.decode.observed import DecodedPacket, ObservedT
 from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer
 from heliograph.receive.equalise.expectation_propagation import LEAST_PRECISION, ExpectationPropagation
-from heliograph.receive.equalise.llr import information
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.equalise.polarity import SymbolMapper
 from heliograph.receive.observe.statistics import PairStatistics
@@ -219,7 +218,7 @@ class _Packet:
                 for name, layer in self.layers.items()
             }
             left = self.open
-            self.information = np.concatenate([information(one.llr + one.earlier_llr) for one in self.layers.values()])
+            self.information = np.concatenate([layer.information for layer in self.layers.values()])
             if not left.any() or self.feedback == "none":
                 break
             decoded = left.sum() < open_.sum()

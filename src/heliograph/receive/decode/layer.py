@@ -92,6 +92,16 @@ class Layer:
         """Numbers of the codewords that are not decoded."""
         return [i for i in range(len(self.llr)) if not self.words or self.words[i].status == "crc_fail"]
 
+    @property
+    def information(self) -> Floats:
+        """(codewords,) bit per coded bit in the LLRs of the last equalisation, those of earlier packets included."""
+        return information(self.llr + self.earlier_llr)
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether all codewords that are not decoded have too little information to be decoded."""
+        return bool((self.information[self.open] < HOPELESS * self.form.code.k / self.form.code.length).all())
+
     def equalised(self, sent: Floats) -> "Layer":
         """The layer with the LLRs of a new equalisation.
 

@@ -130,7 +130,8 @@ def read_square_by_square(
             name: decode_layer(layer.equalised(part), name, identity, options, feedback=True)
             for (name, layer), part in zip(layers.items(), parts, strict=True)
         }
-        if [layer.open for layer in layers.values()] in (before, [[] for _ in layers]):
+        nothing_new = before == [layer.open for layer in layers.values()]
+        if nothing_new or all(layer.hopeless for layer in layers.values()):
             break
     return {name: layer.words for name, layer in layers.items()}
 
