@@ -27,7 +27,7 @@ from heliograph.receive.events import ignore
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.packet_reader import SoftReader
 from heliograph.receive.reader_protocol import Decoded
-from heliograph.receive.taken_pairs import TakenPairs
+from heliograph.receive.taken_pairs import Lesson, TakenPairs
 
 PACKET = 100
 """Frames of a packet."""
@@ -244,7 +244,8 @@ def test_an_array_that_was_not_what_it_seemed_is_doubted_a_packet_later(
 
     def misled(self: TakenPairs, observe: Any, /) -> Decoded:
         words = unread(self.form, self.identity)
-        return Decoded(words, misled=True) if next(calls) < 2 else decode(self, observe)
+        lesson = Lesson(None, proven=False, misled=True)
+        return Decoded(words, study=lambda: lesson) if next(calls) < 2 else decode(self, observe)
 
     class Noted(ArrayReceiver):
         def __init__(self, *args: Any, **names: Any) -> None:
@@ -273,10 +274,11 @@ class Long(NamedTuple):
     """A lesson of which readers are told a part."""
 
     text: str
+    misled: bool = False
 
     @property
-    def told(self) -> str:
-        return f"{self.text} in short"
+    def told(self) -> "Long":
+        return Long(f"{self.text} in short")
 
 
 def test_a_study_without_a_solution_teaches_nothing() -> None:
@@ -285,7 +287,7 @@ def test_a_study_without_a_solution_teaches_nothing() -> None:
 
     taught, before, after = coming.SharedLesson(), Long("before"), Long("after")
     taught.keep(coming.Teaching(before, lambda: after))
-    assert coming.Study(taught)() == "after in short"
+    assert coming.Study(taught)() == Long("after in short")
     assert coming.Study(taught)() is None
     assert taught.content == (after, None)
     taught.keep(coming.Teaching(after, fails))

@@ -15,6 +15,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise, moments_of
 from heliograph.receive.decode.layer import HOPELESS, Layer, decode_layer
+from heliograph.receive.decode.lines import Lines
 from heliograph.receive.decode.observed import DecodedPacket, ObservedT
 from heliograph.receive.decode.soft_combining import BufferedPacket, SoftBuffer
 from heliograph.receive.equalise.expectation_propagation import LEAST_PRECISION, ExpectationPropagation
@@ -338,6 +339,7 @@ class _Packet:
         llr, moments = np.zeros_like(mean), np.zeros(4)
         priors = self.propagation.priors(mean, variance) if self.propagation else (mean, variance)
         shown = None if self.out_of_step is None else self.out_of_step.expected(mean)
+        lines = None if self.out_of_step is None else Lines.of(self.out_of_step, mean, variance)
         precision, weighted = np.zeros((2, *mean.shape))
         for number, pair in enumerate(self.statistics):
             if pair is None:
@@ -346,6 +348,10 @@ class _Packet:
                 if shown is None or pair.combination is None:
                     estimate = equalise(pair, channel.gain, channel.noise, priors[0][number], priors[1][number])
                     llr[number] = self.propagation.take(number, estimate) if self.propagation else estimate.llr
+                elif lines is not None:
+                    llr[number], said = lines.equalised(number, pair, channel)
+                    moments += said
+                    continue
                 else:
                     # the observed symbols: functions of the four symbols of a square, and light of the pairs around
                     light = shown.mean[number] + shown.leak[number]
@@ -356,7 +362,7 @@ class _Packet:
                 LOG.info("array %d: pair %d is left out: %s", self.identity, number, error)
                 continue
             moments += moments_of(pair, estimate)
-        if self.out_of_step is not None and shown is not None:
+        if self.out_of_step is not None and shown is not None and lines is None:
             # from them the symbols follow square by square
             found = np.maximum(precision, LEAST_PRECISION)
             squares = self.out_of_step.llrs(weighted / found, 1 / found, shown, mean)

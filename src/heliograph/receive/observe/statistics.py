@@ -81,6 +81,39 @@ class PairStatistics:
             self.combination,
         )
 
+    def along(self, start: Floats, directions: Floats) -> "PairStatistics":
+        """Statistics for other symbols u, on which the symbols depend as c = start + sum_j directions_j u_j.
+
+        Parameters
+        ----------
+        start
+            (symbols,) c where all u are 0.
+        directions
+            (k, symbols) slopes of the symbols; each square of 2 x 2 LEDs has one u for each of them.
+
+        Returns
+        -------
+        Statistics of k symbols / 4 unknowns u, those of the first direction first.
+        """
+        # B (start + D u) + o: D^T G D, D^T B^T d and D^T (B^T o + G start)
+        kinds, slopes = self.gram.reshape(4, -1, 4, len(start) // 4), directions.reshape(len(directions), 4, -1)
+        slopes = slopes.astype(np.float32)
+        half = np.einsum("jiq,iqkr->jqkr", slopes, kinds)
+        gram = np.einsum("jqkr,lkr->jqlr", half, slopes)
+        lit = self.gram @ start.astype(np.float32)
+        seen = [self.matched, self.offset + lit]
+        matched, offset = ((slopes * one.reshape(4, -1)).sum(1).ravel() for one in seen)
+        return PairStatistics(
+            gram.reshape(matched.size, matched.size),
+            matched,
+            offset,
+            self.cross + float(start @ self.matched),
+            self.offset_power + float(start @ (2 * self.offset + lit)),
+            self.power,
+            self.pixels,
+            self.combination,
+        )
+
     def plus(self, other: "PairStatistics") -> "PairStatistics":
         """Statistics of two observations of one pattern together.
 

@@ -39,7 +39,7 @@ EM_STEPS, EM_STRIDE = 3, 4
 Chosen: twelve pairs have 768 squares, which tell an amplitude to a few percent.
 """
 
-LEAST_AMPLITUDE, LEAST_VARIANCE = 1e-3, 1e-4
+LEAST_SYMBOL_AMPLITUDE, LEAST_SYMBOL_VARIANCE = 1e-3, 1e-4
 """Least a and least variance of n, the light of all LEDs being 1.
 
 Tolerances: the first keeps quotients finite where blur leaves nothing of a symbol; without the second symbols that fit
@@ -85,7 +85,7 @@ class _Scale:
             weight = 1 / (a**2 * error)
             a = _alike(weight * y * first) / np.maximum(_alike(weight * second), TINY)
             noise = _alike(y**2 - 2 * a * y * first + a**2 * (second - leak_variance))
-            scale = _Scale(np.maximum(a, LEAST_AMPLITUDE), np.maximum(noise, LEAST_VARIANCE))
+            scale = _Scale(np.maximum(a, LEAST_SYMBOL_AMPLITUDE), np.maximum(noise, LEAST_SYMBOL_VARIANCE))
         return scale
 
 

@@ -1,0 +1,81 @@
+"""Pairs out of step: what is expected of their observed symbols, against light drawn slot by slot."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from slot_light import light_about_mean, observed, symbols_of
+
+from heliograph.receive.timing.combination import Combination, SlotLight, combine_pair
+from heliograph.receive.timing.out_of_step import OutOfStep
+from heliograph.signal import haar
+
+Floats = NDArray[np.float64]
+SIDE, PAIRS = 8, 5
+PHASES = (0.1, 0.37, 0.5, 0.6)
+
+
+def combination_at(phase: float) -> Combination:
+    """How frames combine that are so far out of step, in T_b, each exposed for all of a pattern."""
+    found = combine_pair(np.arange(-3.0, 5.0) + phase, 1.0, SlotLight((0, 1, 2, 3)))
+    assert found is not None
+    return found
+
+
+def packet(phase: float, seed: int = 0) -> tuple[Combination, OutOfStep, Floats, Floats]:
+    """A packet's combination, its pairs, their symbols, and what is observed of them: slot by slot, without noise."""
+    rng = np.random.default_rng(seed)
+    combination, header = combination_at(phase), rng.random((SIDE, SIDE)) > 0.5
+    data = rng.choice(np.array([-1, 1], np.int8), (PAIRS, SIDE, SIDE))
+    levels = [haar.encode(d) for d in data]
+    lit = np.where(header, 4, 0).astype(np.uint8)
+    around = [lit, *levels, lit]
+    shown = [
+        sum(
+            observed(light_about_mean(around[k + q], combination.slots[q]))
+            for q in range(3)
+            if np.abs(combination.slots[q]).max() > 1e-3
+        )
+        for k in range(PAIRS)
+    ]
+    return combination, OutOfStep.of([combination] * PAIRS, header), np.stack([*map(symbols_of, data)]), np.stack(shown)
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_of_known_symbols_what_is_observed_is_known(phase: float) -> None:
+    _, pairs, symbols, shown = packet(phase)
+    expected = pairs.expected(symbols)
+    assert expected.mean + expected.leak == pytest.approx(shown, abs=1e-9)
+    assert expected.variance == pytest.approx(0, abs=1e-9)
+    assert expected.leak_variance == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_of_unknown_symbols_mean_and_variance_are_those_of_random_data(phase: float) -> None:
+    found = np.stack([packet(phase, seed)[3] for seed in range(400)])
+    expected = packet(phase)[1].expected(np.zeros((PAIRS, SIDE**2)))
+    # headers beside the packet are known
+    inside = slice(1, PAIRS - 1)
+    mean, variance = (expected.mean + expected.leak)[inside], (expected.variance + expected.leak_variance)[inside]
+    kinds = found[:, inside].reshape(-1, 4, SIDE**2 // 4)
+    assert kinds.mean((0, 2)) == pytest.approx(mean.reshape(-1, 4, SIDE**2 // 4).mean((0, 2)), abs=0.03)
+    assert kinds.var((0, 2)) == pytest.approx(variance.reshape(-1, 4, SIDE**2 // 4).mean((0, 2)), rel=0.1)
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_symbols_follow_from_exact_estimates(phase: float) -> None:
+    _, pairs, symbols, shown = packet(phase)
+    # of each square all symbols but one are known, and those of the pairs around
+    kind, square = np.divmod(np.arange(SIDE**2), SIDE**2 // 4)
+    mean = np.where(kind == square % 4, 0.0, symbols)
+    expected = pairs.expected(symbols)
+    llrs = pairs.llrs(shown, np.full_like(shown, 1e-3), expected, mean)
+    assert (np.sign(llrs) == symbols)[mean == 0].all()
+
+
+def test_a_pair_in_step_shows_its_own_symbols_alone() -> None:
+    combination, _, symbols, _ = packet(0.5)
+    pairs = OutOfStep.of([combination, None, combination], np.ones((SIDE, SIDE), bool))
+    expected = pairs.expected(symbols[:3])
+    assert expected.mean[1] == pytest.approx(symbols[1])
+    assert not expected.leak[1].any()
+    assert not expected.leak_variance[1].any()
