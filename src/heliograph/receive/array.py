@@ -344,9 +344,10 @@ class ArrayReceiver:
             return False
         if self._read is not None:
             return self._proven and self._read
-        if self.found.whole and self.found.ambiguous:
-            self._proven |= self._decoders.submit(Glance(taken)).result()
-        return self.found.whole and (self._proven or not self.found.ambiguous)
+        if self.found.whole and not self.found.ambiguous:
+            return True
+        self._proven |= self._decoders.submit(Glance(taken)).result()
+        return self._proven
 
     def _coming(self, seen: Packet, taken: TakenPacket, lacks_pair: bool) -> ComingPacket:
         work = self._decoders.submit(Work(taken, self.identity, self._signal, lacks_pair, self._taught))
