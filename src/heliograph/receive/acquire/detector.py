@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.arrays import TINY
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, SearchLoad
 from heliograph.receive.acquire.candidate import (
@@ -41,9 +40,9 @@ from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_hea
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, Hypothesis, headers
 from heliograph.receive.acquire.old_blocks import OldBlocks
 from heliograph.receive.acquire.parts import SearchedPart, searched_parts
-from heliograph.receive.acquire.slots import SLACK, Due, DueFrames, Slots, filled, first_there
+from heliograph.receive.acquire.slots import Due, DueFrames, Slots, begin_of, filled, first_there
 from heliograph.receive.acquire.usual import UsualAlternation
-from heliograph.receive.image.fit import Fit, header_amplitudes
+from heliograph.receive.image.fit import Fit
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.image.pose import Pose
 from heliograph.signal.settings import SignalSettings
@@ -322,30 +321,32 @@ class Detector:
                 self.budget.drop()
                 break
             least = self._parameters.coarse_score
-            found = self._timed(slots, replace(rough.pose, blur=blur), weights, searched.hypotheses[number], tilt)
+            pose = replace(rough.pose, blur=blur)
+            begun = begin_of(slots, pose, weights, self._header)
+            if begun is None:
+                # whatever its tilt
+                break
+            found = self._fitted(slots, begun, pose, weights, searched.hypotheses[number], tilt)
             if found is not None and (best is None or found.score > best.score + GAINED):
                 best = found
             if best is not None and best.score >= CLEAR:
                 break
         return [] if best is None else [best]
 
-    def _timed(
-        self, slots: Slots, pose: Pose, weights: NDArray[np.float64], hypotheses: tuple[Hypothesis, ...], tilt: float
+    def _fitted(
+        self,
+        slots: Slots,
+        begun: tuple[int, float],
+        pose: Pose,
+        weights: NDArray[np.float64],
+        hypotheses: tuple[Hypothesis, ...],
+        tilt: float,
     ) -> Detection | None:
-        """Where the header begins, the start at which its frames alternate most; and the pose in just those frames."""
-        amplitudes = iter(header_amplitudes([frame for frame in slots if frame is not None], pose, weights).tolist())
-        shown = [None if frame is None else next(amplitudes) for frame in slots]
-        sign = 1 - 2 * (np.arange(self._header) % 2)
-        windows = [filled(shown[k : k + self._header]) for k in range(len(slots) - self._header + 1)]
-        sums = [-np.inf if window is None else float(sign @ window) for window in windows]
-        start = int(np.argmax(sums))
-        seen, header = windows[start], filled(slots[start : start + self._span])
-        there = slots[start : start + self._header]
-        if start >= len(sums) - SLACK or seen is None or header is None:
-            # it may begin a pair later, and a pair of data like it stand for its first: the next search has more of it
+        """The array in just the frames of a header; None where they show none that is convincing."""
+        start, regularity = begun
+        header, there = filled(slots[start : start + self._span]), slots[start : start + self._header]
+        if header is None:
             return None
-        change = -np.diff(seen) * sign[:-1]
-        regularity = float(change.min() / max(change.mean(), TINY))
         # what is filled in alternates by itself: a pair of data must not pass for a header that is half hidden
         whole = None not in there
         if regularity < (self._parameters.regularity if whole else HIDDEN_REGULARITY):

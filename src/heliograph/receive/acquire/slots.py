@@ -5,7 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.arrays import TINY
 from heliograph.base.frames import Frame
+from heliograph.receive.image.fit import header_amplitudes
+from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import common
 
 Slots = Sequence[Frame | None]
@@ -44,6 +50,38 @@ class Due:
 
     slots: Slots
     turned: bool
+
+
+def begin_of(slots: Slots, pose: Pose, weights: NDArray[np.float64], header: int) -> tuple[int, float] | None:
+    """Where a header begins: the start at which its frames alternate most.
+
+    Parameters
+    ----------
+    slots
+        Frames that are due; None where one is missing.
+    pose
+        Where its array is, about.
+    weights
+        (n, n) header less its inverse, -1 to 1.
+    header
+        Frames of a header.
+
+    Returns
+    -------
+    Place of its first frame, and how regularly its frames alternate, 1 for all alike; None where it may begin a pair
+    later still, and a pair of data like it stand for its first: the next search has more of it.
+    """
+    amplitudes = iter(header_amplitudes([frame for frame in slots if frame is not None], pose, weights).tolist())
+    shown = [None if frame is None else next(amplitudes) for frame in slots]
+    sign = 1 - 2 * (np.arange(header) % 2)
+    windows = [filled(shown[k : k + header]) for k in range(len(slots) - header + 1)]
+    sums = [-np.inf if window is None else float(sign @ window) for window in windows]
+    start = int(np.argmax(sums))
+    seen = windows[start]
+    if start >= len(sums) - SLACK or seen is None:
+        return None
+    change = -np.diff(seen) * sign[:-1]
+    return start, float(change.min() / max(change.mean(), TINY))
 
 
 def filled(header: Sequence[Shown | None]) -> list[Shown] | None:
