@@ -207,10 +207,14 @@ class TakenPairs:
             return None
         # behind a post the scale of these LLRs is wrong; max-log heeds their proportions alone
         options = replace(reading.options, algorithm="max-log")
-        cutouts = self._with_lone(assumed)
+        cutouts, place = self._with_lone(assumed), (self.light.gain, self.form, self.identity, options)
         if _out_of_step(cutouts):
-            return read_square_by_square(cutouts, self.light.gain, self.form, self.identity, options)
-        return read_led_by_led(cutouts, self.form, self.identity, options)
+            return read_square_by_square(cutouts, *place)
+        shown = read_led_by_led(cutouts, *place[1:])
+        if shown is None or open_words(shown) in (0, sum(map(len, shown.values()))):
+            return shown
+        # what is decoded tells what it leaves of its light in the others
+        return read_square_by_square(cutouts, *place, shown) or shown
 
     def _decode(
         self, assumed: Assumption, earlier: SoftBuffer | None, known: Words | None, observe: Observer

@@ -1,8 +1,13 @@
-"""Cut-outs of frames out of step, read as `led_by_led` reads those in step: where LEDs are resolved, this is enough.
+"""Cut-outs read at the LEDs' positions, round by round: what is decoded tells what it leaves of its light elsewhere.
 
-The Haar transform of the light at a square's LEDs is y = a (r + l) + n for each of its four observed symbols. r is a
-function of the square's own symbols, l light of the pairs before and after, and the blur leaves less of a fine symbol
-than of a coarse one: a and the variance of n are those of a kind of symbol, by expectation and maximisation.
+The Haar transform of the light at a square's LEDs is, for each of its four observed symbols,
+
+    y = a (z + l) + sum_j b_j x_j + n.
+
+z is a function of the square's own symbols, in step the symbol itself, and l light of the pairs before and after. The
+blur leaves less of a fine symbol than of a coarse one: a and the variance of n are those of a kind of symbol, by
+expectation and maximisation. x_j is the light of the square's other symbols and of the eight squares around, as far as
+these are decoded; the b_j follow by least squares. No pose, no blur and no gain need be known for it.
 """
 
 from collections.abc import Sequence
@@ -24,10 +29,10 @@ from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
 
-ROUNDS = 4
-"""Most readings of a packet, each with what the one before has decoded.
+ROUNDS, IDLE_ROUNDS = 8, 3
+"""Most readings of a packet, each with what the one before has decoded; and how many may decode nothing new in a row.
 
-Chosen: it bounds the time; there are three layers, and a round that decodes nothing is the last.
+Chosen: the first bounds the time. A round that decodes nothing new still knows its symbols better than the one before.
 """
 
 FIRST_NOISE = 0.1
@@ -47,6 +52,16 @@ by chance would be certain.
 """
 
 
+RIDGE = 1e-3
+"""Weight of the squares of the b_j in least squares, the light of a symbol being 1: what is not known has none.
+
+A tolerance: light of a variance of 1 is taken for less by a thousandth.
+"""
+
+AROUND = 1
+"""Squares around one whose light is looked for in it, each way. Chosen: with 2 no more was read (docs/constants.md)."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Scale:
     """Amplitude and noise of each kind of symbol.
@@ -61,36 +76,38 @@ class _Scale:
     noise: Floats
 
     @classmethod
-    def unknown(cls, side: int) -> "_Scale":
-        """Amplitude and noise before any symbol is known of an array of so many LEDs a row."""
-        return cls(np.ones(side**2), np.full(side**2, FIRST_NOISE))
+    def fitted(
+        cls, symbols: Floats, packet: OutOfStep, expected: ObservedSymbols, mean: Floats, asked: NDArray[np.intp]
+    ) -> "_Scale":
+        """Amplitude and noise by some pairs' observed symbols y, (pairs, symbols) as all others."""
+        response, y, prior = packet.response[asked], symbols[asked], mean[asked]
+        leak, leak_variance = expected.leak[asked], expected.leak_variance[asked]
+        scale = cls(np.ones(y.shape[1]), np.full(y.shape[1], FIRST_NOISE))
+        for _ in range(EM_STEPS):
+            a, found, error = scale.amplitude, y / scale.amplitude - leak, scale.relative_noise + leak_variance
+            first, second = partial_exposure.posterior_moments(response, found, error, prior)
+            # of z + l
+            first, second = first + leak, second + (2 * first + leak) * leak
+            # a = <y, z + l> / E|z + l|^2, var n = E|y - a (z + l)|^2 - a^2 var l
+            weight = 1 / (a**2 * error)
+            a = _alike(weight * y * first) / np.maximum(_alike(weight * second), TINY)
+            noise = _alike(y**2 - 2 * a * y * first + a**2 * (second - leak_variance))
+            scale = cls(np.maximum(a, LEAST_SYMBOL_AMPLITUDE), np.maximum(noise, LEAST_SYMBOL_VARIANCE))
+        return scale
 
     @property
     def relative_noise(self) -> Floats:
         """Variance of n / a, (symbols,)."""
         return self.noise / self.amplitude**2
 
-    def fitted(
-        self, symbols: Floats, packet: OutOfStep, expected: ObservedSymbols, mean: Floats, asked: NDArray[np.intp]
-    ) -> "_Scale":
-        """Amplitude and noise by some pairs' observed symbols y, (pairs, symbols) as all others."""
-        response, y, prior = packet.response[asked], symbols[asked], mean[asked]
-        leak, leak_variance, scale = expected.leak[asked], expected.leak_variance[asked], self
-        for _ in range(EM_STEPS):
-            a, found, error = scale.amplitude, y / scale.amplitude - leak, scale.relative_noise + leak_variance
-            first, second = partial_exposure.posterior_moments(response, found, error, prior)
-            # of r + l
-            first, second = first + leak, second + (2 * first + leak) * leak
-            # a = <y, r + l> / E|r + l|^2, var n = E|y - a (r + l)|^2 - a^2 var l
-            weight = 1 / (a**2 * error)
-            a = _alike(weight * y * first) / np.maximum(_alike(weight * second), TINY)
-            noise = _alike(y**2 - 2 * a * y * first + a**2 * (second - leak_variance))
-            scale = _Scale(np.maximum(a, LEAST_SYMBOL_AMPLITUDE), np.maximum(noise, LEAST_SYMBOL_VARIANCE))
-        return scale
-
 
 def read_square_by_square(
-    cutouts: Sequence[Cutout | None], gain: float, form: PacketFormat, identity: int, options: Decoding
+    cutouts: Sequence[Cutout | None],
+    gain: float,
+    form: PacketFormat,
+    identity: int,
+    options: Decoding,
+    known: Words | None = None,
 ) -> Words | None:
     """Codewords by the light at each LED's position alone, of frames in step or out of it.
 
@@ -106,6 +123,8 @@ def read_square_by_square(
         Number of the array, 0 to 29; a block of another array is a mismatch.
     options
         Algorithm of the channel decoder, and its most iterations.
+    known
+        Its codewords by layer as another reading left them; None if there was no other.
 
     Returns
     -------
@@ -116,22 +135,27 @@ def read_square_by_square(
     header = form.header_pattern(identity) > SLOTS // 2
     packet = OutOfStep.of([None if cutout is None else cutout.combination for cutout in cutouts], header)
     seen = np.array([cutout is not None for cutout in cutouts])
-    symbols, scale = _observed_symbols(cutouts, gain, form), _Scale.unknown(form.settings.side)
-    layers, mapper = {name: Layer.unknown(layer) for name, layer in form.layers.items()}, SymbolMapper(form)
+    symbols, mapper = _observed_symbols(cutouts, gain, form), SymbolMapper(form)
+    layers = {name: Layer.unknown(layer) for name, layer in form.layers.items()}
+    if known is not None:
+        layers = {name: layer.with_known(known[name]) for name, layer in layers.items()}
+    idle = 0
     for _ in range(ROUNDS):
         before = [layer.open for layer in layers.values()]
         means = [layer.mean() for layer in layers.values()]
         mean, _ = mapper.expected(means, [layer.variances() for layer in layers.values()])
         expected = packet.expected(mean)
-        scale = scale.fitted(symbols, packet, expected, mean, np.flatnonzero(seen)[::EM_STRIDE])
-        llrs = packet.llrs(symbols / scale.amplitude, scale.relative_noise, expected, mean)
+        alone = _without_others(symbols, np.where(seen[:, None], expected.mean + expected.leak, 0.0))
+        scale = _Scale.fitted(alone, packet, expected, mean, np.flatnonzero(seen)[::EM_STRIDE])
+        llrs = packet.llrs(alone / scale.amplitude, scale.relative_noise, expected, mean)
         parts = mapper.bits(np.where(seen[:, None], llrs, 0.0), means)
         layers = {
             name: decode_layer(layer.equalised(part), name, identity, options, feedback=True)
             for (name, layer), part in zip(layers.items(), parts, strict=True)
         }
-        nothing_new = before == [layer.open for layer in layers.values()]
-        if nothing_new or all(layer.hopeless for layer in layers.values()):
+        after = [layer.open for layer in layers.values()]
+        idle = idle + 1 if after == before else 0
+        if not any(after) or idle == IDLE_ROUNDS:
             break
     return {name: layer.words for name, layer in layers.items()}
 
@@ -147,6 +171,24 @@ def _observed_symbols(cutouts: Sequence[Cutout | None], gain: float, form: Packe
         shown = at_leds(cutout.difference, cutout.corner, cutout.middle, side)
         light[place] = normalised(shown - gain * (pattern - inverse), gain)
     return np.concatenate([*form.split(haar.decode(light)).values()], axis=1)
+
+
+def _without_others(symbols: Floats, light: Floats) -> Floats:
+    """Observed symbols y, (pairs, symbols), less what the light x of others leaves in them, as far as it is known."""
+    if not light.any():
+        return symbols
+    side = round((symbols.shape[1] // 4) ** 0.5)
+    rim = np.pad(light.reshape(-1, 4, side, side), ((0, 0), (0, 0), (AROUND, AROUND), (AROUND, AROUND)))
+    places = range(2 * AROUND + 1)
+    # (kinds x places, squares of all pairs): the light of each kind of symbol at each place around
+    x = np.stack([rim[:, k, i : i + side, j : j + side].ravel() for k in range(4) for i in places for j in places])
+    y = symbols.reshape(len(symbols), 4, -1).transpose(1, 0, 2).reshape(4, -1)
+    # b = (x x^T + lambda)^-1 x y^T
+    b = np.linalg.solve(x @ x.T + RIDGE * x.shape[1] * np.eye(len(x)), x @ y.T)
+    middle = np.arange(4) * len(places) ** 2 + len(places) ** 2 // 2
+    b[middle, np.arange(4)] = 0.0  # a symbol's own light stays
+    left = (y - b.T @ x).reshape(4, len(symbols), -1)
+    return np.asarray(left.transpose(1, 0, 2).reshape(symbols.shape))
 
 
 def _alike(values: Floats) -> Floats:
