@@ -7,10 +7,13 @@ import pytest
 from recorder import Recorder
 from scenes import film, link
 
+from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose, receive_frames
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.events import DecodeEvent, EqualiseEvent
 from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.packets import Words
+from heliograph.receive.plain.led_by_led import read_led_by_led
 from heliograph.receive.plain.square_by_square import read_square_by_square
 from heliograph.receive.settings import SoftSettings
 from heliograph.signal.formats import Format
@@ -20,12 +23,25 @@ PACKET = 53
 FRAMES = 3 * PACKET + 10
 
 
-@pytest.mark.parametrize("distance_m", [30.0, 45.0])
-@pytest.mark.parametrize("phase", [0.07, 0.3, 0.5, 0.62, 0.9])
-def test_near_packets_are_read_without_the_equaliser(phase: float, distance_m: float) -> None:
+def at_rest(distance_m: float, phase: float) -> LinkSettings:
+    """An array at rest, so far away and so far out of step in T_b."""
     settings = link("signal.data_pairs=24", "receive.receiver=soft", distance_m=distance_m)
     arrays = (replace(settings.channel.arrays[0], start_s=phase * 1e-3),)
-    settings = replace(settings, channel=replace(settings.channel, arrays=arrays))
+    return replace(settings, channel=replace(settings.channel, arrays=arrays))
+
+
+def decoded(words: Words | None, layer: str) -> list[bool]:
+    """Which of a layer's codewords are right."""
+    assert words is not None
+    return [word.status == "ok" for word in words[layer]]
+
+
+NEAR = [(phase, distance_m) for phase in (0.07, 0.3, 0.5, 0.62, 0.9) for distance_m in (30.0, 45.0)]
+
+
+@pytest.mark.parametrize(("phase", "distance_m"), [*NEAR, (0.2, 65.0), (0.8, 65.0)])
+def test_packets_are_read_without_the_equaliser(phase: float, distance_m: float) -> None:
+    settings = at_rest(distance_m, phase)
     frames, recorder, other = film(settings, FRAMES), Recorder(), Recorder()
     packets = list(receive_frames(frames, settings.signal, settings.receive, recorder))
     assert [packet.status for packet in packets] == ["ok"] * 3
@@ -40,9 +56,7 @@ def test_near_packets_are_read_without_the_equaliser(phase: float, distance_m: f
 
 @pytest.mark.parametrize("misplaced", [0.0, 3.0])
 def test_what_is_read_depends_on_the_pose_and_hardly_on_the_gain(misplaced: float) -> None:
-    settings, recorder = link("signal.data_pairs=24", "receive.receiver=soft", distance_m=40.0), Recorder()
-    arrays = (replace(settings.channel.arrays[0], start_s=0.4e-3),)
-    settings = replace(settings, channel=replace(settings.channel, arrays=arrays))
+    settings, recorder = at_rest(40.0, 0.4), Recorder()
     list(receive_frames(film(settings, PACKET + 5), settings.signal, settings.receive, recorder))
     (event,) = recorder.of(DecodeEvent)
     error = np.array([misplaced, 0.0, 0.0, 0.0])
@@ -52,6 +66,22 @@ def test_what_is_read_depends_on_the_pose_and_hardly_on_the_gain(misplaced: floa
         words = read_square_by_square(cutouts, gain, PacketFormat(settings.signal), event.identity, Decoding())
         assert words is not None
         assert all(word.status == ("crc_fail" if misplaced else "ok") for by in words.values() for word in by)
+
+
+def test_far_layers_are_read_once_the_light_of_those_before_is_known() -> None:
+    settings, recorder = link("signal.data_pairs=48", "receive.receiver=soft", distance_m=85.0), Recorder()
+    list(receive_frames(film(settings, 105), settings.signal, settings.receive, recorder))
+    (event,) = recorder.of(DecodeEvent)
+    place = PacketFormat(settings.signal), event.identity, Decoding(algorithm="max-log")
+    alone = read_led_by_led(event.cutouts or (), *place)
+    assert decoded(alone, "high") == [True]
+    assert decoded(alone, "middle") == [False, False]
+    words = read_square_by_square(event.cutouts or (), 190.0, *place, alone)
+    assert decoded(words, "high") == [True]
+    assert decoded(words, "middle") == [True, True]
+    assert words is not None
+    for word, right in zip(words["middle"], event.packet.layers["middle"], strict=True):
+        assert word.block == right.block
 
 
 def test_a_pair_that_is_missing_says_nothing() -> None:
