@@ -43,6 +43,12 @@ PROGRESS = 0.002
 Even all `ITERATIONS` at this pace gain 0.05 bit, a ninth of what a code of rate 1/3 needs.
 """
 
+SETTLED_NOISE = 0.01
+"""Change of the noise of pairs out of step, as a fraction, below which it counts as estimated.
+
+While it rises LLRs shrink, so that information seems to be lost. Chosen: four to six iterations.
+"""
+
 REFINEMENTS = 6
 """Most times that a packet's poses are refined; refining ends by itself when no pose moves any more.
 
@@ -208,7 +214,7 @@ class _Packet:
         refinements = REFINEMENTS if self.feedback != "none" and not self.combined else 0
         due, moved = not self.open.all(), False
         for number in range(ITERATIONS):
-            before, open_ = self.information, self.open
+            before, open_, noise = self.information, self.open, self.channel.noise
             self.equalise()
             if number == 0 and buffer is not None:
                 self.add_earlier(buffer)
@@ -223,6 +229,8 @@ class _Packet:
             if not left.any() or self.feedback == "none":
                 break
             decoded = left.sum() < open_.sum()
+            # gain and noise of pairs out of step, that is
+            guessed = self.combined and number == 0
             due |= decoded
             hopeless = bool(self.hopeless[left].all())
             # what was decoded just now may be all that stood in the others' way
@@ -238,7 +246,7 @@ class _Packet:
             elif moved:
                 # this iteration began without guesses: another one follows
                 moved = False
-            elif not decoded and ((self.information - before)[left].max() < PROGRESS or hopeless):
+            elif not (decoded or guessed) and (hopeless or self.gained_little(left, before, noise)):
                 # as far as this goes, unless LEDs differ
                 relit = observed.relit(*self.expected(), self.channel.gain, self.channel.noise)
                 if relit is observed or not refinements:
@@ -254,6 +262,11 @@ class _Packet:
         """(codewords,) which are not decoded."""
         words = [word for layer in self.layers.values() for word in layer.words]
         return np.array([word.status == "crc_fail" for word in words] or [True] * len(self.information))
+
+    def gained_little(self, left: NDArray[np.bool_], before: Floats, noise: float) -> bool:
+        """Whether an iteration has added little information, and not for noise that is still being estimated."""
+        settled = not self.combined or abs(self.channel.noise - noise) < SETTLED_NOISE * noise
+        return settled and bool((self.information - before)[left].max() < PROGRESS)
 
     @property
     def hopeless(self) -> NDArray[np.bool_]:
