@@ -32,13 +32,14 @@ from heliograph.signal.pwm import SLOTS
 ROUNDS, IDLE_ROUNDS = 8, 3
 """Most readings of a packet, each with what the one before has decoded; and how many may decode nothing new in a row.
 
-Chosen: the first bounds the time. A round that decodes nothing new still knows its symbols better than the one before.
+Chosen: the first bounds the time. A round that decodes nothing new still knows its symbols better than the one before,
+unless all that is open is hopeless.
 """
 
 FIRST_NOISE = 0.1
 """Variance of n at first, where the symbols are +-1. Chosen: expectation and maximisation go on from it."""
 
-EM_STEPS, EM_STRIDE = 3, 4
+EM_STEPS, EM_STRIDE = 2, 4
 """Steps of expectation and maximisation in each round, and pairs of which one is asked.
 
 Chosen: twelve pairs have 768 squares, which tell an amplitude to a few percent.
@@ -155,7 +156,7 @@ def read_square_by_square(
         }
         after = [layer.open for layer in layers.values()]
         idle = idle + 1 if after == before else 0
-        if not any(after) or idle == IDLE_ROUNDS:
+        if not any(after) or idle == IDLE_ROUNDS or (idle and all(layer.hopeless for layer in layers.values())):
             break
     return {name: layer.words for name, layer in layers.items()}
 
