@@ -127,8 +127,8 @@ class ArrayReceiver:
 
     @property
     def sure(self) -> bool:
-        """Whether it is followed rightly: by the last packet, or before the first by a header that left no doubt."""
-        return self.found.clear if self._read is None else self._read
+        """Whether it is followed rightly: by the last packet, or before that is known by its header or a codeword."""
+        return self.found.clear or self._proven if self._read is None else self._read
 
     @property
     def done(self) -> bool:
