@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple, cast
@@ -26,7 +27,7 @@ from heliograph.receive.decode.codeword import unread
 from heliograph.receive.events import ignore
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.packet_reader import SoftReader
-from heliograph.receive.reader_protocol import Decoded
+from heliograph.receive.reader_protocol import Decoded, TakenPacket
 from heliograph.receive.taken_pairs import Lesson, TakenPairs
 
 PACKET = 100
@@ -268,6 +269,49 @@ def test_an_array_that_was_not_what_it_seemed_is_doubted_a_packet_later(
     # it is an array by its header, until its first packet is asked for
     assert sure[PACKET + 50]
     assert not sure[2 * PACKET + 50]
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_an_array_whose_packets_are_whole_is_doubted_until_one_shows_that_it_is_followed_rightly(
+    beside: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decode, calls, arrays = TakenPairs.decode, itertools.count(), list[ArrayReceiver]()
+
+    def misled(self: TakenPairs, observe: Any, /) -> Decoded:
+        decoded, number = decode(self, observe), next(calls)
+        lesson = Lesson(None, proven=False, misled=True)
+        return replace(decoded, study=lambda: lesson) if number < 2 else decoded
+
+    class Noted(ArrayReceiver):
+        def __init__(self, *args: Any, **names: Any) -> None:
+            super().__init__(*args, **names)
+            arrays.append(self)
+
+    settings = one_array()
+    monkeypatch.setattr(TakenPairs, "decode", misled)
+    monkeypatch.setattr(assemblies, "ArrayReceiver", Noted)
+    monkeypatch.setattr(assemblies, "decoders", lambda _: ThreadPoolExecutor(1) if beside else coming.AtOnce())
+    receiver, sure, packets = make_receiver(settings.signal, settings.receive), list[bool](), list[Packet]()
+    for frame in film(settings, 4 * PACKET + 10):
+        packets += receiver.push(frame)
+        sure.append(bool(arrays) and arrays[0].sure)
+    packets += receiver.finish()
+    assert [packet.status for packet in packets] == ["ok"] * 4
+    assert sure[PACKET + 50]
+    assert not sure[2 * PACKET + 50]
+    # the third packet shows that it is followed rightly, or the array is found anew
+    assert sure[3 * PACKET + 50] or len(arrays) > 1
+
+
+def test_a_process_that_ends_at_a_glance_is_told_of_in_one_line() -> None:
+    class Ended:
+        def submit(self, _work: Any, /) -> Any:
+            future = Future[Any]()
+            future.set_exception(BrokenProcessPool("gone"))
+            return future
+
+    with pytest.raises(HeliographError, match="the process that decodes packets has ended"):
+        coming.glanced(Ended(), cast(TakenPacket, None))
 
 
 class Long(NamedTuple):

@@ -12,10 +12,10 @@ from heliograph.receive.coming import (
     ENOUGH_SEEN,
     ComingPacket,
     Decoders,
-    Glance,
     SharedLesson,
     Study,
     Work,
+    glanced,
 )
 from heliograph.receive.events import Observer, TrackEvent
 from heliograph.receive.gathered import Gathered
@@ -98,7 +98,7 @@ class ArrayReceiver:
         self._read: bool | None = None
         self._beside: ComingPacket | None = None
         self._taught = SharedLesson()
-        self._proven = self._failed = self._outgrown = False
+        self._proven = self._misled = self._failed = self._outgrown = False
 
     @property
     def identity(self) -> int:
@@ -128,7 +128,8 @@ class ArrayReceiver:
     @property
     def sure(self) -> bool:
         """Whether it is followed rightly: by the last packet, or before that is known by its header or a codeword."""
-        return self.found.clear or self._proven if self._read is None else self._read
+        read = self.found.clear or self._proven if self._read is None else self._read
+        return read and not self._misled
 
     @property
     def done(self) -> bool:
@@ -259,10 +260,7 @@ class ArrayReceiver:
             yield self._finish()
         elif in_packet == self._pairs - 1 and self._gathered.frames:
             # single frames of its pairs, but none that shows where the array is
-            self._gathered, self._reader = (
-                self._empty(),
-                self._reader.next(beyond_doubt=False),
-            )
+            self._gathered, self._reader = self._empty(), self._reader.next(beyond_doubt=False)
 
     def _end_header(self) -> None:
         """Correct the clock by the header just over; out of step it is read as a whole."""
@@ -320,12 +318,13 @@ class ArrayReceiver:
         coming = self._coming(seen, taken, lacks_pair)
         if not beyond_doubt:
             self._conclude(coming)
-        if beyond_doubt or (coming.packet().status == "ok" and not lacks_pair and self._in_sight):
+        there = beyond_doubt or (coming.packet().status == "ok" and not lacks_pair and self._in_sight)
+        if there and not self._misled:
             # nothing more of it is asked before the next packet's end
             self._beside = coming
         else:
             self._reader.learn(self._lesson(coming))
-        self._reader = self._reader.next(beyond_doubt)
+        self._reader = self._reader.next(there)
         return coming
 
     @property
@@ -340,13 +339,13 @@ class ArrayReceiver:
 
     def _expected(self, seen: Packet, taken: TakenPacket) -> bool:
         """Whether an array is followed on, whatever comes of decoding its packet: that it is there, is beyond doubt."""
-        if seen.pairs_seen < ENOUGH_SEEN or not self._in_sight:
+        if seen.pairs_seen < ENOUGH_SEEN or not self._in_sight or self._misled:
             return False
         if self._read is not None:
             return self._proven and self._read
         if self.found.whole and not self.found.ambiguous:
             return True
-        self._proven |= self._decoders.submit(Glance(taken)).result()
+        self._proven |= glanced(self._decoders, taken)
         return self._proven
 
     def _coming(self, seen: Packet, taken: TakenPacket, lacks_pair: bool) -> ComingPacket:
@@ -373,8 +372,8 @@ class ArrayReceiver:
     def _lesson(self, coming: ComingPacket) -> Lesson | None:
         """What a packet teaches; it may be that the array is not quite as it is followed."""
         lesson = coming.lesson
-        if lesson is not None and lesson.misled:
-            self._read = False
+        if lesson is not None:
+            self._misled = lesson.misled
         return lesson
 
     def _empty(self) -> Gathered:

@@ -157,6 +157,24 @@ class Glance:
         return self.taken.glance()
 
 
+def glanced(decoders: "Decoders", taken: TakenPacket) -> bool:
+    """Whether a look at a packet shows a right codeword; waits for it.
+
+    Parameters
+    ----------
+    decoders
+        Where packets are decoded.
+    taken
+        All that was taken of the packet.
+
+    Raises
+    ------
+    HeliographError
+        The process that decodes has ended.
+    """
+    return _result(decoders.submit(Glance(taken)))
+
+
 @dataclass(frozen=True, slots=True)
 class Study:
     """Works out what a packet teaches, after it was decoded and handed out.

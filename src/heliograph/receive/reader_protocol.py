@@ -82,7 +82,7 @@ class TakenPacket(Protocol):
         """
 
     def glance(self) -> bool:
-        """Whether a codeword is right by what can be read at once, in a small part of the time that decoding takes."""
+        """Whether a codeword is right by what can be read at once, in less time than an equaliser takes."""
 
     def renumbered(self, place: int) -> "TakenPacket":
         """Give the same packet as it is if a pair is lost that the numbers do not tell of.
@@ -184,7 +184,7 @@ class PacketReader(Protocol):
         """All that was taken, to be decoded."""
 
     def learn(self, lesson: Any) -> None:
-        """Learn what decoding this packet has taught, before `next` is asked for.
+        """Learn what decoding this packet has taught, before `next` is asked for; else the next one's `catch_up` is.
 
         Parameters
         ----------
@@ -198,7 +198,7 @@ class PacketReader(Protocol):
         Parameters
         ----------
         beyond_doubt
-            Whether the array is there beyond doubt: this is then asked for before the packet is decoded.
+            Whether the array is there beyond doubt: this is then asked for before it is known what the packet teaches.
         """
 
     def catch_up(self, lesson: Any) -> None:

@@ -187,9 +187,9 @@ class SoftSettings:
     combining
         Whether codewords of a carousel that are sent again are added to what was seen of them.
     led_by_led
-        Whether a packet is first read by the luminance at each LED's position, as "plain" does: what that decodes is
-        not equalised. It saves time where LEDs are resolved. False compares equalisers alone, as the feedback "none"
-        does.
+        Whether a packet is first read by the light at each LED's position, as "plain" does, and then square by square,
+        out of step too: what that decodes is not equalised. It saves time. False compares equalisers alone, as the
+        feedback "none" does.
     """
 
     feedback: Feedback = "propagation"

@@ -66,7 +66,7 @@ class SoftReading:
     feedback
         What the equaliser gets back from the decoder.
     led_by_led
-        Whether a packet is read LED by LED first.
+        Whether a packet is read LED by LED and square by square first.
     """
 
     buffer: SharedBuffer | None
@@ -155,7 +155,7 @@ class TakenPairs:
             check_mode(self.mode, self.form.settings.data_pairs)
         except UnreadableModeError:
             return False
-        shown = self._led_by_led(Assumption(self._gains(), self._cutouts()))
+        shown = self._led_by_led(Assumption(self._gains(), self._cutouts()), glance=True)
         return shown is not None and any(word.status == "ok" for by in shown.values() for word in by)
 
     def renumbered(self, place: int) -> "TakenPairs":
@@ -183,7 +183,9 @@ class TakenPairs:
         earlier = None if buffer is None else buffer.content
 
         def read(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
-            return self._decode(assumed, earlier, shown if assumed is first else self._led_by_led(assumed), observe)
+            return self._decode(
+                assumed, earlier, shown if assumed.cutouts is first.cutouts else self._led_by_led(assumed), observe
+            )
 
         def read_with(known: Words | None) -> ReadPacket:
             return read_packet(first, lambda assumed: self._decode(assumed, earlier, known, observe))
@@ -200,21 +202,22 @@ class TakenPairs:
         cutouts = tuple(self._cutouts()) if decoded.cutouts is None else decoded.cutouts
         return DecodeEvent(self.identity, packet, cutouts=cutouts)
 
-    def _led_by_led(self, assumed: Assumption) -> Words | None:
-        """What the LEDs' positions alone tell; None where they are not asked, or tell nothing."""
+    def _led_by_led(self, assumed: Assumption, glance: bool = False) -> Words | None:
+        """What the LEDs' positions alone tell, or at a glance; None where they are not asked, or tell nothing."""
         reading = self.reading
         if not reading.led_by_led or reading.feedback == "none":
             return None
         # behind a post the scale of these LLRs is wrong; max-log heeds their proportions alone
         options = replace(reading.options, algorithm="max-log")
-        cutouts, place = self._with_lone(assumed), (self.light.gain, self.form, self.identity, options)
+        cutouts, place = self._with_lone(assumed), (self.form, self.identity, options)
+        soft = reading.feedback in ("soft", "propagation")
         if _out_of_step(cutouts):
-            return read_square_by_square(cutouts, *place)
-        shown = read_led_by_led(cutouts, *place[1:])
-        if shown is None or open_words(shown) in (0, sum(map(len, shown.values()))):
+            return read_square_by_square(cutouts, self.light.gain, *place, soft=soft, glance=glance)
+        shown = read_led_by_led(cutouts, *place)
+        if shown is None or glance or open_words(shown) in (0, sum(map(len, shown.values()))):
             return shown
         # what is decoded tells what it leaves of its light in the others
-        return read_square_by_square(cutouts, *place, shown) or shown
+        return read_square_by_square(cutouts, self.light.gain, *place, shown, soft=soft) or shown
 
     def _decode(
         self, assumed: Assumption, earlier: SoftBuffer | None, known: Words | None, observe: Observer

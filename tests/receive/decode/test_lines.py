@@ -41,30 +41,22 @@ def test_two_open_symbols_of_a_square_lie_on_no_line() -> None:
     assert Lines.of(pairs, mean, variance) is None
 
 
+@pytest.mark.parametrize("guess", [0.0, 0.6, 1.0])
 @pytest.mark.parametrize("phase", PHASES)
-def test_what_is_observed_lies_on_them(phase: float) -> None:
+def test_what_is_expected_lies_on_them(phase: float, guess: float) -> None:
     pairs, symbols, open_ = packet(phase)
     mean, variance = priors(symbols, open_)
-    # those of every other pair are known, so that its neighbours see no open light beside their own
+    # some are known, of the others there is a guess
+    np.put_along_axis(mean, open_, guess * np.take_along_axis(symbols, open_, 1), 1)
+    np.put_along_axis(variance, open_, 1 - guess**2, 1)
     mean[::2], variance[::2] = symbols[::2], 0.0
-    lines = Lines.of(pairs, mean, variance)
+    lines, expected = Lines.of(pairs, mean, variance), pairs.expected(mean)
     assert lines is not None
-    u, shown = np.take_along_axis(symbols, lines.open, 1), pairs.expected(symbols)
-    along = lines.start + lines.slope * np.tile(u, 4)
-    # light of known symbols around is taken along the line alone
-    for k in (1, 3):
-        leak = (lines.slope[k] * np.tile(lines.leak[k], 4)).reshape(4, -1)
-        left = (shown.mean[k] + shown.leak[k] - along[k]).reshape(4, -1) - leak
-        assert (left * lines.slope[k].reshape(4, -1)).sum(0) == pytest.approx(0, abs=1e-9)
-        assert lines.leak_variance[k] == pytest.approx(0)
-    assert shown.mean == pytest.approx(along - _around(pairs, symbols, lines), abs=1e-9)
-
-
-def _around(pairs: OutOfStep, symbols: Floats, lines: Lines) -> Floats:
-    """What `lines.start` holds of the pairs around: all but the light of their open symbols."""
-    other = symbols.copy()
-    np.put_along_axis(other, lines.open, -np.take_along_axis(symbols, lines.open, 1), 1)
-    return 0.5 * (pairs.expected(symbols).leak + pairs.expected(other).leak)
+    along = lines.start + lines.slope * np.tile(lines.mean + lines.leak, 4)
+    assert along == pytest.approx(expected.mean + expected.leak, abs=1e-9)
+    # along a line there is no more variance than in all of the light around
+    power = (lines.slope**2).reshape(PAIRS, 4, -1).sum(1)
+    assert (lines.leak_variance * power <= expected.leak_variance.reshape(PAIRS, 4, -1).sum(1) + 1e-9).all()
 
 
 @pytest.mark.parametrize("phase", PHASES)

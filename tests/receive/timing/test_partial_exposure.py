@@ -6,7 +6,13 @@ from numpy.typing import NDArray
 from slot_light import COVARIANCE, MEAN_LIT, SLOPES, VALUES, light_about_mean, observed
 
 from heliograph.receive.timing import partial_exposure
-from heliograph.receive.timing.partial_exposure import moments, response, response_of_levels, symbol_llrs
+from heliograph.receive.timing.partial_exposure import (
+    moments,
+    posterior_moments,
+    response,
+    response_of_levels,
+    symbol_llrs,
+)
 from heliograph.signal import haar, pwm
 
 Floats = NDArray[np.float64]
@@ -78,6 +84,27 @@ def test_the_prior_of_a_symbol_is_not_in_its_llr() -> None:
         other[i] = -0.3
         llrs = [symbol_llrs(table, observed, variance, m)[i] for m in (mean, other)]
         assert llrs[0] == pytest.approx(llrs[1])
+
+
+@pytest.mark.parametrize("far", [30.0, 3000.0])
+def test_what_no_symbols_explain_leaves_moments_and_llrs_finite(far: float) -> None:
+    table, mean = response(np.array([0.1, 0.6, 0.3, 0.0])), np.array([1.0, -1.0, 1.0, 1.0])
+    observed, variance = far * np.array([-1.0, 1.0, 1.0, -1.0]), np.full(4, 1e-4)
+    first, second = posterior_moments(table, observed, variance, mean)
+    assert (np.abs(first) <= np.abs(table).max()).all()
+    assert (second <= (table**2).max()).all()
+    assert np.isfinite(symbol_llrs(table, observed, variance, mean)).all()
+
+
+def test_posterior_moments_weigh_all_values_by_what_is_observed() -> None:
+    rng = np.random.default_rng(5)
+    table, mean = response(np.array([0.1, 0.6, 0.3, 0.0])), rng.uniform(-0.9, 0.9, 4)
+    observed, variance = rng.normal(0, 1, 4), rng.uniform(0.1, 2, 4)
+    chance = np.prod((1 + VALUES * mean) / 2, 1) * np.exp(-((table - observed) ** 2 / variance / 2).sum(1))
+    chance /= chance.sum()
+    first, second = posterior_moments(table, observed, variance, mean)
+    assert first == pytest.approx(chance @ table)
+    assert second == pytest.approx(chance @ table**2)
 
 
 def test_in_step_the_llr_is_that_of_a_bit_in_gaussian_noise() -> None:

@@ -61,6 +61,8 @@ Chosen: it bounds the time of a packet whose poses keep moving. With 3 and 12 no
 class EqualiseEvent:
     """An iteration of the soft receiver: its symbols are equalised, its codewords not yet decoded.
 
+    Of a packet that LEDs by themselves told as a whole there is none, though one may be equalised later to learn of it.
+
     Attributes
     ----------
     identity
@@ -351,17 +353,18 @@ class _Packet:
         channel, (mean, variance) = self.channel, self.expected()
         llr, moments = np.zeros_like(mean), np.zeros(4)
         priors = self.propagation.priors(mean, variance) if self.propagation else (mean, variance)
-        shown = None if self.out_of_step is None else self.out_of_step.expected(mean)
         lines = None if self.out_of_step is None else Lines.of(self.out_of_step, mean, variance)
+        shown = None if self.out_of_step is None or lines is not None else self.out_of_step.expected(mean)
         precision, weighted = np.zeros((2, *mean.shape))
         for number, pair in enumerate(self.statistics):
             if pair is None:
                 continue
             try:
-                if shown is None or pair.combination is None:
+                if pair.combination is None:
                     estimate = equalise(pair, channel.gain, channel.noise, priors[0][number], priors[1][number])
                     llr[number] = self.propagation.take(number, estimate) if self.propagation else estimate.llr
-                elif lines is not None:
+                elif shown is None:
+                    assert lines is not None  # it is a pair out of step
                     llr[number], said = lines.equalised(number, pair, channel)
                     moments += said
                     continue
@@ -375,7 +378,7 @@ class _Packet:
                 LOG.info("array %d: pair %d is left out: %s", self.identity, number, error)
                 continue
             moments += moments_of(pair, estimate)
-        if self.out_of_step is not None and shown is not None and lines is None:
+        if self.out_of_step is not None and shown is not None:
             # from them the symbols follow square by square
             found = np.maximum(precision, LEAST_PRECISION)
             squares = self.out_of_step.llrs(weighted / found, 1 / found, shown, mean)

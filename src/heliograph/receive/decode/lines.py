@@ -29,7 +29,8 @@ class Lines:
         (pairs, squares) number of the open symbol of each square among its pair's; of a square without one any of its
         own.
     start
-        (pairs, symbols) observed symbols where all u are 0.
+        (pairs, symbols) observed symbols where all u of their pair are 0, and the light along their lines that is not
+        theirs.
     slope
         (pairs, symbols) their slopes by the pair's own u.
     mean, variance
@@ -70,9 +71,10 @@ class Lines:
         later, earlier = slice(1, None), slice(-1)
         for there, others, response in ((later, earlier, packet.before), (earlier, later, packet.after)):
             begin, leaks = _line(response[there], mean[others], which[others])
-            start[there] += begin
-            # what is not along the pair's own line is left out
             part = _product(leaks, slope[there]) / power[there]
+            # of what is not along the pair's own line the mean is known; its variance is left out
+            aside = leaks - np.tile(part, 4) * slope[there]
+            start[there] += begin + aside * np.tile(u[others], 4)
             leak[there] += part * u[others]
             leak_variance[there] += part**2 * spread[others]
         return cls(open_, start, slope, u, spread, leak, leak_variance)
@@ -94,7 +96,7 @@ class Lines:
         Extrinsic LLRs ln P(c=+1)/P(c=-1) of its symbols, (symbols,), 0 of known ones; and what it says of gain and
         noise, see `moments_of`.
         """
-        along = pair.along(self.start[number], self.slope[number][None])
+        along = pair.along(self.start[number], self.slope[number])
         leak, leak_variance = self.leak[number], self.leak_variance[number]
         estimate = equalise(
             along, channel.gain, channel.noise, self.mean[number] + leak, self.variance[number] + leak_variance

@@ -81,32 +81,27 @@ class PairStatistics:
             self.combination,
         )
 
-    def along(self, start: Floats, directions: Floats) -> "PairStatistics":
-        """Statistics for other symbols u, on which the symbols depend as c = start + sum_j directions_j u_j.
+    def along(self, start: Floats, slope: Floats) -> "PairStatistics":
+        """Statistics for other symbols u, one for each square of 2 x 2 LEDs: c = start + slope u.
 
         Parameters
         ----------
         start
             (symbols,) c where all u are 0.
-        directions
-            (k, symbols) slopes of the symbols; each square of 2 x 2 LEDs has one u for each of them.
+        slope
+            (symbols,) slopes of the symbols by the u of their square.
 
         Returns
         -------
-        Statistics of k symbols / 4 unknowns u, those of the first direction first.
+        Statistics of symbols / 4 unknowns u.
         """
         # B (start + D u) + o: D^T G D, D^T B^T d and D^T (B^T o + G start)
-        kinds, slopes = self.gram.reshape(4, -1, 4, len(start) // 4), directions.reshape(len(directions), 4, -1)
-        slopes = slopes.astype(np.float32)
-        half = np.einsum("jiq,iqkr->jqkr", slopes, kinds)
-        gram = np.einsum("jqkr,lkr->jqlr", half, slopes)
-        lit = self.gram @ start.astype(np.float32)
-        seen = [self.matched, self.offset + lit]
-        matched, offset = ((slopes * one.reshape(4, -1)).sum(1).ravel() for one in seen)
+        gram, kinds = self.gram.reshape(4, len(start) // 4, 4, -1), slope.reshape(4, -1)
+        narrow, lit = kinds.astype(np.float32), self.gram @ start.astype(np.float32)
         return PairStatistics(
-            gram.reshape(matched.size, matched.size),
-            matched,
-            offset,
+            np.einsum("qkr,kr->qr", np.einsum("iq,iqkr->qkr", narrow, gram), narrow),
+            (kinds * self.matched.reshape(4, -1)).sum(0),
+            (kinds * (self.offset + lit).reshape(4, -1)).sum(0),
             self.cross + float(start @ self.matched),
             self.offset_power + float(start @ (2 * self.offset + lit)),
             self.power,

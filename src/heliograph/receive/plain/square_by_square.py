@@ -109,6 +109,8 @@ def read_square_by_square(
     identity: int,
     options: Decoding,
     known: Words | None = None,
+    soft: bool = True,
+    glance: bool = False,
 ) -> Words | None:
     """Codewords by the light at each LED's position alone, of frames in step or out of it.
 
@@ -126,6 +128,10 @@ def read_square_by_square(
         Algorithm of the channel decoder, and its most iterations.
     known
         Its codewords by layer as another reading left them; None if there was no other.
+    soft
+        Whether soft values of codewords that are not decoded are used in the next round.
+    glance
+        Whether it ends with the first right codeword.
 
     Returns
     -------
@@ -151,11 +157,13 @@ def read_square_by_square(
         llrs = packet.llrs(alone / scale.amplitude, scale.relative_noise, expected, mean)
         parts = mapper.bits(np.where(seen[:, None], llrs, 0.0), means)
         layers = {
-            name: decode_layer(layer.equalised(part), name, identity, options, feedback=True)
+            name: decode_layer(layer.equalised(part), name, identity, options, soft)
             for (name, layer), part in zip(layers.items(), parts, strict=True)
         }
         after = [layer.open for layer in layers.values()]
         idle = idle + 1 if after == before else 0
+        if glance and not idle:
+            break
         if not any(after) or idle == IDLE_ROUNDS or (idle and all(layer.hopeless for layer in layers.values())):
             break
     return {name: layer.words for name, layer in layers.items()}

@@ -111,7 +111,8 @@ def posterior_moments(table: Floats, observed: Floats, variance: Floats, mean: F
     -------
     (..., symbols) each.
     """
-    chance = _joint(_fit(table, observed, variance)) * _chances(mean)
+    # of known symbols too: what is observed may be out of all proportion to what they give
+    chance = _joint(_fit(table, observed, variance)) * _chances(_uncertain(mean))
     return _moments(table, chance / chance.sum(-2, keepdims=True))
 
 
@@ -137,7 +138,7 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
     -------
     (..., symbols).
     """
-    prior, squares = np.clip(mean, TINY - 1, 1 - TINY), _by_kind(mean)
+    prior, squares = _uncertain(mean), _by_kind(mean)
     chance, fit = _chances(prior), _fit(table, observed, variance)
     # extrinsic: the symbol's own prior is left out
     own_prior = 2 * np.arctanh(_by_kind(prior))
@@ -156,6 +157,11 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
     three = np.stack([known[1] * last, known[0] * last, first * known[3], first * known[2]], -2)
     trust = products + (1 - products) * three
     return np.asarray((own + trust * (joint - own)).reshape(mean.shape))
+
+
+def _uncertain(mean: Floats) -> Floats:
+    """Means of which none is certain, so that no value of a square is impossible."""
+    return np.clip(mean, TINY - 1, 1 - TINY)
 
 
 def _by_kind(symbols: Floats) -> Floats:
