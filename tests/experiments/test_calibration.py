@@ -49,12 +49,13 @@ def test_nothing_counted_is_not_judged() -> None:
 
 
 def test_a_film_is_received_and_compared() -> None:
-    settings = load_settings("static", None, ["receive.receiver=soft", "channel.distance_m=90"])
+    changes = ["receive.receiver=soft", "receive.soft.led_by_led=false", "channel.distance_m=90"]
+    settings = load_settings("static", None, changes)
     found = record(CalibrationFilm(case="x", settings=settings, seed=1))
     first, last = (found.reliability[name].table.sum(0) for name in (FIRST, LAST))
-    # 48 pairs of 256 symbols, of which the LEDs by themselves show the high layer; later those of codewords that failed
-    assert first[0].sum() == 48 * 192
-    assert 0 < last[0].sum() < 48 * 192
+    # 48 pairs of 256 symbols; later those of codewords that failed
+    assert first[0].sum() == 48 * 256
+    assert 0 < last[0].sum() < 48 * 256
     assert first[1].sum() == pytest.approx(first[2].sum(), rel=0.15)
     ((true, distance, number),) = found.distances
     assert (true, number) == (90, 0)
