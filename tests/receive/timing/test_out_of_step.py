@@ -5,6 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from slot_light import light_about_mean, observed, symbols_of
 
+from heliograph.receive.timing import partial_exposure
 from heliograph.receive.timing.combination import Combination, SlotLight, combine_pair
 from heliograph.receive.timing.out_of_step import OutOfStep
 from heliograph.signal import haar
@@ -79,3 +80,27 @@ def test_a_pair_in_step_shows_its_own_symbols_alone() -> None:
     assert expected.mean[1] == pytest.approx(symbols[1])
     assert not expected.leak[1].any()
     assert not expected.leak_variance[1].any()
+
+
+def test_of_pairs_in_step_the_short_way_gives_what_the_table_of_all_values_gives() -> None:
+    rng = np.random.default_rng(3)
+    symbols = SIDE**2
+    pairs = OutOfStep.of([None] * PAIRS, rng.random((SIDE, SIDE)) > 0.5)
+    mean, found = rng.uniform(-0.9, 0.9, (PAIRS, symbols)), rng.normal(0, 1.2, (PAIRS, symbols))
+    mean[:, : symbols // 2] = np.sign(mean[:, : symbols // 2])
+    variance = rng.uniform(0.1, 2.0, symbols)
+    assert pairs.in_step
+    assert not packet(0.37)[1].in_step
+    expected = pairs.expected(mean)
+    assert np.stack([expected.mean, expected.variance]) == pytest.approx(
+        np.stack(partial_exposure.moments(pairs.response, mean)), abs=1e-12
+    )
+    assert not expected.leak.any()
+    assert not expected.leak_variance.any()
+    assert pairs.llrs(found, variance, expected, mean) == pytest.approx(
+        partial_exposure.symbol_llrs(pairs.response, found, variance, mean), abs=1e-6
+    )
+    asked = np.array([1, 3])
+    short = pairs.posterior_moments(asked, found[asked], variance, mean[asked])
+    table = partial_exposure.posterior_moments(pairs.response[asked], found[asked], variance, mean[asked])
+    assert np.stack(short) == pytest.approx(np.stack(table), abs=1e-9)

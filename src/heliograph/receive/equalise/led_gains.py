@@ -22,7 +22,7 @@ from heliograph.receive.image.footprint import by_squares, to_grid
 from heliograph.receive.image.robust import median_of
 from heliograph.receive.observe import kernels
 from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.observe.noise import Noise, measure_noise
+from heliograph.receive.observe.noise import Noise, noise_beside
 from heliograph.receive.observe.statistics import PairStatistics, whiten
 
 LED_GAIN_SPREAD = 0.3
@@ -161,7 +161,7 @@ class LedGains:
         if not in_sight.any():
             return LearntGains(self, gain, False)
         side, brightness = len(self.values), self.brightness.values
-        dark = measure_noise([cutout], gain, side, self.values).dark
+        dark = noise_beside([cutout], side)
         # with failed LEDs a sum does not show its noise
         whitened, noise = whiten(cutout, Noise(LIT * dark, dark), side), LIT * dark + (MODEL * gain) ** 2
         slopes = whitened.root * cutout.slopes(header)

@@ -86,26 +86,26 @@ def measure_noise(cutouts: Sequence[Cutout], gain: float, side: int, led_gains: 
     total, count = np.array(parts).sum(0)
     unevenness, moved = float(total) / max(float(count), 1.0), float(np.mean([one.moved for one in uneven]))
     lit = max(unevenness - moved, MOVED_ERROR * moved, LEAST_NOISE)
-    power, pixels = np.sum([_beside(cutout, side) for cutout in cutouts], axis=0)
-    dark = float(power / pixels) if pixels else 0.0
-    return Noise(lit, max(dark, LEAST_NOISE))
+    return Noise(lit, noise_beside(cutouts, side))
 
 
 def noise_beside(cutouts: Sequence[Cutout], side: int) -> float:
-    """Variance of a pixel of single frames beside the array, errors of the background's model included.
+    """Variance of a pixel of the difference beside the array, errors of the background's model included.
 
     Parameters
     ----------
     cutouts
-        Cut-outs of single frames, any number.
+        Cut-outs of pairs or of single frames, any number.
     side
         LEDs in a row.
     """
     squares, count = 0.0, 0
     for cutout in cutouts:
-        light = footprints(cutout.middle, cutout.corner, cutout.shape, side)
+        light = footprints(cutout.poses[0], cutout.corner, cutout.shape, side)
         power, pixels = noise_kernels.power_beside(cutout.difference, (*light,), BESIDE)
-        squares, count = squares + power, count + pixels
+        # in units of a difference of two frames
+        squares += power if cutout.combination is None else power / cutout.combination.noise
+        count += pixels
     return max(squares / max(count, 1), LEAST_NOISE)
 
 
@@ -140,13 +140,6 @@ def _unevenness(cutout: Cutout, gain: float, side: int, led_gains: Floats | None
         return _Unevenness(residual, cutout.corner, float(moved))
     # in units of a sum of two frames; of combined ones only a header's sum is even, in which nothing moves
     return _Unevenness(residual / np.sqrt(cutout.combination.sum_noise), cutout.corner, 0.0)
-
-
-def _beside(cutout: Cutout, side: int) -> tuple[float, int]:
-    """Power of the difference beside the array, in units of a difference of two frames, and the pixels there."""
-    light = footprints(cutout.poses[0], cutout.corner, cutout.shape, side)
-    power, pixels = noise_kernels.power_beside(cutout.difference, (*light,), BESIDE)
-    return power if cutout.combination is None else power / cutout.combination.noise, pixels
 
 
 def _subtracted(one: _Unevenness, other: _Unevenness) -> Floats:

@@ -186,7 +186,9 @@ class WhitenedCutout:
         d, o = (found[:, -2:] - c @ part[:, -2:]).T
         white, offset = self.difference, self.offset
         powers = (white * offset).sum(), (offset**2).sum(), (white**2).sum(), (self.root > 0).sum()
-        return self._statistics((self._gram() - c @ part[:, :-2]).astype(np.float32), d, o, powers)
+        gram = self._gram()
+        gram -= c.astype(np.float32) @ part[:, :-2].astype(np.float32)
+        return self._statistics(gram, d, o, powers)
 
     def correlated(self, image: Floats) -> Floats:
         """B^T W^(1/2) of an image, (symbols,).

@@ -23,7 +23,6 @@ from heliograph.receive.equalise.polarity import SymbolMapper
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packets import Words
 from heliograph.receive.plain.extract import at_leds, normalised
-from heliograph.receive.timing import partial_exposure
 from heliograph.receive.timing.out_of_step import ObservedSymbols, OutOfStep
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
@@ -81,12 +80,12 @@ class _Scale:
         cls, symbols: Floats, packet: OutOfStep, expected: ObservedSymbols, mean: Floats, asked: NDArray[np.intp]
     ) -> "_Scale":
         """Amplitude and noise by some pairs' observed symbols y, (pairs, symbols) as all others."""
-        response, y, prior = packet.response[asked], symbols[asked], mean[asked]
+        y, prior = symbols[asked], mean[asked]
         leak, leak_variance = expected.leak[asked], expected.leak_variance[asked]
         scale = cls(np.ones(y.shape[1]), np.full(y.shape[1], FIRST_NOISE))
         for _ in range(EM_STEPS):
             a, found, error = scale.amplitude, y / scale.amplitude - leak, scale.relative_noise + leak_variance
-            first, second = partial_exposure.posterior_moments(response, found, error, prior)
+            first, second = packet.posterior_moments(asked, found, error, prior)
             # of z + l
             first, second = first + leak, second + (2 * first + leak) * leak
             # a = <y, z + l> / E|z + l|^2, var n = E|y - a (z + l)|^2 - a^2 var l

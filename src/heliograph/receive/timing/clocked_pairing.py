@@ -242,8 +242,13 @@ class ClockedPairing:
 
     def _combination(self, clock: LightClock, frames: list[Frame], pattern: int) -> Combination | None:
         """How frames combine for the pair that begins with a pattern."""
-        starts = tuple(_rounded(start - pattern) for start in clock.patterns_at([f.time_s for f in frames]))
-        return _pair_combination(starts, _rounded(max(clock.exposure, TICK)), self._light)
+        starts = clock.patterns_at([f.time_s for f in frames])
+        if not starts:
+            return None
+        # by the first and the steps from it: rounded one by one, those of an even camera would differ from pair to pair
+        first = _rounded(starts[0] - pattern)
+        rounded = tuple(first + _rounded(start - starts[0]) for start in starts)
+        return _pair_combination(rounded, _rounded(max(clock.exposure, TICK)), self._light)
 
     def _header_combination(
         self, clock: LightClock, first: int, part: tuple[int, int]

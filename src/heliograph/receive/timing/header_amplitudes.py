@@ -1,6 +1,7 @@
 """What the frames around a header show of it: how much of the header, and how bright the array is."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -64,23 +65,36 @@ def header_amplitudes(frames: list[Frame], poses: list[Pose], lit: Floats) -> He
     lit
         (n, n) the header, +-1, times the LEDs' gains, at least 0, 1 for the median LED.
     """
-    shown = np.array([_shown(frame, pose, lit) for frame, pose in zip(frames, poses, strict=True)])
+    seen = [_seen(frame, pose, lit) for frame, pose in zip(frames, poses, strict=True)]
+    gram, matched = np.array([one.gram for one in seen]), np.array([one.matched for one in seen])
+    # where only lit LEDs or only dark ones are left, the two images are one: the pseudo-inverse decides
+    header = np.einsum("fi,fi->f", np.linalg.pinv(gram, RCOND, hermitian=True)[:, 0], matched)
+    # of the background, which may move, only what blur mixes in counts
+    light = (matched[:, 1] - header * gram[:, 0, 1]) / np.maximum(gram[:, 1, 1], TINY)
     places = np.array([(pose.x, pose.y) for pose in poses])
     moved = float(np.median(np.hypot(*np.diff(places, axis=0).T))) if len(poses) > 1 else 0.0
     return HeaderAmplitudes(
         np.array([f.time_s for f in frames]),
-        shown[:, 0],
-        shown[:, 1],
-        shown[:, 2].max() > CLIPPED,
+        header,
+        light,
+        max(one.clipped for one in seen) > CLIPPED,
         1 / float(np.hypot(1, moved / MOVING_PX)),
     )
 
 
-def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
-    """Amplitudes of the header and of the array all on before an even background.
+class _Seen(NamedTuple):
+    """Inner products (3, 3) of images of the header, of the array all on and of an even background.
 
-    The fraction of its pixels that clip.
+    Those with a frame's pixels, (3,), and the fraction of the array's pixels that clip.
     """
+
+    gram: Floats
+    matched: Floats
+    clipped: float
+
+
+def _seen(frame: Frame, pose: Pose, lit: Floats) -> _Seen:
+    """What a frame shows of the array."""
     from heliograph.receive.image.footprint import images_of  # Numba is slow to import
 
     window = window_around(pose, len(lit), SURROUNDINGS_PX)
@@ -88,11 +102,7 @@ def _shown(frame: Frame, pose: Pose, lit: Floats) -> Floats:
     pixels = cut_out(frame, window).ravel()
     on, off = images_of(np.abs(lit), lit < 0, 2, pose, (x0, y0), (height, width)).reshape(2, -1)
     columns = np.stack([on - off, on + off, np.ones(pixels.size)])
-    all_on = columns[1]
-    clipped = (pixels[all_on >= HALF_LIT * all_on.max()] >= frame.full_scale).mean()
-    # where only lit LEDs or only dark ones are left, the two images are one: the pseudo-inverse decides
-    gram, matched = columns @ columns.T, columns @ pixels
-    header = np.linalg.lstsq(gram, matched, rcond=RCOND)[0][0]
-    # of the background, which may move, only what blur mixes in counts
-    light = (matched[1] - header * gram[0, 1]) / max(float(gram[1, 1]), TINY)
-    return np.array([header, light, clipped])
+    full, all_on, clipped = pixels >= frame.full_scale, columns[1], 0.0
+    if full.any():
+        clipped = float(full[all_on >= HALF_LIT * all_on.max()].mean())
+    return _Seen(columns @ columns.T, columns @ pixels, clipped)

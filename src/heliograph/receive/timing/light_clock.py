@@ -57,7 +57,7 @@ GIVEN_UP = 40.0
 """Log odds against an exposure from which on the grid leaves it out: its weight is below 1e-17."""
 
 STARTS = 121
-"""Starts of the grid: 1/48 T_b apart for a first header, finer later."""
+"""Most starts of the grid: 1/48 T_b apart for a first header, `LEAST_DEVIATION` later where so many come to that."""
 
 FIRST_REACH = 1.25
 """Patterns by which the start may differ from the detection's: one for frames that straddle, and a quarter."""
@@ -87,6 +87,11 @@ It is below the 0.005 to 0.02 T_b to which one header gives the start.
 
 GAP_PATTERNS = 1.5
 """Time between two frames in patterns from which on one is missing: halfway between one pattern and two."""
+
+
+# the upper triangle of a symmetric matrix (3, 3), and how often each of its elements counts in v M v
+_ROWS, _COLS = np.triu_indices(3)
+_TWICE = np.where(_ROWS == _COLS, 1.0, 2.0)
 
 
 class LightClock:
@@ -232,7 +237,7 @@ class LightClock:
         self._move(pattern)
         spread, gain = self.deviation, self.gain
         reach = min(max(LATER_DEVIATIONS * spread, LEAST_REACH), MOST_REACH) if self._measured else FIRST_REACH
-        offset = np.linspace(-reach, reach, STARTS)
+        offset = np.linspace(-reach, reach, min(2 * math.ceil(reach / LEAST_DEVIATION) + 1, STARTS))
         likely = self._evidence > self._evidence.max() - GIVEN_UP
         self._exposures, self._evidence = self._exposures[likely], self._evidence[likely]
         self._prior = self._prior[likely]
@@ -297,40 +302,38 @@ class LightClock:
     def _cost(self, amplitudes: HeaderAmplitudes, offset: Floats) -> Floats:
         """Negative log likelihood (exposures, offsets) of starts `offset` patterns after the predicted start."""
         place = (amplitudes.times_s - self.start_s) / self.period_s
-        starts = place - offset[:, None]
-        brighter = amplitudes.brightness - amplitudes.brightness.mean()
-        shown = np.concatenate([2 * amplitudes.alternation, amplitudes.trust * brighter])
-        # a header of gain g: alternation g wave / 2, brightness g bright and a constant, both linear in what is dimmed
-        model = self._model(starts)
-        model[..., len(place) :] *= amplitudes.trust
-        if amplitudes.clipped:
-            shown, model = shown[: len(place)], model[..., : len(place)]
-        energy, grid = float((shown**2).sum()), model.shape[1:3]
+        wave, light = self._model(place - offset[:, None])
+        alternation, brighter = 2 * amplitudes.alternation, amplitudes.brightness - amplitudes.brightness.mean()
+        # a header of gain g: alternation g wave / 2, brightness g light and a constant, both linear in what is dimmed
+        energy, count = float(alternation @ alternation), len(place)
+        match, norm = wave @ alternation, _products(wave)
+        if not amplitudes.clipped:
+            trust, light = amplitudes.trust**2, light - light.mean(-1, keepdims=True)
+            match, norm = match + trust * (light @ brighter), norm + trust * _products(light)
+            energy, count = energy + trust * float(brighter @ brighter), 2 * count
         # v match and v norm v of every word's v = (1, part, lit)
-        match, norm = model @ shown, np.einsum("aeof,beof->abeo", model, model)
-        words = np.concatenate([np.ones((len(self._dimmed), 1)), self._dimmed], axis=1)
+        words, grid = np.column_stack([np.ones(len(self._dimmed)), self._dimmed]), match.shape[1:]
         m = np.maximum(words @ match.reshape(3, -1), 0)
-        n = np.maximum((words[:, :, None] * words[:, None]).reshape(-1, 9) @ norm.reshape(9, -1), TINY)
+        n = np.maximum((words[:, _ROWS] * words[:, _COLS] * _TWICE) @ norm.reshape(len(_ROWS), -1), TINY)
         explained, gains = m**2 / n, m / n
         word = explained.argmax(0)[None]
         left, gain = (np.take_along_axis(one, word, 0).reshape(grid) for one in (energy - explained, gains))
         best = np.unravel_index(np.argmin(left), grid)
         # whatever the model does not explain counts as noise
-        freedom = max(len(shown) - 4, 1)
+        freedom = max(count - 4, 1)
         self.gain = float(gain[best])
         self.explained = 1 - float(left[best]) / max(energy, TINY)
         variance = max((DEVIATION * self.gain) ** 2, float(left[best]) / freedom, TINY)
         return np.asarray(0.5 * left / variance)
 
-    def _model(self, starts: Floats) -> Floats:
-        """Twice the alternation, and the brightness but for a constant, of a header of gain 1, and what dimming adds.
+    def _model(self, starts: Floats) -> tuple[Floats, Floats]:
+        """Twice the alternation, and the brightness, of a header of gain 1, and what dimming adds to each.
 
-        `starts` is (offsets, frames), the result (3, exposures, offsets, 2 frames), as `_dimmings` has them.
+        `starts` is (offsets, frames), the result (3, exposures, offsets, frames) each, as `_dimmings` has them.
         """
         edges, waves, brights = self._dimmings
-        shown = _mean_over(starts, self._exposures[:, None, None], edges, np.concatenate([waves, brights]))
-        wave, light = shown[: len(waves)], shown[len(waves) :]
-        return np.concatenate([wave, light - light.mean(-1, keepdims=True)], axis=-1)
+        shown = _mean_over(starts[None], self._exposures[:, None, None], edges, np.concatenate([waves, brights]))
+        return shown[: len(waves)], shown[len(waves) :]
 
     @cached_property
     def _dimmings(self) -> tuple[Floats, Floats, Floats]:
@@ -369,16 +372,21 @@ class LightClock:
 def _mean_over(starts: Floats, exposure: Floats | float, edges: Floats, values: Floats) -> Floats:
     """Means over exposures of functions that are constant between even edges and 0 outside.
 
-    Starts and exposures broadcast; `values` is (functions, slots), the result (functions, ...).
+    Starts and exposures, of as many dimensions or one number, broadcast; `values` is (functions, slots), the result
+    (functions, ...).
     """
-    step, none = edges[1] - edges[0], np.zeros((1, len(values)))
+    step, none = edges[1] - edges[0], np.zeros((len(values), 1))
     # in each slot a start and a slope; from the last edge on the integral stays as it is
-    integral, slopes = np.concatenate([none, np.cumsum(values.T, axis=0)]), np.concatenate([values.T, none])
+    integral, slopes = np.hstack([none, np.cumsum(values, axis=1)]), np.hstack([values, none])
 
     def up_to(times: Floats) -> Floats:
         place = np.clip((times - edges[0]) / step, 0, len(edges) - 1)
         slot = place.astype(np.intp)
-        return np.asarray(integral[slot] + (place - slot)[..., None] * slopes[slot])
+        return np.asarray(integral[:, slot] + (place - slot) * slopes[:, slot])
 
-    means = (up_to(starts + exposure) - up_to(starts)) * (step / np.asarray(exposure)[..., None])
-    return np.moveaxis(means, -1, 0)
+    return np.asarray((up_to(starts + exposure) - up_to(starts)) * (step / exposure))
+
+
+def _products(shown: Floats) -> Floats:
+    """Inner products over the frames of (3, exposures, offsets, frames), the upper triangle (6, exposures, offsets)."""
+    return np.stack([np.einsum("eof,eof->eo", shown[a], shown[b]) for a, b in zip(_ROWS, _COLS, strict=True)])

@@ -76,6 +76,11 @@ class OutOfStep:
         before, after = (np.stack([pair[side] for pair in leaks]) for side in (0, 1))
         return cls(np.stack(response), before, after, headers)
 
+    @property
+    def in_step(self) -> bool:
+        """Whether all that is observed are the pairs' own symbols."""
+        return not self.before.any() and not self.after.any() and bool((self.response == partial_exposure.VALUES).all())
+
     def expected(self, mean: Floats) -> ObservedSymbols:
         """What is expected of the observed symbols.
 
@@ -84,6 +89,8 @@ class OutOfStep:
         mean
             (pairs, symbols) mean of the true ones, -1 to 1.
         """
+        if self.in_step:
+            return ObservedSymbols(mean, 1 - mean**2, self.headers, np.zeros_like(mean))
         own, spread = partial_exposure.moments(self.response, mean)
         leak, leak_spread = self.headers.copy(), np.zeros_like(mean)
         later, earlier = slice(1, None), slice(-1)
@@ -111,4 +118,31 @@ class OutOfStep:
         (pairs, symbols) ln P(c=+1)/P(c=-1), the symbols' own priors left out.
         """
         own, noise = found - expected.leak, variance + expected.leak_variance
+        if self.in_step:
+            # y = c + n: ln P(c=+1)/P(c=-1) = 2 y / s^2
+            return 2 * own / noise
         return partial_exposure.symbol_llrs(self.response, own, noise, mean)
+
+    def posterior_moments(
+        self, pairs: NDArray[np.intp], found: Floats, variance: Floats, mean: Floats
+    ) -> tuple[Floats, Floats]:
+        """Mean of observed symbols and of their squares, the light of other pairs left out; see `partial_exposure`.
+
+        Parameters
+        ----------
+        pairs
+            (asked,) numbers of the pairs.
+        found, variance
+            (asked, symbols) estimates of their observed symbols, and the variances of these, above 0.
+        mean
+            (asked, symbols) prior mean of the true symbols, -1 to 1.
+
+        Returns
+        -------
+        (asked, symbols) each.
+        """
+        if self.in_step:
+            # <c> = tanh(y / s^2 + arctanh <c>_prior), c^2 = 1
+            first = np.tanh(found / variance + np.arctanh(partial_exposure.uncertain(mean)))
+            return first, np.ones_like(first)
+        return partial_exposure.posterior_moments(self.response[pairs], found, variance, mean)

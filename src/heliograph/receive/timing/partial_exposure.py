@@ -112,7 +112,7 @@ def posterior_moments(table: Floats, observed: Floats, variance: Floats, mean: F
     (..., symbols) each.
     """
     # of known symbols too: what is observed may be out of all proportion to what they give
-    chance = _joint(_fit(table, observed, variance)) * _chances(_uncertain(mean))
+    chance = _joint(_fit(table, observed, variance)) * _chances(uncertain(mean))
     return _moments(table, chance / chance.sum(-2, keepdims=True))
 
 
@@ -138,7 +138,7 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
     -------
     (..., symbols).
     """
-    prior, squares = _uncertain(mean), _by_kind(mean)
+    prior, squares = uncertain(mean), _by_kind(mean)
     chance, fit = _chances(prior), _fit(table, observed, variance)
     # extrinsic: the symbol's own prior is left out
     own_prior = 2 * np.arctanh(_by_kind(prior))
@@ -159,8 +159,14 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
     return np.asarray((own + trust * (joint - own)).reshape(mean.shape))
 
 
-def _uncertain(mean: Floats) -> Floats:
-    """Means of which none is certain, so that no value of a square is impossible."""
+def uncertain(mean: Floats) -> Floats:
+    """Means of which none is certain, so that no value of a square is impossible.
+
+    Parameters
+    ----------
+    mean
+        (..., symbols) mean of symbols, -1 to 1.
+    """
     return np.clip(mean, TINY - 1, 1 - TINY)
 
 
