@@ -90,7 +90,8 @@ def test_without_a_rate_one_line_says_so(tmp_path: Path) -> None:
     folder = write_pictures(tmp_path / "a", noise(2, 4, 4, 8))
     for path in (folder, folder / "img%04d.png", tmp_path / "a.npy"):
         assert refused(path, None)[1] == (
-            f"{path} has no clock: say how many frames a second the camera took, by --fps (rate_hz)"
+            f"{path} has no clock: say how many frames a second the camera took, by --fps (rate_hz; on page Watch "
+            "Frames/s)"
         )
 
 

@@ -35,7 +35,7 @@ def by_opencv(path: Path, levels: Levels, compression: int) -> Path:
 
 def test_without_a_rate_one_line_says_so(tmp_path: Path) -> None:
     path = write_tiff(tmp_path / "a.tif", noise(2, 4, 4, 8))
-    with pytest.raises(MediaError, match=r"a\.tif has no clock: .* by --fps \(rate_hz\)"):
+    with pytest.raises(MediaError, match=r"a\.tif has no clock: .* by --fps \(rate_hz; on page Watch Frames/s\)"):
         open_film(path)
 
 

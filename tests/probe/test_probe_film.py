@@ -157,6 +157,17 @@ def test_all_of_it_is_plain_values(found: Findings) -> None:
     assert row["regions"][0]["causes"][0]["kind"] == "array"
 
 
+def test_where_leds_are_at_full_scale_the_noise_beside_the_array_stands_for_it() -> None:
+    near, far = (probed(kept(link(distance_m=distance))) for distance in (25.0, 50.0))
+    assert near.arrays[0].clipped
+    assert not far.arrays[0].clipped
+    # the same link is told to be read as far from either film
+    for one, other in zip(near.arrays[0].reach, far.arrays[0].reach, strict=True):
+        assert one.distance_m == pytest.approx(other.distance_m, rel=0.1)
+    assert as_mapping(near)["arrays"][0]["noise"]["lit"] is None
+    assert any("noise of a pixel: not told within, where some are at full scale" in line for line in lines(near))
+
+
 def test_the_page_fetches_nothing_and_says_what_the_command_says(found: Findings, tmp_path: Path) -> None:
     write_page(tmp_path / "probe.html", found)
     page = (tmp_path / "probe.html").read_text()

@@ -46,7 +46,10 @@ def camera_rate(path: Path, rate_hz: float | None, said_hz: float | None = None)
     """
     rate = said_hz or rate_hz
     if not rate:
-        raise MediaError(f"{path} has no clock: say how many frames a second the camera took, by --fps (rate_hz)")
+        raise MediaError(
+            f"{path} has no clock: say how many frames a second the camera took, by --fps (rate_hz; on page Watch "
+            "Frames/s)"
+        )
     return rate
 
 

@@ -16,7 +16,8 @@ from heliograph.probe.reading import READ, Asked, Reading, narrowed, read
 from heliograph.probe.regions import Region
 from heliograph.receive import Packet
 from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.observe.noise import Noise, measure_noise
+from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
 from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
 
 MOST_PLACES = 20_000
@@ -58,6 +59,9 @@ class ArraySeen:
         The light's clock in the camera's; None where it is not told.
     noise
         Variances of a difference of two frames in squared gray levels; None where they are not told, as of near arrays.
+    clipped
+        Whether some of its pixels are at full scale: its noise within is then not told, and that beside it stands for
+        both.
     reach
         How far layers are expected to be read, by receiver; none where noise is not told.
     exposure
@@ -82,6 +86,7 @@ class ArraySeen:
     failed: dict[str, int]
     clock: Clock | None = None
     noise: Noise | None = None
+    clipped: bool = False
     reach: tuple[Reach, ...] = ()
     exposure: tuple[float, float] | None = None
 
@@ -201,10 +206,18 @@ def looked_into(array: ArraySeen, frames: Sequence[Frame], asked: Asked) -> Arra
     if not clock.in_step and array.identity in reading.gains:
         # its header shows less of its light
         gain = float(np.median(reading.gains[array.identity]))
-    noise = _noise(reading, own[-1], gain, soft.signal.side)
+    cutouts, side = _cutouts(reading, own[-1]) if gain > 0 else [], soft.signal.side
+    clipped = any(_clips(cutout, frames[0].full_scale) for cutout in cutouts)
+    noise = None
+    if clipped:
+        # sums of levels that are cut off are uneven, by more than any noise
+        noise = Noise(beside := noise_beside(cutouts, side), beside)
+    elif cutouts:
+        noise = measure_noise(cutouts, gain, side)
     seen = replace(
-        array, contrast=gain / frames[0].full_scale, clock=clock, noise=noise, exposure=_exposure(reading, array, asked)
-    )
+        array, contrast=gain / frames[0].full_scale, clock=clock, noise=noise, clipped=clipped,
+        exposure=_exposure(reading, array, asked),
+    )  # fmt: skip
     if noise is None:
         return seen
     reach = reaches(
@@ -223,8 +236,11 @@ def _exposure(reading: Reading, array: ArraySeen, asked: Asked) -> tuple[float, 
     return low * count, high * count
 
 
-def _noise(reading: Reading, packet: Packet, gain: float, side: int) -> Noise | None:
-    """Noise of an array's pairs; None where they are of reduced frames."""
-    # in reduced frames other things than noise are left, and of noise a part
-    cutouts = [one for one in reading.cutouts if len(one.poses) == 2 and one.middle.pitch > 0.75 * packet.pose.pitch]
-    return measure_noise(cutouts, gain, side) if cutouts and gain > 0 else None
+def _cutouts(reading: Reading, packet: Packet) -> list[Cutout]:
+    """Pairs of an array that show its noise: in reduced frames other things are left, and of noise a part."""
+    return [one for one in reading.cutouts if len(one.poses) == 2 and one.middle.pitch > 0.75 * packet.pose.pitch]
+
+
+def _clips(cutout: Cutout, full_scale: int) -> bool:
+    """Whether a pixel of a pair is at full scale in one of its frames, whichever is brighter."""
+    return cutout.combination is None and bool((cutout.total + np.abs(cutout.difference) >= 2 * full_scale).any())

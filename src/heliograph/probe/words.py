@@ -162,9 +162,11 @@ def array_lines(array: ArraySeen) -> Iterator[str]:
         yield "  exposure by the light: not told, as frames show the same parts of patterns"
     if array.noise is not None:
         lit, beside = (0.5 * array.noise.lit) ** 0.5, (0.5 * array.noise.dark) ** 0.5
-        yield f"  noise of a pixel: {lit:.2f} gray levels within, {beside:.2f} beside it"
+        inside = "not told within, where some are at full scale" if array.clipped else f"{lit:.2f} gray levels within"
+        yield f"  noise of a pixel: {inside}, {beside:.2f}{' gray levels' if array.clipped else ''} beside it"
+    noise = "the noise beside it" if array.clipped else "noise"
     for reach in array.reach:
-        yield f"  {reach.receiver} expected to read {reach_words(reach)} (an estimate by light, noise and blur)"
+        yield f"  {reach.receiver} expected to read {reach_words(reach)} (an estimate by light, blur and {noise})"
 
 
 def would_be_lines(seen: RegionSeen) -> Iterator[str]:
@@ -309,7 +311,9 @@ def _array(array: ArraySeen) -> dict[str, Any]:
             "phase_patterns": _round(clock.phase), "rate_ppm": _round(clock.rate_ppm),
             "rate_error_ppm": _round(clock.rate_error_ppm),
         },
-        "noise": None if noise is None else {"lit": _round(noise.lit), "dark": _round(noise.dark)},
+        "noise": None if noise is None else {
+            "lit": None if array.clipped else _round(noise.lit), "dark": _round(noise.dark),
+        },
         "exposure_frames": None if array.exposure is None else [*map(_round, array.exposure)],
         "expected_m": _expected(array.reach),
     }  # fmt: skip
