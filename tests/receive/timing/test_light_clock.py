@@ -59,6 +59,32 @@ def test_one_header_gives_start_and_exposure(start: float, exposure: float, peri
     assert clock.explained > 0.95
 
 
+@pytest.mark.parametrize("period", [0.37, 2 / 3])
+def test_a_later_header_gives_starts_between_those_of_its_grid(period: float) -> None:
+    late, found = np.linspace(-0.02, 0.02, 17), []
+    for start in late:
+        clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY)
+        clock.measure(header_view(0.0, period, period), 0)
+        view = header_view(float(start), period, period)
+        # the same header 100 patterns later
+        clock.measure(replace(view, times_s=view.times_s + 0.1), 100)
+        found.append((clock.start_s - 0.1) * 1e3)
+    # the filter goes part of the way, the same part wherever the start lies
+    slope, zero = np.polyfit(late, found, 1)
+    assert slope == pytest.approx(1, abs=0.05)
+    assert np.array(found) == pytest.approx(slope * late + zero, abs=1e-3)
+
+
+def test_brightness_that_is_not_trusted_counts_less() -> None:
+    view, other = header_view(0.3, 1.0, 1.0), header_view(-0.1, 1.0, 1.0)
+    wrong, off = replace(view, brightness=other.brightness), []
+    for trust in (1.0, 0.1):
+        clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
+        clock.measure(replace(wrong, trust=trust), 0)
+        off.append(abs(clock.start_s * 1e3 - 0.3))
+    assert off[1] < 0.5 * off[0]
+
+
 def test_the_brightness_of_a_clipped_array_is_not_used() -> None:
     """At 25 m single LEDs are at full scale; the clock was then off by 0.3 T_b."""
     view, other = header_view(0.3, 1.0, 1.0), header_view(-0.4, 1.0, 1.0)

@@ -1,5 +1,7 @@
 """Pairs out of step: what is expected of their observed symbols, against light drawn slot by slot."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -104,3 +106,23 @@ def test_of_pairs_in_step_the_short_way_gives_what_the_table_of_all_values_gives
     short = pairs.posterior_moments(asked, found[asked], variance, mean[asked])
     table = partial_exposure.posterior_moments(pairs.response[asked], found[asked], variance, mean[asked])
     assert np.stack(short) == pytest.approx(np.stack(table), abs=1e-9)
+
+
+def test_a_packet_partly_in_step_or_with_light_of_others_is_not_in_step() -> None:
+    combination, whole = combination_at(0.37), OutOfStep.of([None] * PAIRS, np.ones((SIDE, SIDE), bool))
+    assert whole.in_step
+    assert not OutOfStep.of([combination, None], np.ones((SIDE, SIDE), bool)).in_step
+    for side in ("before", "after"):
+        leak = getattr(whole, side).copy()
+        leak[1] = 0.2 * partial_exposure.VALUES
+        assert not replace(whole, **{side: leak}).in_step
+
+
+def test_light_of_headers_counts_in_step_too() -> None:
+    rng = np.random.default_rng(4)
+    pairs = OutOfStep.of([None] * PAIRS, rng.random((SIDE, SIDE)) > 0.5)
+    pairs = replace(pairs, headers=rng.normal(0, 0.2, pairs.headers.shape))
+    mean, found, variance = np.zeros((PAIRS, SIDE**2)), rng.normal(0, 1, (PAIRS, SIDE**2)), np.ones(SIDE**2)
+    expected = pairs.expected(mean)
+    assert expected.leak == pytest.approx(pairs.headers)
+    assert pairs.llrs(found, variance, expected, mean) == pytest.approx(2 * (found - pairs.headers))

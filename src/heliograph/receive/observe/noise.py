@@ -90,7 +90,7 @@ def measure_noise(cutouts: Sequence[Cutout], gain: float, side: int, led_gains: 
 
 
 def noise_beside(cutouts: Sequence[Cutout], side: int) -> float:
-    """Variance of a pixel of the difference beside the array, errors of the background's model included.
+    """Variance of a pixel beside the array, of a difference of two frames; errors of the background's model are in it.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def noise_beside(cutouts: Sequence[Cutout], side: int) -> float:
     for cutout in cutouts:
         light = footprints(cutout.poses[0], cutout.corner, cutout.shape, side)
         power, pixels = noise_kernels.power_beside(cutout.difference, (*light,), BESIDE)
-        # in units of a difference of two frames
+        # a combined pair has another noise than a difference of two frames
         squares += power if cutout.combination is None else power / cutout.combination.noise
         count += pixels
     return max(squares / max(count, 1), LEAST_NOISE)

@@ -48,10 +48,11 @@ Of a camera in step 87 % of the clock's normal errors are smaller.
 NEAREST_PATTERNS = 0.5
 """Patterns by which a frame may start early or late and still be nearest to a pattern: frames are a pattern apart."""
 
-TICK = 0.002
-"""Step of a frame's start and of an exposure in patterns: the clock is exact to 0.004 at best.
+TICK, STEP_TICK = 0.002, 5e-4
+"""Ticks in patterns to which a pair's first start and exposure, and the steps between starts, are rounded.
 
-Pairs whose frames start and last alike are combined alike.
+Pairs that are alike then are combined alike. The clock is exact to 0.004 at best, and an even camera's steps are the
+same but for its rate, 1e-5 or so.
 """
 
 COMBINED_MARGIN, COMBINED_MARGIN_PX = 0.5, 8.0
@@ -247,7 +248,7 @@ class ClockedPairing:
             return None
         # by the first and the steps from it: rounded one by one, those of an even camera would differ from pair to pair
         first = _rounded(starts[0] - pattern)
-        rounded = tuple(first + _rounded(start - starts[0]) for start in starts)
+        rounded = tuple(first + _rounded(start - starts[0], STEP_TICK) for start in starts)
         return _pair_combination(rounded, _rounded(max(clock.exposure, TICK)), self._light)
 
     def _header_combination(
@@ -314,9 +315,9 @@ class ClockedPairing:
             self._frames.popleft()
 
 
-def _rounded(patterns: float) -> float:
-    """A time in patterns, to the nearest `TICK`."""
-    return round(patterns / TICK) * TICK
+def _rounded(patterns: float, tick: float = TICK) -> float:
+    """A time in patterns, to the nearest tick."""
+    return round(patterns / tick) * tick
 
 
 @lru_cache(maxsize=64)  # in step, and at rates that repeat, the pairs of a packet are combined alike

@@ -57,7 +57,7 @@ GIVEN_UP = 40.0
 """Log odds against an exposure from which on the grid leaves it out: its weight is below 1e-17."""
 
 STARTS = 121
-"""Most starts of the grid: 1/48 T_b apart for a first header, `LEAST_DEVIATION` later where so many come to that."""
+"""Most starts of the grid: 1/48 T_b apart for a first header; later no more than steps of `LEAST_DEVIATION` need."""
 
 FIRST_REACH = 1.25
 """Patterns by which the start may differ from the detection's: one for frames that straddle, and a quarter."""
@@ -80,7 +80,7 @@ quarter; of a header in clear sight nearly all is explained. With 0.85 and with 
 """
 
 LEAST_DEVIATION = 0.004
-"""Least standard deviation of a measured start in T_b: what the model of the light leaves out.
+"""Least standard deviation of a measured start in T_b, and step of a later header's grid: what the model leaves out.
 
 It is below the 0.005 to 0.02 T_b to which one header gives the start.
 """
@@ -91,7 +91,7 @@ GAP_PATTERNS = 1.5
 
 # the upper triangle of a symmetric matrix (3, 3), and how often each of its elements counts in v M v
 _ROWS, _COLS = np.triu_indices(3)
-_TWICE = np.where(_ROWS == _COLS, 1.0, 2.0)
+_TIMES = np.where(_ROWS == _COLS, 1.0, 2.0)
 
 
 class LightClock:
@@ -314,7 +314,7 @@ class LightClock:
         # v match and v norm v of every word's v = (1, part, lit)
         words, grid = np.column_stack([np.ones(len(self._dimmed)), self._dimmed]), match.shape[1:]
         m = np.maximum(words @ match.reshape(3, -1), 0)
-        n = np.maximum((words[:, _ROWS] * words[:, _COLS] * _TWICE) @ norm.reshape(len(_ROWS), -1), TINY)
+        n = np.maximum((words[:, _ROWS] * words[:, _COLS] * _TIMES) @ norm.reshape(len(_ROWS), -1), TINY)
         explained, gains = m**2 / n, m / n
         word = explained.argmax(0)[None]
         left, gain = (np.take_along_axis(one, word, 0).reshape(grid) for one in (energy - explained, gains))

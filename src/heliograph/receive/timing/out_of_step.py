@@ -90,7 +90,7 @@ class OutOfStep:
             (pairs, symbols) mean of the true ones, -1 to 1.
         """
         if self.in_step:
-            return ObservedSymbols(mean, 1 - mean**2, self.headers, np.zeros_like(mean))
+            return ObservedSymbols(mean, 1 - mean**2, self.headers.copy(), np.zeros_like(mean))
         own, spread = partial_exposure.moments(self.response, mean)
         leak, leak_spread = self.headers.copy(), np.zeros_like(mean)
         later, earlier = slice(1, None), slice(-1)
