@@ -27,7 +27,7 @@ demo: install
 test: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-# a test of each room, under a minute
+# the tests that are quick
 test-quick: install
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" tests
 

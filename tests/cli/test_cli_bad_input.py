@@ -188,6 +188,7 @@ def test_wrong_usage_is_one_line_that_points_to_the_help(line: str, said: str, t
     [
         ("receive {}/text.mkv --output out", "text.mkv is not a video"),
         ("simulate a.mkv --imu {}/empty", "is empty"),
+        ("serve {}/text.mkv --port 0", "is not a video that can be read"),
         ("simulate a.mkv --set channel.distanse_m=3", "did you mean 'channel.distance_m'"),
     ],
 )
@@ -208,6 +209,8 @@ def test_a_cut_film_gives_its_results_and_then_the_error(stock: Path, tmp_path: 
     assert (tmp_path / "out/array-0-high-0.bin").read_bytes() == b"kept"
     assert names(tmp_path / "out") == ["array-0-high-0.bin", "packets.jsonl", "summary.json"]
     assert (tmp_path / "out/packets.jsonl").read_text().count("\n") >= 1
+    # the folder says it too
+    assert "ends in the middle, after 1" in json.loads((tmp_path / "out/summary.json").read_text())["error"]
 
 
 def test_a_cut_film_keeps_the_json_whole(stock: Path, call: Call) -> None:

@@ -36,6 +36,7 @@ def test_receive_shows_and_keeps_the_results_so_far(tmp_path: Path) -> None:
     assert "the results so far are above" in failed(run, INTERRUPTED)
     report = json.loads(run.stdout)
     assert 100 <= report["frames"] < 1500
+    assert report["error"] == json.loads((tmp_path / "out/summary.json").read_text())["error"] == "interrupted"
     assert report["arrays"][0]["packets"] >= 1
     assert names(tmp_path / "out") == ["array-0-high-0.bin", "packets.jsonl", "summary.json"]
     assert (tmp_path / "out/array-0-high-0.bin").read_bytes() == b"first"

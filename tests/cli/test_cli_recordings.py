@@ -144,7 +144,27 @@ def test_of_a_cut_recording_the_whole_frames_are_kept(
     with open_film(tmp_path / "c.h5") as kept:
         count = len(list(kept))
     assert 150 < count < 250
-    assert f"ends in the middle, after {count} whole frames: copy it again" in said
+    assert (
+        f"ends in the middle, after {count} whole frames: copy it again; c.h5 holds the {count} frames so far" in said
+    )
+    # a whole film is worth more than a part of another one
+    before = (tmp_path / "c.h5").read_bytes()
+    os.truncate(path, path.stat().st_size * 2 // 3)
+    said = failed(call("convert", path, "c.h5", *(("--fps", "1000") if clockless else ())))
+    assert said.endswith("; c.h5 is as it was")
+    assert (tmp_path / "c.h5").read_bytes() == before
+
+
+def test_a_folder_of_results_is_that_of_one_film(shots: Path, tmp_path: Path, call: Call) -> None:
+    out = tmp_path / "got"
+    read(call, shots / "a.h5", out)
+    (out / "array-3-low-1.bin").write_bytes(b"another film's")
+    (out / "array-of-mine.bin").write_bytes(b"not ours")
+    _, got = read(call, shots / "a.h5", out)
+    report = json.loads((out / "summary.json").read_text())
+    assert got == {"array-0-high-0.bin": HIGH, "array-of-mine.bin": b"not ours"}
+    assert report["film"] == str(shots / "a.h5")
+    assert "error" not in report
 
 
 def test_the_folder_one_stands_in(shots: Path, tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:

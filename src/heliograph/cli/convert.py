@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+from heliograph.base.errors import MediaError
 from heliograph.cli import console, options
 from heliograph.cli.live import LiveOptions, attend, ended_by_ctrl_c, show_counts
 
@@ -16,7 +17,14 @@ def run_convert(
     from heliograph.media.live.reader import live_of
 
     options.refuse_to_replace(output, (film,))
-    written = 0
+    written, new = 0, not output.exists()
+
+    def kept() -> str:
+        """What is in the output, where it was not written to its end."""
+        if not new:
+            return f"{output} is as it was"
+        return f"{output} holds the {written} frames so far" if written and output.exists() else "nothing was written"
+
     with open_film(film, **seen.keywords(), **live.keywords(film)) as source:
         camera = live_of(source)
         if camera is not None:
@@ -31,9 +39,10 @@ def run_convert(
 
                 count = convert_film(source, output, note, codec=codec, crf=crf)
         except KeyboardInterrupt:
-            kept = f"{output} holds the {written} frames so far" if written else "nothing was written"
-            console.complain(f"interrupted; {kept}")
+            console.complain(f"interrupted; {kept()}")
             sys.exit(console.INTERRUPTED)
+        except MediaError as error:
+            raise MediaError(f"{error}; {kept()}") if written else error from None
     exact = "" if keeps_levels(output, codec, crf) else "; its gray levels are not quite those of the source"
     console.say(f"{output}: {count} frames{exact}")
     show_counts(camera)

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import sys
 import time
 from dataclasses import replace
@@ -24,6 +25,9 @@ FILES = "files"
 
 LONG_FRAMES = 4000
 """Frames of a film from which on another process decodes its packets. Chosen: it takes two seconds to begin."""
+
+MESSAGE_NAME = re.compile(r"array-\d+-[a-z]+-\d+\.bin")
+"""What messages are called in the folder of results."""
 
 if TYPE_CHECKING:
     from heliograph.link.film import FrameProgress
@@ -90,12 +94,15 @@ def run_receive(
             began = time.perf_counter()
             with console.progress("receiving", watch.frame_count) as advance:
                 ending = read_film(watch, signal, reading, reception, (folder, news, kept), advance)
-            report = {**reception.report(time.perf_counter() - began), "reading_seconds": source.read_s}
+            report = {"film": str(film), **reception.report(time.perf_counter() - began)}
+            report["reading_seconds"] = source.read_s
             try:
                 # what a camera shows is gone
                 why = None if watch.is_live else why_unread(source, signal, settings, report, ending)
             except KeyboardInterrupt as error:
                 why, ending = None, error
+            if ending is not None:
+                report["error"] = ended(ending)
             ending = finish_folder(folder, report, watch) or kept.finish(reception.files) or ending
             news.tell({"event": "end", **report})
     if told.follow:
@@ -175,6 +182,11 @@ def _in_time(settings: "LinkSettings", source: "FilmReader") -> "LinkSettings":
     return settings if live_of(source) is None else replace(settings, receive=settings.receive.in_time())
 
 
+def ended(ending: BaseException) -> str:
+    """What ended a film early, in a line."""
+    return "interrupted" if isinstance(ending, KeyboardInterrupt) else str(ending)
+
+
 def finish_folder(folder: "Folder", report: dict[str, Any], watch: Watch) -> MediaError | None:
     """Finish all files; a failure is returned, for the results are still to be shown."""
     try:
@@ -187,6 +199,8 @@ def finish_folder(folder: "Folder", report: dict[str, Any], watch: Watch) -> Med
 
 class Folder:
     """The folder results go to, or nowhere: files appear whole, the packet log when all is read.
+
+    It holds the results of one film: messages of an earlier one are removed when those of this one are whole.
 
     Parameters
     ----------
@@ -233,6 +247,9 @@ class Folder:
                 self._log.close()
                 os.replace(self._partial, self.path / "packets.jsonl")
             write_whole(self.path / "summary.json", json.dumps(report, indent=1).encode())
+            for old in self.path.glob("array-*-*-*.bin"):
+                if MESSAGE_NAME.fullmatch(old.name) and old.name not in self.messages:
+                    old.unlink(missing_ok=True)
 
 
 def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> None:

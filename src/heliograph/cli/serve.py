@@ -21,6 +21,7 @@ def run_serve(
     changes: list[str],
 ) -> None:
     """Serve the pages until Ctrl-C; other machines come in by a token, which is printed with a QR code."""
+    from heliograph.media import open_film
     from heliograph.media.images import is_pattern
     from heliograph.media.live.reader import is_camera
     from heliograph.media.live.settings import camera_settings
@@ -30,6 +31,9 @@ def run_serve(
     for film in films:
         if not (is_camera(film) or is_pattern(film) or film.exists()):
             raise MediaError(f"there is no file {film}: check the name")
+        if not is_camera(film):
+            # whether it is a film shows at once, not in the browser; its rate may be said there
+            open_film(film, rate_hz=1.0).close()
     settings = options.settings_from(preset, file, changes)
     camera_settings(camera or ())
     try:

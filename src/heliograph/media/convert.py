@@ -52,20 +52,21 @@ def convert_film(
 
     Returns
     -------
-    Frames written. On Ctrl-C the film is closed with the frames so far, and KeyboardInterrupt is raised again.
+    Frames written. On Ctrl-C the film is closed with the frames so far, and KeyboardInterrupt is raised again. A film
+    that had the target's name before stays as it was, unless all is written.
 
     Raises
     ------
     MediaError
         The source is no film, or the one to be written. Or the film cannot be written, or its kind does not hold rate
-        or bits: nothing is left. Or the source is damaged: its whole frames are kept in the target.
+        or bits: nothing is left. Or the source is damaged: its whole frames are kept in the target, if it is new.
     """
     if not isinstance(source, FilmReader):
         raise MediaError(f"convert_film takes a film as open_film gives it, not {type(source).__name__}")
     path = checked_path(target)
     if path.exists() and source.path.exists() and path.samefile(source.path):
         raise MediaError(f"{path} is read and would be written: give the output another name")
-    bits = source.bits
+    bits, new = source.bits, not path.exists()
     if path.suffix.lower() in hdf5.SUFFIXES:
         room_for(path, (source.frame_count or 0) * source.width * source.height * (1 if bits == 8 else 2))
     coded: dict[str, Any] = {"codec": codec, "crf": crf}
@@ -87,7 +88,7 @@ def convert_film(
                 if progress is not None:
                     progress(film.frames_written)
         except (MediaError, KeyboardInterrupt):
-            if film.frames_written:
+            if film.frames_written and new:
                 film.finish()  # does nothing where it could not be written, and is gone
             raise
     return film.frames_written
