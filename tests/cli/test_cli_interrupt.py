@@ -53,6 +53,14 @@ def test_transmit_leaves_nothing(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.slow
+def test_demo_keeps_the_film_so_far(tmp_path: Path) -> None:
+    started = grown(tmp_path, "d/.*partial*", 20_000)
+    run = interrupted("demo", "--output", "d", *lasting(60), cwd=tmp_path, when=started)
+    assert "interrupted; d/drive.mp4 holds the frames so far" in failed(run, INTERRUPTED)
+    assert names(tmp_path / "d") == ["drive.mp4", "drive.mp4.truth.npz"]
+
+
+@pytest.mark.slow
 def test_demo_reports_what_was_received(tmp_path: Path) -> None:
     truth = tmp_path / "d/drive.mp4.truth.npz"
 

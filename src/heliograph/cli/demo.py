@@ -39,6 +39,11 @@ def run_demo(
     console.say(f"{output / 'drive.mp4'}: a film of {frames_of(settings)} frames, about {size} MB")
     try:
         demonstration = run(output, settings, seed, recordings, console.progress)
+    except KeyboardInterrupt:
+        # receiving it has an ending of its own
+        film = output / "drive.mp4"
+        console.complain(f"interrupted; {film} holds the frames so far" if film.exists() else "interrupted")
+        sys.exit(console.INTERRUPTED)
     except HeliographError:
         if new:
             with contextlib.suppress(OSError):

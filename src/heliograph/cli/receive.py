@@ -26,6 +26,9 @@ FILES = "files"
 LONG_FRAMES = 4000
 """Frames of a film from which on another process decodes its packets. Chosen: it takes two seconds to begin."""
 
+PARTIAL_LOG = ".packets.jsonl.partial"
+"""What the packet log is called until it is whole."""
+
 MESSAGE_NAME = re.compile(r"array-\d+-[a-z]+-\d+\.bin")
 """What messages are called in the folder of results."""
 
@@ -212,7 +215,7 @@ class Folder:
         self.path = path
         self.messages: list[str] = []
         self._log: IO[str] | None = None
-        self._partial = (path or Path()) / ".packets.jsonl.partial"
+        self._partial = (path or Path()) / PARTIAL_LOG
 
     def __enter__(self) -> "Folder":
         if self.path is not None:

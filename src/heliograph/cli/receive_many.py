@@ -16,6 +16,7 @@ from heliograph import __version__
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.cli import console, options
 from heliograph.cli.files import Files, join
+from heliograph.cli.receive import PARTIAL_LOG
 
 FILMS = (
     ".mkv",
@@ -149,7 +150,7 @@ def run_many(
     rows = {work.film: kept for work in works if (kept := _kept(work)) is not None}
     for row in rows.values():
         console.say_json(row)
-    left = [work for work in works if work.film not in rows]
+    left, interrupted = [work for work in works if work.film not in rows], False
     with contextlib.closing(open_workers(workers, scheduler)) as crew, console.progress("films", len(works)) as advance:
         advance(len(rows))
         try:
@@ -158,9 +159,14 @@ def run_many(
                 console.say_json(row)
                 advance(len(rows))
         except KeyboardInterrupt:
-            again = "the same command goes on" if works[0].output else "with --output the same command would go on"
-            console.complain(f"interrupted after {len(rows)} of {len(works)} films; {again}")
-            sys.exit(console.INTERRUPTED)
+            interrupted = True
+    if interrupted:
+        for folder in (work.folder for work in left if work.folder is not None):
+            # its worker was ended in the middle
+            (folder / PARTIAL_LOG).unlink(missing_ok=True)
+        again = "the same command goes on" if works[0].output else "with --output the same command would go on"
+        console.complain(f"interrupted after {len(rows)} of {len(works)} films; {again}")
+        sys.exit(console.INTERRUPTED)
     for path in join(files) if files else ():
         console.complain(f"{path} is whole, of several films")
     broken = sum("error" in row for row in rows.values())
