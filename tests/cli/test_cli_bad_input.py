@@ -209,6 +209,10 @@ def test_a_cut_film_gives_its_results_and_then_the_error(stock: Path, tmp_path: 
     assert (tmp_path / "out/array-0-high-0.bin").read_bytes() == b"kept"
     assert names(tmp_path / "out") == ["array-0-high-0.bin", "packets.jsonl", "summary.json"]
     assert (tmp_path / "out/packets.jsonl").read_text().count("\n") >= 1
+    # messages of before are left where a film breaks off
+    (tmp_path / "out/array-3-low-1.bin").write_bytes(b"another film's")
+    heliograph("receive", stock / "cut.mkv", "--output", "out", cwd=tmp_path)
+    assert (tmp_path / "out/array-3-low-1.bin").read_bytes() == b"another film's"
     # the folder says it too
     assert "ends in the middle, after 1" in json.loads((tmp_path / "out/summary.json").read_text())["error"]
 

@@ -21,7 +21,7 @@ def run_convert(
 
     def kept() -> str:
         """What is in the output, where it was not written to its end."""
-        if not new:
+        if not new and camera is None:
             return f"{output} is as it was"
         return f"{output} holds the {written} frames so far" if written and output.exists() else "nothing was written"
 

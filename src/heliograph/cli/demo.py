@@ -37,12 +37,14 @@ def run_demo(
         output.mkdir(parents=True, exist_ok=True)
     size = max(1, round(film_bytes(settings) / 1e6))
     console.say(f"{output / 'drive.mp4'}: a film of {frames_of(settings)} frames, about {size} MB")
+    film = output / "drive.mp4"
+    before = film.stat().st_mtime_ns if film.exists() else None
     try:
         demonstration = run(output, settings, seed, recordings, console.progress)
     except KeyboardInterrupt:
         # receiving it has an ending of its own
-        film = output / "drive.mp4"
-        console.complain(f"interrupted; {film} holds the frames so far" if film.exists() else "interrupted")
+        written = film.exists() and film.stat().st_mtime_ns != before
+        console.complain(f"interrupted; {film} holds the frames so far" if written else "interrupted")
         sys.exit(console.INTERRUPTED)
     except HeliographError:
         if new:

@@ -203,7 +203,7 @@ def finish_folder(folder: "Folder", report: dict[str, Any], watch: Watch) -> Med
 class Folder:
     """The folder results go to, or nowhere: files appear whole, the packet log when all is read.
 
-    It holds the results of one film: messages of an earlier one are removed when those of this one are whole.
+    It holds the results of one film: messages of an earlier one are removed when this one was received to its end.
 
     Parameters
     ----------
@@ -250,8 +250,14 @@ class Folder:
                 self._log.close()
                 os.replace(self._partial, self.path / "packets.jsonl")
             write_whole(self.path / "summary.json", json.dumps(report, indent=1).encode())
-            for old in self.path.glob("array-*-*-*.bin"):
-                if MESSAGE_NAME.fullmatch(old.name) and old.name not in self.messages:
+            if "error" not in report:
+                self._forget_others(self.path)
+
+    def _forget_others(self, path: Path) -> None:
+        """Remove messages of another film."""
+        for old in path.glob("array-*-*-*.bin"):
+            if MESSAGE_NAME.fullmatch(old.name) and old.name not in self.messages:
+                with clear_write_errors(old):
                     old.unlink(missing_ok=True)
 
 

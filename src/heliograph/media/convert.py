@@ -9,6 +9,7 @@ from heliograph.base.errors import MediaError
 from heliograph.base.files import room_for
 from heliograph.media import hdf5
 from heliograph.media.film import checked_path, create_film
+from heliograph.media.live.reader import live_of
 from heliograph.media.reader import FilmReader
 
 
@@ -53,13 +54,13 @@ def convert_film(
     Returns
     -------
     Frames written. On Ctrl-C the film is closed with the frames so far, and KeyboardInterrupt is raised again. A film
-    that had the target's name before stays as it was, unless all is written.
+    that had the target's name before stays as it was, unless all is written or the source is a live camera.
 
     Raises
     ------
     MediaError
         The source is no film, or the one to be written. Or the film cannot be written, or its kind does not hold rate
-        or bits: nothing is left. Or the source is damaged: its whole frames are kept in the target, if it is new.
+        or bits: nothing is left. Or the source is damaged: its whole frames are kept in the target, likewise.
     """
     if not isinstance(source, FilmReader):
         raise MediaError(f"convert_film takes a film as open_film gives it, not {type(source).__name__}")
@@ -88,7 +89,8 @@ def convert_film(
                 if progress is not None:
                     progress(film.frames_written)
         except (MediaError, KeyboardInterrupt):
-            if film.frames_written and new:
+            # what a camera has shown does not come again
+            if film.frames_written and (new or live_of(source) is not None):
                 film.finish()  # does nothing where it could not be written, and is gone
             raise
     return film.frames_written
