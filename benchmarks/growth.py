@@ -10,6 +10,7 @@ Below it stands the exponent: the slope of ln ms over ln of what grows. First co
 
 import argparse
 import multiprocessing
+import os
 import resource
 import statistics
 import time
@@ -18,12 +19,15 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import chain
 
+from heliograph.base.workers import THREAD_LIMITS, limit_threads
+
+os.environ.update(THREAD_LIMITS)  # before NumPy is imported: algebra in one thread, in the processes of cases too
+
 import cv2
 import numpy as np
 
 from benchmarks.near import DATA_PAIRS
 from heliograph.base.frames import Frame
-from heliograph.base.workers import limit_threads
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import simulate
 from heliograph.measure.bench import block_settings, random_messages
