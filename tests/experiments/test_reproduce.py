@@ -66,6 +66,8 @@ def test_what_was_done_before_an_interruption_is_kept(tmp_path: Path, monkeypatc
         book.reproduce(["fig5", "fig3"], Context(), tmp_path, lambda key, title: None)
     assert "12 of 13" in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "12 of 13 \\| more" in (tmp_path / "report.md").read_text(encoding="utf-8")
+    for name in ("report.html", "report.md"):
+        assert "Not run yet: fig3." in (tmp_path / name).read_text(encoding="utf-8")
 
 
 EARLIER = ExperimentResult(
@@ -103,6 +105,7 @@ def test_an_interrupted_run_goes_on_with_what_is_missing(tmp_path: Path, monkeyp
     results = reproduced(context, tmp_path)
     assert begun == ["heliograph.experiments.patterns.received"]
     assert results == [EARLIER, replace(EARLIER, key="fig3")]
+    assert "Not run yet" not in (tmp_path / "report.html").read_text(encoding="utf-8")
     page = (tmp_path / "report.html").read_bytes()
     assert reproduced(context, tmp_path) == results
     assert len(begun) == 1

@@ -72,6 +72,8 @@ def test_an_array_that_goes_dark_is_lost() -> None:
     assert "array 0 lost, last seen" in sentence(lost[0])
     words = sentence({**lost[0], "approach_m_s": 8.34})
     assert words.endswith(f"last seen {lost[0]['distance_m']:.1f} m away, nearing at 30 km/h, upright")
+    still = sentence({**lost[0], "approach_m_s": -0.1})
+    assert still.endswith(f"last seen {lost[0]['distance_m']:.1f} m away, at rest, upright")
 
 
 def test_speed_is_a_slope() -> None:

@@ -125,7 +125,7 @@ def test_counts_from_before_a_pause_do_not_undo_it(address: str) -> None:
         page.get_by_text("The end: 1250 frames, 12 packets").wait_for(timeout=120_000)
 
 
-def test_a_film_that_is_dropped_is_decoded(address: str, film: Path) -> None:
+def test_a_film_that_is_dropped_is_decoded(address: str, film: Path, tmp_path: Path) -> None:
     with browsers.browser() as found, browsers.quiet_page(found, f"{address}watch", **DESK) as page:
         page.wait_for_selector("#named option", state="attached")
         page.check("input[value=film]")
@@ -133,3 +133,11 @@ def test_a_film_that_is_dropped_is_decoded(address: str, film: Path) -> None:
         page.click("#open")
         page.get_by_text("The end: 1250 frames, 12 packets").wait_for(timeout=120_000)
         assert "not known" in page.inner_text("#errors")
+        # of a film that cannot be read nothing is shown, and nothing of the one before either
+        (broken := tmp_path / "broken.mp4").write_bytes(b"no film")
+        page.set_input_files("#film", broken)
+        page.click("#open")
+        page.get_by_role("alert").wait_for()
+        page.get_by_text("Nothing yet.").wait_for()
+        assert page.locator("#packets li").count() == 0
+        assert "Where the truth is known" in page.inner_text("#errors")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.files import clear_write_errors
+from heliograph.base.words import counted
 from heliograph.cli import console, options
 from heliograph.cli.simulate import scene_from
 
@@ -54,7 +55,7 @@ def run_demo(
     report = demonstration.counts
     for array in report["arrays"]:
         layers = ", ".join(f"{n} {t['ok']}/{t['ok'] + t['failed']}" for n, t in array["layers"].items())
-        console.say(f"array {array['id']}: {array['packets']} packets; codewords read: {layers}")
+        console.say(f"array {array['id']}: {counted(array['packets'], 'packet')}; codewords read: {layers}")
     console.say(f"{report['frames']} frames at {report['frames_per_second']:.0f} frames/s")
     console.say(f"look at {output / 'report.html'}")
     if isinstance(demonstration.ending, KeyboardInterrupt):

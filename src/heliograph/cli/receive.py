@@ -12,6 +12,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.files import clear_write_errors, write_whole
+from heliograph.base.words import counted
 from heliograph.cli import console, options
 from heliograph.cli.files import Files
 from heliograph.cli.live import LiveOptions, Watch, watched
@@ -263,8 +264,8 @@ class Folder:
 
 def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> None:
     console.say(
-        f"{report['frames']} frames in {report['seconds']:.1f} s ({report['frames_per_second']:.0f} frames/s), "
-        f"{report['detections']} detections"
+        f"{counted(report['frames'], 'frame')} in {report['seconds']:.1f} s "
+        f"({report['frames_per_second']:.0f} frames/s), {counted(report['detections'], 'detection')}"
     )
     if report["dropped_candidates"] or report["dropped_blocks"]:
         console.say_prose(
@@ -276,7 +277,8 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
         console.say("no array found")
     for array in report["arrays"]:
         console.say(
-            f"array {array['id']}: {array['packets']} packets, frames {array['first_frame']} to {array['last_frame']}, "
+            f"array {array['id']}: {counted(array['packets'], 'packet')}, "
+            f"frames {array['first_frame']} to {array['last_frame']}, "
             f"{array['first_distance_m']:.1f} m to {array['last_distance_m']:.1f} m away"
         )
         for layer, t in array["layers"].items():

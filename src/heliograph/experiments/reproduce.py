@@ -150,16 +150,25 @@ def reproduce(
         result = import_module(f"heliograph.experiments.{module}").run(context)
         _write_parts(folder, result, run)
         done[key] = result
-        _write_pages(folder, [done[key] for key in keys if key in done], context)
+        missing = [key for key in keys if key not in done]
+        _write_pages(folder, [done[key] for key in keys if key in done], context, missing)
     return [done[key] for key in keys]
 
 
-def _write_pages(folder: Path, results: Sequence[ExperimentResult], context: Context) -> None:
-    write_report(folder / "report.html", results, context)
-    write_whole(folder / "report.md", markdown(results, context).encode())
+def _write_pages(
+    folder: Path, results: Sequence[ExperimentResult], context: Context, missing: Sequence[str] = ()
+) -> None:
+    write_report(folder / "report.html", results, context, missing)
+    write_whole(folder / "report.md", markdown(results, context, missing).encode())
 
 
-def write_report(path: Path, results: Sequence[ExperimentResult], context: Context) -> None:
+def _not_run(missing: Sequence[str]) -> str:
+    return f"Not run yet: {', '.join(missing)}. The same command goes on from here."
+
+
+def write_report(
+    path: Path, results: Sequence[ExperimentResult], context: Context, missing: Sequence[str] = ()
+) -> None:
     """Write the page of all results.
 
     Parameters
@@ -170,6 +179,8 @@ def write_report(path: Path, results: Sequence[ExperimentResult], context: Conte
         Results of the experiments, in the order of the page.
     context
         Effort, seed and recordings with which they were run.
+    missing
+        Names of experiments that are asked for and have not been run yet; the page says so.
     """
     page = Report("The experiments of Nagura et al. 2010, measured")
     scene = f"footage {', '.join(context.clips)}" if context.clips else "a drawn scene"
@@ -177,6 +188,8 @@ def write_report(path: Path, results: Sequence[ExperimentResult], context: Conte
     page.text(f"Simulated in the reference link; background: {scene}; shake: {motion}; seed {context.seed}.", note=True)
     if context.quick:
         page.text("A quick run: few trials, so the intervals are wide.")
+    if missing:
+        page.text(_not_run(missing))
     found = Counter(str(finding.verdict) for result in results for finding in result.findings)
     page.badges((word, f"{word}: {count}") for word, count in sorted(found.items()))
     for result in results:
@@ -188,7 +201,7 @@ def write_report(path: Path, results: Sequence[ExperimentResult], context: Conte
     page.write(path)
 
 
-def markdown(results: Sequence[ExperimentResult], context: Context) -> str:
+def markdown(results: Sequence[ExperimentResult], context: Context, missing: Sequence[str] = ()) -> str:
     """Claims and measurements as a Markdown page, for a project's documents.
 
     Parameters
@@ -197,10 +210,14 @@ def markdown(results: Sequence[ExperimentResult], context: Context) -> str:
         Results of the experiments, in the order of the page.
     context
         Effort, seed and recordings with which they were run.
+    missing
+        Names of experiments that are asked for and have not been run yet.
     """
     run = "A quick run: few trials, wide intervals." if context.quick else "The full run."
     scene = ", ".join(context.clips) or "a drawn scene"
     lines = ["# The paper's experiments, measured", "", f"{run} Background: {scene}; seed {context.seed}.", ""]
+    if missing:
+        lines += [_not_run(missing), ""]
     for result in results:
         lines += [f"## {result.title}", "", result.text, "", "| claim | measured | verdict |", "|---|---|---|"]
         lines += [f"| {_cell(f.claim)} | {_cell(f'{f.ours} {f.why}')} | {f.verdict} |" for f in result.findings]

@@ -226,4 +226,7 @@ def file_words(row: Row) -> str:
 def _moves(row: Row) -> str:
     """How fast an array comes nearer, in words; nothing where too few packets tell."""
     speed = row["approach_m_s"]
-    return "" if speed is None else f", {'nearing' if speed >= 0 else 'receding'} at {abs(speed) * 3.6:.0f} km/h"
+    if speed is None:
+        return ""
+    kmh = f"{abs(speed) * 3.6:.0f}"
+    return ", at rest" if kmh == "0" else f", {'nearing' if speed >= 0 else 'receding'} at {kmh} km/h"

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from heliograph.base.words import counted
 from heliograph.probe.arrays import ArraySeen
 from heliograph.probe.clock import Clock
 from heliograph.probe.frames import FrameTimes
@@ -137,19 +138,6 @@ class RegionSeen:
         if self.array is not None and self.header is None:
             return self.region.side
         return self.header_like.size_px if self.header_like else self.region.side
-
-
-def counted(number: int, thing: str) -> str:
-    """A number of things in words.
-
-    Parameters
-    ----------
-    number
-        How many there are, 0 or more.
-    thing
-        What one of them is called.
-    """
-    return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def film_causes(

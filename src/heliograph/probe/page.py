@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
+from heliograph.base.words import counted
 from heliograph.experiments.report import Report
 from heliograph.probe import pictures
-from heliograph.probe.causes import RegionSeen, counted
+from heliograph.probe.causes import RegionSeen
 from heliograph.probe.film import Findings
 from heliograph.probe.words import array_lines, cause_words, lines, noise_words, place, would_be_lines
 from heliograph.signal.settings import LAYERS

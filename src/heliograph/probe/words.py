@@ -4,8 +4,9 @@ from collections.abc import Iterator
 from math import isfinite
 from typing import Any
 
+from heliograph.base.words import counted
 from heliograph.probe.arrays import ArraySeen
-from heliograph.probe.causes import Cause, RegionSeen, counted
+from heliograph.probe.causes import Cause, RegionSeen
 from heliograph.probe.clock import Clock
 from heliograph.probe.film import Findings
 from heliograph.probe.noise import NoiseFound
@@ -144,7 +145,8 @@ def array_lines(array: ArraySeen) -> Iterator[str]:
     """
     away = " to ".join(dict.fromkeys(f"{d:.1f} m" for d in (array.first_distance_m, array.last_distance_m)))
     yield (
-        f"array {array.identity}: {array.orientation}, {array.packets} packets, frames {array.first_frame} to "
+        f"array {array.identity}: {array.orientation}, {counted(array.packets, 'packet')}, "
+        f"frames {array.first_frame} to "
         f"{array.last_frame}, {away} away by the settings' optics"
     )
     yield (

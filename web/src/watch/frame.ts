@@ -7,7 +7,8 @@ import type { About, Box } from "./rows";
 
 export function speedWords(approach: number | null | undefined): string {
   if (approach === null || approach === undefined) return "";
-  return `${Math.abs(approach * 3.6).toFixed(0)} km/h ${approach >= 0 ? "nearing" : "receding"}`;
+  const speed = Math.abs(approach * 3.6).toFixed(0);
+  return speed === "0" ? "at rest" : `${speed} km/h ${approach >= 0 ? "nearing" : "receding"}`;
 }
 
 export class FrameView {

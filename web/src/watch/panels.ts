@@ -148,7 +148,9 @@ function chart(bins: Bin[]): SVGElement {
 function errors(model: Model): void {
   const bins = model.errors;
   if (bins === null || bins.length === 0) {
-    if (model.source !== null) put("errors", make("p", { class: "dim" }, model.source.truth ? "No packet was sent whole yet." : "The truth of this source is not known."));
+    const why = model.source === null ? "Where the truth is known: a simulated drive, or a film with its truth beside it."
+      : model.source.truth ? "No packet was sent whole yet." : "The truth of this source is not known.";
+    put("errors", make("p", { class: "dim" }, why));
     return;
   }
   const rows = [...bins].reverse().map((bin) => line(`${bin.from_m}–${bin.to_m} m`, ...LAYERS.map((layer) => counted(bin.layers[layer]))));
@@ -164,7 +166,10 @@ const STAGE_WORDS: Record<string, string> = {
 
 function stages(model: Model): void {
   const state = model.state;
-  if (state === null) return;
+  if (state === null) {
+    put("stages", make("p", { class: "dim" }, "Nothing yet."));
+    return;
+  }
   const times = Object.entries(state.stages).filter(([name]) => name !== "wait").sort((a, b) => b[1] - a[1]);
   const total = times.reduce((sum, [, seconds]) => sum + seconds, 0);
   const rows = times.map(([name, seconds]) => make("tr", {}, make("th", { scope: "row" }, STAGE_WORDS[name] ?? name),
