@@ -84,7 +84,8 @@ class DetectSettings:
     score
         Least correlation with the header's image of a detection. Lower lets clutter through.
     candidates
-        Most candidates examined per search, 1 to 64. More finds arrays among more clutter and takes longer.
+        Most candidates examined per search, 1 to 64. More finds arrays among more clutter, and more of many arrays that
+        come into sight at once, and takes longer.
     busy_part
         Part of a core's time, of the camera's, that searching for arrays may take on average where much alternates,
         0.01 to 1000. If it is left out, a film has no bound, as it can wait; a live camera has 0.3. It is counted in
