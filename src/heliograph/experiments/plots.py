@@ -109,8 +109,8 @@ def track(times: NDArray[Any], found: Mapping[str, NDArray[Any]], truth: Mapping
     axes = figure.subplots(2, 2, sharex=True)
     panels = (("x", "x (px)"), ("y", "y (px)"), ("distance_m", "distance (m)"))
     for (name, label), place in zip(panels, axes.flat, strict=False):
-        place.plot(times, truth[name], color="#b9c0c8", lw=3, label="true")
-        place.plot(times, found[name], color=BLUE, lw=0.8, label="found")
+        place.plot(times, truth[name], color="#cdd3da", lw=5, label="true")
+        place.plot(times, found[name], color=BLUE, lw=1, label="found")
         place.set_ylabel(label)
     axes[0, 0].legend(frameon=False)
     for name, colour in (("x", BLUE), ("y", ORANGE)):
