@@ -20,6 +20,7 @@ extensions = [
 exclude_patterns = ["_build", "vectors"]
 html_theme = "furo"
 html_title = "Heliograph"
+html_show_copyright = False
 nitpicky = False
 # names in docstrings stand in single backticks
 default_role = "code"

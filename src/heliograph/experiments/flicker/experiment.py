@@ -21,7 +21,7 @@ TEXT = (
     "0.025 f % below 90 Hz and 0.08 f % up to 1250 Hz, component by component. "
     "SVM: stroboscopic visibility measure, exponent 3.7, components up to 2 kHz, threshold T(f) = 1 / (1 + "
     "exp(-0.00518 (f - 306.6))) + 20 exp(-f / 10), the closed form of Perz et al. 2018 that CIE TN 006 and IEC TR "
-    "63158 use, quoted from memory and not compared with the standards' text; 1 is just visible, the EU allows 0.4. "
+    "63158 use, not compared with the standards' text; 1 is just visible, the EU allows 0.4. "
     "Flickering time period: the longest time between instants at which the light given so far equals that of a "
     "steady light of the same mean; IEEE 802.15.7 allows 5 ms. A header alone is that header repeated, as an array "
     "would show that only wants to be found."
