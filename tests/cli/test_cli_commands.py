@@ -275,7 +275,7 @@ def test_presets_are_listed_and_printed(tmp_path: Path, call: Call) -> None:
 def test_demo_shows_what_arrived(tmp_path: Path, call: Call) -> None:
     out = succeeded(call("demo", "--output", "d", *lasting(0.1)))
     assert out.splitlines()[0] == "d/drive.mp4: a film of 100 frames, about 1 MB"
-    assert "array 0: 1 packets; codewords read: high 1/1" in out
+    assert "array 0: 1 packet; codewords read: high 1/1" in out
     assert out.splitlines()[-1] == "look at d/report.html"
     assert {"report.html", "drive.mp4", "drive.mp4.truth.npz", "array-0-high-0.txt"} <= set(names(tmp_path / "d"))
 
