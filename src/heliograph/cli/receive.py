@@ -123,7 +123,7 @@ def run_receive(
         if not watch.is_live:
             _show_reading(source, report)
     if isinstance(ending, KeyboardInterrupt):
-        console.complain(f"interrupted after {reception.frames} frames; the results so far are above")
+        console.complain(f"interrupted after {counted(reception.frames, 'frame')}; the results so far are above")
         sys.exit(console.INTERRUPTED)
     if ending is not None:
         raise ending

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import SettingsError
+from heliograph.base.words import counted
 from heliograph.cli import console, options
 
 LARGE_BYTES, BYTES_PER_PIXEL = 2e8, 0.35
@@ -49,7 +50,7 @@ def run_simulate(
         kept = f"{film} holds the {written} frames so far" if written else "nothing was written"
         console.complain(f"interrupted; {kept}")
         sys.exit(console.INTERRUPTED)
-    console.say(f"{film}: {count} frames; truth in {truth_path(film)}")
+    console.say(f"{film}: {counted(count, 'frame')}; truth in {truth_path(film)}")
     for array in _never_seen(truth_path(film)):
         console.note(
             f"array {array} is never whole in the picture, so no receiver reads it: move it by "

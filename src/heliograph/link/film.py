@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from heliograph.base.errors import MediaError
 from heliograph.base.files import room_for
 from heliograph.base.frames import Frame
+from heliograph.base.words import counted
 from heliograph.channel import frame_count
 from heliograph.link.notes import TRUTH_TAG, signal_note
 from heliograph.link.settings import LinkSettings
@@ -165,7 +166,8 @@ def read_packets(film: FrameSource, signal: SignalSettings, receiver: Receiver) 
     if broken is not None:
         raise broken
     if frames < signal.packet_patterns:
-        raise MediaError(f"{film.path} has {frames} frames; a packet takes {signal.packet_patterns}: record longer")
+        seen = counted(frames, "frame")
+        raise MediaError(f"{film.path} has {seen}; a packet takes {signal.packet_patterns}: record longer")
 
 
 def is_packet(packet: Packet) -> bool:
