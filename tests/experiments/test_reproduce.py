@@ -112,6 +112,20 @@ def test_an_interrupted_run_goes_on_with_what_is_missing(tmp_path: Path, monkeyp
     assert (tmp_path / "report.html").read_bytes() == page
 
 
+def test_a_run_that_ends_in_its_first_experiment_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    context = Context()
+    runs(monkeypatch)
+    book.reproduce(["fig5"], context, tmp_path, lambda key, title: None)
+
+    def interrupt(_: Context) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(book, "import_module", lambda name: SimpleNamespace(run=interrupt))
+    with pytest.raises(KeyboardInterrupt):
+        reproduced(context, tmp_path)
+    assert "Not run yet: fig3." in (tmp_path / "report.md").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("change", ["seed", "quick", "clip", "code", "picture", "json", "no mapping"])
 def test_what_was_done_otherwise_or_is_damaged_is_run_again(
     change: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

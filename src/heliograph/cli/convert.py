@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 from heliograph.base.errors import MediaError
+from heliograph.base.words import counted
 from heliograph.cli import console, options
 from heliograph.cli.live import LiveOptions, attend, ended_by_ctrl_c, show_counts
 
@@ -23,7 +24,11 @@ def run_convert(
         """What is in the output, where it was not written to its end."""
         if not new and camera is None:
             return f"{output} is as it was"
-        return f"{output} holds the {written} frames so far" if written and output.exists() else "nothing was written"
+        return (
+            f"{output} holds the {counted(written, 'frame')} so far"
+            if written and output.exists()
+            else "nothing was written"
+        )
 
     with open_film(film, **seen.keywords(), **live.keywords(film)) as source:
         camera = live_of(source)
@@ -44,5 +49,5 @@ def run_convert(
         except MediaError as error:
             raise MediaError(f"{error}; {kept()}") if written else error from None
     exact = "" if keeps_levels(output, codec, crf) else "; its gray levels are not quite those of the source"
-    console.say(f"{output}: {count} frames{exact}")
+    console.say(f"{output}: {counted(count, 'frame')}{exact}")
     show_counts(camera)

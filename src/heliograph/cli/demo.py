@@ -56,10 +56,10 @@ def run_demo(
     for array in report["arrays"]:
         layers = ", ".join(f"{n} {t['ok']}/{t['ok'] + t['failed']}" for n, t in array["layers"].items())
         console.say(f"array {array['id']}: {counted(array['packets'], 'packet')}; codewords read: {layers}")
-    console.say(f"{report['frames']} frames at {report['frames_per_second']:.0f} frames/s")
+    console.say(f"{counted(report['frames'], 'frame')} at {report['frames_per_second']:.0f} frames/s")
     console.say(f"look at {output / 'report.html'}")
     if isinstance(demonstration.ending, KeyboardInterrupt):
-        console.complain(f"interrupted after {report['frames']} frames; {output} holds the results so far")
+        console.complain(f"interrupted after {counted(report['frames'], 'frame')}; {output} holds the results so far")
         sys.exit(console.INTERRUPTED)
     if demonstration.ending is not None:
         raise demonstration.ending

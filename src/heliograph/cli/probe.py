@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.files import clear_write_errors
+from heliograph.base.words import counted
 from heliograph.cli import console, options
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def run_probe(
     elif not as_json:
         console.note(f"--output DIR writes {PAGE}, the same with pictures")
     if isinstance(found.broken, KeyboardInterrupt):
-        console.complain(f"interrupted after {found.times.count} frames; what they show is above")
+        console.complain(f"interrupted after {counted(found.times.count, 'frame')}; what they show is above")
         sys.exit(console.INTERRUPTED)
     if found.broken is not None:
         raise found.broken

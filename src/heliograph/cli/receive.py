@@ -268,10 +268,10 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
         f"({report['frames_per_second']:.0f} frames/s), {counted(report['detections'], 'detection')}"
     )
     if report["dropped_candidates"] or report["dropped_blocks"]:
+        left = f"{counted(report['dropped_candidates'], 'candidate')} and {counted(report['dropped_blocks'], 'block')}"
         console.say_prose(
-            f"more alternates in these frames than searching may cost: {report['dropped_candidates']} candidates and "
-            f"{report['dropped_blocks']} blocks were left out; say by --region where the array is, or raise "
-            f"receive.detect.busy_part"
+            f"more alternates in these frames than searching may cost: {left} were left out; say by --region where the "
+            f"array is, or raise receive.detect.busy_part"
         )
     if not report["arrays"]:
         console.say("no array found")
@@ -282,7 +282,7 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
             f"{array['first_distance_m']:.1f} m to {array['last_distance_m']:.1f} m away"
         )
         for layer, t in array["layers"].items():
-            console.say(f"  {layer:6} {t['ok']} codewords read, {t['failed']} not, {t['bytes']} bytes")
+            console.say(f"  {layer:6} {counted(t['ok'], 'codeword')} read, {t['failed']} not, {t['bytes']} bytes")
     for name in folder.messages:
         console.say(f"message {folder.path}/{name}")
     for identity, layer, stream, had, size in reception.unfinished():

@@ -14,6 +14,7 @@ from typing import Any
 
 from heliograph import __version__
 from heliograph.base.errors import HeliographError, MediaError
+from heliograph.base.words import counted
 from heliograph.cli import console, options
 from heliograph.cli.files import Files, join
 from heliograph.cli.receive import PARTIAL_LOG
@@ -248,11 +249,7 @@ def _looked_into(path: Path) -> Folder:
     if not films:
         return Folder((), "")
     loose, others = len(pictures) - len(stacks), len(folders) - len(pictured)
-    left = [
-        f"{count} {what}{'' if count == 1 else 's'}"
-        for count, what in ((loose, "picture"), (others, "folder"))
-        if count
-    ]
+    left = [counted(count, what) for count, what in ((loose, "picture"), (others, "folder")) if count]
     why = (
         f"{path}: {' and '.join(left)} beside the films left out; give each recording's pictures a folder of their own"
     )

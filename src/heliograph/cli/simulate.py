@@ -47,7 +47,7 @@ def run_simulate(
 
             count = write_film(film, settings, messages, seed, recordings, note, **codec)
     except KeyboardInterrupt:
-        kept = f"{film} holds the {written} frames so far" if written else "nothing was written"
+        kept = f"{film} holds the {counted(written, 'frame')} so far" if written else "nothing was written"
         console.complain(f"interrupted; {kept}")
         sys.exit(console.INTERRUPTED)
     console.say(f"{film}: {counted(count, 'frame')}; truth in {truth_path(film)}")

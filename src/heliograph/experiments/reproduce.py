@@ -142,8 +142,8 @@ def reproduce(
     """
     run, done = _run(context), dict(before or {})
     todo = [key for key in keys if key not in done]
-    if not todo:
-        _write_pages(folder, [done[key] for key in keys], context)
+    if done:
+        _write_pages(folder, [done[key] for key in keys if key in done], context, todo)
     for key in todo:
         module, title = {**EXPERIMENTS, **FURTHER}[key]
         begin(key, title)

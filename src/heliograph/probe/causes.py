@@ -173,7 +173,7 @@ def film_causes(
         ))  # fmt: skip
     if times.lost > LOST * most:
         out.append(Cause(
-            "lost frames", f"{times.lost} of {most} frames are missing at {times.gaps} places",
+            "lost frames", f"{times.lost} of {most} frames are missing at {counted(times.gaps, 'place')}",
             ("look for what drops them: the disk, the cable, the computer's load; receivers read on, but less",),
         ))  # fmt: skip
     if times.repeated > STANDS_STILL * times.count:

@@ -230,7 +230,7 @@ def _stamps(found: Findings) -> str:
     claimed = "" if abs(times.claimed_hz / times.rate_hz - 1) < 1e-3 else f" ({times.claimed_hz:.6g} claimed)"
     every = f", every {times.every}th of the camera's" if times.every > 1 else ""
     jitter = f"jitter {1e6 * times.jitter_s:.1f} us" if times.jitter_s >= 5e-8 else "no jitter"
-    lost = f"{times.lost} lost at {times.gaps} places" if times.lost else "none lost"
+    lost = f"{times.lost} lost at {counted(times.gaps, 'place')}" if times.lost else "none lost"
     twice = f"{times.repeated} repeated" if times.repeated else "none repeated"
     return f"{times.rate_hz:.6g} frames a second{claimed}{every}, {jitter}, {lost}, {twice}"
 
