@@ -35,7 +35,7 @@ PLAIN_REGULARITY = 0.5
 
 What changes only once or twice within four frames has 0 or less. A header of two pairs, of which a format dims the
 second to a half, has the least of all, 1 / 1.5 = 0.67. Half of it loses none of 192 codewords; with twice of it, 1, all
-37 of the plain receiver are lost (docs/constants.md).
+37 of the plain receiver are lost.
 """
 
 SOFT_REGULARITY = 0.15

@@ -37,7 +37,7 @@ ENOUGH_SEEN = 0.5
 
 Below it a packet that the film's end cuts off is not given out, and one without a right codeword is "no_array". Of
 data half of which is erased no code of a rate above 1/2 can be read. Half of it loses none of 192 codewords; twice of
-it, all of the data, loses 20, all of cameras out of step (docs/constants.md).
+it, all of the data, loses 20, all of cameras out of step.
 """
 
 LESSONS_KEPT = 32

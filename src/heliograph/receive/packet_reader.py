@@ -29,8 +29,7 @@ from heliograph.signal.pwm import light_centroids
 RELEARN = 3
 """Most times a header pair is fitted, once more whenever it shows that an LED has failed or come back.
 
-Chosen: it bounds the time where the gain of an LED changes from fit to fit. With 2 and 6 none of 192 codewords is lost
-(docs/constants.md).
+Chosen: it bounds the time where the gain of an LED changes from fit to fit. With 2 and 6 none of 192 codewords is lost.
 """
 
 

@@ -17,8 +17,7 @@ from heliograph.signal.header import CELLS
 FIT_STEPS = 6
 """Most Gauss-Newton steps of a candidate, which starts up to half a grid step away.
 
-Chosen: it bounds the time of candidates that do not converge. With 3 and 12 none of 192 codewords is lost
-(docs/constants.md).
+Chosen: it bounds the time of candidates that do not converge. With 3 and 12 none of 192 codewords is lost.
 """
 
 CANDIDATE_MARGIN_PX = 1.0

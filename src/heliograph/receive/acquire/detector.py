@@ -51,7 +51,7 @@ GAINED = 0.03
 """How much better a tilted candidate must be: an upright array with a hidden side looks a little tilted.
 
 Scores are correlations: 0.03 more than 0.9 are 2 * 0.9 * 0.03 = 5 % of the pixels' power. Half and twice of it lose
-none of 192 codewords (docs/constants.md).
+none of 192 codewords.
 """
 
 HIDDEN_SCORE = 0.8

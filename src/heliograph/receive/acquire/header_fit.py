@@ -40,7 +40,7 @@ FIRST_AMPLITUDE, FIRST_SCORE = 0.7, 0.9
 Out of step a header may begin amid a frame. Where the first frame shows the fraction f of it and the others all, the
 gains have the ratio (1 + f) / (1.75 + 0.25 f): 0.7 for f = 0.27. Two frames have more noise than four: 2 to 1.25 in
 power, for the same amplitude. Noise alone then brings the score below 0.9 of the whole's only where that is below 0.78.
-With 0.85 and 0.95, and with 0.4 and 0.8, none of 192 codewords is lost (docs/constants.md).
+With 0.85 and 0.95, and with 0.4 and 0.8, none of 192 codewords is lost.
 """
 
 

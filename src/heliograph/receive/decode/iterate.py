@@ -34,7 +34,7 @@ ITERATIONS = 24
 """Most iterations between equaliser and decoder.
 
 Chosen: it bounds the time of a packet that gains a little in each; at 150 m packets take four to seven. With 12 and 48
-none of 192 codewords is lost (docs/constants.md).
+none of 192 codewords is lost.
 """
 
 PROGRESS = 0.002
@@ -52,8 +52,7 @@ While it rises LLRs shrink, so that information seems to be lost. Chosen: four t
 REFINEMENTS = 6
 """Most times that a packet's poses are refined; refining ends by itself when no pose moves any more.
 
-Chosen: it bounds the time of a packet whose poses keep moving. With 3 and 12 none of 192 codewords is lost
-(docs/constants.md).
+Chosen: it bounds the time of a packet whose poses keep moving. With 3 and 12 none of 192 codewords is lost.
 """
 
 

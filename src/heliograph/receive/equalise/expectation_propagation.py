@@ -20,14 +20,14 @@ DAMPING = 0.7
 """Damping: fraction of its way that a site goes in an iteration. With more of it sites of neighbours may oscillate.
 
 Of 600 random problems of 9 symbols in 7 pixels, a mean still moved by more than 0.02 in the 40th iteration: with 0.4 in
-1, with 0.7 in none, with 0.85 in 3, with 1 in 4. With 0.4 and 0.85 none of 192 codewords is lost (docs/constants.md).
+1, with 0.7 in none, with 0.85 in 3, with 1 in 4. With 0.4 and 0.85 none of 192 codewords is lost.
 """
 
 LEAST_PRECISION = 1e-6
 """Least precision of a site; where the update would be below, the site stays as it was.
 
 A tolerance: such a site has a variance of 1e6, and a symbol of -1 or +1 one of 1 at most. So it says nothing, and one
-of a negative precision would be no Gaussian. Half and twice of it lose none of 192 codewords (docs/constants.md).
+of a negative precision would be no Gaussian. Half and twice of it lose none of 192 codewords.
 """
 
 

@@ -34,7 +34,7 @@ FAILED, SOUND = 0.25, 0.65
 Let headers show one LED by itself with the standard deviation s. The estimate goes k = p / (p + s^2) of the way from 1
 to what they show, p being the prior variance `LED_GAIN_SPREAD`^2. Of a sound LED it has the standard deviation k s,
 0.15 at most: 0.65 is 2.3 of them below 1. Of a failed LED it is 1 - k on average, below 0.25 where s is below 0.17.
-With 0.125 and 0.825 none of 192 codewords is lost, with 0.5 and 0.3 24 are (docs/constants.md).
+With 0.125 and 0.825 none of 192 codewords is lost, with 0.5 and 0.3 24 are.
 """
 
 CHANGED = 0.5
@@ -50,8 +50,7 @@ MODEL = 0.02
 """Error of the image that the affine pose and the Gaussian blur leave, as a fraction of the light.
 
 An LED that is 0.02 px off the grid of the pose changes a pixel by up to 0.02 e^(-1/2) / 0.58 = 2 % of its peak: 0.58 px
-is the standard deviation of a blur of 0.5 px with a pixel's own width. Half and twice of it lose none of 192 codewords
-(docs/constants.md).
+is the standard deviation of a blur of 0.5 px with a pixel's own width. Half and twice of it lose none of 192 codewords.
 """
 
 FADE = 0.5
@@ -70,7 +69,7 @@ MEDIAN_STEPS, MEDIAN_SCALES = 2, (0.5, 2.0)
 """Most corrections of the gain by the median LED, and bounds of one.
 
 Chosen: the first bounds the time, the others what a header that shows no array does to the gain. With 1, (0.25, 1) and
-with 4, (1, 4) none of 192 codewords is lost (docs/constants.md).
+with 4, (1, 4) none of 192 codewords is lost.
 """
 
 

@@ -59,7 +59,7 @@ A tolerance: light of a variance of 1 is taken for less by a thousandth.
 """
 
 AROUND = 1
-"""Squares around one whose light is looked for in it, each way. Chosen: with 2 no more was read (docs/constants.md)."""
+"""Squares around one whose light is looked for in it, each way. Chosen: with 2 no more was read."""
 
 
 @dataclass(frozen=True, slots=True)

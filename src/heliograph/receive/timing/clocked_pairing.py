@@ -59,8 +59,7 @@ COMBINED_MARGIN, COMBINED_MARGIN_PX = 0.5, 8.0
 """Margin of combined frames about the array, as a fraction of its side, and at least in px: room for the tracker.
 
 The fit of a sum takes 1.5 pitches and 1.5 px (`tracker`). At a pitch of 1 px that leaves 5 of the 8 px for motion:
-hard shake moves that far in five patterns (`START_RATES`). Half and twice of it lose none of 192 codewords
-(docs/constants.md).
+hard shake moves that far in five patterns (`START_RATES`). Half and twice of it lose none of 192 codewords.
 """
 
 

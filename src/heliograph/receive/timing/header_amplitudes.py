@@ -14,8 +14,7 @@ CLIPPED = 0.02
 """Fraction of an array's pixels at full scale from which on its brightness is not used.
 
 While 2 % of the pixels clip, each by no more than it shows, the brightness is wrong by 2 %: less than the 3 % by which
-random data change it (`DEVIATION` of `light_clock`). Half and twice of it lose none of 192 codewords
-(docs/constants.md).
+random data change it (`DEVIATION` of `light_clock`). Half and twice of it lose none of 192 codewords.
 """
 
 MOVING_PX = 0.5

@@ -75,8 +75,7 @@ EXPLAINED = 0.7
 """Least part of the power in a header's amplitudes that the header must explain; of clutter it explains less.
 
 Eight frames about a header of four patterns show 16 numbers. Of white noise a model of 4 parameters explains about a
-quarter; of a header in clear sight nearly all is explained. With 0.85 and with 0.4 none of 192 codewords is lost
-(docs/constants.md).
+quarter; of a header in clear sight nearly all is explained. With 0.85 and with 0.4 none of 192 codewords is lost.
 """
 
 LEAST_DEVIATION = 0.004

@@ -50,14 +50,14 @@ FRAME_GAIN_SPREAD = 0.01
 """Standard deviation of a frame's gain, as a fraction of it; the light of LEDs is steady, and the sensor linear.
 
 It is a tolerance: a third of the 3 % by which random data change an array's light (`DEVIATION` of `light_clock`), so
-that bright data are not taken for a larger gain. Half and twice of it lose none of 192 codewords (docs/constants.md).
+that bright data are not taken for a larger gain. Half and twice of it lose none of 192 codewords.
 """
 
 BACKGROUND_SPREAD = 5.0
 """Standard deviation in gray levels by which the background may differ from that of the frames before.
 
 A background that brightens by one level a frame is 1 / `BACKGROUND_WEIGHT` = 5 levels above its mean of the frames
-before. Half and twice of it lose none of 192 codewords (docs/constants.md).
+before. Half and twice of it lose none of 192 codewords.
 """
 
 BACKGROUND_WEIGHT = 0.2

@@ -38,7 +38,7 @@ SUM_SPREAD = np.array([0.0, 0.0, 0.002, 0.0, 0.02])
 
 They are about the steps below which a fit ends: 0.02 of ln blur (`CLOSE_BLUR` of `fit`), and 0.02 px of the rim
 (`CLOSE_PX`). At a pitch of 1 px the rim is 8 px from the middle, so that is 0.0025 of ln pitch. Half and twice of
-it lose none of 192 codewords (docs/constants.md).
+it lose none of 192 codewords.
 """
 
 WALK_PATTERNS = 1000.0
@@ -48,7 +48,7 @@ SUM_WALK = np.array([0.01, 0.2])
 """Random walks of the sums' errors: the background changes.
 
 An error has walked as far as its prior (`SUM_ERROR`) after (0.05 / 0.01)^2 = 25 and (0.5 / 0.2)^2 = 6 of
-`WALK_PATTERNS`: 25 s and 6 s at 1000 patterns/s. Half and twice of it lose none of 192 codewords (docs/constants.md).
+`WALK_PATTERNS`: 25 s and 6 s at 1000 patterns/s. Half and twice of it lose none of 192 codewords.
 """
 
 ROLL_WALK, BLUR_WALK, TILT_WALK = 0.03, 0.1, 0.01

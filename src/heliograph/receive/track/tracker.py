@@ -76,8 +76,7 @@ FOUND_SPREAD = np.array([1.0, 1.0, 1e-3, 1e-4, 1e-2])
 """Variances added to a detection's pose vector for the motion since its middle: 1 px, and 3 % of the pitch.
 
 1 px is what hard shake moves an array by in a pattern (`START_RATES`), 3 % are a quarter of a step between the sizes
-looked for (`SIDE_STEP`). Roll gets 0.01 rad, ln blur 0.1. Half and twice of it lose none of 192 codewords
-(docs/constants.md).
+looked for (`SIDE_STEP`). Roll gets 0.01 rad, ln blur 0.1. Half and twice of it lose none of 192 codewords.
 """
 
 
