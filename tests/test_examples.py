@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import HANG_S
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -35,7 +36,7 @@ def test_an_example_runs_and_writes_what_it_says(name: str, tmp_path: Path) -> N
         pytest.importorskip("ldpc")
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, str(EXAMPLES / f"{name}.py"), "--few"]
-    ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=HANG_S)
     assert ran.returncode == 0, ran.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == PICTURES[name]
     assert ran.stdout

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from waiting import HANG_S
 
 from heliograph.media.slots import SlotForm, write_slots
 
@@ -99,11 +100,11 @@ def test_the_simulation_is_run_as_the_readme_says(tmp_path: Path) -> None:
     for slot_ns in (250_000, 250_100):
         write_slots(tmp_path / "patterns.h", light, SlotForm(16, 4, slot_ns, len(light)))
         command = [sys.executable, str(EXAMPLE / "simulate.py"), "patterns.h"]
-        ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+        ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, check=False)
         assert (ran.returncode == 0) == (slot_ns == 250_000), ran.stderr
         assert "8 slots of" in ran.stdout
         assert "jitter 0 us" in ran.stdout
-    wrong = subprocess.run([*command[:-1], "none.h"], capture_output=True, text=True, timeout=120, check=False)
+    wrong = subprocess.run([*command[:-1], "none.h"], capture_output=True, text=True, timeout=HANG_S, check=False)
     assert (wrong.returncode, wrong.stderr) == (1, "there is no file none.h: check the name\n")
 
 

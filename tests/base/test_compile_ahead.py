@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 from numba.core.registry import CPUDispatcher
+from waiting import HANG_S
 
 from heliograph.base import compile_ahead
 from heliograph.base.compile_ahead import SWITCH, Loop, begins, compile_all, loops, types_of
@@ -76,7 +77,7 @@ def test_helpers_are_started_once_and_for_what_is_listed(monkeypatch: pytest.Mon
 
 def test_a_helper_that_has_ended_is_no_trouble(monkeypatch: pytest.MonkeyPatch) -> None:
     with subprocess.Popen([sys.executable, "-c", ""], stdin=subprocess.PIPE, bufsize=0) as helper:
-        helper.wait()
+        helper.wait(HANG_S)
         monkeypatch.setattr(compile_ahead, "_helpers", [helper])
         begins(*LISTED[0])
 
@@ -85,7 +86,7 @@ def test_a_helper_that_has_ended_is_no_trouble(monkeypatch: pytest.MonkeyPatch) 
 def test_a_helper_with_nothing_left_ends_before_its_parent() -> None:
     command = [sys.executable, "-m", "heliograph.base.compile_ahead", "1000", "1001"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, env={**os.environ, SWITCH: "0"}) as helper:
-        assert helper.wait(60) == 0
+        assert helper.wait(HANG_S) == 0
 
 
 @pytest.mark.slow
@@ -94,4 +95,4 @@ def test_the_helper_ends_with_its_parent() -> None:
     with subprocess.Popen(command, stdin=subprocess.PIPE, env={**os.environ, SWITCH: "0"}) as helper:
         assert helper.stdin is not None
         helper.stdin.close()
-        assert helper.wait(60) == 0
+        assert helper.wait(HANG_S) == 0

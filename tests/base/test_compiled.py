@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import HANG_S
 
 import heliograph
 from heliograph.base import compile_time
@@ -65,7 +66,7 @@ def called(small: Path, cache: str | None = None, code: str = CALL, **environmen
     known |= {"NUMBA_CACHE_DIR": cache} if cache else {}
     command = [sys.executable, "-c", code]
     done = subprocess.run(
-        command, env=known | environment, capture_output=True, text=True, timeout=120, check=False, cwd=small.parent
+        command, env=known | environment, capture_output=True, text=True, timeout=HANG_S, check=False, cwd=small.parent
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr == "", "quiet in a pipe"
@@ -114,14 +115,14 @@ def test_a_folder_of_the_users_choice_is_taken(small: Path, tmp_path: Path) -> N
 def test_on_a_terminal_compiling_is_told_once_and_not_counted(small: Path) -> None:
     code = "import time, small.loops as m; from heliograph.base.compile_time import clock; m.total(2.0)\n"
     code += "a, b = time.monotonic(), clock(); m.total(2)\n"
-    code += "c, d = time.monotonic() - a, clock() - b; assert 0 <= d < c - 0.005, (c, d)"
+    code += "c, d = time.monotonic() - a, clock() - b; assert 0 <= d < c, (c, d)"
     environment = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
     environment |= {"PYTHONPATH": os.pathsep.join([str(small.parent), str(ROOT.parent)])}
     said: list[str] = []
     for _ in range(2):
         ours, theirs = pty.openpty()
         subprocess.run([sys.executable, "-c", code.split("c, d")[0] if said else code], env=environment, stderr=theirs,
-                       timeout=120, check=True)  # fmt: skip
+                       timeout=HANG_S, check=True)  # fmt: skip
         os.close(theirs)
         try:
             said.append(os.read(ours, 10_000).decode())

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import HANG_S
 
 import heliograph
 
@@ -16,13 +17,13 @@ HEAVY = ("numba", "matplotlib", "cv2", "scipy", "h5py", "av", "numpy", "pydantic
 
 def test_importing_the_package_costs_nothing() -> None:
     code = f"import sys, heliograph; print([m for m in {HEAVY} if m in sys.modules])"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=HANG_S)
     assert out.stdout.strip() == "[]"
 
 
 def test_the_command_without_work_loads_nothing_heavy() -> None:
     code = f"import sys, heliograph.cli.main; print([m for m in {HEAVY} if m in sys.modules])"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=HANG_S)
     assert out.stdout.strip() == "[]"
 
 
@@ -45,7 +46,7 @@ def test_public_names_mean_the_same_the_second_time() -> None:
     names = ", ".join(f"'{name}'" for name in heliograph.__all__)
     code = f"import heliograph as h\nfor n in [{names}]:\n    assert getattr(h, n) is getattr(h, n), n\n"
     code += "    assert callable(getattr(h, n)), n"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S, check=False)
     assert out.returncode == 0, out.stderr.splitlines()[-1]
 
 
@@ -53,7 +54,7 @@ def test_public_names_mean_the_same_the_second_time() -> None:
 def test_sweep_is_there_without_the_extra() -> None:
     code = "import sys; sys.modules['xarray'] = None\nimport heliograph as h\n"
     code += "try: h.sweep({})\nexcept h.HeliographError as error: print(error)"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=HANG_S)
     assert out.stdout.strip() == "a Dataset needs xarray: pip install xarray pandas h5netcdf"
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import HANG_S
 
 from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
@@ -106,7 +107,7 @@ print(type(receiver).__name__)
 
 def run(program: str, *arguments: str, folder: Path, given: bytes = b"") -> subprocess.CompletedProcess[bytes]:
     command = [sys.executable, "-c", program, *arguments]
-    return subprocess.run(command, cwd=folder, input=given, capture_output=True, timeout=120)
+    return subprocess.run(command, cwd=folder, input=given, capture_output=True, timeout=HANG_S)
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runs import COMMAND, Run, called, failed, heliograph, lasting, names, succeeded, within
+from waiting import HANG_S
 
 import heliograph as heliograph_package
 from heliograph.cli import console
@@ -52,7 +53,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_reception_is_followed_by_lines_datagrams_and_words(film: Path, tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind(("127.0.0.1", 0))
-        listener.settimeout(5)
+        listener.settimeout(HANG_S)
         address = f"udp://127.0.0.1:{listener.getsockname()[1]}"
         out = heliograph(
             "receive", film, "--receiver", "plain", "--follow", "--verbose", "--send", address, cwd=tmp_path
@@ -355,7 +356,7 @@ def on_a_terminal(*arguments: str, cwd: Path) -> tuple[str, str]:
             if not part:
                 break
             shown += part
-        assert process.wait(60) == 0, shown
+        assert process.wait(HANG_S) == 0, shown
         assert process.stdout is not None
         result = process.stdout.read()
     os.close(ours)
@@ -420,7 +421,7 @@ def test_errors_are_not_counted_with_another_signal(change: str, film: Path, tmp
 @pytest.mark.parametrize("command", ["presets paper", "receive {film}"])
 def test_a_closed_pipe_is_no_fault(command: str, film: Path, tmp_path: Path) -> None:
     line = f"{' '.join(COMMAND)} {command.format(film=film)} | head -1"
-    run = subprocess.run(line, shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+    run = subprocess.run(line, shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, check=False)
     assert run.stderr == ""
     assert run.stdout.count("\n") == 1
 

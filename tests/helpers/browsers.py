@@ -11,12 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, Playwright, sync_playwright
+from playwright.sync_api import Browser, Page, Playwright, expect, sync_playwright
 from screen_films import Grabs
+from waiting import HANG_MS, HANG_S
 
 CHROMIUM = next((found for name in ("chromium", "chromium-browser") if (found := shutil.which(name))), None)
 
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: apt-get install chromium")
+
+expect.set_options(timeout=HANG_MS)
 
 SWITCHES = (
     "--no-sandbox",
@@ -67,7 +70,7 @@ def served(*options: str) -> Iterator[str]:
             yield said[0]
         finally:
             server.terminate()
-            server.wait(10)
+            server.wait(HANG_S)
 
 
 @contextmanager
@@ -85,6 +88,7 @@ def browser(*switches: str, under: Playwright | None = None) -> Iterator[Browser
 def quiet_page(found: Browser, address: str, **options: object) -> Iterator[Page]:
     """A page, of which nothing may complain on the console."""
     page = found.new_page(**options)  # type: ignore[arg-type]
+    page.set_default_timeout(HANG_MS)
     complaints: list[str] = []
     page.on("console", lambda said: complaints.append(said.text) if said.type in ("error", "warning") else None)
     page.on("pageerror", lambda error: complaints.append(str(error)))

@@ -6,11 +6,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from waiting import HANG_S, wait_until
 
 SCRIPT = Path(sys.executable).with_name("heliograph")
 COMMAND = [str(SCRIPT)] if SCRIPT.exists() else [sys.executable, "-c", "from heliograph.cli.main import run; run()"]
@@ -31,7 +31,7 @@ def lasting(seconds: float) -> tuple[str, ...]:
 def heliograph(*arguments: str | Path, cwd: Path, prepare: Callable[[], object] | None = None) -> Run:
     command = [*COMMAND, *map(str, arguments)]
     return subprocess.run(
-        command, cwd=cwd, capture_output=True, text=True, timeout=120, check=False, preexec_fn=prepare
+        command, cwd=cwd, capture_output=True, text=True, timeout=HANG_S, check=False, preexec_fn=prepare
     )
 
 
@@ -102,13 +102,10 @@ def interrupted(*arguments: str | Path, cwd: Path, when: Callable[[], bool], by:
     with subprocess.Popen(
         command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c
     ) as process:
-        end = time.monotonic() + 60
-        while not when() and process.poll() is None:
-            assert time.monotonic() < end, "what was waited for never came"
-            time.sleep(0.01)
+        wait_until(lambda: when() or process.poll() is not None)
         assert process.poll() is None, "over before it could be interrupted"
         os.kill(process.pid, by)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=HANG_S)
     return subprocess.CompletedProcess(command, process.returncode, out, err)
 
 

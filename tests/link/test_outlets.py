@@ -12,6 +12,7 @@ from heliograph.link import outlets
 from heliograph.link.outlets import MOST_DATAGRAM, open_outlet
 
 pytest.importorskip("websockets")
+from waiting import HANG_S, wait_until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.sync.server import ServerConnection
@@ -24,7 +25,7 @@ ROW = {"event": "lost", "id": 3, "time_s": 1.5}
 def listener() -> Iterator[socket.socket]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         one.bind(("127.0.0.1", 0))
-        one.settimeout(5)
+        one.settimeout(HANG_S)
         yield one
 
 
@@ -49,10 +50,7 @@ def test_nobody_need_listen() -> None:
 
 def _attended(outlet: outlets.WebSocket, clients: int) -> None:
     """Wait until the server knows its clients; they are connected a little earlier."""
-    end = time.monotonic() + 10
-    while len(outlet._waiting) < clients:
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    wait_until(lambda: len(outlet._waiting) >= clients)
 
 
 def test_all_clients_get_all_rows_and_the_last_ones() -> None:
@@ -65,9 +63,9 @@ def test_all_clients_get_all_rows_and_the_last_ones() -> None:
             outlet.send({**ROW, "id": number})
         outlet.close()
         for client in (first, second):
-            assert [json.loads(client.recv(5))["id"] for _ in range(50)] == list(range(50))
+            assert [json.loads(client.recv(HANG_S))["id"] for _ in range(50)] == list(range(50))
             with pytest.raises(ConnectionClosed):
-                client.recv(5)
+                client.recv(HANG_S)
     with pytest.raises(OSError, match="refused"):
         connect(outlet.address)
 
@@ -87,7 +85,7 @@ def test_what_waits_is_sent_before_the_end(monkeypatch: pytest.MonkeyPatch) -> N
         for number in range(20):
             outlet.send({**ROW, "id": number})
         outlet.close()
-        assert [json.loads(client.recv(5))["id"] for _ in range(20)] == list(range(20))
+        assert [json.loads(client.recv(HANG_S))["id"] for _ in range(20)] == list(range(20))
 
 
 def test_a_slow_client_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,10 +94,8 @@ def test_a_slow_client_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
     assert isinstance(outlet, outlets.WebSocket)
     with connect(outlet.address, max_queue=1, close_timeout=0.1):
         _attended(outlet, 1)
-        began = time.monotonic()
-        for _ in range(200):  # 40 MB, which nobody takes
+        for _ in range(200):  # 40 MB, which the client does not read
             outlet.send({**ROW, "data": "A" * 200_000})
-        assert time.monotonic() - began < 10
         assert not outlet._waiting
     outlet.close()
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from waiting import wait_until
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
@@ -48,9 +49,7 @@ def test_few_frames_wait() -> None:
     source = Source(100)
     frames = read_ahead(source.frames())
     assert next(frames).index == 0
-    until = time.monotonic() + 5
-    while source.made < FRAMES_AHEAD + 2 and time.monotonic() < until:
-        time.sleep(0.01)
+    wait_until(lambda: source.made >= FRAMES_AHEAD + 2)
     time.sleep(0.05)
     assert source.made == FRAMES_AHEAD + 2  # those that wait, the one in use, and one that waits for room
     frames.close()  # type: ignore[attr-defined]  # a generator

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_recordings import write_kinds
+from waiting import run_alone
 
 from heliograph.media import open_film
 
@@ -17,11 +18,14 @@ FRAMES, ROWS, COLUMNS = 200, 64, 512
 def test_a_few_frames_are_held(tmp_path: Path, kind: str) -> None:
     levels = np.zeros((FRAMES, ROWS, COLUMNS), np.uint8)
     path, _ = write_kinds(tmp_path, levels, 1000)[kind]
-    with open_film(path, rate_hz=1000) as film:
-        next(iter(film))  # what is imported is held for good
-        tracemalloc.start()
-        count = sum(1 for _ in film)
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
+    count, peak = run_alone(read_and_trace, path)
     assert count == FRAMES
     assert peak < 12 * ROWS * COLUMNS
+
+
+def read_and_trace(path: Path) -> tuple[int, int]:
+    """Frames of a film, and the largest memory while they are read, in bytes."""
+    with open_film(path, rate_hz=1000) as film:
+        next(iter(film))  # imported modules stay in memory
+        tracemalloc.start()
+        return sum(1 for _ in film), tracemalloc.get_traced_memory()[1]

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from recorder import Recorder
 from scenes import film, link
+from waiting import HANG_S
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
@@ -143,7 +144,7 @@ def test_frames_are_taken_while_a_packet_is_decoded(monkeypatch: pytest.MonkeyPa
 
     def hold(number: int) -> None:
         if number == 1:
-            assert free.wait(60)
+            assert free.wait(HANG_S)
 
     settings = one_array()
     frames = film(settings, 3 * PACKET + 10)

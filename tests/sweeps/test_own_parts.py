@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import HANG_S
 
 OWN = '''
 from dataclasses import dataclass, replace
@@ -60,7 +61,7 @@ def command(folder: Path, *options: str) -> list[str]:
 def counts(folder: Path, *options: str) -> list[tuple[str, str, int, int]]:
     """Receiver, code, codewords of the high layer and wrong ones, of each point."""
     vary = ["--vary", "receiver=plain,renamed", "--vary", "signal.code=turbo,turbo-again"]
-    ran = subprocess.run(command(folder, *vary, *options), cwd=folder, capture_output=True, timeout=300)
+    ran = subprocess.run(command(folder, *vary, *options), cwd=folder, capture_output=True, timeout=HANG_S)
     assert not ran.returncode, ran.stderr.decode()
     return [
         (

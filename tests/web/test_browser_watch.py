@@ -39,7 +39,7 @@ def address(film: Path) -> Iterator[str]:
 def to_the_end(page: Any) -> None:
     page.wait_for_selector("#named option", state="attached")
     page.click("#open")
-    page.get_by_text("The end: 1250 frames").wait_for(timeout=120_000)
+    page.get_by_text("The end: 1250 frames").wait_for()
     page.wait_for_timeout(300)
 
 
@@ -75,7 +75,7 @@ def test_it_is_stepped_through_and_looked_back_on_by_keyboard(address: str, film
         page.select_option("#speed", "0.1")
         page.focus("#open")
         page.keyboard.press("Enter")
-        page.wait_for_selector("#packets li", timeout=60_000)
+        page.wait_for_selector("#packets li")
         page.focus("#frame-box")
         page.keyboard.press("Space")
         page.get_by_role("button", name="Go on").wait_for()
@@ -116,13 +116,13 @@ def test_counts_from_before_a_pause_do_not_undo_it(address: str) -> None:
         page.wait_for_selector("#named option", state="attached")
         page.select_option("#speed", "0.1")
         page.click("#open")
-        page.wait_for_selector("#packets li", timeout=60_000)
+        page.wait_for_selector("#packets li")
         page.get_by_role("button", name="Pause").click()
         assert json.loads(counts[0])["paused"] is False
         to_page[0].send(counts[0])
         page.wait_for_timeout(300)
         page.get_by_role("button", name="Go on").click()
-        page.get_by_text("The end: 1250 frames, 12 packets").wait_for(timeout=120_000)
+        page.get_by_text("The end: 1250 frames, 12 packets").wait_for()
 
 
 def test_a_film_that_is_dropped_is_decoded(address: str, film: Path, tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ def test_a_film_that_is_dropped_is_decoded(address: str, film: Path, tmp_path: P
         page.check("input[value=film]")
         page.set_input_files("#film", film)
         page.click("#open")
-        page.get_by_text("The end: 1250 frames, 12 packets").wait_for(timeout=120_000)
+        page.get_by_text("The end: 1250 frames, 12 packets").wait_for()
         assert "not known" in page.inner_text("#errors")
         # of a film that cannot be read nothing is shown, and nothing of the one before either
         (broken := tmp_path / "broken.mp4").write_bytes(b"no film")

@@ -1,6 +1,8 @@
 import threading
 import time
 
+from waiting import HANG_S
+
 from heliograph.web.watching.gate import Gate
 
 
@@ -33,7 +35,7 @@ def test_a_held_frame_goes_on_when_it_is_let() -> None:
     waiting = threading.Thread(target=lambda: passed.append(gate.pass_through(0.0)))
     waiting.start()
     gate.go()
-    waiting.join(5)
+    waiting.join(HANG_S)
     assert passed == [True]
 
 

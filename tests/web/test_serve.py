@@ -4,7 +4,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import pytest
 import uvicorn
 from cli_runs import COMMAND, called
+from waiting import HANG_S, wait_until
 
 from heliograph.base.errors import SettingsError
 from heliograph.cli.serve import say_where
@@ -29,8 +29,7 @@ def serving(limits: Limits) -> Iterator[int]:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [waiting]})
         thread.start()
         try:
-            while not server.started:
-                time.sleep(0.01)
+            wait_until(lambda: server.started)
             yield waiting.getsockname()[1]
         finally:
             server.should_exit = True
@@ -84,7 +83,7 @@ def test_the_command_serves_until_ctrl_c() -> None:
         url = server.stdout.readline().split()[3]
         assert urllib.request.urlopen(f"{url}watch").status == 200
         server.send_signal(signal.SIGINT)
-        out, errors = server.communicate(timeout=60)
+        out, errors = server.communicate(timeout=HANG_S)
     assert (out, errors, server.returncode) == ("ended\n", "", 0)
 
 
@@ -121,10 +120,10 @@ def test_clients_that_ask_for_nothing_take_nobodys_place() -> None:
         held = [stack.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(6)]
         held[0].sendall(b"GET /watch HTTP/1.1\r\nHost: 127.0.0.1")  # and never the rest
         for one in held:
-            one.settimeout(20)
+            one.settimeout(HANG_S)
             while one.recv(1 << 16):
                 pass
-        assert urllib.request.urlopen(f"http://127.0.0.1:{port}/watch", timeout=20).status == 200
+        assert urllib.request.urlopen(f"http://127.0.0.1:{port}/watch", timeout=HANG_S).status == 200
 
 
 def test_an_address_for_others_is_said_with_a_warning(capsys: pytest.CaptureFixture[str]) -> None:
