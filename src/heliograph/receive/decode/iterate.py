@@ -225,6 +225,7 @@ class _Packet:
                 name: decode_layer(layer, name, self.identity, self.options, soft)
                 for name, layer in self.layers.items()
             }
+            self.doubt()
             left = self.open
             self.information = np.concatenate([layer.information for layer in self.layers.values()])
             if not left.any() or self.feedback == "none":
@@ -255,7 +256,6 @@ class _Packet:
                 observed, moved, refinements = relit, True, refinements - 1
                 self.replace(observed.statistics)
                 self.forget_guesses()
-        self.doubt()
         return observed
 
     @property
@@ -316,7 +316,7 @@ class _Packet:
         }
 
     def doubt(self) -> None:
-        """Take nothing for decoded that only earlier packets support: they may be others."""
+        """Reject codewords that only earlier packets support, before their bits serve to decode the rest."""
         if self.earlier is not None:
             self.layers = {name: layer.doubted() for name, layer in self.layers.items()}
 
