@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, transmitters
@@ -179,17 +180,18 @@ class ErrorCounter:
                 self.false_codewords += sum(word.status == "ok" for word in words)
                 layers[name] = LayerCounts.of_packet(Count(), Count(), Count(len(blocks), len(blocks)))
                 continue
-            bits, raw, sent_words = Count(), Count(), Count()
+            bits, raw, final_raw, sent_words = Count(), Count(), Count(), Count()
             for word, block in zip(words, blocks, strict=True):
                 sent = pack(block, code.k)
                 wrong = int(np.count_nonzero(word.bits != sent))
-                known = word.raw != ERASED
-                raw.add(int(known.sum()), int(np.count_nonzero((word.raw != code.encode(sent)) & known)))
+                coded = code.encode(sent)
+                _compare_raw(raw, word.raw, coded)
+                _compare_raw(final_raw, word.raw if word.final_raw is None else word.final_raw, coded)
                 bits.add(code.k, wrong)
                 sent_words.add(1, wrong > 0 or word.status != "ok")
                 right += word.status == "ok" and wrong == 0
                 self.false_codewords += word.status == "ok" and wrong > 0
-            layers[name] = LayerCounts.of_packet(bits, raw, sent_words)
+            layers[name] = LayerCounts.of_packet(bits, raw, sent_words, final_raw)
         return layers, right
 
     def _missed(self, array: int, number: int) -> Layers:
@@ -230,6 +232,12 @@ class ErrorCounter:
         # a frame that starts with a pattern must not fall before it by rounding
         number, over = divmod((time_s + 1e-7 - place.start_s) / self._packet_s(array), 1.0)
         return int(number), over
+
+
+def _compare_raw(count: Count, decided: NDArray[np.uint8], coded: NDArray[np.uint8]) -> None:
+    """Count coded bits that were received, and the wrong ones of them."""
+    known = decided != ERASED
+    count.add(int(known.sum()), int(np.count_nonzero((decided != coded) & known)))
 
 
 def _plain(counts: LayerCounts) -> Mapping[str, Any]:

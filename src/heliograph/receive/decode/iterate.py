@@ -22,7 +22,7 @@ from heliograph.receive.equalise.expectation_propagation import LEAST_PRECISION,
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.equalise.polarity import SymbolMapper
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.packets import Words
+from heliograph.receive.packets import Words, with_raw
 from heliograph.receive.settings import Feedback
 from heliograph.receive.timing.out_of_step import OutOfStep
 from heliograph.signal.packet import PacketFormat
@@ -128,6 +128,7 @@ def decode_iteratively(
     """
     packet = _Packet.begin(observed.statistics, channel, form, identity, options, feedback, known)
     observed = packet.decode(observed, buffer, observe)
+    words = packet.words
     if packet.earlier is not None and packet.open.any():
         # the earlier packet may be another one, whose light stands in the way; poses stay refined
         alone = _Packet.begin(observed.statistics, packet.channel, form, identity, options, feedback, known)
@@ -135,8 +136,7 @@ def decode_iteratively(
         if alone.open.sum() < packet.open.sum():
             if buffer is not None:
                 buffer = buffer.without(packet.earlier).with_packet(packet.earlier)
-            packet = alone
-    words = {name: layer.words for name, layer in packet.layers.items()}
+            packet, words = alone, with_raw(alone.words, words)
     (mean, variance), channel = packet.expected(), packet.channel
     after = None if buffer is None else packet.added_to(buffer)
     return DecodedPacket(words, observed, mean, variance, channel, after)
@@ -257,6 +257,11 @@ class _Packet:
                 self.replace(observed.statistics)
                 self.forget_guesses()
         return observed
+
+    @property
+    def words(self) -> Words:
+        """Its codewords by layer, as last decoded."""
+        return {name: layer.words for name, layer in self.layers.items()}
 
     @property
     def open(self) -> NDArray[np.bool_]:

@@ -54,6 +54,8 @@ class Layer:
         The codewords as last decoded; empty before the first decoding.
     alone
         (codewords,) True for codewords that another reading of this packet alone has decoded.
+    raw
+        (codewords, E) uint8 coded bits as decided by the first equalisation; None before it.
     """
 
     form: LayerFormat
@@ -64,6 +66,7 @@ class Layer:
     earlier_llr: Floats
     words: tuple[Codeword, ...]
     alone: NDArray[np.bool_]
+    raw: NDArray[np.uint8] | None = None
 
     @classmethod
     def unknown(cls, form: LayerFormat) -> "Layer":
@@ -90,7 +93,8 @@ class Layer:
         alone = np.array([word.status != "crc_fail" for word in words])
         for i in np.flatnonzero(alone):
             soft[i], variance[i] = coded_signs(self.form.code, words[i]), 0.0
-        return replace(self, soft=soft, variance=variance, words=words, alone=alone)
+        raw = np.stack([word.raw for word in words])
+        return replace(self, soft=soft, variance=variance, words=words, alone=alone, raw=raw)
 
     @property
     def open(self) -> list[int]:
@@ -115,7 +119,8 @@ class Layer:
         sent
             (pairs, symbols) LLRs of the bits as they were sent, that is whitened.
         """
-        return replace(self, llr=self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR)))
+        llr = self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR))
+        return replace(self, llr=llr, raw=hard(llr) if self.raw is None else self.raw)
 
     def with_earlier(self, earlier: Floats) -> "Layer":
         """The layer with the LLRs of earlier packets of the same codewords.
@@ -193,8 +198,9 @@ def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feed
     """
     code, words = layer.form.code, dict(enumerate(layer.words))
     soft, variance, earlier = layer.soft.copy(), layer.variance.copy(), layer.earlier_llr.copy()
+    assert layer.raw is not None  # it is equalised
     for i, attempt in _attempts(layer, name, identity, options).items():
-        words[i] = replace(attempt.word, raw=hard(layer.llr[i]))
+        words[i] = replace(attempt.word, raw=layer.raw[i], final_raw=hard(layer.llr[i]))
         if attempt.alone:
             earlier[i] = 0.0
         if words[i].status != "crc_fail":
