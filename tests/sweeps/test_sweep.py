@@ -597,7 +597,7 @@ def test_an_array_that_was_not_found_is_told_from_one_that_was_not_read(tmp_path
 
 @pytest.mark.slow
 def test_the_raw_error_rate_of_the_soft_receiver_grows_with_the_distance() -> None:
-    """By the first equalisation it does, layer by layer; what the last one leaves depends on what is decoded by then."""
+    """By the first equalisation it does, layer by layer; the last one depends on what is decoded by then."""
     distances = [60, 80, 100, 120]
     arrays = {"channel.arrays.0.x_m": 0, "channel.arrays.0.y_m": 0, "channel.camera.width": 160}
     small = {**arrays, "channel.camera.height": 120, "channel.duration_s": 0.2, "receive.receiver": "soft"}

@@ -50,7 +50,9 @@ class ErrorCounter:
     Attributes
     ----------
     false_packets
-        Packets of an array that does not exist, or of a time at which the array sent nothing.
+        Packets with a decoded codeword of an array that does not exist, or of a time at which the array sent nothing.
+    uncertain_packets
+        Packets of an array that does not exist, without a decoded codeword: the receiver reports them as uncertain.
     false_codewords
         Codewords accepted as right whose content was not sent at that time: there must be none.
     duplicates
@@ -62,6 +64,7 @@ class ErrorCounter:
         self._senders = transmitters(settings, messages)
         self._sent: list[dict[int, _Sent]] = [{} for _ in self._senders]
         self.false_packets = 0
+        self.uncertain_packets = 0
         self.false_codewords = 0
         self.duplicates = 0
         self._last_s: float | None = None
@@ -200,6 +203,9 @@ class ErrorCounter:
         return {name: LayerCounts.of_missed(layer.codewords) for name, layer in layers.items()}
 
     def _count_false(self, packet: Packet) -> None:
+        if not packet.has_codeword and packet.identity not in self._settings.transmit.identities:
+            self.uncertain_packets += 1
+            return
         self.false_packets += 1
         self.false_codewords += sum(word.status == "ok" for words in packet.layers.values() for word in words)
 

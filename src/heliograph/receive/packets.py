@@ -77,7 +77,7 @@ class Packet:
     Attributes
     ----------
     identity
-        Number of the array, 0 to 29.
+        Number of the array, 0 to 29; uncertain until a codeword of the array is decoded, see `has_codeword`.
     status
         "ok" (all codewords), "partial" (some), "crc_fail" (none), "no_header" (none, and its header was not seen) or
         "no_array" (none, and the array was out of sight for most of it).
@@ -123,6 +123,11 @@ class Packet:
     format: Format = AGREED
     orientation: Orientation = UPRIGHT
     reason: str = ""
+
+    @property
+    def has_codeword(self) -> bool:
+        """True if a codeword is decoded: it names the array. A header alone may be clutter that resembles one."""
+        return self.status in ("ok", "partial")
 
 
 class Receiver(Protocol):

@@ -176,8 +176,8 @@ def layer_report(counts: LayerCounts) -> dict[str, Any]:
     Intervals are Clopper-Pearson's, of the bit error rate at the effective number of bits, since bits of a packet fail
     together (see `Clustered`). "ber" is the bit error rate after the turbo decoder. "raw_ber" is the rate before the
     decoder, by the first equalisation; "final_raw_ber" is that by the last equalisation, when codewords decoded by then
-    no longer disturb. "ber_is_bound", "raw_ber_is_bound" and so on mark where no error was met: the rate 0 then means no
-    more than that it is below the interval's upper end. "packets_read" are the packets whose bits are counted.
+    no longer disturb. "ber_is_bound" and so on mark where no error was met: the rate 0 then means no more than that it
+    is below the interval's upper end. "packets_read" are the packets whose bits are counted.
 
     Parameters
     ----------
