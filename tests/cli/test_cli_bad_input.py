@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runs import SMALL, Run, called, failed, heliograph, lasting, names, succeeded
+from small_links import small
 
 from heliograph.base.frames import Frame
 from heliograph.cli import console
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
+from heliograph.link.simulate import simulate
 from heliograph.media import create_film
 
 Call = Callable[..., Run]
@@ -360,3 +362,24 @@ def test_no_array_in_sight_is_a_result_not_a_fault(call: Call, tmp_path: Path) -
     run = call("receive", "a.mkv", "--truth", "a.mkv.truth.npz")
     assert (run.returncode, run.stderr) == (console.NO_ARRAY, "")
     assert "no array found" in run.stdout
+
+
+@pytest.mark.slow
+def test_packets_without_a_codeword_are_uncertain_and_no_array_is_found(call: Call, tmp_path: Path) -> None:
+    """Headers are right; frames of the data pairs come in an order that no code explains."""
+    settings, rng = small("channel.duration_s=0.11"), np.random.default_rng(0)
+    frames = [frame.pixels for frame, _ in simulate(settings, [{}], 0)]
+    for k in range(4, 100, 2):
+        if rng.uniform() < 0.5:
+            frames[k], frames[k + 1] = frames[k + 1], frames[k]
+    np.save(tmp_path / "a.npy", np.stack(frames))
+    run = call("receive", "a.npy", "--fps", "1000", "--receiver", "plain", "--output", "out")
+    assert (run.returncode, run.stderr) == (console.NO_ARRAY, "")
+    said = run.stdout.splitlines()
+    assert "detection" not in said[0]
+    assert said[1] == "no array found: 1 detection without a decoded codeword"
+    assert said[2].startswith("uncertain, no codeword decoded: array 0: 1 packet, frames 0 to 99")
+    report = json.loads((tmp_path / "out/summary.json").read_text())
+    assert (report["arrays"], [one["id"] for one in report["uncertain"]]) == ([], [0])
+    (row,) = map(json.loads, (tmp_path / "out/packets.jsonl").read_text().splitlines())
+    assert row["uncertain"] is True

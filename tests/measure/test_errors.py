@@ -80,6 +80,24 @@ def test_erased_bits_are_no_raw_bits() -> None:
     counter.received(replace(packet, layers={**packet.layers, "high": (replace(word, raw=raw),)}))
     high = counter.total()["high"]
     assert (high.raw_bits, high.raw_errors) == (raw.size - 100, 1)
+    # a receiver that equalises once has no others
+    assert (high.final_raw_bits, high.final_raw_errors) == (raw.size - 100, 1)
+
+
+def test_raw_bits_of_the_last_equalisation_are_counted_apart() -> None:
+    counter = counter_of()
+    watch(counter, range(100))
+    packet = perfect(SETTINGS, 0)
+    word = packet.layers["high"][0]
+    first, last = word.raw.copy(), word.raw.copy()
+    first[:7] ^= 1
+    last[:2] ^= 1
+    last[5:8] = ERASED
+    words = (replace(word, raw=first, final_raw=last),)
+    counter.received(replace(packet, layers={**packet.layers, "high": words}))
+    high = counter.total()["high"]
+    assert (high.raw_bits, high.raw_errors, high.raw_squares) == (first.size, 7, 49)
+    assert (high.final_raw_bits, high.final_raw_errors, high.final_raw_squares) == (first.size - 3, 2, 4)
 
 
 def test_missed_packets_count_as_codeword_errors_not_as_bits() -> None:

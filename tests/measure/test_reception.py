@@ -1,15 +1,22 @@
 """A film received and counted: at any time, and only what is a packet."""
 
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
-from link_packets import small
+from link_packets import perfect, small
 
 from heliograph.link.film import write_film
-from heliograph.link.truth import open_truth, truth_path
+from heliograph.link.settings import LinkSettings
+from heliograph.link.simulate import Messages, default_messages
+from heliograph.link.truth import FrameTruth, open_truth, truth_path
+from heliograph.measure.journal import Journal, sentence
 from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import open_film
+from heliograph.receive import Packet
+from heliograph.receive.events import LostEvent
 from heliograph.receive.packets import Status
 from heliograph.receive.receiver import StreamReceiver
 
@@ -65,3 +72,66 @@ def test_what_is_no_packet_is_neither_handed_on_nor_counted(
     assert reception.errors is not None
     high = reception.errors.total()["high"]
     assert (high.codewords, high.missed) == (3, 1)
+
+
+@dataclass(frozen=True)
+class TruthOf:
+    """Truth of frames of an array at 50 m, in the order of time."""
+
+    settings: LinkSettings
+
+    @property
+    def messages(self) -> Sequence[Messages]:
+        return default_messages(self.settings)
+
+    def frames(self) -> Iterator[FrameTruth]:
+        for index in range(1000):
+            yield FrameTruth(index, 1e-3 * index, [50.0], [True])
+
+
+def uncertain(number: int) -> Packet:
+    """Packet of an array that is not there: a header, and no codeword."""
+    return without_codewords(replace(perfect(small(), number), identity=22))
+
+
+def without_codewords(packet: Packet) -> Packet:
+    words = {
+        name: tuple(replace(word, status="crc_fail", block=None) for word in by) for name, by in packet.layers.items()
+    }
+    return replace(packet, status="crc_fail", layers=words)
+
+
+def test_an_identity_without_a_decoded_codeword_is_reported_as_uncertain() -> None:
+    settings = small()
+    reception = Reception(TruthOf(settings))
+    for frame in range(300):
+        reception.saw(frame)
+    for packet in (uncertain(0), without_codewords(perfect(settings, 0)), uncertain(1), perfect(settings, 1)):
+        list(reception.add(packet))
+    report = reception.report(1.0)
+    # its first packet has no codeword either, but the second one names it
+    assert [(array["id"], array["packets"]) for array in report["arrays"]] == [(0, 2)]
+    assert [(array["id"], array["packets"]) for array in report["uncertain"]] == [(22, 2)]
+    assert report["false_packets"] == 0
+    assert reception.errors is not None
+    assert reception.errors.uncertain_packets == 2
+    list(reception.add(replace(perfect(settings, 2), identity=22)))
+    assert [array["id"] for array in reception.report(1.0)["arrays"]] == [0, 22]
+    assert reception.report(1.0)["false_packets"] == 1
+
+
+def test_rows_mark_an_identity_as_uncertain_until_a_codeword_is_decoded() -> None:
+    settings, rows = small(), list[Mapping[str, Any]]()
+    journal = Journal(settings.receive.calibration, rows.append)
+    for packet in (uncertain(0), perfect(settings, 0), without_codewords(perfect(settings, 1))):
+        journal.read(packet, [])
+    for identity in (22, 0):
+        journal.observe(LostEvent(identity, 0.3))
+    assert [(row["event"], row["id"], row.get("uncertain", False)) for row in rows] == [
+        ("packet", 22, True),
+        ("packet", 0, False),
+        ("packet", 0, False),
+        ("lost", 22, True),
+        ("lost", 0, False),
+    ]
+    assert ["uncertain" in sentence(row) for row in rows] == [True, False, False, True, False]

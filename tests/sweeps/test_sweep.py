@@ -595,6 +595,20 @@ def test_an_array_that_was_not_found_is_told_from_one_that_was_not_read(tmp_path
     drawn(axes, tmp_path / "plot.png")
 
 
+@pytest.mark.slow
+def test_the_raw_error_rate_of_the_soft_receiver_grows_with_the_distance() -> None:
+    """By the first equalisation it does, layer by layer; the last one depends on what is decoded by then."""
+    distances = [60, 80, 100, 120]
+    arrays = {"channel.arrays.0.x_m": 0, "channel.arrays.0.y_m": 0, "channel.camera.width": 160}
+    small = {**arrays, "channel.camera.height": 120, "channel.duration_s": 0.2, "receive.receiver": "soft"}
+    data = sweep.sweep({"channel.distance_m": distances}, set=small, max_codewords=2)
+    assert (data.raw_bits > 0).all()
+    assert (np.diff(data.raw_ber.values, axis=0) > 0).all()
+    low = data.final_raw_ber.sel(layer="low").values
+    assert low[1] < low[0]
+    assert (data.final_raw_ber.sel(layer="low") < data.raw_ber.sel(layer="low"))[1:].all()
+
+
 def test_a_plot_has_a_line_for_each_choice_and_names_what_is_wrong(tmp_path: Path) -> None:
     vary: dict[str, list[Any]] = {"receiver": ["plain", "soft"], "channel.distance_m": [40, 70]}
     tallies = [PointTally(point, StopRule()) for point in plan(vary, "static", SMALL)]

@@ -85,7 +85,7 @@ def run_probe(
 
 
 def found_array(report: "Mapping[str, Any]") -> bool:
-    """Whether an array was found in a film, by the report of its reception."""
+    """True if a codeword of an array was decoded in a film, by the report of its reception."""
     return bool(report["arrays"])
 
 
@@ -107,9 +107,8 @@ def why_unread(
     from heliograph.probe.activity import MOST_FRAMES
     from heliograph.probe.words import as_mapping
 
-    read = any(layer["ok"] for array in report["arrays"] for layer in array["layers"].values())
     refused = isinstance(ending, HeliographError) and not isinstance(ending, MediaError)
-    if read or not (ending is None or refused):
+    if found_array(report) or not (ending is None or refused):
         return None
     most, every = SHORT_STRETCHES * MOST_FRAMES, 1
     if source.frame_count is not None:

@@ -153,7 +153,7 @@ def read_film(
 
     try:
         for packet, messages in receive_film(watch, signal, settings, reception, observe, advance or silent):
-            folder.log(packet_row(packet))
+            folder.log(packet_row(packet, reception.confirmed))
             journal.read(packet, messages, reception.progress)
             watch.packet(packet)
             for message in messages:
@@ -265,7 +265,8 @@ class Folder:
 def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> None:
     console.say(
         f"{counted(report['frames'], 'frame')} in {report['seconds']:.1f} s "
-        f"({report['frames_per_second']:.0f} frames/s), {counted(report['detections'], 'detection')}"
+        f"({report['frames_per_second']:.0f} frames/s)"
+        + (f", {counted(report['detections'], 'detection')}" if report["arrays"] else "")
     )
     if report["dropped_candidates"] or report["dropped_blocks"]:
         left = f"{counted(report['dropped_candidates'], 'candidate')} and {counted(report['dropped_blocks'], 'block')}"
@@ -274,13 +275,13 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
             f"array is, or raise receive.detect.busy_part"
         )
     if not report["arrays"]:
-        console.say("no array found")
+        found = report["detections"]
+        unread = f": {counted(found, 'detection')} without a decoded codeword" if found else ""
+        console.say(f"no array found{unread}")
+    for array in report["uncertain"]:
+        console.say(f"uncertain, no codeword decoded: {_array_line(array)}")
     for array in report["arrays"]:
-        console.say(
-            f"array {array['id']}: {counted(array['packets'], 'packet')}, "
-            f"frames {array['first_frame']} to {array['last_frame']}, "
-            f"{array['first_distance_m']:.1f} m to {array['last_distance_m']:.1f} m away"
-        )
+        console.say(_array_line(array))
         for layer, t in array["layers"].items():
             console.say(f"  {layer:6} {counted(t['ok'], 'codeword')} read, {t['failed']} not, {t['bytes']} bytes")
     for name in folder.messages:
@@ -289,6 +290,14 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
         console.say(f"array {identity}, {layer}, message {stream}: {had} of {size} bytes")
     if reception.errors is not None:
         _show_errors(reception.errors)
+
+
+def _array_line(array: dict[str, Any]) -> str:
+    return (
+        f"array {array['id']}: {counted(array['packets'], 'packet')}, "
+        f"frames {array['first_frame']} to {array['last_frame']}, "
+        f"{array['first_distance_m']:.1f} m to {array['last_distance_m']:.1f} m away"
+    )
 
 
 def _show_why(why: "Findings | None", film: Path) -> None:
@@ -323,6 +332,8 @@ def _show_errors(errors: "ErrorCounter") -> None:
         cells = "   ".join(_cell(counts) for counts in layers.values())
         console.say(f"{start:5.0f}-{start + BIN_M:<4.0f} m  {cells}")
     console.say(f"packets that were not sent: {errors.false_packets}")
+    if errors.uncertain_packets:
+        console.say(f"packets of uncertain identity, no codeword decoded: {errors.uncertain_packets}")
     console.say(f"codewords taken for right that were not sent: {errors.false_codewords}")
 
 

@@ -2,7 +2,7 @@
 
 import contextlib
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -183,16 +183,20 @@ def is_packet(packet: Packet) -> bool:
     return packet.status not in ("no_header", "no_array")
 
 
-def packet_row(packet: Packet) -> Mapping[str, Any]:
+def packet_row(packet: Packet, confirmed: Container[int] = ()) -> Mapping[str, Any]:
     """A packet as plain values, for the packet log.
 
     Parameters
     ----------
     packet
         A packet as the receiver hands it out; times, places and scores of it are rounded.
+    confirmed
+        Identities of arrays of which earlier packets have a decoded codeword; that of another array is uncertain.
     """
+    uncertain = not packet.has_codeword and packet.identity not in confirmed
     return {
         "id": packet.identity,
+        **({"uncertain": True} if uncertain else {}),
         "status": packet.status,
         **({"reason": packet.reason} if packet.reason else {}),
         "format": packet.format.number,

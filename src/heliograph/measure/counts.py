@@ -17,13 +17,15 @@ class LayerCounts:
     bits, bit_errors
         Information bits after the turbo decoder, of received packets.
     raw_bits, raw_errors
-        Coded bits before it, of received packets.
+        Coded bits before it, by the first equalisation, of received packets.
     codewords, codeword_errors, missed
         Codewords sent; those that are wrong; those of packets of which nothing was received, which are wrong too.
     packets
         Received packets whose bits are in `bits`; one read in another format than it was sent in is not.
     bit_squares, raw_squares
         Sums over the packets of the squares of their `bit_errors` and `raw_errors`: they show how much errors cluster.
+    final_raw_bits, final_raw_errors, final_raw_squares
+        The same of coded bits by the last equalisation before the decoder; see `Codeword.final_raw`.
     """
 
     bits: int = 0
@@ -36,9 +38,12 @@ class LayerCounts:
     packets: int = 0
     bit_squares: int = 0
     raw_squares: int = 0
+    final_raw_bits: int = 0
+    final_raw_errors: int = 0
+    final_raw_squares: int = 0
 
     @classmethod
-    def of_packet(cls, bits: Count, raw: Count, words: Count) -> Self:
+    def of_packet(cls, bits: Count, raw: Count, words: Count, final_raw: Count | None = None) -> Self:
         """Counts of one received packet.
 
         Parameters
@@ -48,7 +53,10 @@ class LayerCounts:
             another format than it was sent in.
         words
             Codewords that it was sent with, and those of them that are wrong.
+        final_raw
+            Coded bits by the last equalisation; None if that was the first.
         """
+        last = raw if final_raw is None else final_raw
         return cls(
             bits.trials,
             bits.errors,
@@ -59,6 +67,9 @@ class LayerCounts:
             packets=int(bits.trials > 0),
             bit_squares=bits.errors**2,
             raw_squares=raw.errors**2,
+            final_raw_bits=last.trials,
+            final_raw_errors=last.errors,
+            final_raw_squares=last.errors**2,
         )
 
     @classmethod
@@ -90,8 +101,15 @@ class LayerCounts:
 
     @property
     def raw(self) -> Clustered:
-        """Coded bits before the turbo decoder; where none is wrong, the bound is by bits."""
+        """Coded bits by the first equalisation; where none is wrong, the bound is by bits."""
         return Clustered(self.raw_bits, self.raw_errors, self.packets, self.raw_squares, scattered=True)
+
+    @property
+    def final_raw(self) -> Clustered:
+        """Coded bits by the last equalisation before the turbo decoder; where none is wrong, the bound is by bits."""
+        return Clustered(
+            self.final_raw_bits, self.final_raw_errors, self.packets, self.final_raw_squares, scattered=True
+        )
 
     @property
     def words(self) -> Count:
@@ -247,6 +265,8 @@ def _layer(name: str, plain: Any) -> LayerCounts:
         ("packets", found.packets, found.bits),
         ("bit_squares", found.bit_squares, found.bit_errors**2),
         ("raw_squares", found.raw_squares, found.raw_errors**2),
+        ("final_raw_errors", found.final_raw_errors, found.final_raw_bits),
+        ("final_raw_squares", found.final_raw_squares, found.final_raw_errors**2),
     )
     for key, value, most in within:
         if value > most:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages, transmitters
@@ -49,7 +50,9 @@ class ErrorCounter:
     Attributes
     ----------
     false_packets
-        Packets of an array that does not exist, or of a time at which the array sent nothing.
+        Packets with a decoded codeword of an array that does not exist, or of a time at which the array sent nothing.
+    uncertain_packets
+        Packets of an array that does not exist, without a decoded codeword: the receiver reports them as uncertain.
     false_codewords
         Codewords accepted as right whose content was not sent at that time: there must be none.
     duplicates
@@ -61,6 +64,7 @@ class ErrorCounter:
         self._senders = transmitters(settings, messages)
         self._sent: list[dict[int, _Sent]] = [{} for _ in self._senders]
         self.false_packets = 0
+        self.uncertain_packets = 0
         self.false_codewords = 0
         self.duplicates = 0
         self._last_s: float | None = None
@@ -179,17 +183,18 @@ class ErrorCounter:
                 self.false_codewords += sum(word.status == "ok" for word in words)
                 layers[name] = LayerCounts.of_packet(Count(), Count(), Count(len(blocks), len(blocks)))
                 continue
-            bits, raw, sent_words = Count(), Count(), Count()
+            bits, raw, final_raw, sent_words = Count(), Count(), Count(), Count()
             for word, block in zip(words, blocks, strict=True):
                 sent = pack(block, code.k)
                 wrong = int(np.count_nonzero(word.bits != sent))
-                known = word.raw != ERASED
-                raw.add(int(known.sum()), int(np.count_nonzero((word.raw != code.encode(sent)) & known)))
+                coded = code.encode(sent)
+                _compare_raw(raw, word.raw, coded)
+                _compare_raw(final_raw, word.raw if word.final_raw is None else word.final_raw, coded)
                 bits.add(code.k, wrong)
                 sent_words.add(1, wrong > 0 or word.status != "ok")
                 right += word.status == "ok" and wrong == 0
                 self.false_codewords += word.status == "ok" and wrong > 0
-            layers[name] = LayerCounts.of_packet(bits, raw, sent_words)
+            layers[name] = LayerCounts.of_packet(bits, raw, sent_words, final_raw)
         return layers, right
 
     def _missed(self, array: int, number: int) -> Layers:
@@ -198,6 +203,9 @@ class ErrorCounter:
         return {name: LayerCounts.of_missed(layer.codewords) for name, layer in layers.items()}
 
     def _count_false(self, packet: Packet) -> None:
+        if not packet.has_codeword and packet.identity not in self._settings.transmit.identities:
+            self.uncertain_packets += 1
+            return
         self.false_packets += 1
         self.false_codewords += sum(word.status == "ok" for words in packet.layers.values() for word in words)
 
@@ -230,6 +238,12 @@ class ErrorCounter:
         # a frame that starts with a pattern must not fall before it by rounding
         number, over = divmod((time_s + 1e-7 - place.start_s) / self._packet_s(array), 1.0)
         return int(number), over
+
+
+def _compare_raw(count: Count, decided: NDArray[np.uint8], coded: NDArray[np.uint8]) -> None:
+    """Count coded bits that were received, and the wrong ones of them."""
+    known = decided != ERASED
+    count.add(int(known.sum()), int(np.count_nonzero((decided != coded) & known)))
 
 
 def _plain(counts: LayerCounts) -> Mapping[str, Any]:

@@ -44,6 +44,7 @@ class Journal:
         self._calibration, self._tell = calibration, tell
         self._ways: dict[int, deque[tuple[float, float]]] = {}
         self._orientations: dict[int, str] = {}
+        self._confirmed: set[int] = set()
         self._lights: dict[int, Countdown] = defaultdict(Countdown)
 
     def observe(self, event: object) -> None:
@@ -60,7 +61,7 @@ class Journal:
         elif isinstance(event, LostEvent):
             way = self._ways.pop(event.identity, None)
             last = {"distance_m": round(way[-1][1], 3)} if way else {}
-            row = {"event": "lost", "id": event.identity, "time_s": round(event.time_s, 6), **last}
+            row = {"event": "lost", **self._named(event.identity), "time_s": round(event.time_s, 6), **last}
             seen_as = self._orientations.get(event.identity, "upright")
             self._tell({**row, "orientation": seen_as, "approach_m_s": approach(way or ())})
 
@@ -79,7 +80,9 @@ class Journal:
         way = self._ways.setdefault(packet.identity, deque(maxlen=SPEED_PACKETS))
         way.append((packet.start_time_s, packet.distance_m))
         self._orientations[packet.identity] = str(packet.orientation)
-        self._tell({"event": "packet", **packet_row(packet), "approach_m_s": approach(way)})
+        if packet.has_codeword:
+            self._confirmed.add(packet.identity)
+        self._tell({"event": "packet", **packet_row(packet, self._confirmed), "approach_m_s": approach(way)})
         for message in messages:
             row = message_row(message)
             self._tell(row)
@@ -95,7 +98,7 @@ class Journal:
     def _found(self, detection: Detection, frames: Sequence[Frame]) -> Row:
         return {
             "event": "found",
-            "id": detection.identity,
+            **self._named(detection.identity),
             "time_s": round(detection.start_time_s, 6),
             "frame": frames[-1].index,
             "x": round(detection.fit.pose.x, 3),
@@ -105,6 +108,10 @@ class Journal:
             "drift_px_s": [round(speed, 1) for speed in detection.drift],
             "score": round(detection.score, 3),
         }
+
+    def _named(self, identity: int) -> Row:
+        """The identity of an array, marked as uncertain until a codeword of the array is decoded."""
+        return {"id": identity} | ({} if identity in self._confirmed else {"uncertain": True})
 
     def _distance_m(self, pose: Pose) -> float:
         known = self._calibration
@@ -197,16 +204,17 @@ def sentence(row: Row) -> str:
     if row["event"] == "found":
         drift = float(np.hypot(*row["drift_px_s"]))
         moves = f"moving by {drift:.0f} px/s in the image"
-        return f"{when} found {row['distance_m']:.1f} m away, {moves}, {row['orientation']}"
+        return f"{when} found {row['distance_m']:.1f} m away, {moves}, {row['orientation']}{_doubt(row)}"
     if row["event"] == "lost":
         if "distance_m" not in row:
-            return f"{when} lost, no packet of it was read, {row['orientation']}"
-        return f"{when} lost, last seen {row['distance_m']:.1f} m away{_moves(row)}, {row['orientation']}"
+            return f"{when} lost, no packet of it was read, {row['orientation']}{_doubt(row)}"
+        last = f"last seen {row['distance_m']:.1f} m away{_moves(row)}, {row['orientation']}"
+        return f"{when} lost, {last}{_doubt(row)}"
     words = ", ".join(
         f"{name} {sum(word['status'] == 'ok' for word in words)} of {len(words)}"
         for name, words in row["layers"].items()
     )
-    return f"{when} read: {words}; {row['distance_m']:.1f} m away{_moves(row)}, {row['orientation']}"
+    return f"{when} read: {words}; {row['distance_m']:.1f} m away{_moves(row)}, {row['orientation']}{_doubt(row)}"
 
 
 def file_words(row: Row) -> str:
@@ -221,6 +229,11 @@ def file_words(row: Row) -> str:
         return f"file {row['file']} is whole: {row['name']!r}, {row['bytes']} bytes"
     part = f"file {row['file']}: {row['symbols']} of {row['needed']} symbols, {row['bytes']} bytes in all"
     return f"{part}; {row['reason']}" if "reason" in row else part
+
+
+def _doubt(row: Row) -> str:
+    """Note that the identity is uncertain; empty once a codeword is decoded."""
+    return "; identity uncertain: no codeword decoded yet" if row.get("uncertain") else ""
 
 
 def _moves(row: Row) -> str:

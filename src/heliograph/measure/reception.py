@@ -68,6 +68,8 @@ class ArrayTally:
         Number of packets counted so far.
     layers
         Codewords read and not read, by layer.
+    confirmed
+        True if any packet so far has a decoded codeword; the array's identity is uncertain otherwise.
     """
 
     first_frame: int
@@ -76,6 +78,7 @@ class ArrayTally:
     last_distance_m: float = 0.0
     packets: int = 0
     layers: dict[str, LayerTally] = field(default_factory=lambda: {name: LayerTally() for name in LAYERS})
+    confirmed: bool = False
 
     def add(self, packet: Packet) -> None:
         """Count a packet.
@@ -87,6 +90,7 @@ class ArrayTally:
         """
         self.last_frame, self.last_distance_m = packet.last_frame, packet.distance_m
         self.packets += 1
+        self.confirmed |= packet.has_codeword
         for name, words in packet.layers.items():
             tally = self.layers[name]
             for word in words:
@@ -196,6 +200,11 @@ class Reception:
             }  # fmt: skip
             yield one
 
+    @property
+    def confirmed(self) -> set[int]:
+        """Identities of the arrays of which a codeword is decoded."""
+        return {identity for identity, tally in self.arrays.items() if tally.confirmed}
+
     def unfinished(self) -> list[tuple[int, str, int, int, int]]:
         """Messages that lack segments: (identity, layer, stream, bytes received, bytes in all)."""
         return self._reassembler.unfinished()
@@ -207,7 +216,12 @@ class Reception:
         ----------
         seconds
             Computing time of the frames taken in s, at least 0.
+
+        Returns
+        -------
+        Counts; ``arrays`` lists the arrays of which a codeword is decoded, ``uncertain`` what has headers alone.
         """
+        tallies = sorted(self.arrays.items())
         out: dict[str, Any] = {
             "frames": self.frames,
             "seconds": round(seconds, 3),
@@ -215,7 +229,8 @@ class Reception:
             "detections": self.detections,
             "dropped_candidates": self.left_out.dropped,
             "dropped_blocks": self.left_out.blocks,
-            "arrays": [_plain(identity, tally) for identity, tally in sorted(self.arrays.items())],
+            "arrays": [_plain(identity, tally) for identity, tally in tallies if tally.confirmed],
+            "uncertain": [_plain(identity, tally) for identity, tally in tallies if not tally.confirmed],
             "files": list(self.file_rows.values()),
         }
         if self.errors is not None:
@@ -297,4 +312,6 @@ def _completed(reassembler: Reassembler, words: Iterable[Codeword]) -> Iterator[
 
 def _plain(identity: int, tally: ArrayTally) -> dict[str, Any]:
     distances = {name: round(getattr(tally, name), 3) for name in ("first_distance_m", "last_distance_m")}
-    return {"id": identity, **asdict(tally), **distances}
+    plain = {"id": identity, **asdict(tally), **distances}
+    del plain["confirmed"]
+    return plain

@@ -12,7 +12,7 @@ from heliograph.link.film import is_packet
 from heliograph.measure.reception import ArrayTally
 from heliograph.probe.clock import Clock, clock_of
 from heliograph.probe.reach import Reach, reaches
-from heliograph.probe.reading import READ, Asked, Reading, narrowed, read
+from heliograph.probe.reading import Asked, Reading, narrowed, read
 from heliograph.probe.regions import Region
 from heliograph.receive import Packet
 from heliograph.receive.acquire.detection import Detection
@@ -125,7 +125,7 @@ class ArrayWatch:
             return
         new = ArrayTally(packet.first_frame, packet.distance_m)
         self._tallies.setdefault(packet.identity, new).add(packet)
-        if packet.status in READ:
+        if packet.has_codeword:
             self._last[packet.identity] = packet
             self._places.append((packet.identity, packet.first_frame, packet.last_frame, packet.pose.x, packet.pose.y))
 
@@ -199,7 +199,7 @@ def looked_into(array: ArraySeen, frames: Sequence[Frame], asked: Asked) -> Arra
     changes: dict[str, Any] = {"receiver": "soft", "detect": narrowed(size)}
     soft = asked.changed({"receive": changes})
     reading = read(frames, soft.signal, soft.settings)
-    own = [one for one in reading.packets if one.identity == array.identity and one.status in READ]
+    own = [one for one in reading.packets if one.identity == array.identity and one.has_codeword]
     if not own:
         return array
     clock, gain = clock_of(own, frames, soft.signal), array.contrast * frames[0].full_scale

@@ -15,9 +15,6 @@ from heliograph.receive.events import DecodeEvent, DetectEvent, TrackEvent
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.signal.settings import SignalSettings
 
-READ = ("ok", "partial")
-"""Outcomes of packets of which a codeword is right."""
-
 SLACK = 0.85
 """Factor on what a region shows, to ask for less than that: of contrast and size."""
 
@@ -98,7 +95,7 @@ class Reading:
     @property
     def read(self) -> bool:
         """Whether a codeword is right."""
-        return any(packet.status in READ for packet in self.packets)
+        return any(packet.has_codeword for packet in self.packets)
 
 
 def read(frames: Sequence[Frame], signal: SignalSettings, settings: ReceiveSettings) -> Reading:

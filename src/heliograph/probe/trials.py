@@ -15,7 +15,7 @@ from heliograph.probe.clock import Clock, clock_of
 from heliograph.probe.headers import HeaderSeen
 from heliograph.probe.light import LightRate
 from heliograph.probe.reach import MOST_SIDE, NEAR_PITCH_PX, layer_information
-from heliograph.probe.reading import READ, SLACK, Asked, Reading, narrowed, read
+from heliograph.probe.reading import SLACK, Asked, Reading, narrowed, read
 from heliograph.receive import ReceiveSettings
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.observe.noise import Noise
@@ -128,7 +128,7 @@ def what_reads(
                 continue
             reading = read(some, tried.signal, tried.settings)
             if reading.read:
-                good = [one for one in reading.packets if one.status in READ]
+                good = [one for one in reading.packets if one.has_codeword]
                 return Found(reading, changes, other, clock_of(good, some, tried.signal))
     return None
 

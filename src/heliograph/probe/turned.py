@@ -9,7 +9,7 @@ import numpy as np
 from heliograph.base.frames import Frame
 from heliograph.probe.clock import clock_of
 from heliograph.probe.light import LightRate
-from heliograph.probe.reading import READ, Asked, read
+from heliograph.probe.reading import Asked, read
 from heliograph.probe.trials import Found, receivers_tried, retimed
 from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
 
@@ -102,6 +102,6 @@ def what_reads_turned(
         tried = asked.changed(changes)
         reading = read(seen, tried.signal, tried.settings)
         if reading.read:
-            good = [one for one in reading.packets if one.status in READ]
+            good = [one for one in reading.packets if one.has_codeword]
             return Found(reading, changes, other, clock_of(good, seen, tried.signal))
     return None

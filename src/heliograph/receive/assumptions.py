@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from heliograph.receive.decode.observed import DecodedPacket
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.packets import Codeword, Words
+from heliograph.receive.packets import Codeword, Words, with_raw
 from heliograph.receive.track.pose_refinement import ObservedPacket
 from heliograph.receive.track.realign import realigned
 
@@ -97,7 +97,7 @@ class ReadPacket:
         """
         best = later if later.open < self.open else self
         words = {name: tuple(map(_decoded_one, by, later.words[name])) for name, by in self.words.items()}
-        return replace(best, words=words)
+        return replace(best, words=with_raw(words, self.words))
 
 
 def open_words(words: Words) -> int:

@@ -1,7 +1,7 @@
 """What receivers hand out: packets as values, with their outcome and margins."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -30,11 +30,15 @@ class Codeword:
     bits
         (K,) uint8 information bits as decided, right or not.
     raw
-        (E,) uint8 coded bits as decided before the decoder, whitening undone; 255 where nothing was received.
+        (E,) uint8 coded bits as decided by the first equalisation, before anything of the packet is decoded; whitening
+        undone; 255 where nothing was received.
     iterations
         Iterations of the decoder.
     margin
         Mean magnitude of the information bits' LLRs after decoding.
+    final_raw
+        The same as `raw` by the last equalisation before the decoder, when codewords decoded by then no longer disturb;
+        None if the receiver equalises only once.
     """
 
     status: Literal["ok", "crc_fail", "mismatch"]
@@ -43,10 +47,27 @@ class Codeword:
     raw: NDArray[np.uint8]
     iterations: int
     margin: float
+    final_raw: NDArray[np.uint8] | None = None
 
 
 Words = Mapping[str, tuple[Codeword, ...]]
 """Codewords of a packet by layer, decoded or not."""
+
+
+def with_raw(words: Words, first: Words) -> Words:
+    """Return codewords with the raw bits of the first reading of their packet.
+
+    Parameters
+    ----------
+    words
+        Codewords by layer, as the last reading left them.
+    first
+        The same codewords, as the first reading left them.
+    """
+    return {
+        name: tuple(replace(word, raw=before.raw) for word, before in zip(by, first[name], strict=True))
+        for name, by in words.items()
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +77,7 @@ class Packet:
     Attributes
     ----------
     identity
-        Number of the array, 0 to 29.
+        Number of the array, 0 to 29; uncertain until a codeword of the array is decoded, see `has_codeword`.
     status
         "ok" (all codewords), "partial" (some), "crc_fail" (none), "no_header" (none, and its header was not seen) or
         "no_array" (none, and the array was out of sight for most of it).
@@ -102,6 +123,11 @@ class Packet:
     format: Format = AGREED
     orientation: Orientation = UPRIGHT
     reason: str = ""
+
+    @property
+    def has_codeword(self) -> bool:
+        """True if a codeword is decoded: it names the array. A header alone may be clutter that resembles one."""
+        return self.status in ("ok", "partial")
 
 
 class Receiver(Protocol):

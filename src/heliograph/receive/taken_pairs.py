@@ -16,7 +16,7 @@ from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.events import DecodeEvent, Observer, ignore
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
-from heliograph.receive.packets import Packet, Words
+from heliograph.receive.packets import Packet, Words, with_raw
 from heliograph.receive.plain.led_by_led import read_led_by_led
 from heliograph.receive.plain.square_by_square import read_square_by_square
 from heliograph.receive.reader_protocol import Decoded
@@ -175,7 +175,8 @@ class TakenPairs:
         first = as_kept.steady
         reading, misled = self._equalised(first, shown, observe)
         cutouts = None if reading.assumed.cutouts is first.cutouts else tuple(reading.assumed.cutouts)
-        return Decoded(reading.words, lambda: self._lesson(reading, misled), cutouts)
+        words = reading.words if shown is None else with_raw(reading.words, shown)
+        return Decoded(words, lambda: self._lesson(reading, misled), cutouts)
 
     def _equalised(self, first: Assumption, shown: Words | None, observe: Observer) -> tuple[ReadPacket, bool]:
         """The packet as the equaliser reads it, and whether its poses misled it."""

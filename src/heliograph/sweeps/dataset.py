@@ -37,24 +37,29 @@ COUNTS = {
     "bits": "information bits of received packets",
     "bit_errors": "wrong ones of them after the turbo decoder",
     "raw_bits": "coded bits of received packets",
-    "raw_errors": "wrong ones of them before the turbo decoder",
+    "raw_errors": "wrong ones of them by the first equalisation",
     "codewords": "codewords sent",
     "codeword_errors": "codewords not read rightly, missed ones included",
     "missed": "codewords of packets not received at all",
     "packets_read": "packets received whose bits are counted",
     "bit_squares": "sum of the squares of the bit errors of a packet",
     "raw_squares": "sum of the squares of the raw errors of a packet",
+    "final_raw_bits": "coded bits of received packets by the last equalisation",
+    "final_raw_errors": "wrong ones of them by the last equalisation",
+    "final_raw_squares": "sum of the squares of the final raw errors of a packet",
 }
 
 ERROR_RATES = {
     "ber": "bit error rate after the turbo decoder",
-    "raw_ber": "bit error rate before the turbo decoder",
+    "raw_ber": "bit error rate before the turbo decoder, by the first equalisation",
+    "final_raw_ber": "bit error rate before the turbo decoder, by the last equalisation",
     "fer": "codeword error rate",
 }
 
 INTERVAL_METHODS = {
     "ber": "Clopper-Pearson at the effective number of bits, as bits of a packet fail together",
     "raw_ber": "Clopper-Pearson at the effective number of bits, as bits of a packet fail together",
+    "final_raw_ber": "Clopper-Pearson at the effective number of bits, as bits of a packet fail together",
     "fer": "Clopper-Pearson",
 }
 

@@ -12,7 +12,12 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
 
-RATES = {"ber": "bit error rate", "raw_ber": "raw bit error rate", "fer": "codeword error rate"}
+RATES = {
+    "ber": "bit error rate",
+    "raw_ber": "raw bit error rate",
+    "fer": "codeword error rate",
+    "final_raw_ber": "raw bit error rate of the last equalisation",
+}
 
 MARKS = "osD^vP*X"
 
@@ -30,7 +35,8 @@ def plot_rates(
     data
         Dataset of `sweep`, or a part of it.
     rate
-        "ber" after the decoder, "raw_ber" before it, or "fer" of codewords.
+        "ber" after the decoder, "raw_ber" before it by the first equalisation, "final_raw_ber" by the last one, or
+        "fer" of codewords.
     along
         Key on the horizontal axis; None: the first that has numbers and more than one value, else the first.
     axes

@@ -168,8 +168,9 @@ def write_results(folder: Path, tallies: Sequence[PointTally]) -> None:
 def _flat(layer: Mapping[str, Any]) -> dict[str, Any]:
     """A layer's report with intervals as two columns each."""
     flat = {name: value for name, value in layer.items() if not name.endswith("_ci")}
-    for rate in ("ber", "raw_ber", "fer"):
-        flat[f"{rate}_low"], flat[f"{rate}_high"] = layer[f"{rate}_ci"]
+    for name in [name for name in layer if name not in flat]:
+        rate = name.removesuffix("_ci")
+        flat[f"{rate}_low"], flat[f"{rate}_high"] = layer[name]
     return flat
 
 

@@ -174,9 +174,10 @@ def layer_report(counts: LayerCounts) -> dict[str, Any]:
     """Counts of a layer with their rates and 95 % intervals; None where nothing was counted.
 
     Intervals are Clopper-Pearson's, of the bit error rate at the effective number of bits, since bits of a packet fail
-    together (see `Clustered`). "ber" is that after the turbo decoder, "raw_ber" that before it. "ber_is_bound",
-    "raw_ber_is_bound" and "fer_is_bound" mark where no error was met: the rate 0 then means no more than that it is
-    below the interval's upper end. "packets_read" are the packets whose bits are counted.
+    together (see `Clustered`). "ber" is the bit error rate after the turbo decoder. "raw_ber" is the rate before the
+    decoder, by the first equalisation; "final_raw_ber" is that by the last equalisation, when codewords decoded by then
+    no longer disturb. "ber_is_bound" and so on mark where no error was met: the rate 0 then means no more than that it
+    is below the interval's upper end. "packets_read" are the packets whose bits are counted.
 
     Parameters
     ----------
@@ -184,7 +185,8 @@ def layer_report(counts: LayerCounts) -> dict[str, Any]:
         What was counted of the layer, at a whole point or in a distance bin.
     """
     out: dict[str, Any] = {"packets_read" if name == "packets" else name: n for name, n in asdict(counts).items()}
-    for name, count in (("ber", counts.decoded), ("raw_ber", counts.raw), ("fer", counts.words)):
+    rates = {"ber": counts.decoded, "raw_ber": counts.raw, "final_raw_ber": counts.final_raw, "fer": counts.words}
+    for name, count in rates.items():
         out[name] = count.rate if count.trials else None
         out[f"{name}_ci"] = list(count.interval())
         out[f"{name}_is_bound"] = count.trials > 0 and not count.errors

@@ -71,3 +71,16 @@ def test_a_codeword_that_only_earlier_packets_support_is_doubted() -> None:
     doubted = layer.doubted()
     assert [word.status for word in layer.words] == ["ok"] * LAYER.codewords
     assert [(word.status, word.block) for word in doubted.words] == [("crc_fail", None)] * LAYER.codewords
+    # and nothing of it is known any more
+    assert not doubted.soft.any()
+    assert (doubted.variance == 1).all()
+
+
+def test_a_codeword_that_another_reading_of_the_packet_decoded_is_not_doubted() -> None:
+    """Its bits are known from the start, so the equaliser has no LLRs of them."""
+    blocks = random_blocks(0)[NAME]
+    words = decode_layer(
+        Layer.unknown(LAYER).equalised(sent_llrs(blocks, 3.0)), NAME, IDENTITY, OPTIONS, feedback=True
+    ).words
+    layer = Layer.unknown(LAYER).with_known(words).with_own()
+    assert same(layer.doubted(), layer)

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
-from known_packets import FORM, GAIN, decoded, random_blocks, right, statistics_of
+from known_packets import FORM, GAIN, IDENTITY, NOISE, KnownPoses, decoded, random_blocks, right, statistics_of
 from numpy.typing import NDArray
 
+from heliograph.base.threads import one_thread
+from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.gain_and_noise import GainAndNoise
+from heliograph.receive.decode.iterate import decode_iteratively
 from heliograph.receive.decode.soft_combining import (
     BUFFERS_KEPT,
     BufferedPacket,
@@ -14,6 +17,7 @@ from heliograph.receive.decode.soft_combining import (
     SoftBuffer,
     consistent,
 )
+from heliograph.receive.equalise.llr import LARGEST_LLR
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packets import Words
 from heliograph.signal.block import Block
@@ -51,6 +55,38 @@ def test_a_packet_that_comes_again_is_read(number: int) -> None:
     assert right(decoded(second, buffer=buffer), blocks)[:3] == [True, True, True]
     # and from then on, with what is known of it
     assert right(decoded(third, buffer=buffer), blocks)[:3] == [True, True, True]
+
+
+def test_a_rejected_codeword_is_not_known() -> None:
+    """Only the packet seen before supports the low layer: its bits may refine no pose and show no LED's brightness."""
+    blocks = random_blocks(0)
+    signs = [FORM.layers[name].deinterleave(1.0 - 2.0 * FORM.layers[name].encode(blocks[name])) for name in FORM.layers]
+    llrs = tuple(LARGEST_LLR * one for by in signs for one in by)
+    before = BufferedPacket(FORM.format, llrs, tuple(statistics_of(blocks, 60, 1)), GAIN, NOISE)
+    packet, channel = KnownPoses(statistics_of(blocks, 200, 2)), GainAndNoise(GAIN, NOISE)
+    with one_thread():
+        buffer = SoftBuffer().with_packet(before)
+        read = decode_iteratively(packet, channel, FORM, IDENTITY, Decoding("log-map"), buffer)
+    assert statuses(read.words) == ["ok", "ok", "ok", "crc_fail"]
+    low = slice(-FORM.layers["low"].symbols, None)
+    assert (read.variance[:, low] > 0.9).all()
+    assert max(packet.known) == FORM.settings.side**2 - FORM.layers["low"].symbols
+
+
+def test_a_packet_that_leds_tell_in_part_is_combined_too() -> None:
+    """What they tell is known from the start: the packet seen before adds the rest, and takes nothing away."""
+    blocks, buffer = random_blocks(0), SoftBuffer()
+    for seed in (1, 2):
+        packet, channel = [*statistics_of(blocks, 105, seed)[:14], *[None] * 10], GainAndNoise(GAIN, NOISE)
+        alone = decoded(packet)
+        assert right(alone, blocks) == [True, True, True, False]
+        with one_thread():
+            read = decode_iteratively(
+                KnownPoses(packet), channel, FORM, IDENTITY, Decoding("log-map"), buffer, known=alone
+            )
+        assert read.buffer is not None
+        buffer = read.buffer
+    assert all(right(read.words, blocks))
 
 
 @pytest.mark.parametrize("number", range(3))

@@ -3,7 +3,7 @@
 import { colour, one } from "../common/dom";
 import { imageOf } from "./grey";
 import type { Model } from "./model";
-import type { About, Box } from "./rows";
+import { arrayName, type About, type Box } from "./rows";
 
 export function speedWords(approach: number | null | undefined): string {
   if (approach === null || approach === undefined) return "";
@@ -27,14 +27,14 @@ export class FrameView {
     if (context === null) return;
     context.drawImage(image, 0, 0);
     image.close();
-    cuts.forEach((cut, k) => this.inset(context, cut, k, about.cuts[k]?.id ?? 0));
+    cuts.forEach((cut, k) => this.inset(context, cut, k, arrayName(about.cuts[k] ?? { id: 0 })));
     const scale = canvas.width / about.width;
     for (const box of about.boxes) this.box(context, box, scale, model);
     canvas.setAttribute("aria-label", this.words(about, model));
   }
 
   /** The newest cut-out of an array, enlarged, at the frame's upper edge. */
-  private inset(context: CanvasRenderingContext2D, cut: ImageBitmap, place: number, id: number): void {
+  private inset(context: CanvasRenderingContext2D, cut: ImageBitmap, place: number, name: string): void {
     const size = Math.max(1, this.canvas.width / Math.max(this.canvas.clientWidth, 1));
     const side = Math.min(this.canvas.height * 0.3, 150 * size);
     const left = 8 * size + place * (side + 8 * size);
@@ -46,9 +46,9 @@ export class FrameView {
     context.strokeRect(left, 8 * size, side, side);
     context.font = `600 ${12 * size}px system-ui, sans-serif`;
     context.fillStyle = "rgb(11 13 17 / 80%)";
-    context.fillRect(left, 8 * size, context.measureText(`array ${id}`).width + 10 * size, 18 * size);
+    context.fillRect(left, 8 * size, context.measureText(name).width + 10 * size, 18 * size);
     context.fillStyle = "#fff";
-    context.fillText(`array ${id}`, left + 5 * size, 21 * size);
+    context.fillText(name, left + 5 * size, 21 * size);
   }
 
   private box(context: CanvasRenderingContext2D, box: Box, scale: number, model: Model): void {
@@ -65,7 +65,7 @@ export class FrameView {
     context.closePath();
     context.stroke();
     context.setLineDash([]);
-    const lines = [`array ${box.id}`, `${box.distance_m.toFixed(1)} m`, speedWords(model.approach.get(box.id))].filter((line) => line !== "");
+    const lines = [arrayName(box), `${box.distance_m.toFixed(1)} m`, speedWords(model.approach.get(box.id))].filter((line) => line !== "");
     const text = lines.join(" · ");
     context.font = `600 ${14 * size}px system-ui, sans-serif`;
     const width = context.measureText(text).width;
@@ -79,7 +79,7 @@ export class FrameView {
   }
 
   private words(about: About, model: Model): string {
-    const boxes = about.boxes.map((box) => `array ${box.id} ${box.seen ? "" : "out of sight "}at ${box.distance_m.toFixed(1)} m ${speedWords(model.approach.get(box.id))}`.trim());
+    const boxes = about.boxes.map((box) => `${arrayName(box)} ${box.seen ? "" : "out of sight "}at ${box.distance_m.toFixed(1)} m ${speedWords(model.approach.get(box.id))}`.trim());
     return `Frame ${about.frame} at ${about.time_s.toFixed(3)} s: ${boxes.join("; ") || "no array"}`;
   }
 

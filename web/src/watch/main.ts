@@ -10,7 +10,7 @@ import { FrameView } from "./frame";
 import { Link, type Source } from "./link";
 import { apply, empty, type Model } from "./model";
 import { Panels } from "./panels";
-import type { About, Row } from "./rows";
+import { arrayName, type About, type Row } from "./rows";
 import { SourceForm } from "./source";
 import { Timeline, type Moment } from "./timeline";
 
@@ -76,8 +76,8 @@ setInterval(() => {
 }, 1500);
 
 function sayRow(row: Row): void {
-  if (row.event === "found") aloud(`array ${row.id} found ${row.distance_m.toFixed(0)} m away`);
-  if (row.event === "lost") aloud(`array ${row.id} lost`);
+  if (row.event === "found") aloud(`${arrayName(row)} found ${row.distance_m.toFixed(0)} m away`);
+  if (row.event === "lost") aloud(`${arrayName(row)} lost`);
   if (row.event === "message") aloud(`message of the ${row.layer} layer: ${row.text?.slice(0, 80) ?? row.road?.kind ?? `${row.bytes} bytes`}`);
   if (row.event === "source") notice.say(`Watching ${row.name}: ${row.width} by ${row.height} px, ${row.rate_hz.toPrecision(4)} frames/s, receiver ${row.receiver}.`);
   if (row.event === "camera") notice.say(row.text);

@@ -5,7 +5,7 @@ import { speedWords } from "./frame";
 import { drawGrey } from "./grey";
 import { drawLights } from "./lights";
 import { pictureType, type Model } from "./model";
-import { LAYERS, type About, type Bin, type Histogram, type Layer, type LeftOut } from "./rows";
+import { arrayName, LAYERS, type About, type Bin, type Histogram, type Layer, type LeftOut } from "./rows";
 import { drawing, svg } from "./svg";
 
 function put(id: string, ...children: (Node | string)[]): void {
@@ -32,7 +32,7 @@ function arrays(model: Model, about: About | null): void {
       return tally === undefined ? "" : `${tally.ok} of ${tally.ok + tally.failed}`;
     });
     const where = box === undefined ? "lost" : box.seen ? `${box.distance_m.toFixed(1)} m` : "out of sight";
-    return line(`array ${id}`, where, speedWords(model.approach.get(id)), String(counts?.packets ?? 0), ...layers);
+    return line(arrayName(box ?? { id }), where, speedWords(model.approach.get(id)), String(counts?.packets ?? 0), ...layers);
   });
   const body = rows.length > 0 ? rows : [make("tr", {}, make("td", { colspan: 7, class: "dim" }, "none found yet"))];
   put("arrays", head("Identity", "Distance", "Speed", "Packets", "High read", "Middle read", "Low read"), make("tbody", {}, ...body));
@@ -43,7 +43,7 @@ function light(model: Model): void {
   drawGrey("received", row?.received, "As received");
   drawGrey("equalised", row?.equalised, "As equalised");
   drawGrey("decided", row?.decided, "As decided");
-  const words = row === null ? "" : row.reason ?? `array ${row.id}, ${row.time_s.toFixed(3)} s, pair ${row.pair ?? "?"} of ${row.pairs ?? "?"}; ${row.how ?? ""}`;
+  const words = row === null ? "" : row.reason ?? `${arrayName(row)}, ${row.time_s.toFixed(3)} s, pair ${row.pair ?? "?"} of ${row.pairs ?? "?"}; ${row.how ?? ""}`;
   put("light-note", words);
 }
 
@@ -111,7 +111,7 @@ function packets(model: Model): void {
       const read = list.filter((word) => word.status === "ok").length;
       return make("span", { class: read === list.length ? `word ${layer}` : "word bad" }, `${layer} ${read}/${list.length}`);
     });
-    return make("li", {}, `${row.time_s.toFixed(3)} s · array ${row.id} · ${row.distance_m.toFixed(1)} m `, ...words, row.reason ?? "");
+    return make("li", {}, `${row.time_s.toFixed(3)} s · ${arrayName(row)} · ${row.distance_m.toFixed(1)} m `, ...words, row.reason ?? "");
   }));
 }
 

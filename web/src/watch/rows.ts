@@ -3,6 +3,11 @@
 export type Layer = "high" | "middle" | "low";
 export const LAYERS: readonly Layer[] = ["high", "middle", "low"];
 
+/** Name of an array; a question mark until a codeword of the array is decoded. */
+export function arrayName({ id, uncertain }: { id: number; uncertain?: boolean }): string {
+  return `array ${id}${uncertain === true ? "?" : ""}`;
+}
+
 export interface Grey { rows: number; columns: number; data: string }
 export interface Word { status: string; margin: number }
 export interface Group { group: number; phase: string; left_s: number | null }
@@ -16,10 +21,10 @@ export interface Histogram { scale: number; zeros: number[]; ones: number[]; ope
 
 export type Row =
   | { event: "source"; name: string; width: number; height: number; rate_hz: number; frames: number | null; receiver: string; live: boolean; truth: boolean; side: number }
-  | { event: "found"; id: number; time_s: number; distance_m: number }
-  | { event: "lost"; id: number; time_s: number; distance_m?: number; approach_m_s: number | null }
-  | { event: "packet"; id: number; time_s: number; status: string; reason?: string; distance_m: number; approach_m_s: number | null; layers: Record<Layer, Word[]> }
-  | { event: "light"; id: number; time_s: number; reason?: string; how?: string; pair?: number; pairs?: number; received?: Grey; equalised?: Grey; decided?: Grey; layers?: Record<Layer, Histogram> }
+  | { event: "found"; id: number; uncertain?: boolean; time_s: number; distance_m: number }
+  | { event: "lost"; id: number; uncertain?: boolean; time_s: number; distance_m?: number; approach_m_s: number | null }
+  | { event: "packet"; id: number; uncertain?: boolean; time_s: number; status: string; reason?: string; distance_m: number; approach_m_s: number | null; layers: Record<Layer, Word[]> }
+  | { event: "light"; id: number; uncertain?: boolean; time_s: number; reason?: string; how?: string; pair?: number; pairs?: number; received?: Grey; equalised?: Grey; decided?: Grey; layers?: Record<Layer, Histogram> }
   | { event: "message"; id: number; layer: Layer; stream: number; bytes: number; data?: string; text?: string; road?: { kind: string; junctions: Junction[]; reason?: string } }
   | { event: "file"; id: number; file: string; bytes: number; symbols: number; needed: number; whole: boolean; name?: string; data?: string }
   | { event: "lights"; id: number; time_s: number; junctions: { id: number; groups: Group[] }[] }
@@ -30,8 +35,8 @@ export type Row =
   | { event: "end"; stopped: boolean }
   | { event: "failed" | "refused"; reason: string };
 
-export interface Box { id: number; seen: boolean; distance_m: number; corners: [number, number][] }
+export interface Box { id: number; uncertain?: boolean; seen: boolean; distance_m: number; corners: [number, number][] }
 export interface About {
   time_s: number; frame: number; width: number; height: number; boxes: Box[];
-  cuts: { id: number; received: Grey }[];
+  cuts: { id: number; uncertain?: boolean; received: Grey }[];
 }

@@ -22,7 +22,7 @@ from heliograph.receive.equalise.expectation_propagation import LEAST_PRECISION,
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.equalise.polarity import SymbolMapper
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.packets import Words
+from heliograph.receive.packets import Words, with_raw
 from heliograph.receive.settings import Feedback
 from heliograph.receive.timing.out_of_step import OutOfStep
 from heliograph.signal.packet import PacketFormat
@@ -128,6 +128,7 @@ def decode_iteratively(
     """
     packet = _Packet.begin(observed.statistics, channel, form, identity, options, feedback, known)
     observed = packet.decode(observed, buffer, observe)
+    words = packet.words
     if packet.earlier is not None and packet.open.any():
         # the earlier packet may be another one, whose light stands in the way; poses stay refined
         alone = _Packet.begin(observed.statistics, packet.channel, form, identity, options, feedback, known)
@@ -135,8 +136,7 @@ def decode_iteratively(
         if alone.open.sum() < packet.open.sum():
             if buffer is not None:
                 buffer = buffer.without(packet.earlier).with_packet(packet.earlier)
-            packet = alone
-    words = {name: layer.words for name, layer in packet.layers.items()}
+            packet, words = alone, with_raw(alone.words, words)
     (mean, variance), channel = packet.expected(), packet.channel
     after = None if buffer is None else packet.added_to(buffer)
     return DecodedPacket(words, observed, mean, variance, channel, after)
@@ -225,6 +225,7 @@ class _Packet:
                 name: decode_layer(layer, name, self.identity, self.options, soft)
                 for name, layer in self.layers.items()
             }
+            self.doubt()
             left = self.open
             self.information = np.concatenate([layer.information for layer in self.layers.values()])
             if not left.any() or self.feedback == "none":
@@ -255,8 +256,12 @@ class _Packet:
                 observed, moved, refinements = relit, True, refinements - 1
                 self.replace(observed.statistics)
                 self.forget_guesses()
-        self.doubt()
         return observed
+
+    @property
+    def words(self) -> Words:
+        """Its codewords by layer, as last decoded."""
+        return {name: layer.words for name, layer in self.layers.items()}
 
     @property
     def open(self) -> NDArray[np.bool_]:
@@ -316,7 +321,7 @@ class _Packet:
         }
 
     def doubt(self) -> None:
-        """Take nothing for decoded that only earlier packets support: they may be others."""
+        """Reject codewords that only earlier packets support, before their bits serve to decode the rest."""
         if self.earlier is not None:
             self.layers = {name: layer.doubted() for name, layer in self.layers.items()}
 

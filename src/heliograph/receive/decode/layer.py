@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.decode.codeword import DecodedBlock, Decoding, codeword_of, hard
@@ -51,6 +52,10 @@ class Layer:
         (codewords, E) LLRs of earlier packets with the same codeword.
     words
         The codewords as last decoded; empty before the first decoding.
+    alone
+        (codewords,) True for codewords that another reading of this packet alone has decoded.
+    raw
+        (codewords, E) uint8 coded bits as decided by the first equalisation; None before it.
     """
 
     form: LayerFormat
@@ -60,6 +65,8 @@ class Layer:
     own: Floats
     earlier_llr: Floats
     words: tuple[Codeword, ...]
+    alone: NDArray[np.bool_]
+    raw: NDArray[np.uint8] | None = None
 
     @classmethod
     def unknown(cls, form: LayerFormat) -> "Layer":
@@ -71,7 +78,8 @@ class Layer:
             How the layer fills its packet.
         """
         shape = form.codewords, form.code.length
-        return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), np.zeros(shape), np.zeros(shape), ())
+        none = np.zeros(form.codewords, bool)
+        return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), np.zeros(shape), np.zeros(shape), (), none)
 
     def with_known(self, words: tuple[Codeword, ...]) -> "Layer":
         """The layer with codewords that another reading gave; those that it could not decode stay unknown.
@@ -82,10 +90,11 @@ class Layer:
             All codewords of the layer as that reading left them.
         """
         soft, variance = self.soft.copy(), self.variance.copy()
-        for i, word in enumerate(words):
-            if word.status != "crc_fail":
-                soft[i], variance[i] = coded_signs(self.form.code, word), 0.0
-        return replace(self, soft=soft, variance=variance, words=words)
+        alone = np.array([word.status != "crc_fail" for word in words])
+        for i in np.flatnonzero(alone):
+            soft[i], variance[i] = coded_signs(self.form.code, words[i]), 0.0
+        raw = np.stack([word.raw for word in words])
+        return replace(self, soft=soft, variance=variance, words=words, alone=alone, raw=raw)
 
     @property
     def open(self) -> list[int]:
@@ -110,7 +119,8 @@ class Layer:
         sent
             (pairs, symbols) LLRs of the bits as they were sent, that is whitened.
         """
-        return replace(self, llr=self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR)))
+        llr = self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR))
+        return replace(self, llr=llr, raw=hard(llr) if self.raw is None else self.raw)
 
     def with_earlier(self, earlier: Floats) -> "Layer":
         """The layer with the LLRs of earlier packets of the same codewords.
@@ -127,15 +137,12 @@ class Layer:
         return replace(self, own=np.where(self.form.code.distinguishing, self.llr, 0.0))
 
     def doubted(self) -> "Layer":
-        """The layer where codewords with which this packet's own LLRs are not consistent count as not decoded."""
-        code = self.form.code
-        words = (
-            replace(word, status="crc_fail", block=None)
-            if word.status != "crc_fail" and not consistent(own, coded_signs(code, word))
-            else word
-            for word, own in zip(self.words, self.own, strict=True)
-        )
-        return replace(self, words=tuple(words))
+        """Reject codewords that disagree with this packet's own LLRs; their bits are unknown again."""
+        words, soft, variance = list(self.words), self.soft.copy(), self.variance.copy()
+        for i, (word, own, alone) in enumerate(zip(self.words, self.own, self.alone, strict=True)):
+            if word.status != "crc_fail" and not alone and not consistent(own, coded_signs(self.form.code, word)):
+                words[i], soft[i], variance[i] = replace(word, status="crc_fail", block=None), 0.0, 1.0
+        return replace(self, words=tuple(words), soft=soft, variance=variance)
 
     def unsure(self, number: int) -> bool:
         """Whether a codeword is not decoded, or only with the help of earlier packets.
@@ -191,8 +198,9 @@ def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feed
     """
     code, words = layer.form.code, dict(enumerate(layer.words))
     soft, variance, earlier = layer.soft.copy(), layer.variance.copy(), layer.earlier_llr.copy()
+    assert layer.raw is not None  # it is equalised
     for i, attempt in _attempts(layer, name, identity, options).items():
-        words[i] = replace(attempt.word, raw=hard(layer.llr[i]))
+        words[i] = replace(attempt.word, raw=layer.raw[i], final_raw=hard(layer.llr[i]))
         if attempt.alone:
             earlier[i] = 0.0
         if words[i].status != "crc_fail":

@@ -88,6 +88,7 @@ class Seen:
     _pairs: dict[int, list[ExtractEvent]] = field(default_factory=dict)
     _llr: dict[int, EqualiseEvent] = field(default_factory=dict)
     _packets: list[dict[str, Any]] = field(default_factory=list)
+    _confirmed: set[int] = field(default_factory=set)
 
     def __call__(self, event: object) -> None:
         """Take an event.
@@ -108,6 +109,8 @@ class Seen:
         elif isinstance(event, EqualiseEvent):
             self._llr[event.identity] = event
         elif isinstance(event, DecodeEvent):
+            if event.packet.has_codeword:
+                self._confirmed.add(event.identity)
             self._packets.append(self._light(event))
             self._pairs.pop(event.identity, None)
             self._llr.pop(event.identity, None)
@@ -140,17 +143,21 @@ class Seen:
         # pinhole: pitch_px = f p / (Z pixel)
         distance_m = known.focal_m * known.pitch_m / (pose.frontal_pitch * known.pixel_m)
         return {
-            "id": identity, "seen": tracked.seen, "distance_m": round(distance_m, 2),
+            **self._named(identity), "seen": tracked.seen, "distance_m": round(distance_m, 2),
             "corners": [[round(float(x), 2), round(float(y), 2)] for x, y in corners],
         }  # fmt: skip
 
+    def _named(self, identity: int) -> dict[str, Any]:
+        """The identity of an array, marked as uncertain until a codeword of the array is decoded."""
+        return {"id": identity} | ({} if identity in self._confirmed else {"uncertain": True})
+
     def _cut(self, identity: int, event: ExtractEvent) -> dict[str, Any]:
-        return {"id": identity, "received": received_of(event.poses[0], event.frames[0], self.signal.side)}
+        return {**self._named(identity), "received": received_of(event.poses[0], event.frames[0], self.signal.side)}
 
     def _light(self, event: DecodeEvent) -> dict[str, Any]:
         """One pair of a packet as received, as equalised and as decided; its soft values by layer."""
         packet, form = event.packet, PacketFormat(self.signal, event.packet.format)
-        out: dict[str, Any] = {"event": "light", "id": event.identity, "time_s": round(packet.start_time_s, 6)}
+        out: dict[str, Any] = {"event": "light", **self._named(event.identity), "time_s": round(packet.start_time_s, 6)}
         if not packet.layers or form.single:
             return out | {"reason": packet.reason or "without inverses: its patterns depend on those before"}
         if event.luminances is not None:
