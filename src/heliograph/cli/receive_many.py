@@ -77,7 +77,7 @@ def _files_of(film: Path) -> list[Path]:
     if film.is_dir():
         return sorted(film.iterdir())
     if is_pattern(film):
-        return sorted(film.parent.glob(f"*{film.suffix}"))
+        return sorted(film.parent.glob(f"*{glob.escape(film.suffix)}"))
     headed = film.suffix.lower() in (".mraw", ".cih", ".cihx")
     return sorted(film.parent.glob(f"{glob.escape(film.stem)}.*")) if headed else [film]
 
@@ -232,9 +232,9 @@ def _looked_into(path: Path) -> Folder:
     from heliograph.media import tiff
     from heliograph.media.images import PICTURE_SUFFIXES
 
-    if not path.is_dir():
-        return Folder((), "")
     try:
+        if not path.is_dir():
+            return Folder((), "")
         held = sorted(one for one in path.iterdir() if not one.name.startswith("."))
         folders = [one for one in held if one.is_dir()]
         pictured = [one for one in folders if any(each.suffix.lower() in PICTURE_SUFFIXES for each in one.iterdir())]
