@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from heliograph.base.errors import MediaError
-from heliograph.base.files import clear_write_errors, whole_file, write_whole
+from heliograph.base.files import clear_write_errors, path_beside, whole_file, write_whole
 
 
 def test_a_file_takes_its_place_when_all_went_well(tmp_path: Path) -> None:
@@ -60,3 +60,29 @@ def test_the_cure_is_that_of_the_error(number: int, cure: str) -> None:
         raise OSError(number, os.strerror(number))
     assert str(caught.value).startswith("cannot write a: ")
     assert str(caught.value).endswith(cure)
+
+
+@pytest.mark.parametrize("name", ["n" * 255, "試" * 85, "\udce9" * 255, "a\n"])
+def test_a_name_of_any_length_that_the_file_system_allows_is_written(tmp_path: Path, name: str) -> None:
+    write_whole(tmp_path / name, b"x")
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_a_name_that_is_too_long_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    begun = False
+    reason = r"cannot write .*/n{256}: File name too long; choose a name of at most 255 bytes"
+    with pytest.raises(MediaError, match=reason), whole_file(tmp_path / ("n" * 256)):
+        begun = True
+    assert not begun
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["n" * 255, "n" * 246, "試" * 85, "\udce9" * 255])
+def test_a_long_name_leaves_room_for_the_file_that_belongs_to_it(name: str) -> None:
+    beside, other = (path_beside(Path("d") / one, ".truth.npz") for one in (name, name[:-1]))
+    assert beside.name.endswith(".truth.npz")
+    assert len(os.fsencode(beside.name)) <= 255
+    assert beside.name[:30] == name[:30] or "\udce9" in name
+    assert beside != other
+    assert path_beside(Path("d/n.h5"), ".truth.npz") == Path("d/n.h5.truth.npz")
+    assert path_beside(Path("n" * 245), ".truth.npz") == Path("n" * 245 + ".truth.npz")

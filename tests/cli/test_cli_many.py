@@ -3,7 +3,9 @@
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from made_recordings import write_pictures, write_tiff
 
 from heliograph.cli.options import FilmOptions
 from heliograph.cli.receive_many import FilmWork, films_of, is_many
+from heliograph.sweeps.executors import Here
 
 pytestmark = pytest.mark.slow
 
@@ -111,15 +114,62 @@ def test_films_are_received_on_a_cluster(
     monkeypatch.chdir(tmp_path)
     shutil.copy(film, "b.h5")
     Path("c.mkv").write_bytes(b"no film")
-    line: list[str | Path] = ["receive", film, "b.h5", "c.mkv", "--receiver", "plain", "--output", "out", "--scheduler"]
+    line: list[str | Path] = ["receive", film, "b.h5", "c.mkv", "--output", "out", "--scheduler"]
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
-        run = called(*line, cluster.scheduler_address, capfd=capfd, monkeypatch=monkeypatch)
+        # the worker stays in the folder in which it began
+        Path("client").mkdir()
+        shutil.move("b.h5", "client")
+        shutil.move("c.mkv", "client")
+        monkeypatch.chdir("client")
+        Path("s.toml").write_text("receive.receiver = 'plain'\n")
+        line += [cluster.scheduler_address, "--settings", "s.toml"]
+        run = called(*line, capfd=capfd, monkeypatch=monkeypatch)
     assert run.returncode == 1
     assert "1 of 3 films could not be read to the end" in run.stderr
     found = rows(run)
     assert [len(found[name]["arrays"]) for name in (str(film), "b.h5")] == [1, 1]  # type: ignore[arg-type]
     assert "not a video" in str(found["c.mkv"]["error"])
-    assert names(tmp_path / "out") == [f"{name}/{file}" for name in ("a.h5", "b.h5") for file in RESULTS]
+    assert names(Path("out")) == [f"{name}/{file}" for name in ("a.h5", "b.h5") for file in RESULTS]
+    assert not Path("../out").exists()
+
+
+class Elsewhere(Here):
+    """A worker of another machine, which has the same names but not the same disk."""
+
+    def __init__(self, disk: Path):
+        self.disk = disk
+
+    def submit(self, job: Any, work: Any) -> Any:
+        return super().submit(job, replace(work, here=self.disk / work.here.relative_to("/")))
+
+
+@pytest.mark.parametrize("film_is_there", [True, False])
+def test_results_that_do_not_arrive_are_missed(
+    film: Path,
+    film_is_there: bool,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    client, disk = tmp_path / "client", tmp_path / "disk"
+    there = disk / client.relative_to("/")
+    there.mkdir(parents=True)
+    client.mkdir()
+    shutil.copy(film, client)
+    if film_is_there:
+        shutil.copy(film, there)
+    monkeypatch.chdir(client)
+    monkeypatch.setattr("heliograph.sweeps.executors.open_workers", lambda *_: Elsewhere(disk))
+    line = ("receive", "a.h5", "--receiver", "plain", "--output", "out", "--scheduler", "tcp://192.0.2.1:1")
+    run = called(*line, capfd=capfd, monkeypatch=monkeypatch)
+    row = rows(run)["a.h5"]
+    if film_is_there:
+        assert "the results of 1 of 1 films are not in out" in failed(run)
+        assert len(row["arrays"]) == 1  # type: ignore[arg-type]
+    else:
+        assert "1 of 1 films could not be read" in failed(run)
+        assert row["error"] == f"the worker has no file {client / 'a.h5'}: all machines need its folder, under one name"
+    assert not (client / "out").exists()
 
 
 def test_ctrl_c_keeps_the_films_that_are_done(film: Path, tmp_path: Path) -> None:

@@ -104,6 +104,16 @@ def test_another_signal_is_noted_in_the_film(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["n" * 252 + ".h5", "caf\udce9\n.h5"])
+def test_a_film_of_any_name_has_its_truth_beside_it(tmp_path: Path, name: str) -> None:
+    settings = load_settings(
+        "static", None, ["channel.camera.width=64", "channel.camera.height=64", "channel.duration_s=0.01"]
+    )
+    write_film(tmp_path / name, settings, [{"high": [b"x"]}], seed=1)
+    assert len(list(tmp_path.iterdir())) == 2
+    assert open_truth(truth_path(tmp_path / name)).settings == settings
+
+
 def test_two_arrays_send_different_messages(tmp_path: Path) -> None:
     settings = load_settings("two-arrays", None, [
         "channel.distance_m=40", "channel.speed_m_s=0", "channel.shake=none", "channel.duration_s=0.3",

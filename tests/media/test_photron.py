@@ -41,6 +41,15 @@ def test_levels_rate_and_times(tmp_path: Path, header: str, word: int, depth: in
     assert all(np.array_equal(frame.pixels, sent) for frame, sent in zip(got, levels, strict=True))
 
 
+def test_the_other_file_may_have_a_suffix_in_mixed_case(tmp_path: Path) -> None:
+    levels = noise(4, 6, 10, 8)
+    frames = write_mraw(tmp_path / "a.mraw", levels, 8, 8, ".cih").rename(tmp_path / "a.Mraw")
+    header = (tmp_path / "a.cih").rename(tmp_path / "a.Cih")
+    for path in (frames, header):
+        with open_film(path) as film:
+            assert len(list(film)) == 4
+
+
 def test_an_odd_number_of_packed_levels(tmp_path: Path) -> None:
     levels = noise(1, 3, 5, 12)
     path = write_mraw(tmp_path / "a.mraw", levels, 12, 12)

@@ -590,6 +590,7 @@ def test_an_array_that_was_not_found_is_told_from_one_that_was_not_read(tmp_path
     assert float(table[0]["raw_ber_high"]) == float(raw.raw_ber_high.sel(layer="high"))
     axes = plot.plot_rates(data, "raw_ber")
     assert axes.get_xlabel() == "channel.distance_m (m)"
+    assert plot.MISSED in plot.legend_entries(axes)[1]
     crosses = [np.asarray(line.get_xdata()).tolist() for line in axes.lines if line.get_marker() == "x"]
     assert crosses == [[70, 71]] * 3
     drawn(axes, tmp_path / "plot.png")
@@ -616,10 +617,17 @@ def test_a_plot_has_a_line_for_each_choice_and_names_what_is_wrong(tmp_path: Pat
         tally.add(0, replace(fake_counts(10, number), packets=1, detected=1), 1.0)
     data = dataset.to_dataset(vary, tallies)
     axes = plot.plot_rates(data)
-    assert axes.get_legend_handles_labels()[1] == [f"{r}, {layer}" for r in vary["receiver"] for layer in LAYERS]
+    labels = [f"{r}, {layer}" for r in vary["receiver"] for layer in LAYERS]
+    assert axes.get_legend_handles_labels()[1] == labels
     lines = {str(line.get_label()): np.asarray(line.get_ydata()).tolist() for line in axes.lines}
-    assert lines["plain, high"] == pytest.approx([clopper_pearson(0, 10)[1], 0.1])
+    assert lines["plain, high"] == pytest.approx([0.1])
     assert lines["soft, low"] == pytest.approx([0.2, 0.3])
+    bounds = [line for line in axes.lines if line.get_gid() == plot.BOUND]
+    assert [line.get_linestyle() for line in bounds] == ["None"] * 3
+    assert np.concatenate([line.get_ydata() for line in bounds]) == pytest.approx([clopper_pearson(0, 10)[1]] * 3)
+    legend = axes.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == [*labels, plot.BOUND]
     one = plot.plot_rates(data.sel(layer="low", receiver="soft"))
     assert one.get_legend_handles_labels()[1] == ["low"]
     drawn(plot.plot_rates(data, along="receiver"), tmp_path / "plot.png")

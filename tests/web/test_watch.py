@@ -1,4 +1,5 @@
 import json
+import os
 import threading
 from base64 import b64decode
 from collections.abc import Iterator
@@ -13,9 +14,10 @@ from cli_runs import called
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from heliograph.base.frames import Frame
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
-from heliograph.media import open_film
+from heliograph.media import create_film, open_film
 from heliograph.web.app import create_app
 from heliograph.web.bundles import MOST, Bundles
 from heliograph.web.limits import Limits
@@ -47,8 +49,6 @@ def dark(tmp_path_factory: pytest.TempPathFactory) -> Path:
     settings = load_settings("static", None, SMALL)
     whole = path.with_name("whole.h5")
     write_film(whole, settings, [SENT], seed=1)
-    from heliograph.media import create_film
-
     with open_film(whole) as source:
         form = {"width": source.width, "height": source.height, "rate_hz": source.rate_hz, "bits": source.bits}
         with create_film(path, **form, metadata=source.metadata) as copy:  # type: ignore[arg-type]
@@ -121,6 +121,20 @@ def test_what_may_be_watched(client: TestClient, film: Path) -> None:
     assert {"plain", "soft"} <= set(found["receivers"])
     assert "paper" in [one["name"] for one in found["presets"]]
     assert "cameras" in client.get("/api/watch/cameras").json()
+
+
+def test_a_film_of_any_name_is_offered_and_watched(tmp_path: Path) -> None:
+    odd, gone = (tmp_path / os.fsdecode(name) for name in (b"caf\xe9\n#%?.h5", b"\xff"))
+    form = {"width": 16, "height": 16, "rate_hz": 1000.0}
+    with create_film(odd, **form) as film:  # type: ignore[arg-type]
+        film.write(Frame(0, 0.0, np.zeros((16, 16), np.uint8)))
+    with TestClient(create_app(films=[str(odd), str(gone), "."]), base_url=OWN) as client:
+        assert client.get("/api/watch/sources").json()["named"] == [r"caf\xe9\n#%?.h5", r"\xff", "."]
+        seen = watch(client, kind="named", number=0)
+        assert seen.of("source")[0]["name"] == r"caf\xe9\n#%?.h5"
+        assert seen.of("failed")[0]["reason"].startswith(r"caf\xe9\n#%?.h5 has 1 frame")
+        (refused,) = watch(client, kind="named", number=1).of("failed")
+        assert refused["reason"] == r"there is no file \xff: check the name"
 
 
 @pytest.mark.slow

@@ -1,14 +1,30 @@
 """Errors for the user: one line that says what is wrong and how to mend it."""
 
+import unicodedata
 from collections.abc import Callable
 from numbers import Number
 
 MOST_SHOWN = 80
 """Most characters of a wrong value in a message."""
 
+UNDECODED = range(0xDC80, 0xDD00)
+"""Characters that stand for the bytes of a file name that is not UTF-8 (PEP 383)."""
+
+JOINERS = "\u200c\u200d"
+"""Characters within words of some scripts and within emoji."""
+
 
 class HeliographError(Exception):
-    """Misuse or broken input; the message is one line that states the rule and the value that breaks it."""
+    """Misuse or broken input; the message is one line that states the rule and the value that breaks it.
+
+    Parameters
+    ----------
+    message
+        The text; what a terminal cannot print, such as a line break in a file name, is escaped.
+    """
+
+    def __init__(self, message: object = ""):
+        super().__init__(printable(str(message)))
 
 
 class SettingsError(HeliographError, ValueError):
@@ -17,6 +33,28 @@ class SettingsError(HeliographError, ValueError):
 
 class MediaError(HeliographError, OSError):
     """A film or data file is missing, damaged, of an unknown form, or cannot be written."""
+
+
+def printable(text: str) -> str:
+    r"""Return a text on one line, with an escape for every character that a terminal or a UTF-8 file cannot show.
+
+    Line breaks, control characters and marks of the writing direction become Python's escapes. A byte of a file name
+    that is not UTF-8 becomes ``\xe9``. An escaped text stays as it is.
+
+    Parameters
+    ----------
+    text
+        Any text, such as a file name.
+    """
+    return text if text.isprintable() else "".join(map(_escape, text))
+
+
+def _escape(character: str) -> str:
+    if character.isprintable() or character in JOINERS or unicodedata.category(character) == "Zs":
+        return character
+    if ord(character) in UNDECODED:
+        return f"\\x{ord(character) & 0xFF:02x}"
+    return character.encode("unicode_escape").decode("ascii")
 
 
 def brief(value: object) -> str:

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import hashlib
 import os
 import shutil
 import stat
@@ -9,7 +10,10 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import MediaError, printable
+
+LONGEST_NAME = 255
+"""Most bytes of a file name that usual file systems allow."""
 
 
 @contextlib.contextmanager
@@ -33,7 +37,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     MediaError
         The file cannot be written.
     """
-    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.partial")
+    with clear_write_errors(path):
+        partial = partial_path(path)
     try:
         with clear_write_errors(path):
             yield partial
@@ -41,6 +46,57 @@ def whole_file(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+def partial_path(path: Path, suffix: str = "") -> Path:
+    """Return a hidden, unique name beside a file, short enough for any file system.
+
+    Parameters
+    ----------
+    path
+        The file, whose own name may be as long as the file system allows.
+    suffix
+        End of the hidden name.
+
+    Raises
+    ------
+    OSError
+        The file's own name cannot be one, for example because it is too long.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        path.lstat()
+    return path.with_name(f".{uuid.uuid4().hex[:8]}.partial{suffix}")
+
+
+def path_beside(path: Path, ending: str) -> Path:
+    """Return the name of a file that belongs to another: that name with an ending.
+
+    A name that would be longer than file systems allow is cut, and gets a digest of the whole one.
+
+    Parameters
+    ----------
+    path
+        The file that the other one belongs to.
+    ending
+        What its name has at the end, such as ".truth.npz".
+    """
+    name = os.fsencode(path.name)
+    if len(name) + len(ending) > LONGEST_NAME:
+        digest = hashlib.sha256(name).hexdigest()[:8]
+        kept = name[: LONGEST_NAME - len(ending) - len(digest) - 1].decode(errors="ignore")
+        return path.with_name(f"{kept}-{digest}{ending}")
+    return path.with_name(path.name + ending)
+
+
+def shown_name(path: str | os.PathLike[str]) -> str:
+    """Return a file's name without its folders, as text that pages and reports can show.
+
+    Parameters
+    ----------
+    path
+        The file.
+    """
+    return printable(Path(path).name or str(path))
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -157,4 +213,6 @@ def _cure(error: OSError) -> str:
         return "make room or choose another place"
     if error.errno in (errno.EACCES, errno.EPERM):
         return "ask for the right to write there, or choose another place"
+    if error.errno == errno.ENAMETOOLONG:
+        return f"choose a name of at most {LONGEST_NAME} bytes, or a shorter path"
     return "choose another place"

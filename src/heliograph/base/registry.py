@@ -207,7 +207,7 @@ def load_parts(file: Path | str) -> None:
     except (OSError, UnicodeDecodeError) as error:
         raise SettingsError(f"cannot load {file}: {getattr(error, 'strerror', None) or error}") from None
     # files of one name in different folders are different modules
-    place = hashlib.sha256(str(file.resolve()).encode()).hexdigest()[:8]
+    place = hashlib.sha256(os.fsencode(file.resolve())).hexdigest()[:8]
     _run(Module(f"loaded_{file.stem}_{place}", str(file.resolve()), source))
 
 

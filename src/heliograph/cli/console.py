@@ -2,13 +2,16 @@
 
 import contextlib
 import json
+import shlex
 import shutil
 import sys
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 from heliograph.base.compile_time import clock
+from heliograph.base.errors import printable
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
@@ -19,22 +22,30 @@ NO_ARRAY = 3
 LONGEST = 600
 """Most characters of a message: some quote what was typed, or a file, which may be of any length."""
 
+BACKSLASH, QUOTE = "\\", "'"
+
 NARROWEST = 40
 """Least characters of a line of prose on a terminal."""
 
 
 def say(text: str) -> None:
-    """A line of the result."""
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
+    """Write a line of the result; a file name with a line break in it stays on that line."""
+    _write_line(printable(text))
+
+
+def say_lines(text: str) -> None:
+    """Write a text of several lines as the result."""
+    for line in text.splitlines():
+        say(line)
 
 
 def say_prose(text: str) -> None:
     """A line of text as a result; on a terminal it is broken between words, and the lines that follow are set in."""
     if sys.stdout.isatty():
         width = max(NARROWEST, shutil.get_terminal_size().columns - 1)
-        text = textwrap.fill(text, width, subsequent_indent=" " * 4, break_on_hyphens=False)
-    say(text)
+        say_lines(textwrap.fill(printable(text), width, subsequent_indent=" " * 4, break_on_hyphens=False))
+    else:
+        say(text)
 
 
 def say_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -47,13 +58,12 @@ def say_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 def note(text: str) -> None:
     """A line of advice beside the result, for who looks on: nothing is said where errors do not go to a terminal."""
     if sys.stderr.isatty():
-        sys.stderr.write(text + "\n")
-        sys.stderr.flush()
+        tell(text)
 
 
 def complain(text: str) -> None:
     """A line about what went wrong; one line, and no longer than can be read, whatever the text quotes."""
-    line = " ".join(text.splitlines())
+    line = printable(text)
     if len(line) > LONGEST:
         half = LONGEST // 2
         line = f"{line[:half]} ... {line[-half:]}"  # what is wrong stands in front, the cure at the end
@@ -62,13 +72,26 @@ def complain(text: str) -> None:
 
 def tell(text: str) -> None:
     """A line of what happens while it happens, as it was asked for."""
-    sys.stderr.write(text + "\n")
+    sys.stderr.write(printable(text) + "\n")
     sys.stderr.flush()
 
 
 def say_json(value: Any) -> None:
-    """One JSON value as the result."""
-    say(json.dumps(value))
+    r"""Write one JSON value as the result, in ASCII: bytes of a file name that are not UTF-8 become ``\udce9``."""
+    _write_line(json.dumps(value))
+
+
+def argument(path: Path) -> str:
+    """Return a file name as a shell takes it, for a command that is shown."""
+    text = f"./{path}" if str(path).startswith("-") else str(path)
+    if text.isprintable():
+        return shlex.quote(text)
+    return f"$'{printable(text.replace(BACKSLASH, 2 * BACKSLASH).replace(QUOTE, BACKSLASH + QUOTE))}'"
+
+
+def _write_line(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
 
 
 @contextlib.contextmanager

@@ -15,6 +15,14 @@ READ = (
 )
 """Films that are read, for the help."""
 
+
+def film_argument(text: str) -> Path:
+    """Take what is given for a film: the path of a file, or the name of a live camera."""
+    from heliograph.media.live.reader import film_path
+
+    return film_path(text)
+
+
 Fps = Annotated[
     float | None,
     typer.Option(
@@ -90,7 +98,7 @@ Receiver = Annotated[
 
 
 def receive(
-    films: Annotated[list[Path], typer.Argument(metavar="FILM...", help=READ)],
+    films: Annotated[list[Path], typer.Argument(metavar="FILM...", parser=film_argument, help=READ)],
     receiver: Receiver = None,
     output: Annotated[
         Path | None,
@@ -191,7 +199,7 @@ def cameras(camera: CameraOption = None, as_json: options.Json = False) -> None:
 
 
 def probe(
-    film: Annotated[Path, typer.Argument(metavar="FILM", help=READ)],
+    film: Annotated[Path, typer.Argument(metavar="FILM", parser=film_argument, help=READ)],
     receiver: Receiver = None,
     frames: Annotated[
         int | None,
@@ -236,7 +244,7 @@ def probe(
 
 
 def convert(
-    film: Annotated[Path, typer.Argument(help=READ)],
+    film: Annotated[Path, typer.Argument(metavar="FILM", parser=film_argument, help=READ)],
     output: Annotated[Path, typer.Argument(help="Film to write: .mkv, .nut, .mp4, .avi or .h5.")],
     fps: Fps = None,
     crop: Crop = None,
@@ -264,7 +272,8 @@ def convert(
 
 def serve(
     films: Annotated[
-        list[Path] | None, typer.Argument(metavar="[FILM]...", help=f"Films that page Watch offers. {READ}")
+        list[Path] | None,
+        typer.Argument(metavar="[FILM]...", parser=film_argument, help=f"Films that page Watch offers. {READ}"),
     ] = None,
     host: Annotated[
         str,

@@ -1,5 +1,6 @@
 """The command `heliograph`."""
 
+import io
 import os
 import signal
 import sys
@@ -66,12 +67,14 @@ def _usage(error: Exception) -> None:
 
 
 def _check_streams() -> None:
-    """End before any work where the results would have nowhere to go; errors that nobody hears are left out."""
+    """Let standard output take any text; end before any work if it is closed. Errors that nobody hears are left out."""
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - as long as the process
     if sys.stdout is None:
         console.complain("standard output is closed; give it somewhere to go, such as > /dev/null")
         sys.exit(1)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a file name may lie outside the terminal's alphabet
 
 
 def run() -> None:

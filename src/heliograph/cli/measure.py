@@ -182,7 +182,9 @@ def header_separation(
     """Distances between headers under the reference link's blur, as tables in Markdown."""
     from heliograph.experiments.detection.header_separation import DISTANCES_M, separation, tables
 
-    console.say("\n\n".join(table.markdown() for table in tables([separation(z) for z in distances or DISTANCES_M])))
+    console.say_lines(
+        "\n\n".join(table.markdown() for table in tables([separation(z) for z in distances or DISTANCES_M]))
+    )
 
 
 @app.command()
@@ -190,7 +192,7 @@ def timing_loss() -> None:
     """Loss of a camera out of step by rate, exposure and phase, as a table in Markdown."""
     from heliograph.experiments.patterns.timing_loss import measure, table
 
-    console.say(table(measure()).markdown())
+    console.say_lines(table(measure()).markdown())
 
 
 def _context(workers: int | None, progress: Callable[[float], None] = lambda _: None) -> "Context":

@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import os
 import re
 import sys
 from collections.abc import Iterable
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 
 STDIN, TEXT = "-", "text:"
 """What is given for standard input, and what comes before a text that looks like the name of a file."""
+
+UNDECODED = re.compile("[\ud800-\udfff]")
+"""Bytes of a file name that are not UTF-8: the name goes over the air as text."""
 
 MOST_SETTINGS = 1 << 20
 """Most bytes of a file of settings: all that there are, with their meanings, take 12 kB."""
@@ -296,7 +300,9 @@ def file_of(path: Path, code: str) -> "SentFile":
     if code not in known:
         raise MediaError(f"--file-code is one of {', '.join(known)}, not {shown(code)}")
     try:
-        return SentFile(path.name, read_bounded(path, MAX_MESSAGE, "send less, or cut it up"), known[code])
+        return SentFile(
+            UNDECODED.sub("_", path.name), read_bounded(path, MAX_MESSAGE, "send less, or cut it up"), known[code]
+        )
     except OSError as error:
         raise MediaError(f"cannot read {path}: {error.strerror}") from None
 
@@ -324,7 +330,7 @@ def message_of(layer: str, given: str) -> bytes:
         if len(data) > MAX_MESSAGE:
             raise MediaError(f"standard input has more than {MAX_MESSAGE} bytes: send less, or cut it up")
     elif not given or given.startswith(TEXT) or not (_names_a_file(given) or _is_there(path)):
-        data, source = given.removeprefix(TEXT).encode(), f"the text of --{layer}"
+        data, source = os.fsencode(given.removeprefix(TEXT)), f"the text of --{layer}"
         if len(data) > MAX_MESSAGE:
             raise MediaError(f"{source} has more than {MAX_MESSAGE} bytes: send less, or cut it up")
     else:

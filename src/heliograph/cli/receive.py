@@ -118,7 +118,8 @@ def run_receive(
         _show_why(why, film)
         if watch.is_live and not found_array(report):
             seen_by = watch.recorded or film
-            console.say_prose(f"'heliograph probe {seen_by}' tells what the camera shows, and why no array is read")
+            command = f"heliograph probe {console.argument(seen_by)}"
+            console.say_prose(f"'{command}' tells what the camera shows, and why no array is read")
         watch.show()
         if not watch.is_live:
             _show_reading(source, report)
@@ -308,7 +309,7 @@ def _show_why(why: "Findings | None", film: Path) -> None:
 
     for line in in_short(why):
         console.say_prose(line)
-    console.note(f"'heliograph probe {film} --output DIR' tells more, with pictures")
+    console.note(f"'heliograph probe {console.argument(film)} --output DIR' tells more, with pictures")
 
 
 def _show_reading(source: "FilmReader", report: dict[str, Any]) -> None:
@@ -317,10 +318,10 @@ def _show_reading(source: "FilmReader", report: dict[str, Any]) -> None:
     slow = reading_s > max(LONG_READING_S, report["frames"] / source.rate_hz)
     if slow and reading_s > 0.5 * report["seconds"] and source.faster:
         is_are = "is" if len(source.faster) == 1 else "are"
+        faster = source.path.parent / f"{source.path.stem or 'film'}.h5"
         console.note(
             f"{reading_s:.1f} s of these were spent waiting for the film: {' and '.join(source.faster)} {is_are} read "
-            f"faster, see "
-            f"'heliograph convert {source.path} {source.path.parent / (source.path.stem or 'film')}.h5'"
+            f"faster, see 'heliograph convert {console.argument(source.path)} {console.argument(faster)}'"
         )
 
 

@@ -17,7 +17,7 @@ from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.words import counted
 from heliograph.cli import console, options
 from heliograph.cli.files import Files, join
-from heliograph.cli.receive import PARTIAL_LOG
+from heliograph.cli.receive import FILES, PARTIAL_LOG
 
 FILMS = (
     ".mkv",
@@ -42,7 +42,13 @@ SUMMARY = "summary.json"
 
 @dataclass(frozen=True, slots=True)
 class FilmWork:
-    """A film to be received: the options of the command, as they were given; it can be pickled."""
+    """A film to be received: the options of the command, as they were given; it can be pickled.
+
+    Attributes
+    ----------
+    here
+        Folder in which the command runs, for workers that run in another one; None for workers of this command.
+    """
 
     film: str
     seen: options.FilmOptions
@@ -51,17 +57,38 @@ class FilmWork:
     assignments: tuple[str, ...]
     output: Path | None
     files: Path | None = None
+    here: Path | None = None
+
+    @property
+    def path(self) -> Path:
+        """The film, or the name of a camera."""
+        return self._at(Path(self.film))
+
+    @property
+    def settings(self) -> Path | None:
+        """The file of settings."""
+        return None if self.file is None else self._at(self.file)
 
     @property
     def folder(self) -> Path | None:
         """Where its results go."""
-        return None if self.output is None else self.output / Path(self.film).name
+        return None if self.output is None else self._at(self.output) / Path(self.film).name
+
+    @property
+    def files_folder(self) -> Path | None:
+        """Where files from the air go."""
+        if self.files is not None:
+            return self._at(self.files)
+        return None if self.folder is None else self.folder / FILES
+
+    def _at(self, path: Path) -> Path:
+        return path if self.here is None else self.here / path
 
     def made_of(self) -> dict[str, Any]:
         """What its results follow from, as plain values: they hold as long as it stays the same."""
         with contextlib.suppress(OSError):
-            found = [file.stat() for file in _files_of(Path(self.film))]
-            settings = "" if self.file is None else self.file.read_text(encoding="utf-8", errors="replace")
+            found = [file.stat() for file in _files_of(self.path)]
+            settings = "" if self.settings is None else self.settings.read_text(encoding="utf-8", errors="replace")
             return {
                 "film": [[one.st_size, one.st_mtime_ns] for one in found],
                 "options": [asdict(self.seen), self.preset, settings, list(self.assignments)],
@@ -77,7 +104,7 @@ def _files_of(film: Path) -> list[Path]:
     if film.is_dir():
         return sorted(film.iterdir())
     if is_pattern(film):
-        return sorted(film.parent.glob(f"*{film.suffix}"))
+        return sorted(film.parent.glob(f"*{glob.escape(film.suffix)}"))
     headed = film.suffix.lower() in (".mraw", ".cih", ".cihx")
     return sorted(film.parent.glob(f"{glob.escape(film.stem)}.*")) if headed else [film]
 
@@ -141,11 +168,12 @@ def run_many(
     if cameras := [film for film in given if is_camera(film)]:
         raise MediaError(f"{cameras[0]} is a live camera: receive it by itself, without --workers and --scheduler")
     films, left_out = films_of(given)
-    works = [FilmWork(str(film), seen, preset, file, tuple(assignments), output, files) for film in films]
+    workers, scheduler = crew_of
+    here = Path.cwd() if scheduler is not None else None
+    works = [FilmWork(str(film), seen, preset, file, tuple(assignments), output, files, here) for film in films]
     _check_names(works)
     for text in left_out:
         console.complain(text)
-    workers, scheduler = crew_of
     if fewer := fewer_workers(workers):
         console.complain(fewer)
     rows = {work.film: kept for work in works if (kept := _kept(work)) is not None}
@@ -155,7 +183,9 @@ def run_many(
     with contextlib.closing(open_workers(workers, scheduler)) as crew, console.progress("films", len(works)) as advance:
         advance(len(rows))
         try:
-            for row in _received(left, crew):
+            for work, row in _received(left, crew):
+                if work.here is not None and row.get("error", "").startswith("there is no file") and work.path.exists():
+                    row["error"] = f"the worker has no file {work.path}: all machines need its folder, under one name"
                 rows[row["film"]] = row
                 console.say_json(row)
                 advance(len(rows))
@@ -170,9 +200,17 @@ def run_many(
         sys.exit(console.INTERRUPTED)
     for path in join(files) if files else ():
         console.complain(f"{path} is whole, of several films")
-    broken = sum("error" in row for row in rows.values())
-    if broken:
-        raise MediaError(f"{broken} of {len(works)} films could not be read to the end; their lines say why")
+    faults = list[str]()
+    if broken := sum("error" in row for row in rows.values()):
+        faults.append(f"{broken} of {len(works)} films could not be read to the end; their lines say why")
+    if lost := sum(not _is_written(work, rows[work.film]) for work in works):
+        place = " and ".join(str(path) for path in (output, files) if path is not None)
+        faults.append(
+            f"the results of {lost} of {len(works)} films are not in {place}: the workers wrote them elsewhere; give a "
+            "folder that all machines share, or leave out --scheduler"
+        )
+    if faults:
+        raise MediaError("; ".join(faults))
     if not any(found_array(row) for row in rows.values()):
         sys.exit(console.NO_ARRAY)
 
@@ -194,20 +232,20 @@ def receive_one(work: FilmWork) -> dict[str, Any]:
     from heliograph.cli.live import Watch
     from heliograph.cli.news import News, Told
     from heliograph.cli.probe import why_unread
-    from heliograph.cli.receive import FILES, Folder, finish_folder, read_film
+    from heliograph.cli.receive import Folder, finish_folder, read_film
     from heliograph.link.notes import signal_of
     from heliograph.measure.reception import Reception
     from heliograph.media import open_film
 
     cv2.setNumThreads(1)
     try:
-        settings = options.settings_from(work.preset, work.file, list(work.assignments))
+        settings = options.settings_from(work.preset, work.settings, list(work.assignments))
         base = options.settings_from(work.preset, None, None)
-        changes = options.signal_changes(work.file, list(work.assignments))
+        changes = options.signal_changes(work.settings, list(work.assignments))
         reception, began, made_of = Reception(), time.perf_counter(), work.made_of()
-        kept = Files(work.files or (work.folder / FILES if work.folder else None), aloud=False)
+        kept = Files(work.files_folder, aloud=False)
         kept.begin(reception.files)
-        with open_film(work.film, **work.seen.keywords()) as source:
+        with open_film(work.path, **work.seen.keywords()) as source:
             signal, _ = signal_of(source, base.signal, changes)
             with Folder(work.folder) as folder, News(Told()) as news:
                 watch = Watch(source, None, None, aloud=False)
@@ -232,9 +270,9 @@ def _looked_into(path: Path) -> Folder:
     from heliograph.media import tiff
     from heliograph.media.images import PICTURE_SUFFIXES
 
-    if not path.is_dir():
-        return Folder((), "")
     try:
+        if not path.is_dir():
+            return Folder((), "")
         held = sorted(one for one in path.iterdir() if not one.name.startswith("."))
         folders = [one for one in held if one.is_dir()]
         pictured = [one for one in folders if any(each.suffix.lower() in PICTURE_SUFFIXES for each in one.iterdir())]
@@ -276,8 +314,24 @@ def _kept(work: FilmWork) -> dict[str, Any] | None:
     return None
 
 
-def _received(works: Sequence[FilmWork], crew: Any) -> Iterator[dict[str, Any]]:
-    """Results in the order in which they come; a worker that is lost with its film, with memory say, is replaced."""
+def _is_written(work: FilmWork, row: dict[str, Any]) -> bool:
+    """Return True if the folders here have what a worker says that it wrote."""
+    if "error" in row or "kept" in row:
+        return True
+    symbols = sum(file["symbols"] for file in row["files"])
+    folder, files = work.folder, work.files_folder
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        if folder is not None:
+            there = {path.name for path in folder.iterdir()}  # network file systems then look anew
+            held = json.loads((folder / SUMMARY).read_bytes())
+            if held.get("seconds") != row["seconds"] or not there.issuperset(row["messages"]):
+                return False
+        return files is None or not symbols or any(files.iterdir())
+    return False
+
+
+def _received(works: Sequence[FilmWork], crew: Any) -> Iterator[tuple[FilmWork, dict[str, Any]]]:
+    """Works with their results as they come; a worker that is lost, for example without memory, is replaced."""
     waiting, flying = list(works), dict[Future[dict[str, Any]], FilmWork]()
     while waiting or flying:
         while waiting and len(flying) < crew.slots:
@@ -289,10 +343,11 @@ def _received(works: Sequence[FilmWork], crew: Any) -> Iterator[dict[str, Any]]:
             lost = list(flying.values())
             flying.clear()
             crew.restart()
-            yield from (_alone(work, crew) for work in lost)
+            yield from ((work, _alone(work, crew)) for work in lost)
             continue
         for future in ended:
-            yield _result(future, flying.pop(future))
+            work = flying.pop(future)
+            yield work, _result(future, work)
 
 
 def _alone(work: FilmWork, crew: Any) -> dict[str, Any]:

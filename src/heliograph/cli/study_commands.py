@@ -197,4 +197,4 @@ def presets(
             console.say(f"{key:12} {text}")
     else:
         tree = to_mapping(load_settings(name))
-        console.say_json(tree) if as_json else console.say(commented(to_toml(tree), LinkSettings).rstrip())
+        console.say_json(tree) if as_json else console.say_lines(commented(to_toml(tree), LinkSettings).rstrip())

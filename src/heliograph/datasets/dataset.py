@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from heliograph.base.errors import MediaError
-from heliograph.base.files import clear_write_errors, room_for, write_whole
+from heliograph.base.files import clear_write_errors, room_for, shown_name, write_whole
 from heliograph.datasets.film import write_planned
 from heliograph.datasets.plan import DatasetPlan, PlannedFilm, planned
 from heliograph.datasets.sheet import datasheet, film_table
@@ -135,7 +135,7 @@ def write(plan: DatasetPlan, folder: Path, progress: Callable[[float], None] = l
         write_planned(folder / film.name, film, _part_of(film, count, progress))
         count += 1
         progress(count)
-    sources = sorted({Path(one.path).name for film in plan.films for one in film.point.recordings.values()})
+    sources = sorted({shown_name(one.path) for film in plan.films for one in film.point.recordings.values()})
     write_whole(folder / TABLE, film_table(plan).encode())
     write_whole(folder / SHEET, datasheet(plan, sources).encode())
 

@@ -12,6 +12,7 @@ from heliograph.measure.counts import LayerCounts
 from heliograph.measure.errors import BIN_M
 from heliograph.measure.statistics import Count
 from heliograph.signal.settings import LAYERS
+from heliograph.sweeps.plot import ARROW, BOUND, legend_entries
 
 BLUE, ORANGE, GREEN, PINK, PURPLE = "#1b6ca8", "#d1741f", "#5b8c3a", "#b5446e", "#6b4fa0"
 VIOLET, RED = "#8e44ad", "#c0392b"
@@ -139,30 +140,43 @@ def errors_by_distance(bins: Mapping[float, Mapping[str, LayerCounts]]) -> Figur
             counts = [
                 (start + BIN_M / 2 + ASIDE_M * (k - 1), getattr(layers[name], kind)) for start, layers in bins.items()
             ]
-            _error_line(axes, [(z, c) for z, c in counts if c.trials], name)
+            style = {"color": LAYER_COLOURS[name], "ms": 5, "lw": 1.8, "elinewidth": 1.2, "capsize": 3}
+            draw_rates(axes, counts, name, **style)
         axes.set_yscale("log")
         axes.set_ylim(1e-5, 1)
         axes.set_xlabel("distance (m)")
         axes.set_ylabel("bit error rate")
         axes.set_title(f"{title} the turbo code", fontsize=10)
         if axes.get_legend_handles_labels()[0]:  # nothing received: no bit counted
-            axes.legend(frameon=False)
+            axes.legend(*legend_entries(axes), frameon=False)
     _tidy_all(figure)
     return figure
 
 
-def _error_line(axes: Axes, counts: Sequence[tuple[float, Count]], name: str) -> None:
-    colour = LAYER_COLOURS[name]
-    seen = [(z, c.rate, *c.interval()) for z, c in counts if c.errors]
-    if seen:
-        z, rate, low, high = np.array(seen).T
-        bars = (rate - low, high - rate)
-        axes.errorbar(z, rate, bars, color=colour, marker="o", ms=5, lw=1.8, elinewidth=1.2, capsize=3, label=name)
-    free = [(z, c.bound) for z, c in counts if not c.errors]
-    if free:
+def draw_rates(axes: Axes, counts: Sequence[tuple[float, Count]], label: str, **style: Any) -> None:
+    """Draw error rates: those measured with 95 % intervals and a line, bounds as arrows that no line joins.
+
+    Parameters
+    ----------
+    axes
+        Where to draw, with a logarithmic scale.
+    counts
+        Distances in m with errors and trials; those without trials are left out.
+    label
+        What the legend calls them.
+    style
+        Style of `matplotlib.axes.Axes.errorbar`, with a colour.
+    """
+    counts = [(z, count) for z, count in counts if count.trials]
+    if not counts:
+        return
+    style = {"marker": "o", "label": label} | style
+    met = [(z, c.rate, *c.interval()) for z, c in counts if c.errors]
+    z, rate, low, high = np.array(met).reshape(-1, 4).T
+    axes.errorbar(z, rate, (rate - low, high - rate), **style)
+    if free := [(z, c.bound) for z, c in counts if not c.errors]:
         z, bound = np.array(free).T
-        label = None if seen else name
-        axes.plot(z, bound, color=colour, marker=r"$\downarrow$", ms=9, ls="none", alpha=0.7, label=label)
+        axes.plot(z, bound, color=style["color"], marker=ARROW, ms=8, ls="none", alpha=0.7, gid=BOUND)
 
 
 def _tidy_all(figure: Figure) -> None:

@@ -163,7 +163,9 @@ class Report:
         )
         page = f"<!doctype html><html lang=en><head>{head}<style>{STYLE}</style></head><body>"
         title = f"<h1>{escape(self._title)}</h1>\n{self._contents()}\n"
-        write_whole(path, (page + title + "\n".join(self._parts) + "</body></html>\n").encode())
+        write_whole(
+            path, (page + title + "\n".join(self._parts) + "</body></html>\n").encode(errors="backslashreplace")
+        )
 
     def _contents(self) -> str:
         """A list of the sections, where there are several."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from heliograph.base import registry
-from heliograph.base.errors import MediaError, SettingsError
+from heliograph.base.errors import MediaError, SettingsError, printable
 from heliograph.base.files import write_whole
 from heliograph.experiments.report import Report
 from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
@@ -87,7 +87,11 @@ def recordings_in(folder: Path | None) -> dict[str, Any]:
     """
     if folder is None:
         return {}
-    clips = {path.stem: path for path in sorted((folder / CLIPS).glob("*.mp4"))}
+    films = sorted(path for path in (folder / CLIPS).glob("*") if path.suffix.lower() == ".mp4")
+    clips = dict[str, Path]()
+    for path in films:
+        name = printable(path.stem)
+        clips[printable(path.name) if name in clips else name] = path
     if not clips:
         raise MediaError(f"{folder} has no {CLIPS}/*.mp4; give a folder of recordings, or none to use a drawn scene")
     imu = folder / IMU

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import HeliographError, MediaError, brief
-from heliograph.base.files import clear_write_errors, whole_file
+from heliograph.base.files import clear_write_errors, path_beside, whole_file
 from heliograph.channel import NoiseModel, Truth
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Messages
@@ -74,14 +74,14 @@ def row_type(arrays: int) -> np.dtype[Any]:
 
 
 def truth_path(film: Path) -> Path:
-    """Name of the truth file of a film: FILM.truth.npz.
+    """Return the name of a film's truth file: FILM.truth.npz, cut where file systems allow no such length.
 
     Parameters
     ----------
     film
         Name of the film, which need not exist.
     """
-    return film.with_name(film.name + ".truth.npz")
+    return path_beside(film, ".truth.npz")
 
 
 class TruthWriter:
@@ -106,9 +106,9 @@ class TruthWriter:
         self._path, self._settings, self._messages = path, settings, messages
         self._seed, self._film_id = seed, film_id
         self._type = row_type(len(settings.channel.arrays))
-        if path.is_dir():
-            raise MediaError(f"{path} is a folder: move it away, the film's truth goes there")
         with clear_write_errors(path):
+            if path.is_dir():
+                raise MediaError(f"{path} is a folder: move it away, the film's truth goes there")
             self._rows = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115 - lives as long as the writer
         self._count = 0
 

@@ -9,7 +9,7 @@ from typing import Any
 from heliograph.base.errors import MediaError, shown
 from heliograph.media import arrays, hdf5, hdf5_write, images, phantom, photron, tiff, video_read, video_write
 from heliograph.media.arrays import ArrayReader
-from heliograph.media.live.reader import LiveReader, is_camera
+from heliograph.media.live.reader import LiveReader, film_path, is_camera
 from heliograph.media.live.settings import CameraSettings, camera_settings
 from heliograph.media.phantom import PhantomReader
 from heliograph.media.photron import PhotronReader
@@ -248,7 +248,7 @@ def checked_path(path: object) -> Path:
     """
     if not isinstance(path, (str, os.PathLike)):
         raise MediaError(f"a film's path is text or a pathlib.Path, not {shown(path)}")
-    return Path(path)
+    return film_path(path)
 
 
 def _codec(

@@ -214,8 +214,12 @@ def _pair(path: Path) -> tuple[Path, Path]:
 
 
 def _beside(path: Path, suffixes: tuple[str, ...]) -> Path | None:
-    cased = (name for suffix in suffixes for name in (suffix, suffix.upper()))
-    return next((found for name in cased if (found := path.with_suffix(name)).is_file()), None)
+    try:
+        # of two names that differ in case alone the one in small letters comes last, and stays
+        held = {file.suffix.lower(): file for file in sorted(path.parent.iterdir()) if file.stem == path.stem}
+    except OSError as error:
+        raise MediaError(f"cannot read the folder {path.parent}: {error.strerror}") from error
+    return next((held[suffix] for suffix in suffixes if suffix in held and held[suffix].is_file()), None)
 
 
 def _check_length(frames: Path, header: Path, head: PhotronHeader) -> None:

@@ -5,14 +5,15 @@ import errno
 import os
 import queue
 import threading
-import uuid
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
 import numpy as np
 
+from heliograph.base import files
 from heliograph.base.errors import MediaError, shown
+from heliograph.base.files import clear_write_errors
 from heliograph.base.frames import Frame
 from heliograph.media.record import FilmSpec
 
@@ -241,13 +242,14 @@ def partial_path(target: Path) -> Path:
     Raises
     ------
     MediaError
-        The target is a folder, or its folder does not exist.
+        The target is a folder, its folder does not exist, or its name is too long.
     """
-    if target.is_dir():
-        raise MediaError(f"{target} is a folder: give the film a file name in it")
-    if not target.parent.is_dir():
-        raise MediaError(f"the folder {target.parent} does not exist: create it first")
-    return target.with_name(f".{target.stem}.{uuid.uuid4().hex[:8]}.partial{target.suffix}")
+    with clear_write_errors(target):
+        if target.is_dir():
+            raise MediaError(f"{target} is a folder: give the film a file name in it")
+        if not target.parent.is_dir():
+            raise MediaError(f"the folder {target.parent} does not exist: create it first")
+        return files.partial_path(target, target.suffix)
 
 
 def write_error(error: Exception, target: Path) -> MediaError:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from heliograph.base.files import shown_name
 from heliograph.base.words import counted
 from heliograph.experiments.report import Report
 from heliograph.probe import pictures
@@ -26,7 +27,7 @@ def write_page(path: Path, found: Findings) -> None:
     MediaError
         The file cannot be written.
     """
-    page = Report(f"Probe of {Path(found.path).name}")
+    page = Report(f"Probe of {shown_name(found.path)}")
     page.text(_verdict(found))
     if found.advice:
         page.heading("What to change")

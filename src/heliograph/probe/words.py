@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from math import isfinite
 from typing import Any
 
+from heliograph.base.errors import printable
 from heliograph.base.words import counted
 from heliograph.probe.arrays import ArraySeen
 from heliograph.probe.causes import Cause, RegionSeen
@@ -34,7 +35,8 @@ def lines(found: Findings) -> Iterator[str]:
     found
         What a film tells.
     """
-    yield f"{found.path}: {counted(found.times.count, 'frame')} of {found.width}x{found.height} px, {found.bits} bits"
+    size = f"{found.width}x{found.height} px, {found.bits} bits"
+    yield f"{printable(found.path)}: {counted(found.times.count, 'frame')} of {size}"
     yield f"stamps: {_stamps(found)}"
     yield f"light: {_light(found)}"
     yield f"levels: {_levels(found)}"

@@ -21,14 +21,21 @@ RATES = {
 
 MARKS = "osD^vP*X"
 
+ARROW = r"$\downarrow$"
+"""Mark of an upper bound."""
+
+BOUND, MISSED = "no error met: the rate is below (95 %)", "no packet found"
+"""Ids of bounds and of missed arrays in axes, and what a legend says of them."""
+
 
 def plot_rates(
     data: "xarray.Dataset", rate: str = "fer", along: str | None = None, axes: "Axes | None" = None
 ) -> "Axes":
     """Draw an error rate of a sweep over one of its keys, a line for each layer and each choice of the other keys.
 
-    Each point has its 95 % interval. An arrow down from a point means that no error was met: the rate is below it. A
-    cross at the lower edge marks a choice at which no packet was found at all, so that its rate says nothing of a link.
+    Lines join measured rates, each with its 95 % interval. An open mark with an arrow down is an upper bound: no error
+    was met. A cross at the lower edge marks a choice at which no packet was found, so that its rate says nothing of a
+    link. The legend explains arrows and crosses.
 
     Parameters
     ----------
@@ -76,8 +83,27 @@ def plot_rates(
     unit = data[key].attrs.get("units", "1")
     axes.set(xlabel=key if unit == "1" else f"{key} ({unit})", ylabel=RATES[rate], yscale="log")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small")
+    axes.legend(*legend_entries(axes), fontsize="small")
     return axes
+
+
+def legend_entries(axes: "Axes") -> tuple[list[Any], list[str]]:
+    """Return what a legend shows of axes with error rates: all labels, and what arrows and crosses mean.
+
+    Parameters
+    ----------
+    axes
+        Axes in which bounds and missed arrays have `BOUND` and `MISSED` as their id.
+    """
+    from matplotlib.lines import Line2D
+
+    handles, labels = axes.get_legend_handles_labels()
+    drawn = {line.get_gid() for line in axes.lines}
+    for note, marker in ((BOUND, ARROW), (MISSED, "x")):
+        if note in drawn:
+            handles.append(Line2D([], [], color="k", ls="none", marker=marker))
+            labels.append(note)
+    return handles, labels
 
 
 def _along(data: "xarray.Dataset", keys: list[str]) -> str:
@@ -88,19 +114,21 @@ def _along(data: "xarray.Dataset", keys: list[str]) -> str:
 
 
 def _line(axes: "Axes", part: Any, rate: str, key: str, label: str, style: tuple[int, int]) -> None:
-    """A line of points: errors with intervals, arrows for bounds, crosses where nothing was found."""
+    """Draw measured rates with intervals and a line, bounds with arrows, and crosses where nothing was found."""
     layer, number = style
     x, y = part[key].values, part[rate].values
     low, high = part[f"{rate}_low"].values, part[f"{rate}_high"].values
     bound, found = part[f"{rate}_is_bound"].values.astype(bool), part["detected"].values > 0
-    shown = np.where(bound, high, y)
     counted = ~np.isnan(y) & found
     look: dict[str, Any] = {"color": f"C{layer}", "marker": MARKS[number % len(MARKS)]}
-    axes.plot(x[counted], shown[counted], lw=1, label=label, **look)
     seen = counted & ~bound
+    axes.plot(x[seen], y[seen], lw=1, label=label, **look)
     axes.errorbar(x[seen], y[seen], [y[seen] - low[seen], high[seen] - y[seen]], fmt="none", ecolor=f"C{layer}", lw=1)
     bounds = counted & bound
-    reach = [shown[bounds] * 0.5, np.zeros(bounds.sum())]
-    axes.errorbar(x[bounds], shown[bounds], reach, fmt="none", ecolor=f"C{layer}", uplims=True, lw=1)
+    if bounds.any():
+        reach = [high[bounds] * 0.5, np.zeros(bounds.sum())]
+        axes.plot(x[bounds], high[bounds], ls="none", mfc="none", gid=BOUND, **look)
+        axes.errorbar(x[bounds], high[bounds], reach, fmt="none", ecolor=f"C{layer}", uplims=True, lw=1)
     if (~found).any():
-        axes.plot(x[~found], np.full((~found).sum(), 0.02), "x", color="k", transform=axes.get_xaxis_transform())
+        edge = np.full((~found).sum(), 0.02)
+        axes.plot(x[~found], edge, "x", color="k", gid=MISSED, transform=axes.get_xaxis_transform())

@@ -1,12 +1,12 @@
 """The server's part of page *Watch*: what may be watched, and the WebSocket that shows it."""
 
 import contextlib
-from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, WebSocket, WebSocketDisconnect
 from fastapi.concurrency import run_in_threadpool
 
+from heliograph.base.files import shown_name
 from heliograph.link.settings import PRESETS
 from heliograph.media.live.listing import cameras_there
 from heliograph.media.live.reader import is_camera
@@ -29,7 +29,7 @@ async def sources(shared: Ours) -> dict[str, Any]:
     shared
         What the pages share.
     """
-    named = [film if is_camera(film) else Path(film).name for film in shared.films]
+    named = [film if is_camera(film) else shown_name(film) for film in shared.films]
     presets = [{"name": name, "text": text} for name, (text, _) in PRESETS.items()]
     return {"named": named, "presets": presets, "receivers": list(RECEIVERS.names())}
 

@@ -15,6 +15,7 @@ from heliograph.experiments.plots import LAYER_COLOURS
 from heliograph.measure.counts import Layers
 from heliograph.measure.statistics import Clustered, Count
 from heliograph.signal.settings import LAYERS
+from heliograph.sweeps.plot import legend_entries
 
 LEAST_SHOWN = 1e-6
 """Least bit error rate that is drawn; intervals may reach lower. Chosen."""
@@ -62,7 +63,10 @@ def _rates_picture(static: CountsByDistance, driving: CountsByDistance, keyed: C
         row[0].set_ylim(max(row[0].get_ylim()[0], LEAST_SHOWN), 1.5)
     for axes in places[1]:
         axes.set_xlabel("distance (m)")
-    handles, labels = places[0][0].get_legend_handles_labels()
+    entries = [legend_entries(axes) for axes in places.flat]
+    # the first place has all systems, and any place may have bounds
+    named = {label: handle for handles, labels in entries for label, handle in zip(labels, handles, strict=True)}
+    handles, labels = list(named.values()), list(named)
     figure.tight_layout(rect=(0, 0.05, 1, 1))
     if handles:
         figure.legend(handles, labels, ncols=len(labels), frameon=False, loc="lower center")
@@ -79,17 +83,9 @@ def _draw(
     aside_m: float = 0.0,
 ) -> None:
     counts = [(z + aside_m, count(layers)) for z, layers in sorted(sums.places.items())]
-    met = [(z, c.rate, *c.interval()) for z, c in counts if c.errors]
     style: dict[str, Any] = {"color": colour, "ls": dashes, "lw": 1.2, "capsize": 2}
     style |= {"marker": "s", "mfc": "none", "ms": 6} if dashes == "none" else {"marker": "o", "ms": 4, "lw": 1.8}
-    if met:
-        z, rate, low, high = np.array(met).T
-        axes.errorbar(z, rate, (rate - low, high - rate), label=label, **style)
-    free = [(z, c.bound) for z, c in counts if c.trials and not c.errors]
-    if free:
-        z, bound = np.array(free).T
-        label = "" if met else label
-        axes.plot(z, bound, color=colour, marker=r"$\downarrow$", ms=8, ls="none", alpha=0.6, label=label or None)
+    plots.draw_rates(axes, counts, label, **style)
 
 
 def _ratio_picture(found: Sequence[Comparison]) -> Figure:

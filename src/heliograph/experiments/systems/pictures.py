@@ -2,13 +2,12 @@
 
 from collections.abc import Mapping
 
-import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from heliograph.experiments import plots
-from heliograph.experiments.systems.curves import CURVES, Points, SystemCurve
+from heliograph.experiments.systems.curves import CURVES, Points
 from heliograph.experiments.systems.verdicts import KASASHIMA_M
+from heliograph.sweeps.plot import legend_entries
 
 CAPTION = (
     "Bit error rate before any code; 95 % intervals; an arrow is a bound (3/n), no error met. Upright lines: 40 m and "
@@ -32,12 +31,13 @@ def error_rates(points: Mapping[str, Points]) -> Figure:
             (right, curve.scheme == "haar" or curve.name == CURVES[0].name),
         ):
             if shown:
-                _draw(axes, curve, points[curve.name])
+                style = {"color": curve.colour, "ls": curve.dashes, "ms": 3, "lw": 1.2}
+                plots.draw_rates(axes, points[curve.name], curve.name, **style)
     for axes, title in ((left, "on-off keying, inverse and repetition"), (right, "the hierarchical code")):
         axes.set_title(title, fontsize=10)
         axes.set_xlabel("distance (m)")
         plots.tidy(axes)
-        axes.legend(frameon=False, fontsize=8, loc="lower right")
+        axes.legend(*legend_entries(axes), frameon=False, fontsize=8, loc="lower right")
     for z in KASASHIMA_M.values():
         left.axvline(z, color=plots.LIGHT_GRAY, lw=1, zorder=0)
     left.set_yscale("log")
@@ -45,16 +45,3 @@ def error_rates(points: Mapping[str, Points]) -> Figure:
     left.set_ylabel("bit error rate")
     figure.tight_layout()
     return figure
-
-
-def _draw(axes: Axes, curve: SystemCurve, points: Points) -> None:
-    met = [(z, c.rate, *c.interval()) for z, c in points if c.errors]
-    if met:
-        z, rate, low, high = np.array(met).T
-        bars = (rate - low, high - rate)
-        axes.errorbar(z, rate, bars, color=curve.colour, ls=curve.dashes, marker="o", ms=3, lw=1.2, label=curve.name)
-    free = [(z, c.bound) for z, c in points if c.trials and not c.errors]
-    if free:
-        z, bound = np.array(free).T
-        label = None if met else curve.name
-        axes.plot(z, bound, color=curve.colour, marker=r"$\downarrow$", ms=7, ls="none", alpha=0.7, label=label)

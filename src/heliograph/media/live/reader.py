@@ -1,5 +1,6 @@
 """A live camera as a film: its frames as they come."""
 
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -135,14 +136,27 @@ class LiveReader(FilmReader):
 
 
 def is_camera(path: Any) -> bool:
-    """Return whether a film's name is that of a live camera.
+    """Return True if a film's name is that of a live camera, and no file has that name.
 
     Parameters
     ----------
     path
+        What was given for a film, as `film_path` returns it.
+    """
+    return str(path).startswith(PREFIX) and not os.path.lexists(path)
+
+
+def film_path(text: str | os.PathLike[str]) -> Path:
+    """Return the path of a film or the name of a camera; ``./camera:x`` names a file although `Path` drops the folder.
+
+    Parameters
+    ----------
+    text
         What was given for a film.
     """
-    return str(path).startswith(PREFIX)
+    path = Path(text)
+    named_file = str(path).startswith(PREFIX) and not os.fspath(text).startswith(PREFIX)
+    return path.absolute() if named_file else path
 
 
 def live_of(film: FilmReader) -> LiveReader | None:

@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from heliograph.base.config import from_mapping, merge, to_mapping
-from heliograph.base.errors import HeliographError, SettingsError
+from heliograph.base.errors import HeliographError, SettingsError, printable
+from heliograph.base.files import shown_name
 from heliograph.base.toml_text import parse_assignment
 from heliograph.link.film import FrameSource, frames_of
 from heliograph.link.notes import check_truth, signal_of
@@ -130,7 +131,7 @@ def opened(asked: Asked, shared: Shared) -> Iterator[Source]:
             path, name = stack.enter_context(shared.uploads.reading(asked.film)), "the film"
         elif asked.kind == "named":
             path = Path(_numbered(shared.films, asked.number, "film"))
-            name = path.name
+            name = shown_name(path)
         else:
             name = _numbered(shared.cameras, asked.number, "camera")
             path = Path(name)
@@ -144,9 +145,9 @@ def _named(path: Path, name: str) -> Iterator[None]:
     try:
         yield
     except HeliographError as error:
-        if str(path) not in str(error):
+        if printable(str(path)) not in str(error):
             raise
-        raise type(error)(str(error).replace(str(path), name)) from error
+        raise type(error)(str(error).replace(printable(str(path)), name)) from error
 
 
 @contextlib.contextmanager

@@ -1,0 +1,98 @@
+"""File names of any bytes on the command line: one line for each result and error, whatever the name has in it."""
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runs import called, failed, heliograph, within
+
+from heliograph.base.frames import Frame
+from heliograph.cli import console, options
+from heliograph.experiments.report import Report
+from heliograph.experiments.reproduce import recordings_in
+from heliograph.media import create_film
+
+ODD = os.fsdecode(b"-caf\xe9\n\x1b[31m 'q\" #%?\xe2\x80\xae.H5")
+SHOWN = r"""-caf\xe9\n\x1b[31m 'q" #%?\u202e.H5"""
+
+
+def write(path: Path) -> Path:
+    with create_film(path, width=16, height=16, rate_hz=1000) as film:
+        for number in range(20):
+            film.write(Frame(number, number / 1000, np.full((16, 16), 90, np.uint8)))
+    return path
+
+
+def test_results_and_errors_name_a_film_on_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / ODD)
+    line = failed(called("receive", "--output", "results", "--", ODD, capfd=capfd, monkeypatch=monkeypatch))
+    assert line.startswith(f"heliograph: {SHOWN} has 20 frames")
+    assert json.loads(Path("results/summary.json").read_bytes())["film"] == ODD
+    assert line.endswith(json.loads(Path("results/summary.json").read_bytes())["error"])
+
+    run = called("probe", "--output", "seen", "--", ODD, capfd=capfd, monkeypatch=monkeypatch)
+    assert run.returncode == 3, run.stderr
+    assert run.stdout.startswith(f"{SHOWN}: 20 frames")
+    assert "<title>Probe of -caf\\xe9\\n" in Path("seen/probe.html").read_text(encoding="utf-8")
+
+    for command in ("receive", "probe"):
+        line = failed(called(command, "--", f"no{ODD}", capfd=capfd, monkeypatch=monkeypatch))
+        assert line == f"heliograph: there is no file no{SHOWN}: check the name"
+
+    run = called("receive", "--workers", 1, "--", ODD, f"no{ODD}", capfd=capfd, monkeypatch=monkeypatch)
+    assert [json.loads(row)["film"] for row in run.stdout.splitlines()] == [ODD, f"no{ODD}"]
+
+    run = called("convert", f"./{ODD}", f"to{ODD}", capfd=capfd, monkeypatch=monkeypatch)
+    assert run.stdout == f"to{SHOWN}: 20 frames\n"
+
+
+@pytest.mark.slow
+def test_a_stream_that_lacks_letters_of_a_name_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path / "試.h5")
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii:strict")
+    run = heliograph("convert", "試.h5", "験.h5", cwd=tmp_path)
+    assert (run.returncode, run.stdout) == (0, "\\u9a13.h5: 20 frames\n")
+
+
+def test_a_film_named_like_a_camera_is_a_film(tmp_path: Path) -> None:
+    write(tmp_path / "camera:x.h5")
+    for name in ("./camera:x.h5", "camera:x.h5"):
+        assert failed(within(tmp_path, "receive", name)).startswith("heliograph: ")
+        assert within(tmp_path, "convert", name, "a.h5").stdout == "a.h5: 20 frames\n"
+    assert "there is no file" in failed(within(tmp_path, "convert", "./camera:y.h5", "a.h5"))
+
+
+@pytest.mark.parametrize("name", ["a.h5", "a b.h5", "-x.h5", "it's.h5", "$(rm x)`", ODD, "試.h5", "caf\udce9b\\n.h5"])
+def test_a_name_in_a_command_that_is_shown_is_that_of_the_file(name: str) -> None:
+    script = f"printf '%s\\0' {console.argument(Path(name))}"
+    out = subprocess.run(["bash", "-c", script], capture_output=True, check=True).stdout
+    assert out == os.fsencode(f"./{name}" if name.startswith("-") else name) + b"\0"
+
+
+def test_text_and_file_names_that_are_not_utf_8_are_sent(tmp_path: Path) -> None:
+    assert options.message_of("high", os.fsdecode(b"caf\xe9")) == b"caf\xe9"
+    path = tmp_path / os.fsdecode(b"caf\xe9" + b"n" * 251)
+    path.write_bytes(b"x")
+    assert options.file_of(path, "cauchy").name == "caf_" + "n" * 251
+
+
+def test_a_report_takes_any_text(tmp_path: Path) -> None:
+    report = Report("caf\udce9")
+    report.text("\ud800")
+    report.write(tmp_path / "a.html")
+    assert "caf\\udce9" in (tmp_path / "a.html").read_text(encoding="utf-8")
+
+
+def test_recordings_may_have_any_name_and_suffix(tmp_path: Path) -> None:
+    (tmp_path / "driving").mkdir()
+    for name in ("caf\udce9.Mp4", "a.mp4", "a.MP4", "b.txt"):
+        (tmp_path / "driving" / name).touch()
+    clips = recordings_in(tmp_path)["clips"]
+    assert sorted(clips) == ["a", "a.mp4", "caf\\xe9"]
+    assert sorted(path.name for path in clips.values()) == ["a.MP4", "a.mp4", "caf\udce9.Mp4"]

@@ -1,0 +1,29 @@
+"""Plots of error rates: lines join measured rates, arrows stand apart."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from heliograph.experiments import plots
+from heliograph.measure.counts import LayerCounts
+from heliograph.measure.statistics import Count
+from heliograph.signal.settings import LAYERS
+from heliograph.sweeps.plot import ARROW, BOUND, legend_entries
+
+
+def test_no_line_joins_a_bound() -> None:
+    axes = Figure().add_subplot()
+    counts = [(40.0, Count(100, 0)), (60.0, Count(100, 5)), (80.0, Count(0, 0)), (100.0, Count(10, 0))]
+    plots.draw_rates(axes, counts, "soft", color="C0")
+    joined = [line for line in axes.lines if line.get_linestyle() != "None"]
+    assert [np.asarray(line.get_xdata()).tolist() for line in joined] == [[60.0]]
+    (bounds,) = (line for line in axes.lines if line.get_marker() == ARROW)
+    assert np.asarray(bounds.get_ydata()).tolist() == [0.03, 0.3]
+    assert legend_entries(axes)[1] == ["soft", BOUND]
+
+
+def test_a_system_without_any_error_keeps_its_place_in_the_legend() -> None:
+    bins = {40.0: {name: LayerCounts(raw_bits=1000) for name in LAYERS}}
+    before, _ = plots.errors_by_distance(bins).axes
+    legend = before.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == [*LAYERS, BOUND]
