@@ -15,6 +15,7 @@ from heliograph.media import (
     images,
     phantom,
     photron,
+    raw_dumps,
     tiff,
     video_read,
     video_write,
@@ -163,6 +164,8 @@ def _opened(path: Path, reading: Reading) -> FilmReader:
     named = next((kind for kind in _KINDS if path.suffix.lower() in kind.suffixes), None)
     # raw frames may begin with any bytes
     kind = named if named and not named.signatures else told or named
+    if kind is None:
+        raw_dumps.check_header(path)
     return kind.open(path, reading) if kind else video_read.VideoReader(path, reading)
 
 
