@@ -229,7 +229,7 @@ def test_a_cut_film_keeps_the_json_whole(stock: Path, call: Call) -> None:
 
 def test_a_film_of_one_frame_is_too_short(stock: Path, call: Call, tmp_path: Path) -> None:
     run = call("receive", stock / "one.mkv", "--output", "out")
-    assert "has 1 frame; a packet takes 100" in failed(run)
+    assert "has 1 frame; a packet takes 100: give a film, a stack, or the folder of all its pictures" in failed(run)
     assert "1 frame in" in run.stdout
     assert "no array found" in run.stdout
     assert names(tmp_path / "out") == ["packets.jsonl", "summary.json"]

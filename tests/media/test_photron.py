@@ -90,7 +90,7 @@ def test_a_cut_file_gives_its_whole_frames_first(tmp_path: Path, word: int, lost
     ({"width": 1 << 30, "height": 1 << 30}, "frames of 1073741824x1073741824 pixels"),
     ({"height": -6}, "'-6' for its image height"),
     ({"width": "wide"}, "'wide' for its image width"),
-    ({"frames": ""}, "'' for its total frame"),
+    ({"frames": ""}, "does not state its total frame: copy the header that was saved"),
     ({"frames": 4}, "has 300 bytes, and a.cih says 4 frames of 60"),
     ({"frames": 0}, "says 0 frames"),
     ({"word": 10, "written": 8}, "mono of 10 bits, and gray of 8, 12 or 16"),
@@ -109,6 +109,41 @@ def test_headers_that_say_what_is_not_so(tmp_path: Path, said: dict[str, Any], s
         text = text[:start] + f"{lines[key]} : {value}" + text[text.index("\n", start) :]
     path.with_suffix(".cih").write_text(text)
     assert says in refused(path)[1]
+
+
+@pytest.mark.parametrize("header", [".cih", ".cihx"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp932", "latin-1"])
+@pytest.mark.parametrize("ending", ["\n", "\r\n", "\r"])
+def test_headers_in_any_encoding(tmp_path: Path, header: str, encoding: str, ending: str) -> None:
+    levels = noise(3, 6, 10, 8)
+    name = "Gr\u00f6\u00dfe 5 \u00b5m" if encoding == "latin-1" else "\u9ad8\u901f\u30ab\u30e1\u30e9"
+    path = write_mraw(tmp_path / "a.mraw", levels, 8, 8, header)
+    data = path.with_suffix(header).read_bytes()
+    start, end = (data.find(b"<cih>"), data.find(b"</cih>") + 6) if header == ".cihx" else (0, len(data))
+    text = data[start:end].decode().replace("FASTCAM Mini", name).replace("\n", ending)
+    around = (b"\x01\x02" * 8, b"\0\0") if header == ".cihx" else (b"", b"\0\0")
+    path.with_suffix(header).write_bytes(around[0] + text.encode(encoding) + around[1])
+    with open_film(path) as film:
+        assert (film.width, film.height, film.rate_hz) == (10, 6, 1000)
+        assert film.metadata["camera"] == name
+        assert all(np.array_equal(frame.pixels, sent) for frame, sent in zip(film, levels, strict=True))
+
+
+@pytest.mark.parametrize("line", ["Image Width", "Image Height", "Total Frame", "Color Bit"])
+def test_a_line_that_a_header_lacks_is_named(tmp_path: Path, line: str) -> None:
+    path = write_mraw(tmp_path / "a.mraw", noise(2, 6, 10, 8), 8, 8)
+    text = path.with_suffix(".cih").read_text()
+    path.with_suffix(".cih").write_text("".join(row for row in text.splitlines(True) if not row.startswith(line)))
+    says = refused(path)[1]
+    assert f"does not state its {line.lower()}: copy the header that was saved with the frames, or add it" in says
+
+
+def test_packed_levels_under_a_header_of_words(tmp_path: Path) -> None:
+    """Read as words they are above the stated depth."""
+    path = write_mraw(tmp_path / "a.mraw", noise(4, 6, 10, 12), 12, 12)
+    text = path.with_suffix(".cih").read_text()
+    path.with_suffix(".cih").write_text(text.replace("Color Bit : 12", "Color Bit : 16"))
+    assert "and its header says 12 bits" in refused(path)[1]
 
 
 @pytest.mark.parametrize("rate", [0, float("nan"), -5])

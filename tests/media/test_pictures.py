@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from made_recordings import Levels, noise, write_pictures, write_tiff
+from PIL import Image
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
@@ -147,8 +148,9 @@ def test_a_picture_that_claims_more_than_any_camera_has(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     head = b"IHDR" + struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0)
     chunk = struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
-    (tmp_path / "a" / "1.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
-    assert "frames of 60000x60000 pixels" in refused(tmp_path / "a")[1]
+    data = struct.pack(">I", 1) + b"IDATx" + struct.pack(">I", zlib.crc32(b"IDATx"))
+    (tmp_path / "a" / "1.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk + data)
+    assert "1.png claims more pixels than any camera has" in refused(tmp_path / "a")[1]
 
 
 @pytest.mark.parametrize("dtype", ["u1", "<u2", ">u2"])
@@ -274,7 +276,8 @@ def test_a_picture_that_claims_more_pixels_than_any_camera(tmp_path: Path, suffi
             wrong = struct.pack("<HHI", tag, 3, 1) + struct.pack("<I", 30000)
             data = data.replace(struct.pack("<HHI", tag, 3, 1) + struct.pack("<I", number), wrong, 1)
     path.write_bytes(data)
-    assert "has frames of 30000x30000 pixels" in refused(folder)[1]
+    says = "claims more pixels than any camera has" if suffix == ".jpg" else "has frames of 30000x30000 pixels"
+    assert says in refused(folder)[1]
 
 
 def test_an_array_of_negative_lengths(tmp_path: Path) -> None:
@@ -340,4 +343,147 @@ def test_a_single_picture_is_one_frame(tmp_path: Path, name: str) -> None:
         assert (film.width, film.height, film.frame_count) == (96, 64, 1)
     want: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     assert np.array_equal(frame.pixels, want)
+    assert "has no clock" in refused(tmp_path / name, None)[1]
+
+
+@pytest.mark.parametrize("suffix", [".bmp", ".BMP", ".dib", ".pgm", ".pnm", ".pam", ".jpeg", ".png"])
+def test_pictures_of_all_kinds_in_a_folder(tmp_path: Path, suffix: str) -> None:
+    levels = np.full((3, 16, 24), 77, np.uint8) if suffix == ".jpeg" else noise(3, 16, 24, 8)
+    folder = tmp_path / "a"
+    folder.mkdir()
+    kind = {".dib": ".bmp", ".pnm": ".pgm"}.get(suffix, suffix.lower())
+    for number, picture in enumerate(levels):
+        (folder / f"shot {number}{suffix}").write_bytes(cv2.imencode(kind, picture)[1].tobytes())
+    for other in ("Thumbs.db", "desktop.ini", "._shot 0.png", ".DS_Store"):
+        (folder / other).write_bytes(b"of the system")
+    for path in (folder, folder / f"shot %d{suffix}"):
+        with open_film(path, rate_hz=100) as film:
+            assert same(list(film), levels)
+
+
+def test_webp_in_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    picture = Image.fromarray(np.full((16, 24, 3), 77, np.uint8))
+    for number in range(3):
+        picture.save(tmp_path / "a" / f"{number}.webp", lossless=True)
+    with open_film(tmp_path / "a", rate_hz=100) as film:
+        assert same(list(film), np.full((3, 16, 24), 77, np.uint8))
+
+
+def test_suffixes_of_one_kind_belong_together(tmp_path: Path) -> None:
+    folder = write_pictures(tmp_path / "a", np.full((4, 16, 24), 77, np.uint8), "%d.jpg")
+    (folder / "2.jpg").rename(folder / "2.JPEG")
+    (folder / "3.jpg").rename(folder / "3.jpe")
+    with open_film(folder, rate_hz=100) as film:
+        assert len(list(film)) == 4
+
+
+@pytest.mark.parametrize("digit", ["\u2460", "\u00b2", "\u2074", "\u0968", "\U0001d7d8", "\uff11", "\u09f4", "\u4e00"])
+def test_digits_of_other_scripts_in_names(tmp_path: Path, digit: str) -> None:
+    """Some are digits to `str.isdigit` and none to `int`."""
+    levels = noise(12, 6, 10, 8)
+    for name in (f"{digit}%d.png", f"a{digit}b%d.png", f"%d{digit}.png"):
+        folder = write_pictures(tmp_path / name[0:2], levels, name, first=0)
+        with open_film(folder, rate_hz=100) as film:
+            assert same(list(film), levels)
+        with open_film(folder / name, rate_hz=100) as film:
+            assert same(list(film), levels)
+        for path in folder.iterdir():
+            path.unlink()
+
+
+def test_names_that_are_not_utf_8(tmp_path: Path) -> None:
+    folder = write_pictures(tmp_path / "a", noise(3, 6, 10, 8), "img%d.png")
+    for number in (1, 2, 3):
+        os.rename(folder / f"img{number}.png", os.fsencode(folder) + b"/\xff%d.png" % number)
+    with open_film(folder, rate_hz=100) as film:
+        assert same(list(film), noise(3, 6, 10, 8))
+
+
+@pytest.mark.parametrize("suffix", [".bmp", ".pgm", ".webp", ".png", ".jpg", ".tif"])
+def test_a_cut_picture_of_any_kind_is_one_line(tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "a"
+    folder.mkdir()
+    data = cv2.imencode(suffix, noise(1, 20, 30, 8)[0])[1].tobytes()
+    (folder / f"1{suffix}").write_bytes(data)
+    (folder / f"2{suffix}").write_bytes(data[: len(data) // 2])
+    got, says = refused(folder)
+    assert len(got) == 1
+    assert f"2{suffix}" in says
+    if hasattr(cv2.utils, "logging"):  # older OpenCV writes of what it cannot read whatever its level of logging
+        assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("largest", [1023, 4095, 65535])
+def test_the_largest_level_of_a_pgm_states_its_bits(tmp_path: Path, largest: int) -> None:
+    levels = noise(2, 6, 10, largest.bit_length())
+    (tmp_path / "a").mkdir()
+    for number, picture in enumerate(levels):
+        head = b"P5\n# of a camera\n10 6\n%d\n" % largest
+        (tmp_path / "a" / f"{number}.pgm").write_bytes(head + picture.astype(">u2").tobytes())
+    with open_film(tmp_path / "a", rate_hz=100) as film:
+        assert film.bits == largest.bit_length()
+        assert same(list(film), levels)
+    wrong = b"P5 10 6 255\n" + bytes(60) + b"P5 10 6 255\n" + bytes(60)
+    (tmp_path / "a" / "1.pgm").write_bytes(wrong)
+    assert "1.pgm holds several pictures, not one" in refused(tmp_path / "a")[1]
+
+
+def test_a_pgm_above_its_largest_level(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "1.pgm").write_bytes(b"P5 10 6 1023\n" + np.full(60, 1024, ">u2").tobytes())
+    assert "a gray level of 1024 after 0 whole frames, and its header says 10 bits" in refused(tmp_path / "a")[1]
+
+
+def animated(path: Path, levels: Levels, durations_ms: list[int], mode: str = "L") -> Path:
+    images = [Image.fromarray(picture).convert(mode) for picture in levels]
+    images[0].save(path, save_all=True, append_images=images[1:], duration=durations_ms, lossless=True)
+    return path
+
+
+@pytest.mark.parametrize(("name", "mode"), [
+    ("a.gif", "L"), ("a.gif", "P"), ("a.png", "L"), ("a.png", "RGB"), ("a.webp", "RGB"), ("a.WEBP", "RGB"),
+])  # fmt: skip
+def test_animated_pictures_have_all_frames_at_their_times(tmp_path: Path, name: str, mode: str) -> None:
+    levels = np.repeat(np.arange(0, 240, 40, dtype=np.uint8), 16 * 24).reshape(6, 16, 24)
+    with open_film(animated(tmp_path / name, levels, [20, 20, 40, 20, 20, 20], mode)) as film:
+        got = list(film)
+        assert (film.frame_count, film.bits, film.rate_hz) == (6, 8, 50)
+    assert same(got, levels)
+    assert [frame.time_s for frame in got] == pytest.approx([0, 0.02, 0.04, 0.08, 0.1, 0.12])
+    assert [frame.index for frame in got] == [0, 1, 2, 4, 5, 6]
+
+
+def test_the_rate_that_is_given_scales_the_times_of_an_animation(tmp_path: Path) -> None:
+    path = animated(tmp_path / "a.png", noise(4, 16, 24, 8), [10] * 4)
+    with open_film(path, rate_hz=1000) as film:
+        assert [frame.time_s for frame in film] == pytest.approx([0, 0.001, 0.002, 0.003])
+
+
+def test_a_gif_of_10_ms_a_frame_keeps_its_times(tmp_path: Path) -> None:
+    with open_film(animated(tmp_path / "a.gif", noise(3, 16, 24, 8), [10] * 3)) as film:
+        assert [frame.time_s for frame in film] == pytest.approx([0, 0.01, 0.02])
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.png", "a.webp"])
+def test_a_cut_animation_is_one_line(tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
+    path = animated(tmp_path / name, noise(6, 16, 24, 8), [20] * 6, "RGB")
+    os.truncate(path, path.stat().st_size * 2 // 3)
+    says = refused(path)[1]
+    assert name in says
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.webp"])
+def test_an_animation_in_a_folder_is_not_taken_for_its_first_picture(tmp_path: Path, name: str) -> None:
+    animated(tmp_path / name, noise(6, 16, 24, 8), [20] * 6, "RGB")
+    assert f"{name} holds 6 pictures, not one: give it by its own name" in refused(tmp_path)[1]
+
+
+@pytest.mark.parametrize("name", ["a.bmp", "a.webp", "a.jp2", "lit%03d.bmp"])
+def test_a_single_still_is_one_frame(tmp_path: Path, name: str) -> None:
+    picture = np.full((16, 24), 77, np.uint8)
+    Image.fromarray(picture).convert("RGB").save(tmp_path / name, lossless=True)
+    with open_film(tmp_path / name, rate_hz=100) as film:
+        assert same(list(film), picture[np.newaxis])
     assert "has no clock" in refused(tmp_path / name, None)[1]

@@ -2,17 +2,19 @@
 
 import os
 import struct
+import zlib
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from made_recordings import Levels, noise, write_imagej, write_tiff
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.media import open_film, pictures, tiff
-from heliograph.media.tiff_pages import opened_stack
 
 
 def refused(path: Path) -> tuple[list[Frame], str]:
@@ -62,13 +64,6 @@ def test_opencv_s_own_stacks_plain_and_compressed(tmp_path: Path, compression: i
         assert film.frame_count == 7
 
 
-def test_a_stack_too_long_for_memory_is_read_page_by_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tiff, "_MOST_DECODED", 100)
-    levels = noise(4, 20, 30, 16)
-    with open_film(by_opencv(tmp_path / "a.tif", levels, 5), rate_hz=500) as film:
-        assert same(list(film), levels)
-
-
 def test_our_own_writer_is_right(tmp_path: Path) -> None:
     """What the tests write is a TIFF to OpenCV, too."""
     levels = noise(3, 6, 10, 16)
@@ -109,8 +104,8 @@ def test_a_damaged_page(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> No
     levels = noise(5, 20, 30, 8)
     path = by_opencv(tmp_path / "a.tif", levels, 5)
     data = bytearray(path.read_bytes())
-    with opened_stack(path) as stack:
-        places = [page.place for page in stack.pages()]
+    with tifffile.TiffFile(path) as stack:
+        places = [page.offset for page in stack.pages]
     data[places[2] : places[2] + 300] = b"\xff" * 300
     path.write_bytes(data)
     got, says = refused(path)
@@ -121,8 +116,8 @@ def test_a_damaged_page(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> No
 
 def test_pages_that_go_round_in_a_circle(tmp_path: Path) -> None:
     path = write_tiff(tmp_path / "a.tif", noise(3, 4, 4, 8))
-    with opened_stack(path) as stack:
-        first, *_, last = (page.place for page in stack.pages())
+    with tifffile.TiffFile(path) as stack:
+        first, *_, last = (page.offset for page in stack.pages)
     data = bytearray(path.read_bytes())
     struct.pack_into("<I", data, last + 2 + 9 * 12, first)
     path.write_bytes(data)
@@ -200,3 +195,229 @@ def test_white_at_level_0(tmp_path: Path, bits: int) -> None:
     )
     with open_film(tmp_path / "a.tif", rate_hz=10) as film:
         assert np.array_equal(next(iter(film)).pixels, ~levels[0])
+
+
+def write(path: Path, levels: Any, **options: Any) -> Path:
+    tifffile.imwrite(path, levels, **options)
+    return path
+
+
+@pytest.mark.parametrize("options", [
+    {"truncate": True}, {"truncate": True, "bigtiff": True, "byteorder": ">"}, {"truncate": True, "imagej": True},
+    {"imagej": True, "metadata": {"axes": "TYX"}}, {"imagej": True, "metadata": {"axes": "ZYX"}}, {"imagej": True},
+    {"ome": True, "metadata": {"axes": "TYX"}}, {"ome": True, "metadata": {"axes": "ZYX"}},
+    {"volumetric": True, "photometric": "minisblack"}, {"tile": (16, 16)}, {"rowsperstrip": 3},
+    {"compression": "zlib"}, {"compression": "zlib", "predictor": 2}, {"compression": "zlib", "tile": (16, 16)},
+    {"compression": "lzma", "byteorder": ">"},
+], ids=str)  # fmt: skip
+def test_frames_of_stacks_as_programs_write_them(tmp_path: Path, options: dict[str, Any]) -> None:
+    levels = noise(9, 20, 30, 16)
+    with open_film(write(tmp_path / "a.tif", levels, **options), rate_hz=10) as film:
+        assert film.frame_count == 9
+        assert same(list(film), levels)
+
+
+def test_a_stack_written_frame_by_frame(tmp_path: Path) -> None:
+    levels = noise(5, 20, 30, 8)
+    for contiguous in (False, True):
+        with tifffile.TiffWriter(tmp_path / "a.tif") as stack:
+            for picture in levels:
+                stack.write(picture, contiguous=contiguous)
+        with open_film(tmp_path / "a.tif", rate_hz=10) as film:
+            assert same(list(film), levels)
+
+
+def test_two_series_in_one_directory_each(tmp_path: Path) -> None:
+    levels = noise(8, 20, 30, 8)
+    data = [
+        write(tmp_path / "a.tif", part, truncate=True, photometric="minisblack").read_bytes()
+        for part in np.split(levels, 2)
+    ]
+    # the second directory and its data follow the first file; their places move by its length
+    moved = len(data[0])
+    with tifffile.TiffFile(tmp_path / "a.tif") as stack:
+        page = stack.pages.first
+        tags = [tag.offset for tag in page.tags if tag.count > 4 and tag.dtype == 2] + [page.tags[273].offset]
+        last = page.offset + 2 + 12 * len(page.tags)
+    second = bytearray(data[1])
+    for place in (tag + 8 for tag in tags):
+        struct.pack_into("<I", second, place, struct.unpack_from("<I", second, place)[0] + moved)
+    first = bytearray(data[0])
+    struct.pack_into("<I", first, last, moved + 8)
+    (tmp_path / "b.tif").write_bytes(first + second)
+    with open_film(tmp_path / "b.tif", rate_hz=10) as film:
+        assert same(list(film), levels)
+
+
+@pytest.mark.parametrize("kind", [{"truncate": True}, {"imagej": True}, {"compression": "zlib"}, {"tile": (16, 16)}])
+def test_a_cut_stack_of_any_layout_gives_its_whole_frames(tmp_path: Path, kind: dict[str, Any]) -> None:
+    levels = noise(9, 20, 30, 8)
+    path = write(tmp_path / "a.tif", levels, **kind)
+    os.truncate(path, path.stat().st_size * 2 // 3)
+    got, says = refused(path)
+    assert 4 <= len(got) < 9
+    assert same(got, levels[: len(got)])
+    assert f"ends in the middle, after {len(got)} whole frames: copy it again" in says
+
+
+@pytest.mark.parametrize(("shape", "options", "says"), [
+    ((5, 2, 8, 8), {"imagej": True, "metadata": {"axes": "TCYX"}}, "several channels (channels=2, frames=5 in its"),
+    ((2, 8, 8), {"imagej": True}, "several channels (channels=2 in its"),
+    ((5, 2, 8, 8), {"ome": True, "metadata": {"axes": "TCYX"}}, "several channels (SizeC=2, SizeT=5 in its"),
+    ((5, 2, 8, 8), {"metadata": {"axes": "TCYX"}}, "several channels (T=5, C=2 in its"),
+    ((5, 2, 8, 8), {"imagej": True, "metadata": {"axes": "TZYX"}}, "several axes of pictures (slices=2, frames=5 in"),
+    ((5, 2, 8, 8), {"ome": True, "metadata": {"axes": "TZYX"}}, "several axes of pictures (SizeZ=2, SizeT=5 in"),
+    ((5, 2, 8, 8), {}, "several axes of pictures (axis 0=5, axis 1=2 in"),
+    ((5, 8, 8, 2), {"photometric": "minisblack", "planarconfig": "contig"}, "several channels (2 samples a pixel)"),
+    ((16, 16, 16), {"volumetric": True, "photometric": "minisblack", "compression": "zlib"}, "16 pictures in one page"),
+])  # fmt: skip
+def test_stacks_of_more_than_one_axis_are_named(
+    tmp_path: Path, shape: tuple[int, ...], options: dict[str, Any], says: str
+) -> None:
+    levels = np.zeros(shape, np.uint8)
+    message = refused(write(tmp_path / "a.tif", levels, **options))[1]
+    assert says in message
+    assert "save" in message
+
+
+def test_red_green_and_blue_in_any_layout(tmp_path: Path) -> None:
+    colours = noise(3, 20, 90, 8).reshape(3, 20, 30, 3)
+    opaque = np.concatenate([colours, colours[..., :1]], axis=-1)
+    for pixels, options in (
+        (colours, {}), (colours, {"truncate": True}), (colours, {"ome": True, "metadata": {"axes": "TYXS"}}),
+        (np.moveaxis(colours, -1, 1), {"planarconfig": "separate"}), (opaque, {"extrasamples": ["unassalpha"]}),
+    ):  # fmt: skip
+        write(tmp_path / "a.tif", pixels, photometric="rgb", **options)
+        for channel, place in {"red": 0, "green": 1, "blue": 2}.items():
+            with open_film(tmp_path / "a.tif", rate_hz=10, channel=channel) as film:
+                assert same(list(film), colours[..., place])
+
+
+def test_a_palette_gives_its_colours(tmp_path: Path) -> None:
+    levels = noise(2, 20, 30, 8)
+    palette = np.stack([np.arange(256), np.arange(256)[::-1], np.zeros(256)]).astype(np.uint16) * 257
+    write(tmp_path / "a.tif", levels, photometric="palette", colormap=palette)
+    wanted: dict[str, Levels] = {"red": levels, "green": ~levels, "blue": levels * 0}
+    for channel, want in wanted.items():
+        with open_film(tmp_path / "a.tif", rate_hz=10, channel=channel) as film:
+            assert same(list(film), want)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("compression", [1, 5])
+def test_pages_are_put_upright(tmp_path: Path, orientation: int, compression: int) -> None:
+    stored = noise(1, 20, 30, 8)[0]
+    upright = {1: stored, 2: stored[:, ::-1], 3: stored[::-1, ::-1], 4: stored[::-1], 5: stored.T,
+               6: np.rot90(stored, -1), 7: np.rot90(stored, 2).T, 8: np.rot90(stored)}[orientation]  # fmt: skip
+    path = by_opencv(tmp_path / "a.tif", stored[np.newaxis], compression)
+    data = path.read_bytes()
+    wanted = struct.pack("<HHII", 274, 3, 1, orientation)
+    path.write_bytes(data.replace(struct.pack("<HHII", 278, 3, 1, 20), wanted, 1))  # in place of the rows of a strip
+    with open_film(path, rate_hz=10) as film:
+        assert same(list(film), upright[np.newaxis])
+
+
+def packed_page(path: Path, levels: Levels, bits: int, compression: int = 1, words: bool = False) -> Path:
+    """A TIFF of one page, whose rows are packed to so many bits a level, or are words of 16 bits."""
+    rows, columns = levels.shape
+    places = np.unpackbits(levels.astype(">u2").reshape(rows, columns, 1).view(np.uint8), axis=2)[..., -bits:]
+    data = levels.astype("<u2").tobytes() if words else np.packbits(places.reshape(rows, -1), axis=1).tobytes()
+    data = data if compression == 1 else zlib.compress(data)
+    tags = {256: columns, 257: rows, 258: bits, 259: compression, 262: 1, 273: 134, 277: 1, 278: rows, 279: len(data)}
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags.items())
+    path.write_bytes(struct.pack("<2sHIH", b"II", 42, 8, len(tags)) + entries + bytes(16) + data)
+    return path
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4, 9, 10, 11, 12, 14])
+@pytest.mark.parametrize("columns", [30, 31, 33])
+def test_packed_levels_of_any_bits(tmp_path: Path, bits: int, columns: int) -> None:
+    levels = np.random.default_rng(bits).integers(0, 1 << bits, (7, columns)).astype(np.uint16)
+    with open_film(packed_page(tmp_path / "a.tif", levels, bits), rate_hz=10) as film:
+        assert film.bits == max(8, bits)
+        full = levels if bits > 8 else (levels * (255 // ((1 << bits) - 1))).astype(np.uint8)
+        assert same(list(film), full[np.newaxis])
+
+
+def test_words_of_16_bits_under_a_statement_of_12(tmp_path: Path) -> None:
+    levels = noise(1, 7, 30, 12)[0]
+    with open_film(packed_page(tmp_path / "a.tif", levels, 12, words=True), rate_hz=10) as film:
+        assert film.bits == 12
+        assert same(list(film), levels[np.newaxis])
+    levels[2, 3] = 4096
+    says = refused(packed_page(tmp_path / "a.tif", levels, 12, words=True))[1]
+    assert "has a gray level of 4096 after 0 whole frames, and its header says 12 bits" in says
+
+
+def test_levels_above_the_significant_bits_of_ome(tmp_path: Path) -> None:
+    levels = noise(3, 20, 30, 12)
+    options: dict[str, Any] = {"ome": True, "metadata": {"axes": "TYX", "SignificantBits": 12}}
+    with open_film(write(tmp_path / "a.tif", levels, **options), rate_hz=10) as film:
+        assert film.bits == 12
+        assert same(list(film), levels)
+    levels[1, 2, 3] = 4096
+    got, says = refused(write(tmp_path / "a.tif", levels, **options))
+    assert len(got) == 1
+    assert "a gray level of 4096 after 1 whole frames, and its header says 12 bits" in says
+
+
+@pytest.mark.parametrize(("number", "name"), [(50000, "ZSTD"), (50001, "WEBP"), (34712, "JPEG2000"), (34887, "LERC")])
+def test_a_missing_codec_is_named(
+    tmp_path: Path, number: int, name: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def lacks(*_: Any, **__: Any) -> None:
+        raise ValueError(f"<COMPRESSION.{name}: {number}> requires the 'imagecodecs' package")
+
+    path = write(tmp_path / "a.tif", noise(1, 20, 30, 8)[0], compression="zlib")
+    data = path.read_bytes()
+    path.write_bytes(data.replace(struct.pack("<HHIH", 259, 3, 1, 8), struct.pack("<HHIH", 259, 3, 1, number)))
+    monkeypatch.setattr(tifffile.TiffPage, "asarray", lacks)  # as without the package, whether it is installed or not
+    says = refused(path)[1]
+    assert f"is compressed as {name}, which needs the package imagecodecs: install it by 'pip install" in says
+    assert capfd.readouterr().err == ""
+
+
+def test_packed_levels_in_a_compression_name_the_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lacks(*_: Any, **__: Any) -> None:
+        raise NotImplementedError("packints_decode of 4-bit integers requires the 'imagecodecs' package")
+
+    monkeypatch.setattr(tifffile.TiffPage, "asarray", lacks)
+    says = refused(packed_page(tmp_path / "a.tif", noise(1, 7, 30, 8)[0] % 16, 4, compression=8))[1]
+    assert "has levels of 4 bits in a form that needs the package imagecodecs" in says
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int16, np.uint32, np.complex64])
+def test_numbers_that_are_no_levels_are_named(tmp_path: Path, kind: Any) -> None:
+    says = refused(write(tmp_path / "a.tif", np.zeros((2, 8, 8), kind)))[1]
+    assert f"pixels of {np.dtype(kind)} in 1 channels: save gray or RGB of 8 or 16 bits" in says
+
+
+def test_reduced_copies_are_left_out(tmp_path: Path) -> None:
+    levels = noise(4, 20, 30, 8)
+    with tifffile.TiffWriter(tmp_path / "a.tif") as stack:
+        for picture in levels:
+            stack.write(picture, subifds=1, metadata=None)
+            stack.write(picture[::2, ::2], subfiletype=1, metadata=None)  # below the page
+            stack.write(picture[::2, ::2], subfiletype=1, metadata=None)  # beside it
+    with open_film(tmp_path / "a.tif", rate_hz=10) as film:
+        assert same(list(film), levels)
+
+
+def test_a_picture_taken_out_of_a_stack_keeps_its_description(tmp_path: Path) -> None:
+    picture = noise(1, 20, 30, 8)[0]
+    path = write(tmp_path / "a.tif", picture, description="ImageJ=1.54f\nimages=110\nframes=110\n", metadata=None)
+    assert not tiff.is_stack(path)
+    with open_film(path, rate_hz=10) as film:
+        assert same(list(film), picture[np.newaxis])
+
+
+def test_wrong_bytes_in_a_deflated_page_are_found(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", noise(5, 20, 30, 8), compression="zlib")
+    with tifffile.TiffFile(path) as stack:
+        place = stack.pages[3].dataoffsets[0]
+    data = bytearray(path.read_bytes())
+    data[place + 50 : place + 60] = b"\xaa" * 10
+    path.write_bytes(data)
+    got, says = refused(path)
+    assert len(got) == 3
+    assert "has a page after 3 whole frames that is damaged, or of a kind that is not read" in says

@@ -167,7 +167,8 @@ def read_packets(film: FrameSource, signal: SignalSettings, receiver: Receiver) 
         raise broken
     if frames < signal.packet_patterns:
         seen = counted(frames, "frame")
-        raise MediaError(f"{film.path} has {seen}; a packet takes {signal.packet_patterns}: record longer")
+        remedy = "record longer" if frames > 1 else "give a film, a stack, or the folder of all its pictures"
+        raise MediaError(f"{film.path} has {seen}; a packet takes {signal.packet_patterns}: {remedy}")
 
 
 def is_packet(packet: Packet) -> bool:

@@ -7,7 +7,19 @@ from pathlib import Path
 from typing import Any
 
 from heliograph.base.errors import MediaError, shown
-from heliograph.media import arrays, hdf5, hdf5_write, images, phantom, photron, tiff, video_read, video_write
+from heliograph.media import (
+    animations,
+    arrays,
+    hdf5,
+    hdf5_write,
+    images,
+    phantom,
+    photron,
+    raw_dumps,
+    tiff,
+    video_read,
+    video_write,
+)
 from heliograph.media.arrays import ArrayReader
 from heliograph.media.live.reader import LiveReader, film_path, is_camera
 from heliograph.media.live.settings import CameraSettings, camera_settings
@@ -66,8 +78,9 @@ def open_film(
     Photron                                  .mraw, .cih or .cihx         header: record rate over step
     Phantom                                  .cine                        the camera's rate and stamps
     TIFF, a page for each frame              .tif, .tiff                  ``rate_hz``
-    PNG, TIFF or JPEG for each frame         folder, or ``img%04d.png``   ``rate_hz``
-    one PNG or JPEG                          .png, .jpg, .jpeg            ``rate_hz``
+    a picture for each frame                 folder, or ``img%04d.png``   ``rate_hz``
+    one picture                              .png, .jpg, .bmp, .webp ...  ``rate_hz``
+    animated picture                         .gif, .png, .webp            the pictures' delays
     NumPy's array (frames, rows, columns)    .npy                         ``rate_hz``
     any video that FFmpeg reads              .mp4, .mov, .avi, .y4m ...   the file's
     a live camera                            ``camera:KIND:ADDRESS``      the camera's rate and clock
@@ -143,12 +156,16 @@ def _opened(path: Path, reading: Reading) -> FilmReader:
         raise MediaError(f"{path} is a pipe or a device: save the film to a file first")
     if not head:
         raise MediaError(f"{path} is empty: copy or record it again")
+    if animations.is_animation(path, head):
+        return animations.AnimationReader(path, reading)
     if images.is_picture(path, head):
         return images.ImagesReader(path, reading)
     told = next((kind for kind in _KINDS if head.startswith(kind.signatures)), None)
     named = next((kind for kind in _KINDS if path.suffix.lower() in kind.suffixes), None)
     # raw frames may begin with any bytes
     kind = named if named and not named.signatures else told or named
+    if kind is None:
+        raw_dumps.check_header(path)
     return kind.open(path, reading) if kind else video_read.VideoReader(path, reading)
 
 

@@ -1,34 +1,53 @@
 """Read films that are a picture for each frame: all pictures of a folder, or those of a pattern such as img%04d.png."""
 
+import io
 import re
 import struct
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
-from heliograph.media import pictures, tiff, whole
-from heliograph.media.numbered import NumberedReader, camera_rate
+from heliograph.media import pictures, tiff
+from heliograph.media.animations import ANIMATED
+from heliograph.media.numbered import NumberedReader, camera_rate, check_levels
 from heliograph.media.reader import checked_size
 from heliograph.media.reading import Reading
 
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", *tiff.SUFFIXES)
+_KINDS = {
+    ".png": (".png",),
+    ".jpg": (".jpg", ".jpeg", ".jpe"),
+    ".tif": tiff.SUFFIXES,
+    ".bmp": (".bmp", ".dib"),
+    ".pgm": (".pgm", ".ppm", ".pnm", ".pbm", ".pam"),
+    ".webp": (".webp",),
+    ".jp2": (".jp2",),
+}
+"""Suffixes of each kind of picture that a folder is searched for."""
+
+_KIND_OF = {suffix: kind for kind, suffixes in _KINDS.items() for suffix in suffixes}
+
+PICTURE_SUFFIXES = tuple(_KIND_OF)
 """Suffixes of pictures that a folder is searched for."""
 
 _PATTERN = re.compile(r"(?P<before>[^%]*)%(?:0(?P<digits>\d+))?d(?P<after>[^%]*)")
 """A name with one place for a number: %d, or %04d for four digits and more."""
 
-_DIGITS = re.compile(r"(\d+)")
-"""Numbers in a name."""
+_DIGITS = re.compile(r"([0-9]+)")
+"""Numbers in a name; Python's \\d has digits of other scripts, too."""
 
-_PNG_SIZE = slice(16, 24)
-"""Where a PNG file has its columns and rows (PNG specification, 11.2.1)."""
+_PNG = b"\x89PNG\r\n\x1a\n"
+"""First bytes of a PNG file (PNG specification, 5.2)."""
 
 _JPEG = b"\xff\xd8"
 """First bytes of a JPEG file (ITU-T T.81, B.1.1.3)."""
 
-_FRAMES_OF_JPEG = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-"""Kinds of the segment that has the rows and columns of a JPEG picture (ITU-T T.81, table B.1)."""
+_STILLS = (_JPEG, b"BM", b"RIFF", b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51")
+"""First bytes of files that hold one picture, where the suffix says so: JPEG, BMP, WebP, JPEG 2000."""
+
+_NETPBM = re.compile(rb"P([2-6])(?:\s+|#[^\n]*\n)+(\d+)(?:\s+|#[^\n]*\n)+(\d+)(?:(?:\s+|#[^\n]*\n)+(\d+))?\s")
+"""Header of a PBM, PGM or PPM picture: its kind, columns, rows, and largest level."""
 
 _JPEG_SCAN = 0xDA
 """Kind of the segment before the blocks of a JPEG picture (ITU-T T.81, table B.1)."""
@@ -96,25 +115,30 @@ class ImagesReader(NumberedReader):
             raise MediaError(f"cannot read {path}, after {count} frames: {error.strerror}") from error
         if data.startswith(tiff.SIGNATURES):
             return tiff.single_picture(path, self._channel)
-        check_claim(path, data)
-        picture = pictures.decode(data) if data and whole.chunks_whole(data) and _scans_whole(data) else None
+        picture = pictures.decode(data) if data and _is_whole(path, data) and _scans_whole(data) else None
         if picture is None:
             raise MediaError(f"{path} is damaged or no picture, after {count} frames: copy it again, or take it away")
+        checked_size(path, picture.shape[1], picture.shape[0])
         pixels = pictures.to_gray(pictures.checked_form(path, picture), self._channel)
-        return pixels, 8 * pixels.itemsize
+        bits = 8 * pixels.itemsize
+        if (header := _NETPBM.match(data)) is not None:
+            _check_single(path, header, data)
+            bits = max(8, int(header[4] or 255).bit_length())
+        check_levels(path, pixels, bits, count)
+        return pixels, bits
 
 
 def is_picture(path: Path, head: bytes) -> bool:
-    """Return whether a file is a single PNG or JPEG picture, which FFmpeg would take for a pattern or a stream.
+    """Return True if a file is a single picture, which FFmpeg would take for a pattern or a stream.
 
     Parameters
     ----------
     path
-        An existing file, whose suffix tells pictures from streams of JPEG.
+        An existing file, whose suffix tells pictures from streams of JPEG and from films in the form RIFF.
     head
         The first bytes of the file, 8 or more where it has them.
     """
-    return head.startswith(whole.PNG) or (head.startswith(_JPEG) and path.suffix.lower() in PICTURE_SUFFIXES)
+    return head.startswith(_PNG) or (head.startswith(_STILLS) and path.suffix.lower() in PICTURE_SUFFIXES)
 
 
 def is_pattern(path: Path) -> bool:
@@ -128,32 +152,38 @@ def is_pattern(path: Path) -> bool:
     return _PATTERN.fullmatch(path.name) is not None and not path.exists()
 
 
-def check_claim(path: Path, data: bytes) -> None:
-    """Check the size that a PNG or JPEG picture claims, before memory is taken for it.
+def _is_whole(path: Path, data: bytes) -> bool:
+    """True if Pillow does not know the kind of picture, or finds its size that of a camera and its PNG chunks whole."""
+    from PIL import Image
 
-    Parameters
-    ----------
-    path
-        Its file, for the error.
-    data
-        Bytes of the file; those of another kind are not looked at.
+    with warnings.catch_warnings(action="ignore"):  # of sizes that are checked here
+        try:
+            with Image.open(io.BytesIO(data)) as image:
+                checked_size(path, *image.size)
+                if image.format in ANIMATED and getattr(image, "n_frames", 1) > 1:
+                    raise MediaError(
+                        f"{path} holds {image.n_frames} pictures, not one: give it by its own name, not by its folder"
+                    )
+                if image.format == "PNG":
+                    image.verify()
+        except Image.DecompressionBombError:
+            raise MediaError(f"{path} claims more pixels than any camera has: it is no frame, or damaged") from None
+        except Image.UnidentifiedImageError:
+            return not data.startswith((_PNG, _JPEG))
+        except MediaError:
+            raise
+        except (OSError, SyntaxError, ValueError, EOFError, struct.error, IndexError, KeyError, TypeError):
+            return False
+    return True
 
-    Raises
-    ------
-    MediaError
-        No camera has so many pixels, or there are none.
-    """
-    if data.startswith(whole.PNG) and len(data) >= _PNG_SIZE.stop:
-        columns, rows = struct.unpack(">II", data[_PNG_SIZE])
-        checked_size(path, columns, rows)
-    if data.startswith(_JPEG):
-        place = len(_JPEG)
-        while place + 9 <= len(data):
-            kind, length, rows, columns = struct.unpack_from(">xBHxHH", data, place)
-            if kind in _FRAMES_OF_JPEG:
-                checked_size(path, columns, rows)
-                return
-            place += 2 + length
+
+def _check_single(path: Path, header: re.Match[bytes], data: bytes) -> None:
+    """Refuse a Netpbm file of several pictures, of which OpenCV reads the first."""
+    kind, columns, rows, largest = (int(number or 0) for number in header.groups())
+    samples = rows * columns * (3 if kind == 6 else 1)
+    size = rows * -(-columns // 8) if kind == 4 else samples * (2 if largest > 255 else 1)
+    if kind >= 4 and _NETPBM.match(data, header.end() + size):
+        raise MediaError(f"{path} holds several pictures, not one: give it by its own name, not by its folder")
 
 
 def _scans_whole(data: bytes) -> bool:
@@ -204,13 +234,13 @@ def _of_folder(folder: Path) -> Numbered:
     if not names:
         kinds = ", ".join(PICTURE_SUFFIXES)
         raise MediaError(f"{folder} is a folder without pictures ({kinds}): give a film in it, or a folder of pictures")
-    kinds_held = sorted({Path(name).suffix.lower() for name in names})
+    kinds_held = sorted({_KIND_OF[Path(name).suffix.lower()] for name in names})
     if len(kinds_held) > 1:
         raise MediaError(
             f"{folder} has pictures of several kinds ({', '.join(kinds_held)}): give those you mean as a pattern, such "
             f"as {folder / 'img%04d.png'}"
         )
-    return list(enumerate(sorted(names, key=_natural)))
+    return list(enumerate(sorted(names, key=natural)))
 
 
 def _is_picture(entry: Path) -> bool:
@@ -221,7 +251,7 @@ def _of_pattern(path: Path) -> Numbered:
     parts = _PATTERN.fullmatch(path.name)
     assert parts is not None
     digits = min(int(parts["digits"] or 1), _MOST_DIGITS)
-    name = re.compile(rf"{re.escape(parts['before'])}(\d+){re.escape(parts['after'])}")
+    name = re.compile(rf"{re.escape(parts['before'])}([0-9]+){re.escape(parts['after'])}")
     try:
         named = [(match[1], entry.name) for entry in path.parent.iterdir() if (match := name.fullmatch(entry.name))]
         # img1 and img01 have the same number: one of them is what the pattern makes of it
@@ -234,6 +264,14 @@ def _of_pattern(path: Path) -> Numbered:
     return [(number - found[0][0], held) for number, held in found]
 
 
-def _natural(name: str) -> list[tuple[int, int, str]]:
-    """Order of names in which img10 comes after img9."""
-    return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in _DIGITS.split(name) if part]
+def natural(name: str) -> tuple[list[tuple[int, int, str]], str]:
+    """Return a key that sorts img10 behind img9, whatever characters names have.
+
+    Parameters
+    ----------
+    name
+        Name of a file.
+    """
+    parts = _DIGITS.split(name)  # numbers stand at odd places
+    texts = [(1, 0, text) if place % 2 == 0 else (0, int(text), "") for place, text in enumerate(parts) if text]
+    return texts, name

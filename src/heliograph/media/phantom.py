@@ -209,14 +209,19 @@ def read_header(path: Path) -> CineHeader:
             raise MediaError(f"{path} is no Phantom recording: give a .cine file")
         _, width, height, _, word, packing, *_ = _PICTURE.unpack(at(picture, _PICTURE.size))
         if at(settings + _MARK, 2) != b"ST":
-            raise MediaError(f"{path} is damaged: the camera's settings are not where its header says; copy it again")
+            raise MediaError(
+                f"{path} has no camera settings where its header says: it is damaged, or its version is not read; "
+                "copy it again, or save it anew by the camera's program"
+            )
         rate, levels = (int.from_bytes(at(settings + place, 4), "little") for place in _SETTINGS.values())
         stamps = _stamps(at, settings, table, frames)
     checked_size(path, width, abs(height))
     if compression == _JPEG or packing not in (_PLAIN, _PACKED_10, _PACKED_12):
         raise MediaError(f"{path} is compressed (kinds {compression} and {packing}): save it as raw .cine or as TIFF")
     if frames > min(_MOST_FRAMES, size):
-        raise MediaError(f"{path} claims {frames} frames and has {size} bytes: it is damaged; copy it again")
+        raise MediaError(
+            f"{path} claims {frames} frames and has {size} bytes: it is cut, or its header is wrong; copy it again"
+        )
     word = {_PACKED_10: 10, _PACKED_12: 12}.get(packing, word)
     return CineHeader(
         width=width,

@@ -1,8 +1,11 @@
 """Read recordings of Photron cameras: raw frames in a .mraw file, and their header beside it in .cih or .cihx."""
 
+import codecs
 import math
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,8 +31,24 @@ SUFFIXES = (FRAMES_SUFFIX, *HEADER_SUFFIXES)
 _MOST_HEADER = 1 << 24
 """Most bytes of a header. Chosen: the largest that was seen has 19 kB, most of it tables of colours."""
 
-_START, _END = b"<cih>", b"</cih>"
-"""What the XML of a .cihx file is between; around it are bytes of another kind."""
+_START, _END = "<cih>", "</cih>"
+"""First and last element of the XML of a .cihx file; around it are bytes of another kind."""
+
+_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+"""Encodings of text by its first bytes."""
+
+_ENCODINGS = ("utf-8", "cp932")
+"""Encodings without such bytes, of which the first that fits is taken; then Latin-1. The names of a header's lines are
+the same in all."""
+
+_XML_ENCODINGS = ("ascii", "utf-16-le", "utf-16-be")
+"""Encodings of the tags of a .cihx file."""
+
+_PRIVATE = re.compile("[\ue000-\uf8ff]")
+"""Characters that no text has."""
+
+_BLANKS = " \t\r\n\0"
+"""Characters around a value."""
 
 _WORDS = (8, 12, 16)
 """Bits that a level may take in the file."""
@@ -156,7 +175,8 @@ def read_header(path: Path) -> PhotronHeader:
         data = read_bounded(path, _MOST_HEADER)
     except OSError as error:
         raise MediaError(f"cannot read {path}: {error.strerror}") from None
-    texts = _of_xml(path, data) if _START in data else _of_lines(data)
+    is_xml = any(_START.encode(name) in data for name in _XML_ENCODINGS)
+    texts = _of_xml(path, data) if is_xml else _of_lines(_decoded(data))
     if not any(texts.values()):
         raise MediaError(f"{path} is no header of a Photron recording: copy the .cih or .cihx file again")
     return _checked(path, texts)
@@ -232,22 +252,44 @@ def _check_length(frames: Path, header: Path, head: PhotronHeader) -> None:
         )
 
 
+def _decoded(data: bytes) -> str:
+    """Text of a header; without a byte order mark, UTF-16 has a zero in every second place."""
+    zeros = data[::2].count(0), data[1::2].count(0)
+    wide = ("utf-16-be" if zeros[0] > zeros[1] else "utf-16-le") if max(zeros) > len(data) / 4 else None
+    marked = next((name for mark, name in _MARKS.items() if data.startswith(mark)), wide)
+    if marked:
+        return data.decode(marked, "replace")
+    for name in _ENCODINGS:
+        with suppress(UnicodeDecodeError):
+            text = data.decode(name)
+            if not _PRIVATE.search(text):  # of which Shift-JIS makes some Latin-1
+                return text
+    return data.decode("latin-1")
+
+
 def _of_xml(path: Path, data: bytes) -> dict[str, str]:
     # cut out of the file, it has no declarations, so nothing can be made to expand
-    start, end = data.find(_START), data.rfind(_END)
-    try:
-        root = ElementTree.fromstring(data[start : end + len(_END)].decode("utf-8", "replace"))
-    except ElementTree.ParseError as error:
-        raise MediaError(f"{path} is damaged, its XML ends wrongly: copy it again ({brief(error)})") from None
-    return {name: (root.findtext(place) or "").strip() for name, (_, place) in _PLACES.items()}
+    wrong: Exception | None = None
+    for name in _XML_ENCODINGS:
+        first, last = _START.encode(name), _END.encode(name)
+        if first in data:
+            cut = data[data.find(first) : data.rfind(last) + len(last)]
+            try:
+                root = ElementTree.fromstring(_decoded(cut) if name == "ascii" else cut.decode(name, "replace"))
+                return {name: (root.findtext(place) or "").strip(_BLANKS) for name, (_, place) in _PLACES.items()}
+            except (ElementTree.ParseError, ValueError) as error:
+                wrong = error
+    raise MediaError(
+        f"{path} cannot be read, its XML is wrong ({brief(wrong)}): copy the header again, or correct it"
+    ) from None
 
 
-def _of_lines(data: bytes) -> dict[str, str]:
+def _of_lines(text: str) -> dict[str, str]:
     held: dict[str, str] = {}
-    for line in data.decode("utf-8", "replace").splitlines():
-        name, colon, text = line.partition(":")
+    for line in text.splitlines():
+        name, colon, value = line.partition(":")
         if colon:
-            held.setdefault(name.strip().lower(), text.strip())
+            held.setdefault(name.strip(_BLANKS).lower(), value.strip(_BLANKS))
     return {name: held.get(line, "") for name, (line, _) in _PLACES.items()}
 
 
@@ -258,8 +300,14 @@ def _whole(path: Path, texts: Mapping[str, str], name: str, missing: int | None 
         value = int(texts[name])
     except ValueError:
         value = -1
+    if not texts[name]:
+        raise MediaError(
+            f"{path} does not state its {_PLACES[name][0]}: copy the header that was saved with the frames, or add it"
+        )
     if not 0 <= value < 1 << 31:
-        raise MediaError(f"{path} says {texts[name]!r:.40} for its {_PLACES[name][0]}: copy the header again")
+        raise MediaError(
+            f"{path} says {texts[name]!r:.40} for its {_PLACES[name][0]}: copy the header again, or correct it"
+        )
     return value
 
 

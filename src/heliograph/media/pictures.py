@@ -1,6 +1,5 @@
 """Pictures in memory: decode them, and take gray levels of their colours."""
 
-import mmap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,7 +20,7 @@ _BGR = {"blue": 0, "green": 1, "red": 2}
 """Place of each colour in a pixel of OpenCV and of .cine files."""
 
 
-def decode(data: bytes | mmap.mmap) -> NDArray[np.generic] | None:
+def decode(data: bytes) -> NDArray[np.generic] | None:
     """Return a PNG, TIFF, JPEG or other picture that OpenCV reads, turned as it says; None where it is damaged.
 
     Parameters
@@ -41,26 +40,6 @@ def decode(data: bytes | mmap.mmap) -> NDArray[np.generic] | None:
         except cv2.error:
             return None
     return picture
-
-
-def read_page(path: Path, number: int) -> NDArray[np.generic] | None:
-    """Return a page of a TIFF file of any length, as `decode` does; the pages before it are walked through.
-
-    Parameters
-    ----------
-    path
-        The TIFF file to read.
-    number
-        Number of the page, from 0.
-    """
-    import cv2
-
-    with _silence():
-        try:
-            found, pages = cv2.imreadmulti(str(path), number, 1, flags=_as_it_is())
-        except cv2.error:
-            return None
-    return pages[0] if found else None
 
 
 def checked_form(path: Path, picture: NDArray[np.generic]) -> NDArray[np.generic]:

@@ -1,45 +1,53 @@
-"""Read TIFF stacks: a page for each frame, one in memory at a time.
+"""Read TIFF stacks with tifffile, one frame in memory at a time."""
 
-Pages of gray levels without compression are read from the file as they lie. All others OpenCV decodes.
-"""
-
-from collections.abc import Iterator
+import logging
+import struct
+from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
 
-import numpy as np
-
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import MediaError, brief
 from heliograph.base.frames import Pixels
-from heliograph.media import pictures
+from heliograph.media import tiff_pages
 from heliograph.media.numbered import NumberedReader, camera_rate
-from heliograph.media.packed import unpack
 from heliograph.media.reader import checked_size
 from heliograph.media.reading import Reading
-from heliograph.media.tiff_pages import Page, Stack, opened_stack
+from heliograph.media.tiff_descriptions import Description, read_description
+
+if TYPE_CHECKING:
+    from tifffile import TiffPage
 
 SUFFIXES = (".tif", ".tiff")
 """Suffixes of stacks."""
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-"""First bytes of a TIFF file in either order of bytes, and of BigTIFF (TIFF 6.0, section 2)."""
+"""First bytes of a TIFF file in either byte order, and of BigTIFF (TIFF 6.0, section 2)."""
 
-_MOST_DECODED = (1 << 31) - 1
-"""Most bytes of a file that OpenCV decodes from memory."""
+_REDUCED = 1
+"""Bit of NewSubfileType by which a page is a smaller copy of another one (TIFF 6.0, section 8)."""
+
+# Python prints warnings of a logger without any handler to standard error
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
+
+
+class _PagesEndError(Exception):
+    """The pages of a file end here, for the reason given."""
 
 
 def is_stack(path: Path) -> bool:
-    """Return whether a TIFF file has more than one page, and so is a film of its own; False of a damaged one.
+    """Return True if a TIFF file has more than one frame, and so is a film of its own; False if it is damaged.
 
     Parameters
     ----------
     path
-        An existing file, of which the directories of pages are read, and no levels.
+        An existing file. No gray levels are read.
     """
     try:
-        with opened_stack(path) as stack:
-            return (stack.count() or 0) > 1
-    except MediaError:
+        with _Stack(path) as stack:
+            return stack.has_several()
+    except (MediaError, _PagesEndError):
         return False
 
 
@@ -51,12 +59,12 @@ class TiffReader(NumberedReader):
     path
         The stack, a TIFF file.
     reading
-        How the film is to be read.
+        Options for reading the film.
 
     Raises
     ------
     MediaError
-        The file is no TIFF, its first page cannot be read, or no rate was given.
+        The file is no TIFF, its first page cannot be read, it has several channels, or no rate was given.
     """
 
     _decodes = True
@@ -66,25 +74,29 @@ class TiffReader(NumberedReader):
         super().__init__(path, reading.rate_hz)
         self._channel = reading.channel
         self.claimed_hz = camera_rate(path, reading.rate_hz)
-        with opened_stack(path) as stack:
-            page = next(stack.pages(), None)
-            if page is None:
-                raise MediaError(f"{path} holds no pages: save it again")
-            first, self.bits = _page(path, stack, page, 0, self._channel)
+        with _Stack(path) as stack:
+            stack.check_axes()
+            first, self.bits = stack.first_levels(self._channel)
             self.frame_count = stack.count()
         self.height, self.width = first.shape
         self.metadata = {}
 
     def _pictures(self) -> Iterator[tuple[int, Pixels]]:
-        with opened_stack(self.path) as stack:
-            for number, page in enumerate(stack.pages()):
-                pixels, bits = _page(self.path, stack, page, number, self._channel)
-                if pixels.shape != (self.height, self.width) or bits != self.bits:
-                    raise MediaError(
-                        f"{self.path} has a page of {page.width}x{page.height} pixels of {bits} bits after {number} of "
-                        f"{self.width}x{self.height} of {self.bits}: save it without that page"
-                    )
-                yield number, pixels
+        count = 0
+        with _Stack(self.path) as stack:
+            try:
+                for page, plane in stack.frames():
+                    pixels, bits = stack.levels(page, plane, count, self._channel)
+                    if pixels.shape != (self.height, self.width) or bits != self.bits:
+                        rows, columns = pixels.shape
+                        raise MediaError(
+                            f"{self.path} has a page of {columns}x{rows} pixels of {bits} bits after {count} of "
+                            f"{self.width}x{self.height} of {self.bits}: save it without that page"
+                        )
+                    yield count, pixels
+                    count += 1
+            except _PagesEndError as error:
+                raise _cut(self.path, error, count) from None
 
 
 def single_picture(path: Path, channel: str) -> tuple[Pixels, int]:
@@ -95,50 +107,200 @@ def single_picture(path: Path, channel: str) -> tuple[Pixels, int]:
     path
         The TIFF file to read.
     channel
-        "luma", "red", "green" or "blue": what is taken of a colour.
+        "luma", "red", "green" or "blue": the part of a colour to read.
 
     Raises
     ------
     MediaError
         It has several pages, or none; or is no TIFF, is damaged, or of a kind that is not read.
     """
-    with opened_stack(path) as stack:
-        pages = list(islice(stack.pages(), 2))
-        if len(pages) != 1:
-            held = "several pages" if pages else "no pages"
-            raise MediaError(f"{path} has {held}, not one picture: give a stack by its own name, not by its folder")
-        return _page(path, stack, pages[0], 0, channel)
+    with _Stack(path) as stack:
+        try:
+            several = stack.has_several()
+        except _PagesEndError as error:
+            raise _cut(path, error, 0) from None
+        if several:
+            raise MediaError(
+                f"{path} has several pages, not one picture: give a stack by its own name, not by its folder"
+            )
+        return stack.first_levels(channel)
 
 
-def _page(path: Path, stack: Stack, page: Page, count: int, channel: str) -> tuple[Pixels, int]:
-    """Gray levels of a page, and their bits."""
-    checked_size(path, page.width, page.height)
-    if page.strips is not None:
-        return _levels(stack, page, page.strips, count), page.bits
-    if stack.size > _MOST_DECODED:
-        picture = pictures.read_page(path, page.number)
-    else:
-        with stack.first(page) as held:
-            picture = pictures.decode(held)
-    if picture is None:
-        raise MediaError(
-            f"{path} has a page after {count} whole frames that is damaged, or of a kind that is not read: copy it "
-            "again, or save gray or RGB of 8 or 16 bits"
-        )
-    pixels = pictures.to_gray(pictures.checked_form(path, picture), channel)
-    if page.white_first and pixels.itemsize > 1:  # OpenCV turns levels of 8 bits itself
-        pixels = ~pixels
-    return pixels, 8 * pixels.itemsize
+def _cut(path: Path, error: _PagesEndError, count: int) -> MediaError:
+    return MediaError(f"{path} {error} after {count} whole frames: copy it again")
 
 
-def _levels(stack: Stack, page: Page, strips: tuple[tuple[int, int], ...], count: int) -> Pixels:
-    """Gray levels that lie in the file as they are."""
-    data = bytearray()
-    for place, length in strips:  # which may claim more than the page has
-        data += stack.read(place, min(length, page.held_bytes - len(data)), count)
-    shape = (page.height, page.width)
-    if page.bits == 12:
-        return unpack(bytes(data), 12).reshape(shape)
-    if page.bits == 8:
-        return np.frombuffer(data, np.uint8).reshape(shape)
-    return np.frombuffer(data, f"{stack.order}u2").astype(np.uint16).reshape(shape)
+class _Stack:
+    """A TIFF file that is open.
+
+    Raises
+    ------
+    MediaError
+        It is no TIFF.
+    """
+
+    def __init__(self, path: Path) -> None:
+        import tifffile
+
+        self._path = path
+        self._errors = (*tiff_pages.ERRORS, tifffile.TiffFileError)
+        try:
+            self._tif = tifffile.TiffFile(path, is_ome=False)  # whose series may lie in other files
+        except OSError as error:
+            raise MediaError(f"cannot read {path}: {error.strerror or brief(error)}") from None
+        except self._errors as error:
+            raise MediaError(
+                f"{path} cannot be read as TIFF ({brief(error)}): give a TIFF stack, or copy it again if it is one"
+            ) from None
+        self._file = self._tif.filehandle
+        self._description: Description | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._tif.close()
+
+    def frames(self) -> Iterator[tuple["TiffPage", int]]:
+        """Yield each frame as its page and its number in the page's data, without reduced copies of other pages.
+
+        Raises
+        ------
+        _PagesEndError
+            The file ends within a page, or its pages form a circle; the frames before are delivered.
+        """
+        pages, ending = self._pages(), None
+        page = next(pages, None)
+        while page is not None:
+            following = None
+            try:
+                following = next(pages, None)
+            except _PagesEndError as error:
+                ending = error
+            yield from ((page, plane) for plane in range(self._frames_of(page, following, whole=ending is None)))
+            page = following
+        if ending is not None:
+            raise ending
+
+    def has_several(self) -> bool:
+        """Return True if there is more than one frame."""
+        return len(list(islice(self.frames(), 2))) > 1
+
+    def count(self) -> int | None:
+        """Return how many frames there are, reduced copies included; None if the file is damaged."""
+        try:
+            directories = sum(1 for _ in self._directories())
+            return directories if directories > 1 else sum(1 for _ in self.frames())
+        except _PagesEndError:
+            return None
+
+    def check_axes(self) -> None:
+        """Refuse a stack that has several channels, or two axes of frames, by its description."""
+        axes: Mapping[str, int] = self._stated().axes
+        text = ", ".join(f"{name}={length}" for name, length in axes.items())
+        if self._stated().has_channels:
+            raise MediaError(
+                f"{self._path} has several channels ({text} in its description): save one channel as a stack of its "
+                "own, in ImageJ by Image > Color > Split Channels"
+            )
+        if len(axes) > 1:
+            raise MediaError(
+                f"{self._path} has several axes of pictures ({text} in its description), and a film has one: save a "
+                "stack along the axis of time, in ImageJ by Image > Hyperstacks > Reduce Dimensionality"
+            )
+
+    def first_levels(self, channel: str) -> tuple[Pixels, int]:
+        """Gray levels of the first frame, and their bits."""
+        try:
+            first = next(self.frames(), None)
+            if first is None:
+                raise MediaError(f"{self._path} holds no pages: save it again")
+            return self.levels(*first, 0, channel)
+        except _PagesEndError as error:
+            raise _cut(self._path, error, 0) from None
+
+    def levels(self, page: "TiffPage", plane: int, count: int, channel: str) -> tuple[Pixels, int]:
+        """Gray levels of a frame, and their bits; `count` whole frames came before."""
+        try:
+            checked_size(self._path, page.imagewidth, page.imagelength)
+            tiff_pages.check_kind(self._path, page)
+            if tiff_pages.end(page, plane) > self._file.size:
+                raise _PagesEndError("ends in the middle,")
+            pixels = tiff_pages.read_levels(self._path, page, plane, channel)
+            return pixels, tiff_pages.depth(page, pixels, self._stated().bits)
+        except MediaError:
+            raise
+        except (OSError, *self._errors) as error:
+            raise MediaError(
+                f"{self._path} has a page after {count} whole frames that {tiff_pages.why_unread(page, error)}"
+            ) from None
+
+    def _stated(self) -> Description:
+        """The description of the first page."""
+        if self._description is None:
+            try:
+                page = next(self._pages(), None)
+            except _PagesEndError:
+                page = None
+            self._description = Description() if page is None else read_description(page)
+        return self._description
+
+    def _directories(self) -> Iterator[int]:
+        """Yield the place of each page's directory."""
+        form = self._tif.tiff
+        self._file.seek(8 if self._tif.is_bigtiff else 4)
+        place, seen = self._number(form.offsetformat, form.offsetsize), set[int]()
+        while place:
+            if place in seen:
+                raise _PagesEndError("is damaged")
+            if place >= self._file.size:
+                raise _PagesEndError("ends in the middle,")
+            seen.add(place)
+            yield place
+            self._file.seek(place)
+            tags = self._number(form.tagnoformat, form.tagnosize)
+            self._file.seek(min(place + form.tagnosize + tags * form.tagsize, self._file.size))
+            place = self._number(form.offsetformat, form.offsetsize)
+
+    def _number(self, form: str, size: int) -> int:
+        data = self._file.read(size)
+        if len(data) < size:
+            raise _PagesEndError("ends in the middle,")
+        return int(struct.unpack(form, data)[0])
+
+    def _pages(self) -> Iterator["TiffPage"]:
+        """Yield the pages but for reduced copies of others."""
+        import tifffile
+
+        for number, place in enumerate(self._directories()):
+            self._file.seek(place)
+            try:
+                page = tifffile.TiffPage(self._tif, index=number)
+                reduced = int(page.subfiletype) & _REDUCED
+            except (OSError, *self._errors):
+                raise _PagesEndError("is damaged") from None
+            if not reduced:
+                yield page
+
+    def _frames_of(self, page: "TiffPage", following: "TiffPage | None", *, whole: bool) -> int:
+        """Frames that follow one another in a page's data; `whole` is True if the chain of pages ends as it should."""
+        try:
+            stated = read_description(page)
+            frames = stated.frames if stated.in_one_page or not whole else 1
+            frames = max(frames, page.imagedepth)
+            if frames == 1 and page.index == 0 and following is None and whole:
+                series = self._tif.series[0]  # of other programs' forms, such as MetaMorph's
+                if series.dataoffset == page.dataoffsets[0] and not series.size % page.size:
+                    frames = series.size // page.size
+            if frames == 1 or not tiff_pages.is_plain(page):
+                return 1
+            start, size = page.dataoffsets[0], tiff_pages.plane_bytes(page)
+            if following is None:
+                # a picture that was taken out of a stack may keep the stack's description
+                return frames if self._file.size >= start + 2 * size or page.imagedepth > 1 else 1
+            others = range(start + size, start + frames * size)
+            return 1 if following.offset in others or following.dataoffsets[0] in others else frames
+        except (OSError, *self._errors):
+            return 1

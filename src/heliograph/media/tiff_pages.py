@@ -1,288 +1,289 @@
-"""The pages of a TIFF file: where each has its tags, and what they say (TIFF 6.0, sections 2 and 8; BigTIFF)."""
+"""Gray levels of a page of a TIFF file: tifffile decodes it, and OpenCV the compressions that tifffile cannot."""
 
-import mmap
-import re
 import struct
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from itertools import islice
+import zlib
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, Any
 
-from heliograph.base.errors import MediaError
+import numpy as np
+from numpy.typing import NDArray
 
-_KIND, _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _MEANING = 254, 256, 257, 258, 259, 262
-"""Tags of a page: kind of page, columns, rows, bits, compression, meaning of the levels."""
+from heliograph.base.errors import MediaError, brief
+from heliograph.base.frames import BITS, Pixels
+from heliograph.media import pictures
+from heliograph.media.packed import unpack_rows
 
-_FILL, _STRIPS, _ORIENTATION, _SAMPLES, _LENGTHS, _FORMAT = 266, 273, 274, 277, 279, 339
-"""Tags of a page: order of bits, places of the strips, orientation, samples of a pixel, lengths of the strips, kind of
-numbers."""
+if TYPE_CHECKING:
+    from tifffile import TiffPage
 
-_ONES = (_COMPRESSION, _MEANING, _FILL, _ORIENTATION, _SAMPLES, _FORMAT)
-"""Tags that are 1 for plain gray levels: no compression, 0 is black, upper bits first, upright, one whole number a
-pixel."""
+ERRORS = (
+    ValueError, ArithmeticError, LookupError, TypeError, AttributeError, AssertionError, RuntimeError, MemoryError,
+    ImportError, struct.error, zlib.error,
+)  # fmt: skip
+"""Errors of tifffile on damaged files, apart from its own and from OSError."""
 
-_TAGS = (_KIND, _WIDTH, _HEIGHT, _BITS, _STRIPS, _LENGTHS, *_ONES)
-"""Tags that are read."""
+_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR, _MOSAIC = 0, 1, 2, 3, 6, 32803
+"""Meanings of a pixel's samples (PhotometricInterpretation)."""
 
-_TYPES = {1: "B", 3: "H", 4: "I", 16: "Q"}
-"""Types of whole numbers in a tag, as `struct` calls them: 8, 16, 32 and 64 bits."""
+_SAMPLES = {_WHITE_IS_ZERO: 1, _BLACK_IS_ZERO: 1, _RGB: 3, _PALETTE: 1, _YCBCR: 3, _MOSAIC: 1}
+"""Samples of a pixel that are its gray level or colour; further ones may be its opacity."""
 
-_DESCRIPTION, _TEXT = 270, 2
-"""Tag of a page's description, and the type of texts."""
+_OPACITY = (1, 2)
+"""Values of ExtraSamples for opacity."""
 
-_IMAGEJ = re.compile(rb"ImageJ=.*?\nimages=(\d{1,9})\n", re.DOTALL)
-"""Description by which ImageJ notes how many pictures follow one another behind a single page: so it writes stacks that
-are too long for places of 32 bits."""
+_PLAIN = 1
+"""Value of Compression for none."""
 
-_REDUCED = 1
-"""Bit of a page's kind by which it is a small picture of another page."""
+_BY_OPENCV = (2, 3, 4, 5, 6, 7, 8, 32773, 32946)
+"""Compressions that OpenCV decodes: CCITT, LZW, JPEG, deflate, PackBits. Of some others it makes black pictures."""
 
-_MOST_TAGS = 4096
-"""Most tags of a page. Chosen: pages have about 20; a damaged one may claim 65,535 and more."""
+_MEANING, _ORIENTATION, _TILED = 262, 274, 322
+"""Tags of the meaning of the samples, of the turn and mirroring of the page, and of the width of tiles."""
 
-_MOST_NUMBERS = 1 << 20
-"""Most numbers in a tag. Chosen: a page has a strip or less for each row."""
-
-Tags = Mapping[int, tuple[int, ...]]
-"""Numbers of a page's tags, by tag."""
+_COPIED = (256, 257, 258, 259, _MEANING, 266, 277, 278, 284, 292, 293, 317, 320, _TILED, 323, 338, 339, 347, 530)
+"""Tags that a decoder needs beside the places and lengths of strips or tiles."""
 
 
-@dataclass(frozen=True, slots=True)
-class Page:
-    """A page of a stack.
+def check_kind(path: Path, page: "TiffPage") -> None:
+    """Refuse a page whose samples are neither gray nor red, green and blue.
 
-    Attributes
+    Parameters
     ----------
-    number
-        Number of the page in the file, from 0; small pictures of other pages count, too.
-    place
-        Place of its tags in the file.
-    width, height
-        Columns and rows in pixels.
-    bits
-        Bits of a sample.
-    white_first
-        Whether level 0 is white.
-    strips
-        Place and length of each piece of gray levels; None where they do not lie in the file as they are.
+    path
+        The file, for the error.
+    page
+        The page to check.
+
+    Raises
+    ------
+    MediaError
+        Names the kind, or the number of channels.
     """
+    wanted = _SAMPLES.get(_meaning(page))
+    if wanted is None or page.samplesperpixel < wanted:
+        kind = getattr(page.photometric, "name", page.photometric)
+        raise MediaError(f"{path} has pixels of kind {kind}: save gray or RGB of 8 or 16 bits")
+    if page.imagedepth > 1 and not is_plain(page):
+        raise MediaError(
+            f"{path} has {page.imagedepth} pictures in one page (ImageDepth) that is compressed or tiled: save a page "
+            "for each frame"
+        )
+    if page.samplesperpixel > wanted == 1 and not all(extra in _OPACITY for extra in page.extrasamples or (0,)):
+        raise MediaError(
+            f"{path} has several channels ({page.samplesperpixel} samples a pixel): save one channel as a stack of its "
+            "own, in ImageJ by Image > Color > Split Channels"
+        )
 
-    number: int
-    place: int
-    width: int
-    height: int
-    bits: int
-    white_first: bool
-    strips: tuple[tuple[int, int], ...] | None
 
-    @property
-    def held_bytes(self) -> int:
-        """Bytes of its gray levels, where they lie in the file as they are."""
-        return self.width * self.height * self.bits // 8
+def is_plain(page: "TiffPage") -> bool:
+    """Return True if the levels lie in the file without compression, one row after the other."""
+    return page.compression == _PLAIN and not page.is_tiled and _in_one_piece(page)
 
 
-class Stack:
-    """A TIFF file that is open.
+def plane_bytes(page: "TiffPage") -> int:
+    """Return the bytes of one frame of a page without compression."""
+    rows, row, bits = page.shaped[0] * page.shaped[2], page.shaped[3] * page.shaped[4], page.bitspersample
+    words = 2 * rows * row
+    # some programs write levels of 9 to 15 bits as words of 16 and state the bits of the level
+    return words if 8 < bits < 16 and sum(page.databytecounts) == words else rows * -(-row * bits // 8)
+
+
+def end(page: "TiffPage", plane: int) -> int:
+    """Return the place behind the last byte of a frame.
+
+    Parameters
+    ----------
+    page
+        The page of the frame.
+    plane
+        Number of the frame in the data of the page.
+
+    Raises
+    ------
+    ValueError
+        A strip or tile is missing.
+    """
+    if not page.dataoffsets or not all(page.dataoffsets) or not all(page.databytecounts):
+        raise ValueError("a strip or tile is missing")
+    if is_plain(page):
+        return int(page.dataoffsets[0]) + plane_bytes(page) * (plane + 1)
+    return int(max(place + size for place, size in zip(page.dataoffsets, page.databytecounts, strict=True)))
+
+
+def read_levels(path: Path, page: "TiffPage", plane: int, channel: str) -> Pixels:
+    """Return the gray levels of a frame, upright as the page says.
 
     Parameters
     ----------
     path
         The file, for errors.
-    file
-        The same, open for reading bytes.
+    page
+        The page of the frame.
+    plane
+        Number of the frame in the data of the page.
+    channel
+        "luma", "red", "green" or "blue": the part of a colour to read.
 
-    Attributes
-    ----------
-    size
-        Bytes of the file.
-    order
-        Order of bytes, "<" or ">", as `struct` and NumPy call it.
-
-    Raises
-    ------
-    MediaError
-        It is no TIFF.
-    """
-
-    def __init__(self, path: Path, file: BinaryIO) -> None:
-        self._path, self._file = path, file
-        self.size = path.stat().st_size
-        head = file.read(16)
-        self.order = "<" if head[:2] == b"II" else ">"
-        mark = struct.unpack(f"{self.order}H", head[2:4])[0] if len(head) >= 8 else 0
-        if head[:2] not in (b"II", b"MM") or mark not in (42, 43):
-            raise MediaError(f"{path} is no TIFF file, or damaged: give a stack of pages, or copy it again")
-        self._big = mark == 43
-        # where the file has the place of its first page, and of what kind places are
-        self._first_at, self._place = (8, "Q") if self._big else (4, "I")
-
-    def pages(self) -> Iterator[Page]:
-        """Yield the pages in their order, but for small pictures of others.
-
-        Raises
-        ------
-        MediaError
-            The file ends within a page, or its pages go round in a circle; the pages before are delivered.
-        """
-        frames = 0
-        for number, (place, entries, following) in enumerate(self._walk()):
-            tags = self._tags(entries, frames)
-            if not tags.get(_KIND, (0,))[0] & _REDUCED:
-                page = self._page(number, place, tags, frames)
-                yield page
-                frames += 1
-                if not number and not following:
-                    yield from _behind(page, self._pictures(entries))
-
-    def count(self) -> int | None:
-        """Return how many pages there are; None where the file is damaged."""
-        try:
-            pages = [(entries, following) for _, entries, following in islice(self._walk(), 1)]
-            if pages and not pages[0][1]:
-                return self._pictures(pages[0][0])
-            return sum(1 for _ in self._walk())
-        except MediaError:
-            return None
-
-    def read(self, place: int, length: int, count: int) -> bytes:
-        """Return bytes of the file.
-
-        Parameters
-        ----------
-        place
-            The first of them.
-        length
-            How many there are.
-        count
-            Number of whole frames before them, which the error tells.
-
-        Raises
-        ------
-        MediaError
-            The file has no such place.
-        """
-        if place + length > self.size:
-            raise MediaError(f"{self._path} ends in the middle, after {count} whole frames: copy it again")
-        self._file.seek(place)
-        return self._file.read(length)
-
-    @contextmanager
-    def first(self, page: Page) -> Iterator[mmap.mmap]:
-        """Give the whole file in memory that is not taken before it is read, as if a page were its first.
-
-        So a decoder that walks from page to page finds each at once.
-
-        Parameters
-        ----------
-        page
-            The page that is to be the first.
-        """
-        with mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_COPY) as held:
-            place = struct.pack(f"{self.order}{self._place}", page.place)
-            held[self._first_at : self._first_at + len(place)] = place
-            yield held
-
-    def _walk(self) -> Iterator[tuple[int, bytes, int]]:
-        """Yield the place of each page's tags, the tags, and the place of the next page's."""
-        count_kind, entry_bytes = ("Q", 20) if self._big else ("H", 12)
-        place, seen = self._number(self._place, self._first_at, 0), set[int]()
-        while place:
-            if place in seen:
-                raise damaged(self._path, len(seen))
-            seen.add(place)
-            tags = self._number(count_kind, place, len(seen) - 1)
-            if not 0 < tags <= _MOST_TAGS:
-                raise damaged(self._path, len(seen) - 1)
-            start = place + struct.calcsize(f"={count_kind}")
-            entries = self.read(start, tags * entry_bytes, len(seen) - 1)
-            following = self._number(self._place, start + tags * entry_bytes, len(seen) - 1)
-            yield place, entries, following
-            place = following
-
-    def _number(self, kind: str, place: int, count: int) -> int:
-        (number,) = struct.unpack(self.order + kind, self.read(place, struct.calcsize(f"={kind}"), count))
-        return int(number)
-
-    def _tags(self, entries: bytes, count: int) -> Tags:
-        form = struct.Struct(f"{self.order}HH{self._place}")
-        step, room = form.size + struct.calcsize(f"={self._place}"), struct.calcsize(f"={self._place}")
-        tags: dict[int, tuple[int, ...]] = {}
-        for start in range(0, len(entries), step):
-            tag, kind, numbers = form.unpack_from(entries, start)
-            if tag not in _TAGS or kind not in _TYPES or not 0 < numbers <= _MOST_NUMBERS:
-                continue
-            values = struct.Struct(f"{self.order}{numbers}{_TYPES[kind]}")
-            held = entries[start + form.size : start + step]
-            if values.size > room:
-                held = self.read(struct.unpack(self.order + self._place, held)[0], values.size, count)
-            tags[tag] = values.unpack_from(held)
-        return tags
-
-    def _pictures(self, entries: bytes) -> int:
-        """Pictures that follow one another behind the only page, as its description says; 1 where it says none."""
-        form, room = struct.Struct(f"{self.order}HH{self._place}"), struct.calcsize(f"={self._place}")
-        for start in range(0, len(entries), form.size + room):
-            tag, kind, length = form.unpack_from(entries, start)
-            if (tag, kind) == (_DESCRIPTION, _TEXT) and room < length <= _MOST_NUMBERS:
-                place = struct.unpack_from(self.order + self._place, entries, start + form.size)[0]
-                said = _IMAGEJ.match(self.read(place, length, 0))
-                return max(1, int(said[1])) if said else 1
-        return 1
-
-    def _page(self, number: int, place: int, tags: Tags, count: int) -> Page:
-        if _WIDTH not in tags or _HEIGHT not in tags:
-            raise damaged(self._path, count)
-        width, height, bits = tags[_WIDTH][0], tags[_HEIGHT][0], tags.get(_BITS, (1,))[0]
-        plain = all(tags.get(tag, (1,)) == (1,) for tag in _ONES) and _MEANING in tags
-        whole_bytes = bits in (8, 16) or (bits == 12 and width % 2 == 0)
-        strips = tuple(zip(tags.get(_STRIPS, ()), tags.get(_LENGTHS, ()), strict=False))
-        enough = sum(length for _, length in strips) >= width * height * bits // 8
-        white_first = tags.get(_MEANING) == (0,)
-        return Page(
-            number, place, width, height, bits, white_first, strips if plain and whole_bytes and enough else None
-        )
-
-
-def _behind(page: Page, pictures: int) -> Iterator[Page]:
-    """Yield the pictures that follow a page without pages of their own."""
-    if page.strips is not None:
-        start = page.strips[0][0]
-        for number in range(1, pictures):
-            yield replace(page, strips=((start + number * page.held_bytes, page.held_bytes),))
-
-
-@contextmanager
-def opened_stack(path: Path) -> Iterator[Stack]:
-    """Open a TIFF file for its pages.
-
-    Parameters
-    ----------
-    path
-        The TIFF file to read.
+    Returns
+    -------
+    (rows, columns) uint8 or uint16.
 
     Raises
     ------
     MediaError
-        It cannot be read, or is no TIFF.
+        Its numbers are not of 8 or 16 bits.
     """
+    meaning = _meaning(page)
     try:
-        file = path.open("rb")
-    except OSError as error:
-        raise MediaError(f"cannot read {path}: {error.strerror}") from error
-    with file:
-        yield Stack(path, file)
+        stored = _stored(page, plane)
+    except ERRORS as error:
+        known = page.compression in _BY_OPENCV and _lacks_codec(error)
+        decoded = pictures.decode(_standalone(page)) if known else None
+        if decoded is None:
+            raise
+        # OpenCV applies palettes, and inverts levels of 8 bits where white is 0
+        levels = pictures.to_gray(pictures.checked_form(path, decoded), channel)
+        levels = ~levels if meaning == _WHITE_IS_ZERO and levels.itemsize > 1 else levels
+        if 8 < page.bitspersample < 16:  # which OpenCV moves to the upper end of a word
+            levels = levels >> np.uint16(16 - page.bitspersample)
+    else:
+        levels = pictures.to_gray(pictures.checked_form(path, _colours(page, stored)), channel)
+    return _upright(levels, int(page.tags.valueof(_ORIENTATION, default=1)))
 
 
-def damaged(path: Path, count: int) -> MediaError:
-    """Return the error of a stack that is damaged.
+def depth(page: "TiffPage", levels: Pixels, stated: int | None) -> int:
+    """Return the bits of a gray level, 8 to 16.
 
     Parameters
     ----------
-    path
-        The file, which the error names.
-    count
-        Number of whole frames before the damage.
+    page
+        The page of the levels.
+    levels
+        Its gray levels.
+    stated
+        Bits that the description of the stack states; None for none.
     """
-    return MediaError(f"{path} is damaged after {count} whole frames: copy it again")
+    least, most = BITS[levels.dtype]
+    bits = page.bitspersample if page.bitspersample < most else stated or most
+    return bits if least <= bits <= most and _meaning(page) != _PALETTE else most
+
+
+def why_unread(page: "TiffPage", error: Exception) -> str:
+    """Return the cause and the remedy for a page that is not read.
+
+    Parameters
+    ----------
+    page
+        The page.
+    error
+        The exception that it raised.
+    """
+    missing = _lacks_codec(error)
+    if missing and page.bitspersample not in (1, 8, 16):
+        return (
+            f"has levels of {page.bitspersample} bits in a form that needs the package imagecodecs: install it by "
+            "'pip install imagecodecs', or save 8 or 16 bits"
+        )
+    if missing and page.compression not in (_PLAIN, *_BY_OPENCV):
+        name = getattr(page.compression, "name", f"number {page.compression}")
+        return (
+            f"is compressed as {name}, which needs the package imagecodecs: install it by 'pip install imagecodecs', "
+            "or save the stack without compression"
+        )
+    return (
+        f"is damaged, or of a kind that is not read ({brief(error)}): copy it again, or save gray or RGB of 8 or 16 "
+        "bits"
+    )
+
+
+def _lacks_codec(error: Exception) -> bool:
+    """True if tifffile needs a module that is not installed: imagecodecs, or Python's of a later release."""
+    return isinstance(error, ImportError) or "imagecodecs" in str(error)
+
+
+def _meaning(page: "TiffPage") -> int:
+    """Meaning of the samples; without a statement they are gray, or red, green and blue."""
+    if _MEANING in page.tags:
+        return int(page.photometric)
+    return _RGB if page.samplesperpixel > 1 else _BLACK_IS_ZERO
+
+
+def _in_one_piece(page: "TiffPage") -> bool:
+    places, sizes = page.dataoffsets, page.databytecounts
+    return all(place + size == following for place, size, following in zip(places, sizes, places[1:], strict=False))
+
+
+def _colours(page: "TiffPage", stored: NDArray[Any]) -> NDArray[Any]:
+    """Gray levels (rows, columns), or blue, green and red (rows, columns, 3)."""
+    meaning, full_scale = _meaning(page), (1 << page.bitspersample) - 1
+    samples = np.moveaxis(stored, 0, -1)[..., 0, :] if stored.shape[0] > 1 else stored[0]
+    if meaning == _PALETTE:
+        colours = np.asarray(page.colormap)
+        samples = (colours >> 8 if colours.max() > 255 else colours).astype(np.uint8).T[samples[..., 0]]
+    picture = samples[..., 2::-1] if _SAMPLES[meaning] == 3 or meaning == _PALETTE else samples[..., 0]
+    if meaning == _WHITE_IS_ZERO and picture.dtype in BITS:
+        picture = full_scale - picture
+    return picture * np.uint8(255 // full_scale) if full_scale < 255 and meaning != _PALETTE else picture
+
+
+def _stored(page: "TiffPage", plane: int) -> NDArray[Any]:
+    """Numbers of a frame as they lie in the file, (planar samples, rows, columns, samples)."""
+    if page.compression == _PLAIN and not page.is_tiled and page.bitspersample > 1 and page.fillorder == 1:
+        return _uncompressed(page, plane)
+    stored = page.asarray(squeeze=False, maxworkers=1)[:, 0]
+    return stored.view(np.uint8) if stored.dtype == np.bool_ else stored.astype(stored.dtype.newbyteorder("="))
+
+
+def _uncompressed(page: "TiffPage", plane: int) -> NDArray[Any]:
+    file, size, bits = page.parent.filehandle, plane_bytes(page), page.bitspersample
+    shape = (page.shaped[0], *page.shaped[2:])
+    if page.dtype is None:
+        raise ValueError(f"numbers of {bits} bits and kind {page.sampleformat}")
+    data = bytearray()
+    if is_plain(page):
+        file.seek(page.dataoffsets[0] + plane * size)
+        data += file.read(size)
+    else:
+        for place, length in zip(page.dataoffsets, page.databytecounts, strict=True):
+            file.seek(place)
+            data += file.read(min(length, size - len(data)))
+    if len(data) < size:
+        raise ValueError(f"its strips hold {len(data)} bytes, and its pixels take {size}")
+    if bits % 8 and size < 2 * int(np.prod(shape)):
+        rows = np.frombuffer(data, np.uint8).reshape(shape[0] * shape[1], -1)
+        return unpack_rows(rows, shape[2] * shape[3], bits).reshape(shape)
+    kind = np.dtype(np.uint16) if bits % 8 else np.dtype(page.dtype)
+    return np.frombuffer(data, kind.newbyteorder(page.parent.byteorder)).reshape(shape).astype(kind)
+
+
+def _standalone(page: "TiffPage") -> bytes:
+    """A TIFF file of one page alone, its strips or tiles compressed as they are."""
+    file, order = page.parent.filehandle, page.parent.byteorder
+    pieces = []
+    for place, length in zip(page.dataoffsets, page.databytecounts, strict=True):
+        file.seek(place)
+        pieces.append(file.read(length))
+    starts, lengths = (324, 325) if page.is_tiled else (273, 279)
+    values = {code: page.tags[code].value for code in _COPIED if code in page.tags}
+    values |= {starts: np.cumsum([8, *map(len, pieces[:-1])]).tolist(), lengths: [len(piece) for piece in pieces]}
+    directory = 8 + sum(map(len, pieces))
+    outside = directory + 2 + 12 * len(values) + 4
+    entries, far = bytearray(), bytearray()
+    for code, value in sorted(values.items()):
+        numbers = list(value) if isinstance(value, (bytes, tuple, list)) else [int(value)]
+        # types of a tag (TIFF 6.0, section 2): bytes without meaning, 16 and 32 bits
+        kind, letter = (7, "B") if isinstance(value, bytes) else (3, "H") if max(numbers) < 1 << 16 else (4, "I")
+        data = struct.pack(f"{order}{len(numbers)}{letter}", *numbers)
+        entries += struct.pack(f"{order}HHI", code, kind, len(numbers))
+        entries += data.ljust(4, b"\0") if len(data) <= 4 else struct.pack(f"{order}I", outside + len(far))
+        far += data if len(data) > 4 else b""
+    head = (b"II" if order == "<" else b"MM") + struct.pack(f"{order}HI", 42, directory)
+    return b"".join([head, *pieces, struct.pack(f"{order}H", len(values)), bytes(entries), bytes(4), bytes(far)])
+
+
+def _upright(levels: Pixels, orientation: int) -> Pixels:
+    """Levels turned and mirrored by the tag Orientation (TIFF 6.0, section 8)."""
+    turned: Pixels = levels.T if orientation in (5, 6, 7, 8) else levels
+    turned = turned[:, ::-1] if orientation in (2, 3, 6, 7) else turned
+    turned = turned[::-1] if orientation in (3, 4, 7, 8) else turned
+    return turned.copy() if turned is not levels else levels

@@ -9,9 +9,6 @@ from typing import BinaryIO
 _EBML, _SEGMENT = bytes.fromhex("1A45DFA3"), bytes.fromhex("18538067")
 """First bytes of a Matroska file, and of the segment in it (RFC 9559)."""
 
-PNG = b"\x89PNG\r\n\x1a\n"
-"""First bytes of a PNG file (PNG specification, 5.2)."""
-
 _NUT, _NUT_INDEX = b"nut/multimedia container", bytes.fromhex("4E58DD672F23E64E")
 """First bytes of a NUT file, and of its index (the NUT specification)."""
 
@@ -66,27 +63,6 @@ def ends_early(path: Path) -> bool | None:
         if head.startswith(_Y4M):
             return _y4m_cut(file, size)
     return None
-
-
-def chunks_whole(picture: bytes) -> bool:
-    """Return whether every chunk of a PNG picture has a right checksum; pictures of other kinds have none to be wrong.
-
-    The decoder writes of a wrong checksum to standard error.
-
-    Parameters
-    ----------
-    picture
-        Bytes of the file.
-    """
-    place, data = len(PNG), memoryview(picture)
-    while picture.startswith(PNG) and place < len(data):
-        end = place + 8 + int.from_bytes(data[place : place + 4], "big")  # behind length, kind and content
-        if zlib.crc32(data[place + 4 : end]) != int.from_bytes(data[end : end + 4], "big") or end + 4 > len(data):
-            return False
-        if picture[place + 4 : place + 8] == b"IEND":
-            return True
-        place = end + 4
-    return not picture.startswith(PNG)
 
 
 def slices_whole(packet: bytes) -> bool:
