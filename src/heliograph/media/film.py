@@ -1,4 +1,4 @@
-"""Open and create films. The suffix chooses the kind of a new file; the content tells the kind of an existing one."""
+"""Open and create films. The suffix chooses the kind of a new film, the content that of an existing one."""
 
 import os
 from collections.abc import Callable, Iterable, Mapping
@@ -38,24 +38,38 @@ FILM_SUFFIXES = (*video_write.CODECS, *hdf5.SUFFIXES)
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """A kind of recording, by its suffixes and by the first bytes of its files."""
+    """A kind of recording: its reader, the check of its content, and its usual suffixes."""
 
     open: Callable[[Path, Reading], FilmReader]
-    suffixes: tuple[str, ...]
-    signatures: tuple[bytes, ...] = ()
+    knows: Callable[[Path, bytes], bool] | None
+    suffixes: tuple[str, ...] = ()
+
+
+def _begins(*signatures: bytes) -> Callable[[Path, bytes], bool]:
+    """Whether a file begins with one of some signatures."""
+    return lambda _, head: head.startswith(signatures)
 
 
 _KINDS = (
-    _Kind(hdf5.Hdf5Reader, hdf5.SUFFIXES, (hdf5.SIGNATURE,)),
-    _Kind(PhotronReader, photron.SUFFIXES),
-    _Kind(PhantomReader, phantom.SUFFIXES, (phantom.SIGNATURE,)),
-    _Kind(TiffReader, tiff.SUFFIXES, tiff.SIGNATURES),
-    _Kind(ArrayReader, arrays.SUFFIXES, (arrays.SIGNATURE,)),
+    _Kind(PhotronReader, None, photron.SUFFIXES),  # raw frames begin with any bytes
+    _Kind(animations.AnimationReader, animations.is_animation),
+    _Kind(images.ImagesReader, images.is_picture),
+    _Kind(PhantomReader, _begins(phantom.SIGNATURE), phantom.SUFFIXES),
+    _Kind(TiffReader, _begins(*tiff.SIGNATURES), tiff.SUFFIXES),
+    _Kind(ArrayReader, _begins(arrays.SIGNATURE), arrays.SUFFIXES),
+    _Kind(hdf5.Hdf5Reader, lambda path, _: hdf5.is_hdf5(path), hdf5.SUFFIXES),
 )
 """Kinds of files that are read without FFmpeg; all others are taken for videos."""
 
-_HEAD = max(len(signature) for kind in _KINDS for signature in kind.signatures)
-"""Bytes of a file that tell its kind."""
+_NO_FILMS = {
+    b"MATLAB 5.0 MAT-file": "is of MATLAB before 7.3: save it there with '-v7.3', the frames as (row, column, frame)",
+    b"PK\x03\x04": "is an archive, such as .zip or .npz: unpack it and give the film in it",
+    b"\x1f\x8b": "is compressed by gzip: unpack it first",
+}
+"""Advice on files of other kinds, by their first bytes."""
+
+_HEAD = 64
+"""Bytes of a file that tell its kind, but for HDF5, which may begin later."""
 
 
 def open_film(
@@ -92,14 +106,15 @@ def open_film(
     Parameters
     ----------
     path
-        The file, the folder of pictures, or their names with %d or %04d for a number. A file's first bytes tell its
-        kind, and its suffix where they do not.
+        The file, the folder of pictures, or their names with %d or %04d for a number. A file's content tells its kind;
+        the suffix counts for Photron alone.
     expand_range
         Stretch limited-range video (black at 16, white at 235, usual for dashcams) to the full scale. Films written
         here are full range and stay as they are.
     rate_hz
-        Frames per second that the camera took, above 0, where the file claims another rate, as films in slow motion
-        do, or has no clock. None believes the file.
+        Frames per second that the camera took, above 0, if the file claims another rate, as films in slow motion do, or
+        has no clock. Frame k is then taken at ``k / rate_hz``; gaps between even stamps count as missing frames. None
+        uses the times of the file.
     crop
         (x, y, width, height) in pixels of the upright frames, of the part that is kept; x and y count from 0 at the
         upper left. None keeps all.
@@ -143,9 +158,11 @@ def open_film(
 def _opened(path: Path, reading: Reading) -> FilmReader:
     try:
         pictures, there, head = path.is_dir() or images.is_pattern(path), path.exists(), None
+        kind: _Kind | None = None
         if path.is_file():
             with path.open("rb") as file:
                 head = file.read(_HEAD)
+            kind = next((kind for kind in _KINDS if _knows(kind, path, head)), None)
     except OSError as error:
         raise MediaError(f"cannot read {path}: {error.strerror}") from error
     if pictures:
@@ -156,17 +173,23 @@ def _opened(path: Path, reading: Reading) -> FilmReader:
         raise MediaError(f"{path} is a pipe or a device: save the film to a file first")
     if not head:
         raise MediaError(f"{path} is empty: copy or record it again")
-    if animations.is_animation(path, head):
-        return animations.AnimationReader(path, reading)
-    if images.is_picture(path, head):
-        return images.ImagesReader(path, reading)
-    told = next((kind for kind in _KINDS if head.startswith(kind.signatures)), None)
-    named = next((kind for kind in _KINDS if path.suffix.lower() in kind.suffixes), None)
-    # raw frames may begin with any bytes
-    kind = named if named and not named.signatures else told or named
-    if kind is None:
-        raw_dumps.check_header(path)
-    return kind.open(path, reading) if kind else video_read.VideoReader(path, reading)
+    if kind is not None:
+        return kind.open(path, reading)
+    for signature, advice in _NO_FILMS.items():
+        if head.startswith(signature):
+            raise MediaError(f"{path} {advice}")
+    named = next((kind for kind in _KINDS if kind.knows and path.suffix.lower() in kind.suffixes), None)
+    try:
+        return video_read.VideoReader(path, reading)
+    except MediaError:
+        raw_dumps.check_suffix(path)
+        if named is None:
+            raise
+    return named.open(path, reading)  # which tells what is wrong with it
+
+
+def _knows(kind: _Kind, path: Path, head: bytes) -> bool:
+    return kind.knows(path, head) if kind.knows else path.suffix.lower() in kind.suffixes
 
 
 def create_film(

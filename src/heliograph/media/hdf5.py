@@ -1,20 +1,28 @@
 """Films in HDF5 read: a dataset of frames, one a chunk where it was written here, and a dataset of their times."""
 
+import errno
+import importlib
 import json
+import logging
 import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from heliograph.base.errors import MediaError, shown
-from heliograph.base.frames import BITS, LATEST_S, Frame, Pixels
-from heliograph.media.reader import FilmReader, checked_size, checked_time
+from heliograph.base.errors import MediaError, brief
+from heliograph.base.frames import BITS, Pixels
+from heliograph.media.reader import checked_size
 from heliograph.media.reading import Reading
 from heliograph.media.record import FASTEST_HZ, SLOWEST_HZ
+from heliograph.media.stamps import TimedReader, agrees, check_times
+
+LOG = logging.getLogger(__name__)
 
 SUFFIXES = (".h5", ".hdf5")
 """Suffixes of HDF5 films."""
@@ -26,6 +34,18 @@ _BROKEN = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeErro
 """All that h5py makes of a damaged file."""
 
 _EXPECTED = "'frames' (frame, row, column) of uint8 or uint16 and 'times_s' (frame,) in seconds"
+
+_LEAST_USER_BLOCK = 512
+"""First place of HDF5's signature after the file's first byte; each further place is twice as far (III.A there)."""
+
+_FILTERS = {
+    4: "szip", 307: "bzip2", 32000: "LZF", 32001: "Blosc", 32004: "LZ4", 32008: "Bitshuffle", 32013: "ZFP",
+    32015: "Zstandard", 32017: "SZ", 32018: "FCIDECOMP", 32024: "SZ3", 32026: "Blosc2", 32028: "SPERR",
+}  # fmt: skip
+"""Names of filters by their numbers in the HDF Group's register."""
+
+_NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP)
+"""What systems say of files that they cannot lock, as on some network drives."""
 
 _HEAP = b"GCOL\x01\0\0\0"
 """First bytes of a heap of texts in HDF5, of version 1 (its format specification, III.E)."""
@@ -43,20 +63,17 @@ _MOST_PIECE = 300_000_000
 """Most bytes of a piece with a filter, such as gzip, which is held as a whole to read a frame. Chosen: a frame of the
 largest size (`MOST_PIXELS`) in 16 bits has 268 MB, so that one frame a piece is always taken."""
 
-_MOST_RATIO = 10.0
-"""Most that times and the claimed rate may differ by, as a ratio: lost frames make gaps, but not most of them.
-
-Times in milliseconds make it 1000.
-"""
+_MOST_BLOCK = 1 << 26
+"""Most bytes of frames that are read at once because they share chunks: 67 MB. Chosen; it bounds memory."""
 
 _DIRECT_SINCE = (3, 9)
 """Release of h5py that first reads a chunk into an array of the caller's (its release notes)."""
 
-_READ_TIMES = 4096
+_TIMES_AT_ONCE = 4096
 """Times read at once: 32 kB. Chosen; it bounds memory."""
 
 
-class Hdf5Reader(FilmReader):
+class Hdf5Reader(TimedReader):
     """An HDF5 film; see `FilmReader`.
 
     Parameters
@@ -76,27 +93,54 @@ class Hdf5Reader(FilmReader):
         super().__init__(path, reading.rate_hz)
         with _opened(path) as file, _damage_is_clear(path, 0):
             frames = file["frames"]
-            self.frame_count, self.height, self.width = frames.shape
+            self.frame_count, *shape = frames.shape
+            self.height, self.width = reversed(shape) if _is_by_columns(frames) else shape
             checked_size(path, self.width, self.height)
             _check_held(path, frames, file["times_s"])
             self.bits = int(_number(path, file.attrs, "bits", *BITS[frames.dtype]) or 8 * frames.dtype.itemsize)
             self.metadata = _read_metadata(file.attrs)
-            _check_rising(path, file["times_s"])
-            claimed_hz = _number(path, file.attrs, "rate_hz", SLOWEST_HZ, FASTEST_HZ)
-            if claimed_hz and reading.rate_hz is None:
-                _check_unit(path, file["times_s"], claimed_hz)
-            self.claimed_hz = claimed_hz or _median_rate(file["times_s"])
+            stated_hz = _number(path, file.attrs, "rate_hz", SLOWEST_HZ, FASTEST_HZ)
+            first = _read_times(file["times_s"], slice(_TIMES_AT_ONCE))
+            self._pace = check_times(path, first, stated_hz, numbered=reading.rate_hz is not None)
+            self.claimed_hz = stated_hz or (self._pace.rate_hz if self._pace else 1.0)
+            self._states_numbers = self._pace is not None and agrees(stated_hz, self._pace)
+            if file.swmr_mode:
+                self.frame_count = min(self.frame_count, file["times_s"].size)
+                LOG.warning("%s is still open for writing: the frames written so far are read", path)
 
-    def _frames(self) -> Iterator[Frame]:
+    def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         if not self.frame_count:
             raise MediaError(f"{self.path} holds no frames: record it again")
         with _opened(self.path) as file:
-            read, index = _frame_reading(file, file["frames"]), -1
-            for place, time_s in enumerate(_times(self.path, file["times_s"])):
+            frames, times = file["frames"], file["times_s"]
+            read, by_columns = _frame_reading(file, frames), _is_by_columns(frames)
+            for place, time_s in enumerate(islice(_times(self.path, times), frames.shape[0])):
                 with _damage_is_clear(self.path, place):
                     pixels = read(place)
-                index = max(index + 1, round(checked_time(self.path, time_s, place) * self.claimed_hz))
-                yield Frame(index, time_s, pixels, self.bits)
+                yield time_s, np.ascontiguousarray(pixels.T) if by_columns else pixels, self.bits
+
+
+def is_hdf5(path: Path) -> bool:
+    """Return whether a file is HDF5, which may begin behind a block of the user's, as MATLAB's files do.
+
+    Parameters
+    ----------
+    path
+        An existing file.
+    """
+    size, place = path.stat().st_size, 0
+    with path.open("rb") as file:
+        while place < size:
+            file.seek(place)
+            if file.read(len(SIGNATURE)) == SIGNATURE:
+                return True
+            place = max(_LEAST_USER_BLOCK, 2 * place)
+    return False
+
+
+def _is_by_columns(frames: Any) -> bool:
+    """Whether MATLAB wrote the frames: (rows, columns, frames) there are (frames, columns, rows) in HDF5."""
+    return "MATLAB_class" in frames.attrs
 
 
 def _frame_reading(file: Any, frames: Any) -> Callable[[int], Pixels]:
@@ -109,51 +153,37 @@ def _frame_reading(file: Any, frames: Any) -> Callable[[int], Pixels]:
     shape, held = frames.shape[1:], frames.dtype
     plain = frames.chunks == (1, *shape) and held.isnative and not frames.id.get_create_plist().get_nfilters()
     plain = plain and h5py.version.version_tuple[:2] >= _DIRECT_SINCE
+    # chunks of several frames are unpacked once, not for each of their frames
+    chunk_frames = frames.chunks[0] if frames.chunks else 1
+    at_once = chunk_frames if chunk_frames * math.prod(shape) * held.itemsize <= _MOST_BLOCK else 1
+
+    @lru_cache(maxsize=1)
+    def block(number: int) -> Pixels:
+        levels: Pixels = frames[number * at_once : (number + 1) * at_once]
+        return levels
 
     def read(place: int) -> Pixels:
         where, pixels = (place, 0, 0), np.empty(shape, held)
         # chunks that were never written, or are damaged, have another size
         if not plain or frames.id.get_chunk_info_by_coord(where).size != pixels.nbytes:
-            return np.asarray(frames[place])
+            return block(place // at_once)[place % at_once].copy()
         frames.id.read_direct_chunk(where, out=pixels.reshape(-1).view(np.uint8))
         return pixels
 
     return read
 
 
+def _read_times(dataset: Any, part: slice) -> Any:
+    """Part of the times; MATLAB writes them as a row or a column."""
+    held = max(range(dataset.ndim), key=lambda axis: dataset.shape[axis])
+    return np.asarray(dataset[tuple(part if axis == held else 0 for axis in range(dataset.ndim))])
+
+
 def _times(path: Path, dataset: Any) -> Iterator[float]:
-    for start in range(0, dataset.shape[0], _READ_TIMES):
+    for start in range(0, dataset.size, _TIMES_AT_ONCE):
         with _damage_is_clear(path, start), np.errstate(over="ignore", invalid="ignore"):
-            times = dataset[start : start + _READ_TIMES].astype(np.float64).tolist()
+            times = _read_times(dataset, slice(start, start + _TIMES_AT_ONCE)).astype(np.float64).tolist()
         yield from times
-
-
-def _median_rate(times: Any) -> float:
-    """Rate by the median gap of the first frames: where frames are missing, the mean gap is too long."""
-    with np.errstate(over="ignore", invalid="ignore"):  # numbers that no double holds become infinite
-        known = np.asarray(times[:_READ_TIMES], np.float64)
-    gaps = np.diff(known[np.abs(known) <= LATEST_S])
-    gap = float(np.median(gaps)) if gaps.size else 0.0
-    return 1 / gap if gap >= 1 / FASTEST_HZ else 1.0
-
-
-def _check_rising(path: Path, times: Any) -> None:
-    """Say so where the times are none of frames one after another; a few that are damaged are told where they stand."""
-    with _damage_is_clear(path, 0), np.errstate(over="ignore", invalid="ignore"):
-        known = np.asarray(times[:_READ_TIMES], np.float64)
-    gaps = np.diff(known[np.abs(known) <= LATEST_S])
-    if gaps.size and np.median(gaps) <= 0:
-        raise MediaError(f"{path}: times_s do not rise; write the time of each frame there, in seconds")
-
-
-def _check_unit(path: Path, times: Any, claimed_hz: float) -> None:
-    """Say so where times are in another unit than seconds, by the rate that the film claims."""
-    known_hz = _median_rate(times)
-    if times.shape[0] > 1 and not 1 / _MOST_RATIO < known_hz / claimed_hz < _MOST_RATIO:
-        raise MediaError(
-            f"{path}: times_s show {shown(known_hz)} frames/s and rate_hz says {shown(claimed_hz)}; write times_s in "
-            "seconds, or say what the camera did with --fps"
-        )
 
 
 def _read_metadata(attributes: Any) -> dict[str, str]:
@@ -196,25 +226,88 @@ def _damage_is_clear(path: Path, count: int) -> Iterator[None]:
     except MediaError:
         raise
     except _BROKEN as error:
-        raise MediaError(f"{path} is damaged after {count} whole frames: copy it again") from error
+        if "errno" in str(error):  # the system, not the file
+            raise MediaError(f"cannot read {path}, after {count} whole frames: {_reason(error)}") from error
+        raise MediaError(f"{path} is damaged after {count} whole frames ({_reason(error)}): copy it again") from error
+
+
+def _reason(error: Exception) -> str:
+    """HDF5's own reason, which stands in brackets at the end."""
+    return brief(str(error).rstrip(")").rpartition(" (")[2] or type(error).__name__)
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    import h5py
-
-    with path.open("rb") as raw:
-        _check_heaps(path, raw.read(_HEAD_BYTES))
     try:
-        file = h5py.File(path, "r")
-    except _BROKEN as error:
-        if "truncated file" in str(error):
-            raise MediaError(f"{path} ends in the middle and cannot be read: copy or record it again") from error
-        raise MediaError(f"{path} is not a readable HDF5 file, it may be damaged: copy or record it again") from error
-    with file:
+        with path.open("rb") as raw:
+            head = raw.read(_HEAD_BYTES)
+    except OSError as error:
+        raise MediaError(f"cannot read {path}: {error.strerror}") from error
+    _check_heaps(path, head)
+    with _file(path) as file:
         with _damage_is_clear(path, 0):
             _check_form(path, file)
+            for name in ("frames", "times_s"):
+                _check_filters(path, file[name])
         yield file
+
+
+def _file(path: Path) -> Any:
+    """The open file; its writer may have it open for readers (SWMR), and the system may have no locks."""
+    import h5py
+
+    try:
+        return h5py.File(path, "r")
+    except _BROKEN as error:
+        said, why = str(error), error
+    with suppress(*_BROKEN):
+        if "already open for write" in said:
+            return h5py.File(path, "r", swmr=True)
+        if "unable to lock file" in said and getattr(why, "errno", None) in _NO_LOCKS:
+            return h5py.File(path, "r", locking=False)
+    raise _unreadable(path, said, why)
+
+
+def _unreadable(path: Path, said: str, error: Exception) -> MediaError:
+    """What is known of a file that HDF5 does not open."""
+    if "truncated file" in said:
+        text = f"{path} ends in the middle and cannot be read: copy or record it again"
+    elif "already open for write" in said:
+        text = (
+            f"{path} was left open for writing, or a program still writes it: wait for that program; where it ended "
+            f"without closing the film, run 'h5clear -s {path}', on a copy"
+        )
+    elif "unable to lock file" in said:
+        text = (
+            f"{path} is locked, as by a program that still writes it: wait for that program; where there is none, set "
+            "HDF5_USE_FILE_LOCKING=FALSE"
+        )
+    elif "signature not found" in said:
+        text = f"{path} is not a readable HDF5 file, it has no signature of HDF5: check that it is a film"
+    else:
+        text = (
+            f"{path} is not a readable HDF5 file, and HDF5 says only {_reason(error)!r}: it may be damaged, or of a "
+            "newer HDF5"
+        )
+    return MediaError(text)
+
+
+def _check_filters(path: Path, dataset: Any) -> None:
+    """Refuse what is packed by a filter that is not installed."""
+    import h5py
+
+    made = dataset.id.get_create_plist()
+    for number, _, _, named in (made.get_filter(place) for place in range(made.get_nfilters())):
+        if h5py.h5z.filter_avail(number):
+            continue
+        with suppress(ImportError):  # it brings the usual filters, and makes them known when it is imported
+            importlib.import_module("hdf5plugin")
+        if not h5py.h5z.filter_avail(number):
+            name = _FILTERS.get(number) or named.decode(errors="replace").strip("\0") or "no known name"
+            raise MediaError(
+                f"{path}: '{dataset.name.strip('/')}' is packed by the filter {name} (number {number}), which is not "
+                "installed: 'pip install hdf5plugin', or save the film without it"
+            )
 
 
 def _check_heaps(path: Path, head: bytes) -> None:
@@ -248,9 +341,18 @@ def _check_form(path: Path, file: Any) -> None:
     # before their shapes are asked for, as for that of a virtual dataset other files are opened
     if any(dataset.is_virtual or dataset.external for dataset in (frames, times)):
         raise _elsewhere(path)
-    wrong = frames.ndim != 3 or frames.dtype not in BITS or times.shape != frames.shape[:1]
+    form, lengths = frames.shape or (), times.shape or ()  # None of a dataset without any
+    times_known = bool(lengths) and math.prod(lengths) == max(lengths)
+    if times_known and len(form) == 3 and max(lengths) == form[2] != form[0]:
+        raise MediaError(
+            f"{path}: 'frames' {form} counts its frames along the last axis: save it as (frame, row, column), "
+            "such as by numpy.moveaxis; from MATLAB as (row, column, frame)"
+        )
+    # a writer that still has the film open may have written a frame and not its time
+    fit = times_known and len(form) == 3 and (max(lengths) == form[0] or file.swmr_mode)
+    wrong = not fit or frames.dtype not in BITS
     if wrong or times.dtype.kind not in "fiu":
-        got = f"'frames' {frames.shape} of {frames.dtype} and 'times_s' {times.shape} of {times.dtype}"
+        got = f"'frames' {form} of {frames.dtype} and 'times_s' {lengths} of {times.dtype}"
         raise MediaError(f"{path} is not a film: expected {_EXPECTED}, got {got}")
 
 

@@ -10,13 +10,12 @@ from heliograph.media.reader import FilmReader, checked_time
 
 
 class NumberedReader(FilmReader):
-    """A recording whose frame of number k is taken at ``k / claimed_hz``; see `FilmReader`."""
+    """A recording whose frame of number k is taken at ``k / rate_hz``; see `FilmReader`."""
 
     def _frames(self) -> Iterator[Frame]:
         count = 0
         for number, pixels in self._pictures():
-            check_levels(self.path, pixels, self.bits, count)
-            time_s = checked_time(self.path, number / self.claimed_hz, count)
+            time_s = checked_time(self.path, number / self.rate_hz, count)
             yield Frame(number, time_s, pixels, self.bits)
             count += 1
         if not count:
@@ -66,32 +65,6 @@ def expected_frames(path: Path, claimed: int, frame_bytes: int) -> int:
         Bytes of a frame, at least 1.
     """
     return min(claimed, path.stat().st_size // frame_bytes)
-
-
-def check_levels(path: Path, pixels: Pixels, bits: int, count: int) -> None:
-    """Check that gray levels have no more bits than the file says.
-
-    Parameters
-    ----------
-    path
-        The recording, for the error.
-    pixels
-        (rows, columns) gray levels, uint8 or uint16.
-    bits
-        Bits of a gray level as the file says, 8 to 16.
-    count
-        Number of whole frames before, which the error tells.
-
-    Raises
-    ------
-    MediaError
-        A level is above full scale.
-    """
-    if bits < 8 * pixels.itemsize and int(pixels.max()) >> bits:
-        raise MediaError(
-            f"{path} has a gray level of {int(pixels.max())} after {count} whole frames, and its header says {bits} "
-            "bits: correct the header, or save the recording again"
-        )
 
 
 def blocks(path: Path, places: Iterable[int], size: int) -> Iterator[bytearray]:

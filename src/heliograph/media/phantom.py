@@ -2,19 +2,22 @@
 
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError
-from heliograph.base.frames import Frame, Pixels
+from heliograph.base.frames import Pixels
 from heliograph.media import pictures
-from heliograph.media.numbered import blocks, camera_rate, check_levels, expected_frames
+from heliograph.media.numbered import blocks, camera_rate, expected_frames
 from heliograph.media.packed import packed_size, unpack
-from heliograph.media.reader import FilmReader, checked_size, checked_time
+from heliograph.media.reader import checked_size
 from heliograph.media.reading import Reading
+from heliograph.media.stamps import LIMITS, TimedReader, measure_pace
 
 SUFFIXES = (".cine",)
 """Suffixes of Phantom recordings."""
@@ -112,7 +115,7 @@ class CineHeader:
         return packed_size(pixels, self.word) if self.word in (10, 12) else pixels * self.word // 8
 
 
-class PhantomReader(FilmReader):
+class PhantomReader(TimedReader):
     """A Phantom recording; see `FilmReader`.
 
     Times are the camera's stamps, from the first frame on. Without stamps they follow from the rate. A stamp that is no
@@ -139,18 +142,17 @@ class PhantomReader(FilmReader):
         self.claimed_hz = camera_rate(path, reading.rate_hz, self._header.record_hz)
         self.frame_count = expected_frames(path, self._header.frames, self._header.frame_bytes)
         self.metadata = {}
+        with suppress(MediaError):  # a cut file is reported after its whole frames
+            self._pace = measure_pace([*islice(self._times(), LIMITS.sample_frames)])
 
-    def _frames(self) -> Iterator[Frame]:
-        head, index = self._header, -1
+    def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
+        head = self._header
         if not head.frames:
             raise MediaError(f"{self.path} holds no frames: save the recording again")
         frames = blocks(self.path, self._places(), head.frame_bytes)
-        for count, (data, elapsed_s) in enumerate(zip(frames, self._times(), strict=False)):
+        for data, elapsed_s in zip(frames, self._times(), strict=False):
             pixels = _levels(data, head, self._channel)
-            check_levels(self.path, pixels, self.bits, count)
-            time_s = checked_time(self.path, elapsed_s, count)
-            index = max(index + 1, round(time_s * self.claimed_hz))
-            yield Frame(index, time_s, pixels, self.bits)
+            yield elapsed_s, pixels, self.bits
 
     def _places(self) -> Iterator[int]:
         """Yield the place of each frame's pixels, behind its notes."""

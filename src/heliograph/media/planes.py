@@ -20,6 +20,9 @@ _BLACK = 16
 _SPAN = 219
 """Levels from black to white in limited range at 8 bits (ITU-R BT.601)."""
 
+_BT601 = (0.299, 0.587, 0.114)
+"""Weights of red, green and blue in luma (Rec. ITU-R BT.601)."""
+
 _NEUTRAL = 128
 """Level of a colour plane without colour at 8 bits (ITU-R BT.601)."""
 
@@ -71,8 +74,9 @@ def to_video(pixels: Pixels, pixel_format: str, span: int = FULL) -> "av.VideoFr
 def to_gray(picture: "av.VideoFrame", expand_range: bool, channel: str = "luma") -> tuple[Pixels, int]:
     """Return a copy of the gray levels and their bits.
 
-    Luma is read as it is stored; only RGB and packed formats are converted, by Rec. ITU-R BT.601. Red, green and blue
-    of YUV follow from the matrix that the file states, Rec. 601 or 709, else from Rec. 601; they have the full range.
+    Luma is read as it is stored, and so are numbers whose palette is missing. Only colours are converted, by
+    Rec. ITU-R BT.601. Red, green and blue of YUV follow from the matrix that the file states, Rec. 601 or 709, else
+    from Rec. 601; they have the full range.
 
     Parameters
     ----------
@@ -91,6 +95,11 @@ def to_gray(picture: "av.VideoFrame", expand_range: bool, channel: str = "luma")
     bits
         Bits of a gray level.
     """
+    if picture.format.name == "pal8":
+        _mend_palette(picture)
+        if channel == "luma":
+            colours = [_colour(picture, name)[0] for name in ("red", "green", "blue")]
+            return np.rint(np.tensordot(_BT601, colours, 1)).astype(np.uint8), 8
     if channel != "luma" and (len(picture.format.components) > 2 or picture.format.has_palette):
         return _colour(picture, channel)
     limited = is_limited(picture)
@@ -115,6 +124,13 @@ def is_limited(picture: "av.VideoFrame") -> bool:
     if picture.format.is_rgb or picture.format.has_palette or name.startswith(("mono", "yuvj")):
         return False
     return picture.color_range == LIMITED or (picture.color_range != FULL and not name.startswith("gray"))
+
+
+def _mend_palette(picture: "av.VideoFrame") -> None:
+    """Make a palette of one colour one of gray levels: AVI of gray levels may come without a palette, all black."""
+    palette: Any = np.frombuffer(picture.planes[1], np.uint8).reshape(-1, 4)
+    if not np.ptp(palette, axis=0).any():
+        palette[:, :3], palette[:, 3] = np.arange(256)[:, None], 255
 
 
 def _as_gray(picture: "av.VideoFrame") -> "av.VideoFrame":

@@ -3,13 +3,12 @@
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import ClassVar, Self
 
 from heliograph.base.errors import MediaError
-from heliograph.base.frames import LATEST_S, Frame
+from heliograph.base.frames import LATEST_S, Frame, Pixels
 from heliograph.media.ahead import read_ahead
 
 MOST_PIXELS = 1 << 27
@@ -60,6 +59,32 @@ def checked_time(path: Path, time_s: float, count: int) -> float:
     return time_s
 
 
+def check_levels(path: Path, pixels: Pixels, bits: int, count: int) -> None:
+    """Check that gray levels have no more bits than the file says.
+
+    Parameters
+    ----------
+    path
+        The recording, for the error.
+    pixels
+        (rows, columns) gray levels, uint8 or uint16.
+    bits
+        Bits of a gray level as the file says, 8 to 16.
+    count
+        Number of whole frames before, which the error tells.
+
+    Raises
+    ------
+    MediaError
+        A level is above full scale.
+    """
+    if bits < 8 * pixels.itemsize and int(pixels.max()) >> bits:
+        raise MediaError(
+            f"{path} has a gray level of {int(pixels.max())} after {count} whole frames, and its header says {bits} "
+            "bits: correct the header, or save the recording again"
+        )
+
+
 class FilmReader(ABC):
     """A film opened for reading: iterate it for its frames, one at a time; each iteration starts at the first frame.
 
@@ -70,7 +95,7 @@ class FilmReader(ABC):
     path
         File of the film to read.
     rate_hz
-        Frames per second of the camera, above 0, where the file claims another rate; None believes the file.
+        Frames per second of the camera, above 0, if the file claims another rate; None uses the times of the file.
 
     Attributes
     ----------
@@ -97,6 +122,9 @@ class FilmReader(ABC):
 
     _decodes: ClassVar[bool] = False
     """Whether its frames are decoded, which takes longer than to hand them from thread to thread."""
+
+    _checks_levels: bool = True
+    """False if a decoder keeps the levels within their bits."""
 
     path: Path
     width: int
@@ -135,7 +163,7 @@ class FilmReader(ABC):
         """
         if self._closed:
             raise MediaError(f"{self.path} is closed: iterate it inside its 'with' block")
-        frames = self._frames() if self._true_hz is None else self._retimed(self.claimed_hz / self._true_hz)
+        frames = self._checked()
         self._running = self._clocked(read_ahead(frames) if self._decodes else frames)
         return self._running
 
@@ -152,12 +180,14 @@ class FilmReader(ABC):
         finally:
             _stop(frames)
 
-    def _retimed(self, scale: float) -> Iterator[Frame]:
-        """Frames whose times are those of the camera, not of a file in slow motion."""
+    def _checked(self) -> Iterator[Frame]:
+        """Frames whose levels fit into the film's bits."""
         frames = self._frames()
         try:
             for count, frame in enumerate(frames):
-                yield replace(frame, time_s=checked_time(self.path, frame.time_s * scale, count))
+                if self._checks_levels:
+                    check_levels(self.path, frame.pixels, frame.bits, count)
+                yield frame
         finally:
             _stop(frames)
 

@@ -1,26 +1,31 @@
 """Read video files of any origin as gray frames through PyAV."""
 
 import heapq
-import math
+import logging
 import zlib
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from heliograph.base.errors import MediaError
-from heliograph.base.frames import Frame, Pixels
+from heliograph.base.frames import Pixels
 from heliograph.media import planes, whole
 from heliograph.media.display import Orientation, orientation
 from heliograph.media.numbered import camera_rate
-from heliograph.media.reader import FilmReader, checked_size, checked_time
+from heliograph.media.reader import checked_size
 from heliograph.media.reading import Reading
 from heliograph.media.record import from_tags, restored_time
+from heliograph.media.stamps import LIMITS, Pace, StampClock, TimedReader
 
 if TYPE_CHECKING:
     import av
     from av.container import InputContainer
+
+LOG = logging.getLogger(__name__)
 
 DECODER_THREADS = 2
 """Threads of a decoder: the cores of the machine that films were measured on. Chosen: a frame takes the same time of
@@ -32,17 +37,23 @@ _NO_TIMESTAMPS = 0x80
 _TEXT_FORMATS = ("tty", "lrc", "srt", "ass", "webvtt")
 """Formats as which FFmpeg opens text files, as films of letters on a terminal."""
 
-_FALLBACK_HZ = 25.0
-"""Frames a second where the file does not state them: FFmpeg's own assumption."""
+_ENDED_FORMATS = ("matroska,webm", "nut")
+"""Formats whose end tells that the muxer finished."""
+
+_NO_FILM = 0x400 | 0x800 | 0x100000
+"""Dispositions of FFmpeg's streams that are no film: attached picture, timed thumbnails, still image."""
+
+_COUNTED_PACKETS = 500
+"""Packets by which tracks are compared where the container does not state their frames."""
 
 _LEAST_BITS = 8
 """Least bits of a gray level."""
 
-REORDERED = 16
+_REORDERED = 16
 """Pictures whose stamps may be out of order: as many as H.264 and H.265 hold back for pictures between others."""
 
 
-class VideoReader(FilmReader):
+class VideoReader(TimedReader):
     """A video file; see `FilmReader`.
 
     Parameters
@@ -64,33 +75,50 @@ class VideoReader(FilmReader):
         super().__init__(path, reading.rate_hz)
         self._reading = reading
         with _opened(path) as container:
-            stream = container.streams.video[0]
+            stream = _film_stream(path, container)
+            self._track = stream.index
             self._record = from_tags(container.metadata)
+            self._make_clock: Callable[[], StampClock] | None = None
             self.width, self.height = stream.codec_context.width, stream.codec_context.height
+            checked_size(path, self.width, self.height)
             self.faster = ("HDF5",) if stream.codec_context.name == "h264" else ("HDF5", "lossless H.264")
-            self.metadata = self._record.metadata if self._record else _tags(container)
-            self._stamped = not int(container.format.flags) & _NO_TIMESTAMPS
-            if self._stamped:
-                self.claimed_hz = self._record.rate_hz if self._record else _rate(stream)
+            self.metadata = self._record.metadata if self._record else {**container.metadata, **stream.metadata}
+            self._unstamped = bool(int(container.format.flags) & _NO_TIMESTAMPS)
+            self._has_end = container.format.name in _ENDED_FORMATS
+            first, sample_s = _sample(container, stream)
+            stated = [float(rate) for rate in _stated_rates(stream) if rate]
+            if self._record:
+                self.claimed_hz, self._states_numbers = self._record.rate_hz, True
+                self._pace = Pace(self.claimed_hz, is_even=True)
+            elif not self._unstamped:
+                self._make_clock = partial(StampClock, sample_s, float(stream.time_base or 0), stated)
+                clock = self._make_clock()
+                self.claimed_hz, self._pace = clock.rate_hz, clock.pace
             else:  # a stream of coded pictures alone, of which some say their rate
                 self.claimed_hz = camera_rate(path, reading.rate_hz, float(stream.codec_context.framerate or 0))
             self.bits = self._record.bits if self._record else _bits(stream)
-            self.frame_count = _frame_count(container, self.claimed_hz) if self._stamped else None
-            checked_size(path, self.width, self.height)
-            self._way_up = Orientation() if self._record else _way_up(container)
+            self.frame_count = _frame_count(container, stream, self.claimed_hz) if not self._unstamped else None
+            self._way_up = Orientation() if self._record or first is None else orientation(first)
+            self._checks_levels = self._record is not None or (
+                first is not None and first.format.name.startswith("gray")
+            )
             # what was written in limited range had all levels before
             self._expanded = reading.expand_range or self._record is not None
             self.width, self.height = self._way_up.size(self.width, self.height)
 
-    def _frames(self) -> Iterator[Frame]:
+    def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
         with _opened(self.path) as container:
-            index = -1
-            for count, (picture, elapsed_s) in enumerate(self._in_order(container)):
-                time_s = checked_time(self.path, self._time(picture, elapsed_s), count)
-                index = max(index + 1, round(time_s * self.claimed_hz))
+            clock = self._make_clock() if self._make_clock else None
+            for count, (picture, stamp_s, next_s) in enumerate(self._in_order(container)):
+                if clock is not None:
+                    time_s = clock.time(stamp_s, next_s)
+                elif self._record is not None and picture.time_base is not None:
+                    time_s = restored_time(self._record, stamp_s, float(picture.time_base))
+                else:
+                    time_s = stamp_s
                 pixels, bits = self._gray(picture, count)
                 self._check_form(pixels, bits, count)
-                yield Frame(index, time_s, pixels, self.bits if self._record else bits)
+                yield time_s, pixels, self.bits if self._record else bits
 
     def _gray(self, picture: "av.VideoFrame", count: int) -> tuple[Pixels, int]:
         import av
@@ -111,11 +139,11 @@ class VideoReader(FilmReader):
             sizes = f"{self.width}x{self.height} to {pixels.shape[1]}x{pixels.shape[0]}"
             raise MediaError(f"{self.path} changes its size from {sizes} pixels after {count} frames: cut it there")
 
-    def _pictures(self, container: "InputContainer") -> Iterator["av.VideoFrame"]:
+    def _decoded(self, container: "InputContainer") -> Iterator["av.VideoFrame"]:
         """Yield decoded pictures, then raise a MediaError if the rest of the file is damaged."""
         import av
 
-        stream = _prepared(container, strict=self._record is not None)
+        stream = _prepared(self._stream(container), strict=self._record is not None)
         count, damaged = 0, False
         try:
             for packet in self._sound_packets(container, stream):
@@ -126,6 +154,9 @@ class VideoReader(FilmReader):
         except av.error.FFmpegError:
             damaged = True
         self._judge_end(count, damaged)
+
+    def _stream(self, container: "InputContainer") -> "av.VideoStream":
+        return next(stream for stream in container.streams.video if stream.index == self._track)
 
     def _sound_packets(
         self, container: "InputContainer", stream: "av.VideoStream"
@@ -145,49 +176,38 @@ class VideoReader(FilmReader):
 
     def _judge_end(self, count: int, damaged: bool) -> None:
         cut = whole.ends_early(self.path)
-        if cut or (cut is None and self._record and self.path.suffix.lower() in (".mkv", ".nut")):
+        if cut or (cut is None and self._record and self._has_end):
             raise MediaError(f"{self.path} ends in the middle, after {count} whole frames: copy or record it again")
         if damaged:
             raise MediaError(f"{self.path} is damaged after {count} whole frames: copy or record it again")
         if not count:
             raise MediaError(f"{self.path} holds no frames: record it again")
 
-    def _in_order(self, container: "InputContainer") -> Iterator[tuple["av.VideoFrame", float]]:
-        """Yield pictures as they are shown, each with the earliest stamp in s that is left.
+    def _in_order(self, container: "InputContainer") -> Iterator[tuple["av.VideoFrame", float, float | None]]:
+        """Yield pictures as they are shown, each with the earliest stamp in s that is left, and the one after it.
 
         Some writers stamp pictures in the order in which they are coded; pictures between others then have later stamps
-        than they should, but all together have the right ones. A stamp that comes twice is taken for a period later.
+        than they should, but all together have the right ones.
         """
-        last_s = -math.inf
-        for picture, stamp_s in self._sorted(container):
-            last_s = last_s + 1 / self.claimed_hz if stamp_s == last_s else stamp_s
-            yield picture, last_s
-
-    def _sorted(self, container: "InputContainer") -> Iterator[tuple["av.VideoFrame", float]]:
-        context = container.streams.video[0].codec_context
+        context = self._stream(container).codec_context
         held, stamps, stamp_s = deque["av.VideoFrame"](), list[float](), -1 / self.claimed_hz
         broken: MediaError | None = None
         try:
-            for picture in self._pictures(container):
-                if not self._stamped or picture.pts is None or picture.time_base is None:
+            for picture in self._decoded(container):
+                if self._unstamped or picture.pts is None or picture.time_base is None:
                     stamp_s += 1 / self.claimed_hz
                 else:
                     stamp_s = float(picture.pts * picture.time_base)
                 held.append(picture)
                 heapq.heappush(stamps, stamp_s)
-                while len(held) > (REORDERED if context.has_b_frames else 0):
-                    yield held.popleft(), heapq.heappop(stamps)
+                while len(held) > (_REORDERED if context.has_b_frames else 1):
+                    yield held.popleft(), heapq.heappop(stamps), stamps[0]
         except MediaError as error:  # after the whole pictures before
             broken = error
         while held:
-            yield held.popleft(), heapq.heappop(stamps)
+            yield held.popleft(), heapq.heappop(stamps), stamps[0] if stamps else None
         if broken is not None:
             raise broken
-
-    def _time(self, picture: "av.VideoFrame", elapsed_s: float) -> float:
-        if self._record is None or picture.time_base is None:
-            return elapsed_s
-        return restored_time(self._record, elapsed_s, float(picture.time_base))
 
 
 @contextmanager
@@ -200,11 +220,69 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
     except (av.error.FFmpegError, OSError) as error:
         raise _unreadable(path, error) from error
     with container:
-        if not container.streams.video or container.format.name in _TEXT_FORMATS:
-            raise MediaError(f"{path} holds no pictures: give a video or an .h5 film")
-        if container.streams.video[0].codec_context is None:
-            raise MediaError(f"{path} is coded in a way that this FFmpeg cannot read, or damaged: convert it")
         yield container
+
+
+def _film_stream(path: Path, container: "InputContainer") -> "av.VideoStream":
+    """The track that is the film: of several the one of most pixels in all of its frames; single pictures are none."""
+    streams = () if container.format.name in _TEXT_FORMATS else container.streams.video
+    if not streams:
+        raise MediaError(f"{path} holds no pictures: give a video or an .h5 film")
+    films = [stream for stream in streams if not int(stream.disposition) & _NO_FILM]
+    if not films:
+        raise MediaError(f"{path} holds a cover picture and no film: give the video itself, or save the picture as PNG")
+    films = [stream for stream in films if stream.codec_context is not None]
+    if not films:
+        raise MediaError(f"{path} is coded in a way that this FFmpeg cannot read, or damaged: convert it")
+    if len(films) == 1:
+        return films[0]
+    frames = _frames_of_tracks(container, films)
+
+    def size(stream: "av.VideoStream") -> tuple[bool, int]:
+        count = frames[stream.index]
+        return count > 1, stream.codec_context.width * stream.codec_context.height * count
+
+    film = max(films, key=size)
+    form = f"{film.codec_context.width}x{film.codec_context.height} pixels"
+    LOG.warning("%s has %d video tracks: the largest is read, track %d of %s", path, len(films), film.index, form)
+    return film
+
+
+def _frames_of_tracks(container: "InputContainer", films: "list[av.VideoStream]") -> dict[int, int]:
+    """Frames of each track as the container states them, else among its first packets."""
+    if all(stream.frames for stream in films):
+        return {stream.index: stream.frames for stream in films}
+    import av
+
+    counts = {stream.index: 0 for stream in films}
+    with suppress(av.error.FFmpegError):  # damage is reported after the whole frames
+        for packet in islice(container.demux(films), _COUNTED_PACKETS):
+            counts[packet.stream_index] += bool(packet.size)
+        container.seek(0)
+    return counts
+
+
+def _sample(container: "InputContainer", stream: "av.VideoStream") -> tuple["av.VideoFrame | None", list[float]]:
+    """The first picture of a track and the stamps in s of its first packets, as far as they are sound."""
+    import av
+
+    first: av.VideoFrame | None = None
+    stamps: list[float] = []
+    with suppress(av.error.FFmpegError, ValueError):
+        for packet in container.demux(stream):
+            stamp = packet.dts if packet.pts is None else packet.pts
+            if packet.size and stamp is not None and packet.time_base is not None:
+                stamps.append(float(stamp * packet.time_base))
+            if first is None:
+                first = next(iter(packet.decode()), None)
+            if len(stamps) >= LIMITS.sample_frames:
+                break
+    return first, sorted(stamps)
+
+
+def _stated_rates(stream: "av.VideoStream") -> tuple[Any, ...]:
+    """Frame rates that the container, the coded stream and FFmpeg's guess state, the most credible first."""
+    return stream.average_rate, stream.codec_context.framerate, stream.guessed_rate, stream.base_rate
 
 
 def _unreadable(path: Path, error: Exception) -> MediaError:
@@ -218,8 +296,7 @@ def _unreadable(path: Path, error: Exception) -> MediaError:
     )
 
 
-def _prepared(container: "InputContainer", strict: bool) -> "av.VideoStream":
-    stream = container.streams.video[0]
+def _prepared(stream: "av.VideoStream", strict: bool) -> "av.VideoStream":
     # pictures side by side, or parts of one, as the codec has them
     stream.thread_type = "AUTO"
     stream.codec_context.thread_count = DECODER_THREADS
@@ -228,34 +305,13 @@ def _prepared(container: "InputContainer", strict: bool) -> "av.VideoStream":
     return stream
 
 
-def _way_up(container: "InputContainer") -> Orientation:
-    """How pictures are put upright, by the first one; of a film without a whole picture it does not matter."""
-    import av
-
-    try:
-        first = next(container.decode(video=0), None)
-    except (av.error.FFmpegError, ValueError):
-        return Orientation()
-    return Orientation() if first is None else orientation(first)
-
-
-def _tags(container: "InputContainer") -> dict[str, str]:
-    return {**container.metadata, **container.streams.video[0].metadata}
-
-
-def _rate(stream: "av.VideoStream") -> float:
-    rate = stream.average_rate or stream.guessed_rate or stream.base_rate
-    return float(rate) if rate else _FALLBACK_HZ
-
-
 def _bits(stream: "av.VideoStream") -> int:
     layout = stream.codec_context.format
     return max(_LEAST_BITS, layout.components[0].bits) if layout else _LEAST_BITS
 
 
-def _frame_count(container: "InputContainer", rate_hz: float) -> int | None:
+def _frame_count(container: "InputContainer", stream: "av.VideoStream", rate_hz: float) -> int | None:
     """Return the smaller of the container's count and its duration times the rate: edit lists hide stored frames."""
-    stream = container.streams.video[0]
     counts = [stream.frames] if stream.frames else []
     if stream.duration and stream.time_base:
         counts.append(round(stream.duration * float(stream.time_base) * rate_hz))

@@ -1,0 +1,105 @@
+"""Levels are those of the light: palettes are looked up, and none is above the bits that the film states."""
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import h5py
+import numpy as np
+import pytest
+from made_recordings import write_cine
+from made_videos import write_avi
+from numpy.typing import NDArray
+
+from heliograph.base.errors import MediaError
+from heliograph.media import open_film
+
+RAMP = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+NUMBERS = np.random.default_rng(1).integers(0, 256, (4, 24, 50), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("upwards", [False, True])
+@pytest.mark.parametrize(
+    ("palette", "levels"),
+    [
+        (None, NUMBERS),
+        (np.zeros((256, 3), np.uint8), NUMBERS),
+        (RAMP, NUMBERS),
+        (RAMP[::-1], 255 - NUMBERS),
+        (RAMP // 2, NUMBERS // 2),
+        (RAMP * np.array([1, 0, 0], np.uint8), np.rint(0.114 * NUMBERS)),
+        (RAMP * np.array([0, 1, 0], np.uint8), np.rint(0.587 * NUMBERS)),
+    ],
+    ids=["missing", "black", "gray", "inverted", "half", "blue", "green"],
+)
+def test_numbers_of_a_palette_are_its_gray_levels(
+    tmp_path: Path, palette: NDArray[np.uint8] | None, levels: NDArray[Any], upwards: bool
+) -> None:
+    with open_film(write_avi(tmp_path / "a.avi", NUMBERS, palette, upwards=upwards)) as film:
+        assert (film.bits, film.rate_hz) == (8, 1000)
+        assert np.array_equal([frame.pixels for frame in film], levels)
+
+
+@pytest.mark.parametrize("channel", ["red", "green", "blue"])
+def test_a_missing_palette_is_gray_in_every_channel(tmp_path: Path, channel: str) -> None:
+    with open_film(write_avi(tmp_path / "a.avi", NUMBERS), channel=channel) as film:
+        assert np.array_equal([frame.pixels for frame in film], NUMBERS)
+
+
+@pytest.mark.parametrize("fourcc", [b"Y800", b"GREY", b"Y8  "])
+def test_gray_levels_without_a_palette_are_read_as_stored(tmp_path: Path, fourcc: bytes) -> None:
+    with open_film(write_avi(tmp_path / "a.avi", NUMBERS, fourcc=fourcc)) as film:
+        assert np.array_equal([frame.pixels for frame in film], NUMBERS)
+
+
+def test_a_form_of_pixels_that_is_not_known_is_an_error(tmp_path: Path) -> None:
+    path = write_avi(tmp_path / "a.avi", NUMBERS.astype(np.uint16), fourcc=b"Y16 ")
+    with pytest.raises(MediaError, match="coded in a way that this FFmpeg cannot read"):
+        open_film(path)
+
+
+def bright_hdf5(path: Path, levels: NDArray[np.uint16]) -> Path:
+    with h5py.File(path, "w") as file:
+        file["frames"], file["times_s"], file.attrs["bits"] = levels, np.arange(len(levels)) / 1000, 12
+    return path
+
+
+def bright_video(path: Path, levels: NDArray[np.uint16]) -> Path:
+    with av.open(str(path), "w") as container:
+        stream: Any = container.add_stream("rawvideo", rate=1000)
+        stream.height, stream.width = levels.shape[1:]
+        stream.pix_fmt, stream.time_base = "gray12le", Fraction(1, 1000)
+        for number, pixels in enumerate(levels):
+            picture = av.VideoFrame(stream.width, stream.height, "gray12le")
+            plane: Any = picture.planes[0]
+            lines = np.frombuffer(plane, np.uint16).reshape(-1, plane.line_size // 2)
+            lines[:, : stream.width] = pixels
+            picture.pts, picture.time_base = number, Fraction(1, 1000)
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode())
+    return path
+
+
+def bright_y4m(path: Path, levels: NDArray[np.uint16]) -> Path:
+    body = b"".join(b"FRAME\n" + pixels.tobytes() for pixels in levels)
+    path.write_bytes(b"YUV4MPEG2 W%d H%d F1000:1 Ip A1:1 Cmono12\n" % levels.shape[:0:-1] + body)
+    return path
+
+
+def bright_cine(path: Path, levels: NDArray[np.uint16]) -> Path:
+    return write_cine(path, list(levels), 16, 12, [number / 1000 for number in range(len(levels))], 1000)
+
+
+@pytest.mark.parametrize(
+    ("make", "name"), [(bright_hdf5, "a.h5"), (bright_video, "a.nut"), (bright_y4m, "a.y4m"), (bright_cine, "a.cine")]
+)
+def test_a_level_above_the_stated_bits_is_an_error(tmp_path: Path, make: Any, name: str) -> None:
+    levels = np.full((4, 8, 16), 4095, np.uint16)
+    levels[2, 3, 5] = 4096
+    frames = []
+    with open_film(make(tmp_path / name, levels)) as film:
+        assert film.bits == 12
+        with pytest.raises(MediaError, match="gray level of 4096 after 2 whole frames, and its header says 12 bits"):
+            frames.extend(film)
+    assert len(frames) == 2
