@@ -67,10 +67,10 @@ class AnimationReader(FilmReader):
 
     def _frames(self) -> Iterator[Frame]:
         index, time_s = -1, 0.0
-        for count, (pixels, seconds) in enumerate(self._decoded()):
-            index = max(index + 1, round(checked_time(self.path, time_s, count) * self.claimed_hz))
+        for count, (pixels, delay_s) in enumerate(self._decoded()):
+            index = max(index + 1, round(checked_time(self.path, time_s, count) * self.rate_hz))
             yield Frame(index, time_s, pixels, self.bits)
-            time_s += seconds
+            time_s += 1 / self._true_hz if self._true_hz else delay_s
 
     def _decoded(self) -> Iterator[tuple[Pixels, float]]:
         """Yield the gray levels of each picture and the time in s for which it is shown."""

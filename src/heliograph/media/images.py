@@ -11,7 +11,7 @@ from heliograph.base.errors import MediaError
 from heliograph.base.frames import Pixels
 from heliograph.media import pictures, tiff
 from heliograph.media.animations import ANIMATED
-from heliograph.media.numbered import NumberedReader, camera_rate, check_levels
+from heliograph.media.numbered import NumberedReader, camera_rate
 from heliograph.media.reader import checked_size
 from heliograph.media.reading import Reading
 
@@ -124,7 +124,6 @@ class ImagesReader(NumberedReader):
         if (header := _NETPBM.match(data)) is not None:
             _check_single(path, header, data)
             bits = max(8, int(header[4] or 255).bit_length())
-        check_levels(path, pixels, bits, count)
         return pixels, bits
 
 
