@@ -154,21 +154,21 @@ def is_pattern(path: Path) -> bool:
 
 def _is_whole(path: Path, data: bytes) -> bool:
     """True if Pillow does not know the kind of picture, or finds its size that of a camera and its PNG chunks whole."""
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     with warnings.catch_warnings(action="ignore"):  # of sizes that are checked here
         try:
             with Image.open(io.BytesIO(data)) as image:
                 checked_size(path, *image.size)
-                if image.format in ANIMATED and getattr(image, "n_frames", 1) > 1:
+                if image.format in ANIMATED and (several := getattr(image, "n_frames", 1)) > 1:
                     raise MediaError(
-                        f"{path} holds {image.n_frames} pictures, not one: give it by its own name, not by its folder"
+                        f"{path} holds {several} pictures, not one: give it by its own name, not by its folder"
                     )
                 if image.format == "PNG":
                     image.verify()
         except Image.DecompressionBombError:
             raise MediaError(f"{path} claims more pixels than any camera has: it is no frame, or damaged") from None
-        except Image.UnidentifiedImageError:
+        except UnidentifiedImageError:
             return not data.startswith((_PNG, _JPEG))
         except MediaError:
             raise
