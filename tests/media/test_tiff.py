@@ -411,8 +411,9 @@ def test_a_picture_taken_out_of_a_stack_keeps_its_description(tmp_path: Path) ->
         assert same(list(film), picture[np.newaxis])
 
 
-def test_wrong_bytes_in_a_deflated_page_are_found(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", noise(5, 20, 30, 8), compression="zlib")
+@pytest.mark.parametrize("compression", ["zlib", "lzma"])
+def test_wrong_bytes_in_a_compressed_page_are_found(tmp_path: Path, compression: str) -> None:
+    path = write(tmp_path / "a.tif", noise(5, 20, 30, 8), compression=compression)
     with tifffile.TiffFile(path) as stack:
         place = stack.pages[3].dataoffsets[0]
     data = bytearray(path.read_bytes())

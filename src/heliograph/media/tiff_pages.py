@@ -1,5 +1,6 @@
 """Gray levels of a page of a TIFF file: tifffile decodes it, and OpenCV the compressions that tifffile cannot."""
 
+import lzma
 import struct
 import zlib
 from pathlib import Path
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 ERRORS = (
     ValueError, ArithmeticError, LookupError, TypeError, AttributeError, AssertionError, RuntimeError, MemoryError,
-    ImportError, struct.error, zlib.error,
+    ImportError, struct.error, zlib.error, lzma.LZMAError,
 )  # fmt: skip
 """Errors of tifffile on damaged files, apart from its own and from OSError."""
 
