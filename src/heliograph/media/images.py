@@ -240,7 +240,7 @@ def _of_folder(folder: Path) -> Numbered:
             f"{folder} has pictures of several kinds ({', '.join(kinds_held)}): give those you mean as a pattern, such "
             f"as {folder / 'img%04d.png'}"
         )
-    return list(enumerate(sorted(names, key=natural)))
+    return list(enumerate(sorted(names, key=_natural)))
 
 
 def _is_picture(entry: Path) -> bool:
@@ -264,14 +264,8 @@ def _of_pattern(path: Path) -> Numbered:
     return [(number - found[0][0], held) for number, held in found]
 
 
-def natural(name: str) -> tuple[list[tuple[int, int, str]], str]:
-    """Return a key that sorts img10 behind img9, whatever characters names have.
-
-    Parameters
-    ----------
-    name
-        Name of a file.
-    """
+def _natural(name: str) -> tuple[list[tuple[int, int, str]], str]:
+    """Key that sorts img10 behind img9, whatever characters names have."""
     parts = _DIGITS.split(name)  # numbers stand at odd places
     texts = [(1, 0, text) if place % 2 == 0 else (0, int(text), "") for place, text in enumerate(parts) if text]
     return texts, name
