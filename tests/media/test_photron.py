@@ -138,12 +138,15 @@ def test_a_line_that_a_header_lacks_is_named(tmp_path: Path, line: str) -> None:
     assert f"does not state its {line.lower()}: copy the header that was saved with the frames, or add it" in says
 
 
-def test_packed_levels_under_a_header_of_words(tmp_path: Path) -> None:
-    """Read as words they are above the stated depth."""
-    path = write_mraw(tmp_path / "a.mraw", noise(4, 6, 10, 12), 12, 12)
-    text = path.with_suffix(".cih").read_text()
-    path.with_suffix(".cih").write_text(text.replace("Color Bit : 12", "Color Bit : 16"))
-    assert "and its header says 12 bits" in refused(path)[1]
+@pytest.mark.parametrize(("held", "said"), [(8, 12), (8, 16), (12, 16)])
+def test_levels_of_other_bits_than_the_header_says(tmp_path: Path, held: int, said: int) -> None:
+    """They would be read as fewer frames, all wrong."""
+    path = write_mraw(tmp_path / "a.mraw", noise(4, 6, 10, 8), held, held)
+    text = path.with_suffix(".cih").read_text().replace(f"Color Bit : {held}", f"Color Bit : {said}")
+    path.with_suffix(".cih").write_text(text.replace(f"Depth : {held}", f"Depth : {said}"))
+    got, says = refused(path)
+    assert not got
+    assert f"which are 4 frames of {held} bits, and a.cih says {said} bits: give it its own header" in says
 
 
 @pytest.mark.parametrize("rate", [0, float("nan"), -5])

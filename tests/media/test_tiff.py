@@ -411,8 +411,9 @@ def test_a_picture_taken_out_of_a_stack_keeps_its_description(tmp_path: Path) ->
         assert same(list(film), picture[np.newaxis])
 
 
-def test_wrong_bytes_in_a_deflated_page_are_found(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", noise(5, 20, 30, 8), compression="zlib")
+@pytest.mark.parametrize("compression", ["zlib", "lzma"])
+def test_wrong_bytes_in_a_compressed_page_are_found(tmp_path: Path, compression: str) -> None:
+    path = write(tmp_path / "a.tif", noise(5, 20, 30, 8), compression=compression)
     with tifffile.TiffFile(path) as stack:
         place = stack.pages[3].dataoffsets[0]
     data = bytearray(path.read_bytes())
@@ -421,3 +422,18 @@ def test_wrong_bytes_in_a_deflated_page_are_found(tmp_path: Path) -> None:
     got, says = refused(path)
     assert len(got) == 3
     assert "has a page after 3 whole frames that is damaged, or of a kind that is not read" in says
+
+
+def test_pictures_below_a_small_copy_are_not_read(tmp_path: Path) -> None:
+    """Raw files of cameras have the full picture below a small one."""
+    picture = noise(1, 20, 30, 8)[0]
+    with tifffile.TiffWriter(tmp_path / "a.tif") as stack:
+        stack.write(picture[::2, ::2], subifds=1, subfiletype=1, metadata=None)
+        stack.write(picture, metadata=None)
+    says = refused(tmp_path / "a.tif")[1]
+    assert "holds small copies alone; pictures in sub-directories, as in cameras' raw files, are not read" in says
+
+
+def test_a_file_without_pages(tmp_path: Path) -> None:
+    (tmp_path / "a.tif").write_bytes(b"II*\0" + bytes(20))
+    assert "holds no pages: save it again" in refused(tmp_path / "a.tif")[1]

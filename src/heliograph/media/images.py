@@ -153,21 +153,21 @@ def is_pattern(path: Path) -> bool:
 
 def _is_whole(path: Path, data: bytes) -> bool:
     """True if Pillow does not know the kind of picture, or finds its size that of a camera and its PNG chunks whole."""
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     with warnings.catch_warnings(action="ignore"):  # of sizes that are checked here
         try:
             with Image.open(io.BytesIO(data)) as image:
                 checked_size(path, *image.size)
-                if image.format in ANIMATED and getattr(image, "n_frames", 1) > 1:
+                if image.format in ANIMATED and (several := getattr(image, "n_frames", 1)) > 1:
                     raise MediaError(
-                        f"{path} holds {image.n_frames} pictures, not one: give it by its own name, not by its folder"
+                        f"{path} holds {several} pictures, not one: give it by its own name, not by its folder"
                     )
                 if image.format == "PNG":
                     image.verify()
         except Image.DecompressionBombError:
             raise MediaError(f"{path} claims more pixels than any camera has: it is no frame, or damaged") from None
-        except Image.UnidentifiedImageError:
+        except UnidentifiedImageError:
             return not data.startswith((_PNG, _JPEG))
         except MediaError:
             raise
@@ -239,7 +239,7 @@ def _of_folder(folder: Path) -> Numbered:
             f"{folder} has pictures of several kinds ({', '.join(kinds_held)}): give those you mean as a pattern, such "
             f"as {folder / 'img%04d.png'}"
         )
-    return list(enumerate(sorted(names, key=natural)))
+    return list(enumerate(sorted(names, key=_natural)))
 
 
 def _is_picture(entry: Path) -> bool:
@@ -263,14 +263,8 @@ def _of_pattern(path: Path) -> Numbered:
     return [(number - found[0][0], held) for number, held in found]
 
 
-def natural(name: str) -> tuple[list[tuple[int, int, str]], str]:
-    """Return a key that sorts img10 behind img9, whatever characters names have.
-
-    Parameters
-    ----------
-    name
-        Name of a file.
-    """
+def _natural(name: str) -> tuple[list[tuple[int, int, str]], str]:
+    """Key that sorts img10 behind img9, whatever characters names have."""
     parts = _DIGITS.split(name)  # numbers stand at odd places
     texts = [(1, 0, text) if place % 2 == 0 else (0, int(text), "") for place, text in enumerate(parts) if text]
     return texts, name

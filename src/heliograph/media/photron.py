@@ -6,7 +6,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -243,13 +243,19 @@ def _beside(path: Path, suffixes: tuple[str, ...]) -> Path | None:
 
 
 def _check_length(frames: Path, header: Path, head: PhotronHeader) -> None:
-    """Refuse a file that is longer than its header says: it is that of another recording. A cut one is read."""
+    """Refuse a file that is longer than its header says, or has levels of other bits. A cut one is read."""
     claimed, size = head.frames * head.frame_bytes, frames.stat().st_size
     if size > claimed:
         raise MediaError(
             f"{frames} has {size} bytes, and {header.name} says {head.frames} frames of {head.frame_bytes}: give it "
             "its own header"
         )
+    for word in _WORDS:
+        if word != head.word and size == head.frames * replace(head, word=word).frame_bytes:
+            raise MediaError(
+                f"{frames} has {size} bytes, which are {head.frames} frames of {word} bits, and {header.name} says "
+                f"{head.word} bits: give it its own header, or correct its color bit"
+            )
 
 
 def _decoded(data: bytes) -> str:

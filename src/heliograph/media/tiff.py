@@ -216,7 +216,12 @@ class _Stack:
         try:
             first = next(self.frames(), None)
             if first is None:
-                raise MediaError(f"{self._path} holds no pages: save it again")
+                if not len(self._tif.pages):
+                    raise MediaError(f"{self._path} holds no pages: save it again")
+                raise MediaError(
+                    f"{self._path} holds small copies alone; pictures in sub-directories, as in cameras' raw files, "
+                    "are not read: save them as TIFF"
+                )
             return self.levels(*first, 0, channel)
         except _PagesEndError as error:
             raise _cut(self._path, error, 0) from None

@@ -1,5 +1,6 @@
 """Gray levels of a page of a TIFF file: tifffile decodes it, and OpenCV the compressions that tifffile cannot."""
 
+import lzma
 import struct
 import zlib
 from pathlib import Path
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 ERRORS = (
     ValueError, ArithmeticError, LookupError, TypeError, AttributeError, AssertionError, RuntimeError, MemoryError,
-    ImportError, struct.error, zlib.error,
+    ImportError, struct.error, zlib.error, lzma.LZMAError,
 )  # fmt: skip
 """Errors of tifffile on damaged files, apart from its own and from OSError."""
 
@@ -239,21 +240,23 @@ def _uncompressed(page: "TiffPage", plane: int) -> NDArray[Any]:
     shape = (page.shaped[0], *page.shaped[2:])
     if page.dtype is None:
         raise ValueError(f"numbers of {bits} bits and kind {page.sampleformat}")
-    data = bytearray()
     if is_plain(page):
+        data = bytearray(size)  # which may be written, so that no loop is compiled again
         file.seek(page.dataoffsets[0] + plane * size)
-        data += file.read(size)
+        held = file.readinto(data)
     else:
+        data = bytearray()
         for place, length in zip(page.dataoffsets, page.databytecounts, strict=True):
             file.seek(place)
             data += file.read(min(length, size - len(data)))
-    if len(data) < size:
-        raise ValueError(f"its strips hold {len(data)} bytes, and its pixels take {size}")
+        held = len(data)
+    if held < size:
+        raise ValueError(f"its strips hold {held} bytes, and its pixels take {size}")
     if bits % 8 and size < 2 * int(np.prod(shape)):
         rows = np.frombuffer(data, np.uint8).reshape(shape[0] * shape[1], -1)
         return unpack_rows(rows, shape[2] * shape[3], bits).reshape(shape)
     kind = np.dtype(np.uint16) if bits % 8 else np.dtype(page.dtype)
-    return np.frombuffer(data, kind.newbyteorder(page.parent.byteorder)).reshape(shape).astype(kind)
+    return np.frombuffer(data, kind.newbyteorder(page.parent.byteorder)).reshape(shape).astype(kind, copy=False)
 
 
 def _standalone(page: "TiffPage") -> bytes:
