@@ -87,32 +87,3 @@ def unpack_pairs(data: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
     levels[:, 0] = groups[:, 0] << lower | groups[:, 1] & ((1 << lower) - 1)
     levels[:, 1] = groups[:, 2] << lower | groups[:, 1] >> 4 & ((1 << lower) - 1)
     return levels.ravel()
-
-
-def unpack_rows(rows: NDArray[np.uint8], columns: int, bits: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Return gray levels of rows that each begin with a byte, without gaps, the upper bits first.
-
-    Parameters
-    ----------
-    rows
-        (rows, bytes) packed levels.
-    columns
-        Levels of a row; the bits behind them fill up the last byte.
-    bits
-        Bits of a gray level, 1 to 16.
-
-    Returns
-    -------
-    (rows, columns) uint8 for up to 8 bits, else uint16.
-    """
-    if bits in _GROUPS:
-        held, size = _GROUPS[bits]
-        groups = -(-columns // held)
-        whole = np.zeros((len(rows), groups * size), np.uint8)
-        whole[:, : rows.shape[1]] = rows
-        return unpack(whole.tobytes(), bits).reshape(len(rows), -1)[:, :columns]
-    word = 8 if bits <= 8 else 16
-    levels = np.zeros((len(rows), columns, word), np.uint8)
-    levels[..., word - bits :] = np.unpackbits(rows, axis=1)[:, : columns * bits].reshape(len(rows), columns, bits)
-    packed = np.packbits(levels, axis=2)
-    return packed[..., 0] if word == 8 else packed.view(">u2")[..., 0].astype(np.uint16)

@@ -36,4 +36,3 @@ def check_suffix(path: Path) -> None:
         f"save it as .npy by python -c \"import numpy as n; n.save('{path.stem}.npy', "
         f"n.fromfile('{path.name}', 'u1').reshape({shape}\", with '<u2' in place of 'u1' for words of 16 bits"
     )
-

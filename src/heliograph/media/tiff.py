@@ -239,7 +239,8 @@ class _Stack:
             raise
         except (OSError, *self._errors) as error:
             raise MediaError(
-                f"{self._path} has a page after {count} whole frames that {tiff_pages.why_unread(page, error)}"
+                f"{self._path} has a page after {count} whole frames that cannot be decoded ({brief(error)}): it is "
+                "damaged, or of a kind that is not read; copy it again, or save gray or RGB of 8 or 16 bits"
             ) from None
 
     def _stated(self) -> Description:

@@ -1,4 +1,4 @@
-"""Gray levels of a page of a TIFF file: tifffile decodes it, and OpenCV the compressions that tifffile cannot."""
+"""Gray levels of a page of a TIFF file, decoded by tifffile and imagecodecs."""
 
 import lzma
 import struct
@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.errors import MediaError, brief
+from heliograph.base.errors import MediaError
 from heliograph.base.frames import BITS, Pixels
 from heliograph.media import pictures
-from heliograph.media.packed import unpack_rows
 
 if TYPE_CHECKING:
     from tifffile import TiffPage
@@ -35,14 +34,8 @@ _OPACITY = (1, 2)
 _PLAIN = 1
 """Value of Compression for none."""
 
-_BY_OPENCV = (2, 3, 4, 5, 6, 7, 8, 32773, 32946)
-"""Compressions that OpenCV decodes: CCITT, LZW, JPEG, deflate, PackBits. Of some others it makes black pictures."""
-
-_MEANING, _ORIENTATION, _TILED = 262, 274, 322
-"""Tags of the meaning of the samples, of the turn and mirroring of the page, and of the width of tiles."""
-
-_COPIED = (256, 257, 258, 259, _MEANING, 266, 277, 278, 284, 292, 293, 317, 320, _TILED, 323, 338, 339, 347, 530)
-"""Tags that a decoder needs beside the places and lengths of strips or tiles."""
+_MEANING, _ORIENTATION = 262, 274
+"""Tags of the meaning of the samples, and of the turn and mirroring of the page."""
 
 
 def check_kind(path: Path, page: "TiffPage") -> None:
@@ -134,22 +127,8 @@ def read_levels(path: Path, page: "TiffPage", plane: int, channel: str) -> Pixel
     MediaError
         Its numbers are not of 8 or 16 bits.
     """
-    meaning = _meaning(page)
-    try:
-        stored = _stored(page, plane)
-    except ERRORS as error:
-        known = page.compression in _BY_OPENCV and _lacks_codec(error)
-        decoded = pictures.decode(_standalone(page)) if known else None
-        if decoded is None:
-            raise
-        # OpenCV applies palettes, and inverts levels of 8 bits where white is 0
-        levels = pictures.to_gray(pictures.checked_form(path, decoded), channel)
-        levels = ~levels if meaning == _WHITE_IS_ZERO and levels.itemsize > 1 else levels
-        if 8 < page.bitspersample < 16:  # which OpenCV moves to the upper end of a word
-            levels = levels >> np.uint16(16 - page.bitspersample)
-    else:
-        levels = pictures.to_gray(pictures.checked_form(path, _colours(page, stored)), channel)
-    return _upright(levels, int(page.tags.valueof(_ORIENTATION, default=1)))
+    picture = pictures.checked_form(path, _colours(page, _stored(page, plane)))
+    return _upright(pictures.to_gray(picture, channel), int(page.tags.valueof(_ORIENTATION, default=1)))
 
 
 def depth(page: "TiffPage", levels: Pixels, stated: int | None) -> int:
@@ -167,39 +146,6 @@ def depth(page: "TiffPage", levels: Pixels, stated: int | None) -> int:
     least, most = BITS[levels.dtype]
     bits = page.bitspersample if page.bitspersample < most else stated or most
     return bits if least <= bits <= most and _meaning(page) != _PALETTE else most
-
-
-def why_unread(page: "TiffPage", error: Exception) -> str:
-    """Return the cause and the remedy for a page that is not read.
-
-    Parameters
-    ----------
-    page
-        The page.
-    error
-        The exception that it raised.
-    """
-    missing = _lacks_codec(error)
-    if missing and page.bitspersample not in (1, 8, 16):
-        return (
-            f"has levels of {page.bitspersample} bits in a form that needs the package imagecodecs: install it by "
-            "'pip install imagecodecs', or save 8 or 16 bits"
-        )
-    if missing and page.compression not in (_PLAIN, *_BY_OPENCV):
-        name = getattr(page.compression, "name", f"number {page.compression}")
-        return (
-            f"is compressed as {name}, which needs the package imagecodecs: install it by 'pip install imagecodecs', "
-            "or save the stack without compression"
-        )
-    return (
-        f"is damaged, or of a kind that is not read ({brief(error)}): copy it again, or save gray or RGB of 8 or 16 "
-        "bits"
-    )
-
-
-def _lacks_codec(error: Exception) -> bool:
-    """True if tifffile needs a module that is not installed: imagecodecs, or Python's of a later release."""
-    return isinstance(error, ImportError) or "imagecodecs" in str(error)
 
 
 def _meaning(page: "TiffPage") -> int:
@@ -253,35 +199,11 @@ def _uncompressed(page: "TiffPage", plane: int) -> NDArray[Any]:
     if held < size:
         raise ValueError(f"its strips hold {held} bytes, and its pixels take {size}")
     if bits % 8 and size < 2 * int(np.prod(shape)):
-        rows = np.frombuffer(data, np.uint8).reshape(shape[0] * shape[1], -1)
-        return unpack_rows(rows, shape[2] * shape[3], bits).reshape(shape)
+        from imagecodecs import packints_decode
+
+        return packints_decode(bytes(data), page.dtype, bits, runlen=shape[2] * shape[3]).reshape(shape)
     kind = np.dtype(np.uint16) if bits % 8 else np.dtype(page.dtype)
     return np.frombuffer(data, kind.newbyteorder(page.parent.byteorder)).reshape(shape).astype(kind, copy=False)
-
-
-def _standalone(page: "TiffPage") -> bytes:
-    """A TIFF file of one page alone, its strips or tiles compressed as they are."""
-    file, order = page.parent.filehandle, page.parent.byteorder
-    pieces = []
-    for place, length in zip(page.dataoffsets, page.databytecounts, strict=True):
-        file.seek(place)
-        pieces.append(file.read(length))
-    starts, lengths = (324, 325) if page.is_tiled else (273, 279)
-    values = {code: page.tags[code].value for code in _COPIED if code in page.tags}
-    values |= {starts: np.cumsum([8, *map(len, pieces[:-1])]).tolist(), lengths: [len(piece) for piece in pieces]}
-    directory = 8 + sum(map(len, pieces))
-    outside = directory + 2 + 12 * len(values) + 4
-    entries, far = bytearray(), bytearray()
-    for code, value in sorted(values.items()):
-        numbers = list(value) if isinstance(value, (bytes, tuple, list)) else [int(value)]
-        # types of a tag (TIFF 6.0, section 2): bytes without meaning, 16 and 32 bits
-        kind, letter = (7, "B") if isinstance(value, bytes) else (3, "H") if max(numbers) < 1 << 16 else (4, "I")
-        data = struct.pack(f"{order}{len(numbers)}{letter}", *numbers)
-        entries += struct.pack(f"{order}HHI", code, kind, len(numbers))
-        entries += data.ljust(4, b"\0") if len(data) <= 4 else struct.pack(f"{order}I", outside + len(far))
-        far += data if len(data) > 4 else b""
-    head = (b"II" if order == "<" else b"MM") + struct.pack(f"{order}HI", 42, directory)
-    return b"".join([head, *pieces, struct.pack(f"{order}H", len(values)), bytes(entries), bytes(4), bytes(far)])
 
 
 def _upright(levels: Pixels, orientation: int) -> Pixels:
