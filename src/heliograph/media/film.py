@@ -179,10 +179,10 @@ def _opened(path: Path, reading: Reading) -> FilmReader:
         if head.startswith(signature):
             raise MediaError(f"{path} {advice}")
     named = next((kind for kind in _KINDS if kind.knows and path.suffix.lower() in kind.suffixes), None)
+    raw_dumps.check_header(path)
     try:
         return video_read.VideoReader(path, reading)
     except MediaError:
-        raw_dumps.check_suffix(path)
         if named is None:
             raise
     return named.open(path, reading)  # which tells what is wrong with it

@@ -1,5 +1,6 @@
 """Recognise raw dumps: files of levels without any header, whose frames have no known size."""
 
+import mmap
 from pathlib import Path
 
 from heliograph.base.errors import MediaError
@@ -14,13 +15,13 @@ _YUV = (".yuv", ".i420", ".yv12", ".nv12", ".nv21", ".yuv420p")
 """Suffixes of dumps in which half a frame of colours follows the gray levels of each frame."""
 
 
-def check_suffix(path: Path) -> None:
-    """Refuse a file that FFmpeg cannot read if its suffix is that of raw dumps.
+def check_header(path: Path) -> None:
+    """Refuse a file whose suffix is that of raw dumps, unless FFmpeg knows its content.
 
     Parameters
     ----------
     path
-        An existing file that is of no known kind.
+        An existing file that is of no other known kind.
 
     Raises
     ------
@@ -28,7 +29,7 @@ def check_suffix(path: Path) -> None:
         Tells how to save a dump as .npy.
     """
     suffix = path.suffix.lower()
-    if suffix not in (*_GRAY, *_YUV):
+    if suffix not in (*_GRAY, *_YUV) or _is_video(path):
         return
     shape = "-1, ROWS, COLUMNS))" if suffix in _GRAY else "-1, ROWS * 3 // 2, COLUMNS)[:, :ROWS])"
     raise MediaError(
@@ -36,3 +37,19 @@ def check_suffix(path: Path) -> None:
         f"save it as .npy by python -c \"import numpy as n; n.save('{path.stem}.npy', "
         f"n.fromfile('{path.name}', 'u1').reshape({shape}\", with '<u2' in place of 'u1' for words of 16 bits"
     )
+
+
+def _is_video(path: Path) -> bool:
+    """True if FFmpeg finds pictures in the content, whatever the suffix: it takes any .bin file for text art."""
+    import av
+
+    try:
+        # a file object would tell FFmpeg its name
+        with (
+            path.open("rb") as file,
+            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content,
+            av.open(content) as container,
+        ):
+            return any(stream.width and stream.height for stream in container.streams.video)
+    except (av.error.FFmpegError, OSError, ValueError):
+        return False
