@@ -176,3 +176,14 @@ def test_half_a_pattern_out_of_step_far_arrays_stay_upright(phase: float) -> Non
     packets = soft_packets(["signal.data_pairs=48"], patterns=112, start_s=phase * 1e-3, distance_m=80.0)
     assert packets[0].status == "ok"
     assert (packets[0].pose.stretch, packets[0].pose.shear) == pytest.approx((0, 0), abs=5e-3)
+
+
+@pytest.mark.slow
+def test_half_a_pattern_out_of_step_layers_end_at_the_distances_of_the_documentation() -> None:
+    """All is read at 70 m and the high layer alone at 95 m; of what is lost nothing wrong is passed."""
+    assert [packet.status for packet in soft_packets([], 80, 0.5e-3, 70.0)] == ["ok", "ok"]
+    far = soft_packets([], 80, 0.5e-3, 95.0)
+    assert far
+    for packet in far:
+        words = {name: {word.status for word in by} for name, by in packet.layers.items()}
+        assert words == {"high": {"ok"}, "middle": {"crc_fail"}, "low": {"crc_fail"}}

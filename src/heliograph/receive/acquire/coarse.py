@@ -98,6 +98,8 @@ class SearchParameters:
     start
         Pose of an array on the sensor as somebody gave it: others of its roll and tilt are looked for, and its header
         is tried there in any case. None where nobody did.
+    rolls_deg
+        Rolls of the arrays looked for if no upright or turned one is found; each finds arrays up to 12 degrees away.
     """
 
     min_side_px: float
@@ -113,6 +115,7 @@ class SearchParameters:
     blur_px: float
     everywhere: bool = False
     start: Pose | None = None
+    rolls_deg: tuple[float, ...] = (22.5, -22.5, 45.0, -45.0, 67.5, -67.5)
 
     def sides(self) -> NDArray[np.float64]:
         """Sizes looked for in px, (sizes,), rising by `SIDE_STEP` at most."""

@@ -45,6 +45,7 @@ from heliograph.receive.acquire.usual import UsualAlternation
 from heliograph.receive.image.fit import Fit
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.image.pose import Pose
+from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings
 
 GAINED = 0.03
@@ -79,6 +80,9 @@ In 550 films of random places, tilts, phases and rates, of arrays partly hidden 
 detections and 21,325 did not. None and 51 % of them had less; 0.6 would refuse 2 and 70 %, 0.7 would refuse 5 and 91 %.
 """
 
+ROLLED_FITS = 4
+"""Fits in a row of a rolled candidate: its roll is up to 12 degrees off, and each fit moves it by some degrees."""
+
 SHORT_WORTH = 0.7
 """The same where searches have used up more than half of what they may cost."""
 
@@ -111,6 +115,7 @@ class Detector:
         turned = headers(ORIENTATIONS[1:])
         sought = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT,), ORIENTATIONS[1:]), turned)
         self._coarse = tuple(BoundedSearch(parameters, one, self.budget) for one in sought)
+        self._rolled = self._at_rolls(sought)
         self._old = OldBlocks(self.budget, signal.packet_patterns)
         # data look otherwise to a search that begins with an inverse
         self._usual = UsualAlternation(signal.modulation), UsualAlternation(signal.modulation)
@@ -124,6 +129,7 @@ class Detector:
         """Look for one orientation alone from now on; see `HeaderSearch`."""
         if not self._parameters.all_on:
             self._coarse = (BoundedSearch(self._parameters, headers((orientation,)), self.budget),)
+            self._rolled = self._at_rolls((headers((orientation,)),))
 
     @property
     def load(self) -> SearchLoad:
@@ -277,24 +283,59 @@ class Detector:
             return []
         parts = searched_parts(header, busy, self._sides[-1], alternation_of)
         found = list[Detection]()
-        for coarse in self._coarse[: self.parts(turned)]:
+        stages = [[(coarse, 0.0)] for coarse in self._coarse[: self.parts(turned)]]
+        for searches in [*stages, *(self._rolled if turned else ())]:
+            rolled = searches in self._rolled
+            if rolled and not self.budget.plenty:
+                break
             fitted = list[Detection]()
-            for one, part in candidates_of(parts, coarse, self._side):
+            for one, part, sought in self._candidates(parts, searches):
                 # what overlaps an array in clear sight would be left out as the less clear one
                 fits = all(not d.clear or apart(one.start, d.fit.pose, self._side) for d in [*found, *fitted])
                 if not fits:
                     continue
                 if self.budget.fit(one.score):
-                    fitted += self._refine(slots, part, one, coarse.headers, taken)
+                    fitted += self._refine(slots, part, one, sought, taken)
             # what seems an upright array partly hidden may be a turned one in clear sight
-            found = distinct([*found, *(d for d in fitted if d.clear or not found)], self._side)
-            if (found and all(one.clear for one in found)) or not coarse.compared:
+            # and a rolled one must be in clear sight, as clutter has so many rolls to resemble a header
+            fitted = [d for d in fitted if d.clear or not (found or rolled)]
+            found = distinct([*found, *fitted], self._side)
+            compared = any(coarse.compared for coarse, _ in searches)
+            if (found and all(one.clear for one in found)) or not compared:
                 break
         sized = [one for one in found if of_size(one.fit, self._parameters, self._side)]
         if len(sized) < len(found):
             # one in clear sight that is none of these sizes is looked for on another level
             self.budget.expect()
         return sized
+
+    def _candidates(
+        self, parts: Sequence[SearchedPart], searches: Sequence[tuple[BoundedSearch, float]]
+    ) -> list[tuple[Candidate, SearchedPart, Headers]]:
+        """The best candidates of several searches, each with its part and the headers that it may be."""
+        found = [
+            (one, part, coarse.headers)
+            for coarse, roll in searches
+            for one, part in candidates_of(parts, coarse, self._side, roll)
+        ]
+        if len(searches) > 1:
+            found = sorted(found, key=lambda one: -abs(one[0].score))[: self._parameters.candidates]
+        return found
+
+    def _at_rolls(self, sought: Sequence[Headers]) -> list[list[tuple[BoundedSearch, float]]]:
+        """Searches for rolled arrays, each with its roll in rad; none of a pose that was given or of squares."""
+        parameters = self._parameters
+        if parameters.all_on or parameters.start is not None:
+            return []
+        # a turned header that is rolled one way is another turned one, rolled the other way
+        return [
+            [
+                (BoundedSearch(parameters, one, self.budget), math.radians(roll))
+                for roll in parameters.rolls_deg
+                if roll > 0 or len(one.cells) == IDENTITIES
+            ]
+            for one in sought
+        ]
 
     def _refine(
         self,
@@ -322,6 +363,8 @@ class Detector:
                 break
             least = self._parameters.coarse_score
             pose = replace(rough.pose, blur=blur)
+            if start.roll and self._parameters.start is None:
+                pose = self._rolled_pose(part, pose, math.copysign(1.0, score) * weights, tilt)
             begun = begin_of(slots, pose, weights, self._header)
             if begun is None:
                 # whatever its tilt
@@ -332,6 +375,16 @@ class Detector:
             if best is not None and best.score >= CLEAR:
                 break
         return [] if best is None else [best]
+
+    def _rolled_pose(self, part: SearchedPart, pose: Pose, weights: NDArray[np.float64], tilt: float) -> Pose:
+        """Pose of a rolled candidate, by fits that each start from the last one."""
+        for _ in range(ROLLED_FITS):
+            self.budget.spend(FIT_WORK)
+            fit = fit_near(part.change, part.first.origin, pose, weights, tilt, HIDING_BLUR)
+            if fit is None:
+                break
+            pose = replace(fit.pose, blur=pose.blur)
+        return pose
 
     def _fitted(
         self,

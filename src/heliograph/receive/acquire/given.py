@@ -85,7 +85,7 @@ def pose_of(corners: Sequence[float], side: int, blur: float) -> Pose:
 
 
 def candidates_of(
-    parts: Sequence[SearchedPart], coarse: BoundedSearch, side: int
+    parts: Sequence[SearchedPart], coarse: BoundedSearch, side: int, roll: float = 0.0
 ) -> list[tuple[Candidate, SearchedPart]]:
     """What may be arrays: the best of the coarse search; where a pose was given, arrays turned and tilted as that one.
 
@@ -97,6 +97,8 @@ def candidates_of(
         The coarse search, with what is looked for.
     side
         LEDs in a row.
+    roll
+        Roll in rad of the arrays looked for; no other than 0 where a pose was given.
 
     Returns
     -------
@@ -107,12 +109,35 @@ def candidates_of(
         return [(one, part) for part in parts for one in _given(part, coarse, start, side)]
     blur = coarse.parameters.blur_px
     found = list[tuple[Candidate, SearchedPart]]()
-    for part, rows in zip(parts, coarse.candidates(parts), strict=True):
-        x, y = part.first.origin
+    turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
+    drawn = [_upright(part, turn) if roll else _as_it_is(part) for part in parts]
+    for part, (_, map_), rows in zip(parts, drawn, coarse.candidates([one for one, _ in drawn]), strict=True):
         for score, across, down, width, number in rows.tolist():
-            pose = Pose(across - 0.5 + x, down - 0.5 + y, width / side, 0.0, blur)
+            x, y = (map_ @ [across - 0.5, down - 0.5, 1.0]).tolist()
+            pose = Pose(x, y, width / side, roll, blur)
             found.append((Candidate(pose, int(number), score), part))
     return sorted(found, key=lambda one: -abs(one[0].score))[: coarse.parameters.candidates]
+
+
+def _as_it_is(part: SearchedPart) -> tuple[SearchedPart, NDArray[np.float64]]:
+    """A part to be searched for upright arrays, and the map (2, 3) from its pixels to the sensor."""
+    return part, np.column_stack([np.eye(2), part.first.origin])
+
+
+def _upright(part: SearchedPart, turn: NDArray[np.float64]) -> tuple[SearchedPart, NDArray[np.float64]]:
+    """A part as it would look if arrays of an image (2, 2) were upright, and the map (2, 3) from it to the sensor."""
+    rows, columns = part.change.shape
+    # about the middles of both
+    size = [ceil(n) for n in np.abs(np.linalg.inv(turn)) @ [columns, rows]]
+    middle, there = np.array([columns - 1, rows - 1]) / 2, (np.array(size) - 1) / 2
+    map_ = np.column_stack([turn, middle - turn @ there])
+    change = cv2.warpAffine(part.change, map_, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    down, across = np.indices((-(-size[1] // BLOCK_PX), -(-size[0] // BLOCK_PX))) * BLOCK_PX + (BLOCK_PX - 1) / 2
+    x, y = np.tensordot(map_, [across, down, np.ones_like(across)], 1) // BLOCK_PX
+    within = (x >= 0) & (y >= 0) & (x < part.busy.shape[1]) & (y < part.busy.shape[0])
+    busy = within & part.busy[np.where(within, y, 0).astype(int), np.where(within, x, 0).astype(int)]
+    on_sensor = map_ + np.column_stack([np.zeros((2, 2)), part.first.origin])
+    return SearchedPart(np.asarray(change, np.float32), busy, replace(part.first, origin=(0, 0))), on_sensor
 
 
 def _given(part: SearchedPart, coarse: BoundedSearch, start: Pose, side: int) -> list[Candidate]:
@@ -122,20 +147,13 @@ def _given(part: SearchedPart, coarse: BoundedSearch, start: Pose, side: int) ->
     upright, and searched. Then the given pose itself is a candidate, with the header that its cells resemble most.
     """
     change, frame = part.change, part.first
-    rows, columns = change.shape
-    # upright image -> change: about the middles of both, by the given roll and tilt
-    map_ = start.axes / start.pitch
-    size = [ceil(n) for n in np.abs(np.linalg.inv(map_)) @ [columns, rows]]
-    middle, there = np.array([columns - 1, rows - 1]) / 2, (np.array(size) - 1) / 2
-    drawn = np.column_stack([map_, middle - map_ @ there])
-    upright = np.asarray(cv2.warpAffine(change, drawn, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP), np.float32)
-    everywhere = np.ones((-(-size[1] // BLOCK_PX), -(-size[0] // BLOCK_PX)), bool)
-    placed = replace(frame, origin=(0, 0))
+    (upright, busy, placed), drawn = _upright(part, start.axes / start.pitch)
+    everywhere = np.ones_like(busy)
     out, (parameters, searched, sides) = list[Candidate](), (coarse.parameters, coarse.headers, coarse.sides)
     # it is as small as somebody made it, and costs what it costs
     found = coarse_search(upright, everywhere, placed, parameters, searched.cells, sides, searched.apart)
     for row in found.rows:
-        x, y = (drawn @ [row[1] - 0.5, row[2] - 0.5, 1.0] + frame.origin).tolist()
+        x, y = (drawn @ [row[1] - 0.5, row[2] - 0.5, 1.0]).tolist()
         pose = replace(start, x=x, y=y, pitch=float(row[3]) / side, blur=parameters.blur_px)
         out.append(Candidate(pose, int(row[4]), float(row[0])))
     if sides[0] <= side * start.pitch <= sides[-1] and _within(change, frame.origin, start, side):
