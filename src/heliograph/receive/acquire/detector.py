@@ -38,7 +38,6 @@ from heliograph.receive.acquire.drift import drift_of
 from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header, fit_moving
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, Hypothesis, headers
-from heliograph.receive.acquire.old_blocks import OldBlocks
 from heliograph.receive.acquire.parts import SearchedPart, searched_parts
 from heliograph.receive.acquire.slots import Due, DueFrames, Slots, begin_of, filled, first_there
 from heliograph.receive.acquire.usual import UsualAlternation
@@ -111,7 +110,6 @@ class Detector:
         turned = headers(ORIENTATIONS[1:])
         sought = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT,), ORIENTATIONS[1:]), turned)
         self._coarse = tuple(BoundedSearch(parameters, one, self.budget) for one in sought)
-        self._old = OldBlocks(self.budget, signal.packet_patterns)
         # data look otherwise to a search that begins with an inverse
         self._usual = UsualAlternation(signal.modulation), UsualAlternation(signal.modulation)
         self._span = min(self._header, 4)
@@ -225,8 +223,8 @@ class Detector:
         if not busy.any():
             usual.calm()
             return busy, False
-        surges, strikes = usual.surges(change, first.origin, self.budget.scarcity)
-        searched = self._old.left_out(busy, surges | self.budget.ample, first, self._frames.every)
+        surges, strikes, novelty = usual.surges(change, first.origin, self.budget.scarcity)
+        searched = self.budget.choose(busy, surges, novelty)
         return searched, bool((searched & strikes).any())
 
     def parts(self, turned: bool) -> int:
@@ -277,7 +275,7 @@ class Detector:
             return []
         parts = searched_parts(header, busy, self._sides[-1], alternation_of)
         found = list[Detection]()
-        for coarse in self._coarse[: self.parts(turned)]:
+        for k, coarse in enumerate(self._coarse[: self.parts(turned)]):
             fitted = list[Detection]()
             for one, part in candidates_of(parts, coarse, self._side):
                 # what overlaps an array in clear sight would be left out as the less clear one
@@ -286,6 +284,9 @@ class Detector:
                     continue
                 if self.budget.fit(one.score):
                     fitted += self._refine(slots, part, one, coarse.headers, taken)
+            if k and self.budget.short:
+                # an upright one may lie in blocks that were left out, and look like a turned one partly hidden
+                fitted = [one for one in fitted if one.clear]
             # what seems an upright array partly hidden may be a turned one in clear sight
             found = distinct([*found, *(d for d in fitted if d.clear or not found)], self._side)
             if (found and all(one.clear for one in found)) or not coarse.compared:
