@@ -1,5 +1,9 @@
 """An array that comes into sight beside what flickers: `python -m benchmarks.flicker [--films 24] [--seed 1]`.
 
+With `--lamps 1000` films of 1 s show an array among so many lamps, still and shaken, at 25, 50 and 80 m, and are read
+with the bound of a film. Printed are frames/s of processor time, the time of the first codeword, and the detections of
+another identity.
+
 In each film squares of 8 px change at random, within a larger square of 16 to 160 px. An array at rest comes into sight
 0 to 3 s later, anywhere in a packet, and shows eight whole ones. It is 20 to 60 m away, where "plain" reads all layers.
 Sizes, places and times are drawn at random by the seed. Frames are searched with the bound of a live camera. Counted
@@ -8,11 +12,14 @@ frames of a camera would wait at most.
 """
 
 import argparse
+import math
 import os
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from pathlib import Path
 
 from heliograph.base.workers import THREAD_LIMITS, limit_threads
 
@@ -27,6 +34,10 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.measure.statistics import Count
 from heliograph.receive import make_receiver
+from heliograph.receive.events import DetectEvent, Event
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
+from lamp_scenes import LampScene
 
 PACKETS = 8
 SQUARE_PX = 8
@@ -141,6 +152,33 @@ def receive(scene: Scene, receiver: str) -> tuple[int, float, float]:
     return whole, spent / count * 1e3, waits * 1e3
 
 
+def read_lamps(count: int, seed: int, names: Sequence[str]) -> None:
+    """Read films of an array among lamps."""
+    print("| lamps | m | camera | receiver | frames/s | first codeword, s | other detections |")
+    print("|---|---|---|---|---|---|---|")
+    for shaking in (False, True):
+        for distance_m in (25.0, 50.0, 80.0):
+            scene = LampScene(lamps=count, seed=seed, distance_m=distance_m, shaking=shaking)
+            link, frames = scene.link(), list(scene.frames())
+            for name in names:
+                events, first_s, spent_s = list[Event](), math.nan, 0.0
+                made = make_receiver(link.signal, replace(link.receive, receiver=name), events.append)
+                for frame in frames:
+                    start = time.process_time()
+                    packets = list(made.push(frame))
+                    spent_s += time.process_time() - start
+                    if math.isnan(first_s) and any(one.status in ("ok", "partial") for one in packets):
+                        first_s = frame.time_s
+                found = [event.detection.identity for event in events if isinstance(event, DetectEvent)]
+                others = sum(one not in link.transmit.identities for one in found)
+                camera = "shaking" if shaking else "still"
+                rate = len(frames) / spent_s
+                print(
+                    f"| {count} | {distance_m:g} | {camera} | {name} | {rate:.0f} | {first_s:.3f} | {others} |",
+                    flush=True,
+                )
+
+
 def main() -> None:
     """Count what is read beside what flickers."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -150,9 +188,13 @@ def main() -> None:
     parser.add_argument("--any-phase", action="store_true", help="out of step too, which plain does not read")
     parser.add_argument("--turned", action="store_true", help="seen upside down")
     parser.add_argument("--modulation", default="haar", help="haar or ook")
+    parser.add_argument("--lamps", type=int, help="films of an array among so many lamps")
     given = parser.parse_args()
     limit_threads()
     cv2.setNumThreads(1)
+    if given.lamps is not None:
+        read_lamps(given.lamps, given.seed, given.receivers.split(","))
+        return
     kind = given.any_phase, given.turned, given.modulation
     scenes = [draw(np.random.default_rng((given.seed, k)), *kind) for k in range(given.films)]
     for name in given.receivers.split(","):

@@ -1,14 +1,18 @@
 """The budget of a link: its numbers hold together, and what spoils it is said."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 import heliograph
 from heliograph.base.errors import SettingsError
-from heliograph.link.budget import Budgets
+from heliograph.link.budget import Budgets, found_m
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.link.simulate import default_messages, simulate
+from heliograph.receive import make_receiver
+from heliograph.receive.events import DetectEvent, Event
 
 SMALL: dict[str, Any] = {"signal": {"side": 4, "data_pairs": 192}}
 
@@ -96,3 +100,25 @@ def test_what_is_no_link_is_one_line(arguments: Any, says: str) -> None:
     with pytest.raises(SettingsError) as caught:
         heliograph.budget(*arguments)
     assert says in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("receiver", "share", "is_found"),
+    [
+        ("plain", 0.98, True),
+        ("plain", 1.04, False),
+        ("soft", 0.98, True),
+        ("soft", 1.04, False),
+    ],
+)
+def test_an_array_is_found_up_to_the_stated_distance(receiver: str, share: float, is_found: bool) -> None:
+    """The search and the budget follow one rule."""
+    small_camera = {"camera": {"width": 64, "height": 64}, "arrays": [{"x_m": 0.0, "y_m": 0.0}], "duration_s": 0.03}
+    link = load_settings("static", {"channel": small_camera, "receive": {"receiver": receiver}})
+    distance_m = share * found_m(link, receiver)
+    link, events = replace(link, channel=replace(link.channel, distance_m=distance_m)), list[Event]()
+    receive = make_receiver(link.signal, link.receive, events.append)
+    for frame, _ in simulate(link, default_messages(link), 1):
+        list(receive.push(frame))
+    list(receive.finish())
+    assert any(isinstance(event, DetectEvent) for event in events) == is_found

@@ -144,7 +144,7 @@ def _say_reach(choices: Sequence[Mapping[str, Any]], budgets: "Sequence[Budget]"
         keys = [key for key in choices[0] if key != DISTANCE]
         console.say("")
         console.say_table([*keys, "receiver", "mode", "layer", "rate", "reads to", "at most"], [*map(list, rows)])
-        console.say("*: no further is the array looked for")
+        console.say("*: limit of the search")
     console.say("")
 
 

@@ -10,6 +10,7 @@ from heliograph.base.errors import SettingsError, shown
 from heliograph.link.information import Kind, Reach, array_images, needed, noise_share
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings
+from heliograph.receive.acquire.coarse import size_limits
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.signal.formats import AGREED, Format, Mode
 from heliograph.signal.packet import PacketFormat
@@ -122,7 +123,7 @@ class Budget:
     candela
         Luminous intensity of an LED on its axis in cd that goes with this light.
     found_m
-        Distances in m up to which the receivers look for the array, by their names.
+        Distances in m up to which the receivers find the array, by their names.
     layers
         Reach of each layer by receiver and mode; empty where the array saturates.
     notes
@@ -169,7 +170,7 @@ class Budgets:
         channel, light, read = settings.channel, self.light, _read(settings)
         all_on = light.all_on(channel)
         spot = _spot(settings, light, all_on)
-        found = {name: _found_m(settings, name) for name in (PLAIN, SOFT)}
+        found = {name: found_m(settings, name) for name in (PLAIN, SOFT)}
         layers: tuple[LayerReach, ...] = ()
         if 0 < spot.light <= MOST_LIGHT:
             layers = tuple(self._layers(settings, read, all_on, found))
@@ -231,9 +232,10 @@ def _read(settings: LinkSettings) -> list[tuple[str, Format]]:
     return plain + [(SOFT, one) for one in named]
 
 
-def _found_m(settings: LinkSettings, receiver: str) -> float:
-    """Largest distance at which a receiver looks for the array."""
-    least = settings.receive.detect.min_side_px or SMALLEST_SIDE_PX[receiver]
+def found_m(settings: LinkSettings, receiver: str) -> float:
+    """Largest distance at which a receiver finds the array."""
+    detect = settings.receive.detect
+    least, _ = size_limits(detect.min_side_px or SMALLEST_SIDE_PX[receiver], detect.max_side_px)
     return settings.signal.side * settings.channel.emitter.pitch_m * settings.channel.camera.focal_px / least
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from heliograph.base.errors import SettingsError
-from heliograph.receive.acquire.budget import UNBOUNDED_PART
+from heliograph.receive.acquire.budget import FILM_PART, UNBOUNDED_PART
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
 from heliograph.receive.acquire.given import GivenSearch, around, pose_of
@@ -207,6 +207,7 @@ def search_parameters(
     """
     detect, blur_px = settings.detect, settings.calibration.blur_px
     given = bool(detect.corners or detect.region)
+    busy_part = FILM_PART if detect.busy_part is None else detect.busy_part
     return SearchParameters(
         min_side_px=settings.smallest_side_px,
         max_side_px=detect.max_side_px,
@@ -214,7 +215,7 @@ def search_parameters(
         score=detect.score,
         regularity=regularity,
         candidates=detect.candidates,
-        busy_part=UNBOUNDED_PART if given or detect.busy_part is None else detect.busy_part,
+        busy_part=UNBOUNDED_PART if given else busy_part,
         impaired=impaired,
         all_on=signal.header == "all_on",
         blur_px=blur_px,

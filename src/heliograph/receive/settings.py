@@ -32,7 +32,8 @@ Region = tuple[Start, Start, Length, Length]
 """x, y, columns and rows in px."""
 
 SMALLEST_SIDE_PX = {"plain": 8.0, "soft": 4.0}
-"""Smallest array looked for by default: 117 m away in the reference link, and 233 m."""
+"""Smallest array looked for by default. One half a step of sizes smaller is found too (`acquire.coarse.size_limits`):
+123 m and 247 m away in the reference link."""
 
 
 @clear_errors
@@ -74,8 +75,8 @@ class DetectSettings:
     Attributes
     ----------
     min_side_px
-        Smallest array looked for in px, at least 3. If it is left out, 8 for "plain" and 4 for "soft". Smaller reads
-        farther, takes longer and finds more clutter.
+        Smallest array looked for in px, at least 3; arrays down to 0.945 of it are found too. If it is left out, 8 for
+        "plain" and 4 for "soft". Smaller reads farther, takes longer and finds more clutter.
     max_side_px
         Largest array looked for in px, 6 to 4096; what is larger than 64 px is looked for in reduced frames.
     min_contrast
@@ -87,10 +88,10 @@ class DetectSettings:
         Most candidates examined per search, 1 to 64. More finds arrays among more clutter, and more of many arrays that
         come into sight at once, and takes longer.
     busy_part
-        Part of a core's time, of the camera's, that searching for arrays may take on average where much alternates,
-        0.01 to 1000. If it is left out, a film has no bound, as it can wait; a live camera has 0.3. It is counted in
-        steps of work, so a film is read alike on every machine. What does not fit in is left out, and told. Where
-        corners or a region say where an array is, there is no bound.
+        Share of one core, in the camera's time, that the search for arrays takes on average where much alternates, 0.01
+        to 1000. If it is left out, 2 for films and 0.3 for live cameras. The search counts work, not time, so every
+        machine reads a film alike. Skipped work is reported. Where corners or a region say where an array is, the
+        search has no bound.
     corners
         Where somebody sees an array in the film: x and y in px of the four corners of its LED area, one after the other
         around it, in the frames as they are read; empty for none. Arrays are then looked for about it alone, turned and
@@ -265,7 +266,7 @@ class ReceiveSettings:
         return SMALLEST_SIDE_PX.get(self.receiver, min(SMALLEST_SIDE_PX.values()))
 
     def in_time(self) -> "ReceiveSettings":
-        """The same for a live camera, which does not wait: with a bound of what searching may take."""
+        """The same for a live camera, which does not wait: with the bound of a live search."""
         if self.detect.busy_part is not None or not RECEIVERS.is_built_in(self.receiver):
             return self
         return replace(self, detect=replace(self.detect, busy_part=LIVE_BUSY_PART))

@@ -15,6 +15,8 @@ from heliograph.receive.acquire.budget import (
     FIRST_SHORT_MS,
     LAVISH_PART,
     NEW_PART,
+    PATIENT_PART,
+    PATIENT_S,
     PLENTY_PART,
     SAVED_S,
     SEARCH_PART,
@@ -26,7 +28,6 @@ from heliograph.receive.acquire.budget import (
 from heliograph.receive.acquire.coarse import SearchParameters
 from heliograph.receive.acquire.detector import Detector
 from heliograph.receive.acquire.hypotheses import headers
-from heliograph.receive.acquire.old_blocks import CALM_PATTERNS, OLD_PACKETS, OldBlocks
 from heliograph.receive.acquire.parts import SearchedPart
 from heliograph.receive.acquire.pyramid import PyramidSearch
 from heliograph.receive.events import DetectEvent, DropEvent, Event
@@ -77,59 +78,23 @@ def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
     assert (budget.load.fitted, budget.load.dropped, budget.load.blocks) == (2, 1, 6)
 
 
-def test_the_less_is_left_the_more_is_left_out() -> None:
-    """First what is not like a header, then what has alternated for longer than a packet, too."""
-    budget, busy, pixels = Budget(0.5, 1e-3), np.zeros((3, 4), bool), np.zeros((24, 32), np.uint8)
-    most, busy[0] = 1e3 * SAVED_S * 0.5 * WORK_PER_MS, True
-    like = np.zeros_like(busy)
-    like[:, :2] = True
-    blocks, old = OldBlocks(budget, 100), round(100 * OLD_PACKETS) + 2
-    for k in range(2, old + 2, 2):
-        assert np.array_equal(blocks.left_out(busy, like, Frame(k, 0.0, pixels), 2), busy & like)
+def test_blocks_of_greatest_novelty_are_searched_when_work_is_scarce() -> None:
+    budget, busy = Budget(0.5, 1e-3), np.ones((20, 30), bool)
+    busy[:, 0] = False
+    novelty = np.random.default_rng(0).uniform(0, 3, busy.shape).astype(np.float32)
+    most = 1e3 * SAVED_S * 0.5 * WORK_PER_MS
+    surges = novelty > 1.2
+    # a tenth is used up: what does not surge is left out, and not counted
+    assert np.array_equal(budget.choose(busy, surges, novelty), busy & surges)
     assert budget.load.blocks == 0
-    budget.spend((first_part(0.5) + 0.01 - PLENTY_PART) * most)
-    assert np.array_equal(blocks.left_out(busy, like, Frame(old + 2, 0.0, pixels), 2), busy & like)
-    assert budget.load.blocks == 2
-    assert 0 <= budget.scarcity < 0.05
-    budget.spend((PLENTY_PART - NEW_PART) * most)
-    assert budget.scarcity == 1
-    both = busy.copy()
-    both[2, 1:3] = True
-    found = blocks.left_out(both, like, Frame(old + 4, 0.0, pixels), 2)
-    assert np.argwhere(found).tolist() == [[2, 1]]
-    assert budget.load.blocks == 7
-    # what comes into question no longer is not left out
-    assert not blocks.left_out(both, like, Frame(old + 6, 0.0, pixels), 2, among=~both).any()
-    assert budget.load.blocks == 7
-    # a part of the sensor that is read anew is new
-    assert blocks.left_out(busy, like, Frame(old + 8, 0.0, pixels, origin=(8, 0)), 2)[0, :2].all()
-
-
-@pytest.mark.parametrize("asked", [True, False])
-def test_what_was_calm_for_long_is_new_again(asked: bool) -> None:
-    """Where nothing alternates nobody asks: a gap in the frames' numbers is calm too."""
-    budget, busy, pixels = Budget(0.5, 1e-3), np.ones((2, 3), bool), np.zeros((16, 24), np.uint8)
-    budget.spend(0.6 * 1e3 * SAVED_S * 0.5 * WORK_PER_MS)
-    blocks, long, now = OldBlocks(budget, 100), round(100 * OLD_PACKETS), 0
-
-    def left() -> np.ndarray:
-        return blocks.left_out(busy, busy, Frame(now, 0.0, pixels), 1)
-
-    for _ in range(long):
-        now += 1
-        assert left().all()
-    for _ in range(long):
-        now += 1
-        assert not left().any()
-    # half of that is not enough
-    now += long // 2
-    assert not left().any()
-    for _ in range(2 * CALM_PATTERNS * long):
-        now += 1
-        if asked:
-            blocks.left_out(~busy, busy, Frame(now, 0.0, pixels), 1)
-    now += 1
-    assert left().all()
+    budget.spend((first_part(0.5) - 0.1) * most)
+    budget.search(1e6 * 600, 600)
+    count = budget.blocks()
+    assert 1 < count < np.count_nonzero(busy & surges)
+    chosen = budget.choose(busy, surges, novelty)
+    assert np.count_nonzero(chosen) == count
+    assert novelty[chosen].min() > novelty[busy & ~chosen].max()
+    assert budget.load.blocks == np.count_nonzero(busy) - count
 
 
 @pytest.mark.parametrize("dark", [0, 20, 90], ids=["at its header", "early in a packet", "late in a packet"])
@@ -305,7 +270,8 @@ def test_what_strikes_is_asked_of_what_is_searched_alone() -> None:
 @pytest.mark.parametrize("busy_part", [0.01, 0.3, 1000.0])
 def test_a_tenth_at_most_is_not_there_at_first(busy_part: float) -> None:
     """With more than a live camera's part all is searched from the beginning, or nearly."""
-    budget, most = Budget(busy_part, 1e-3), 1e3 * SAVED_S * busy_part * WORK_PER_MS
+    budget, kept_s = Budget(busy_part, 1e-3), SAVED_S if busy_part < PATIENT_PART else PATIENT_S
+    most = 1e3 * kept_s * busy_part * WORK_PER_MS
     assert budget.ample == ((1 - AMPLE_PART) * most > FIRST_SHORT_MS * WORK_PER_MS)
     budget.spend(0.1499 * most)
     assert budget.plenty

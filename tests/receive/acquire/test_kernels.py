@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -117,10 +116,10 @@ def searched(
 ) -> tuple[int, NDArray[np.float64]]:
     """Candidates found, and the table of them."""
     cells, best = all_header_cells().reshape(-1, 16).astype(float), np.zeros((count, 5))
-    total, square = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
+    sums = coarse.integrals(image, np.empty((3, image.shape[0] + 1, image.shape[1] + 1)))
     sizes, first = np.array(sides), np.array(corner)
     found, _, passed, _ = kernels.search(
-        total, square, busy, 8.0, cells, sizes, contrast, threshold, RING, GRID, apart, first, 0, UNBOUNDED, best
+        sums, busy, 8.0, cells, sizes, contrast, threshold, RING, GRID, apart, first, 0, UNBOUNDED, best
     )
     assert passed == busy.size
     return found, best

@@ -3,9 +3,9 @@
 Work is counted and not timed, so a film is read alike on every machine. Each frame of a pattern brings some work to be
 done, and what is not used is kept for an array that comes into sight. One search takes a part of that. When a
 twentieth is used up, blocks are left out in which nothing is like a header just now (`usual`), and candidates that are
-little like one unless much more alternates than usual; when a quarter is, such candidates in any case; when half is,
-those blocks too that have alternated for longer than two packets (`old_blocks`). Frames that were not searched are not
-kept for later, as newer ones take their place.
+little like one unless much more alternates than usual; when a quarter is, such candidates in any case. A search that
+cannot afford all blocks takes those in which most alternates compared with what usually does. Frames that were not
+searched are not kept for later, as newer ones take their place.
 """
 
 from collections.abc import Sequence
@@ -39,6 +39,16 @@ With 2 s four of 48 arrays were not found that came into sight soon after someth
 
 UNBOUNDED_PART = 1e6
 """Part of a core's time that no search takes: stands for no bound."""
+
+FILM_PART = 2.0
+"""Part of a core's time, of the camera's, that searching a film takes on average: 2 ms for each pattern of 1 ms."""
+
+PATIENT_PART, PATIENT_WORK, PATIENT_S = 1.0, 80e6, 0.25
+"""Share of a core above which a search need not keep up with a camera. It then saves this much work, or the work of
+this many seconds if that is more; one search may spend half of it, and skips nothing while more than half is left."""
+
+BLOCK_WORK, BLOCKS_WEIGHT = 1500.0, 1 / 8
+"""Expected work of a block before the first search, and weight of one search in the running mean."""
 
 BEGIN_PART = 1 / 20
 """Part of it that must be there for a search to begin: searches now and then, which fit what they find, are worth more
@@ -139,14 +149,19 @@ class Budget:
     def __init__(self, busy_part: float, period_s: float):
         per_s = busy_part * 1e3 * WORK_PER_MS
         self.bounded = busy_part < UNBOUNDED_PART
-        self._rate, self._most = per_s * period_s, SAVED_S * per_s
-        self._left = self._most - min(FIRST_SHORT_MS * WORK_PER_MS, 2 * (1 - AMPLE_PART) * self._most)
+        self._rate, self._most, self._ample_part = per_s * period_s, SAVED_S * per_s, AMPLE_PART
+        short = min(FIRST_SHORT_MS * WORK_PER_MS, 2 * (1 - AMPLE_PART) * self._most)
+        self._is_patient = busy_part >= PATIENT_PART
+        if self._is_patient:
+            self._most, self._ample_part, short = max(PATIENT_WORK, PATIENT_S * per_s), NEW_PART, 0.0
+        self._left = self._most - short
+        self._block_work = BLOCK_WORK
         self._strikes = self._expects = False
         # what the search leaves that has begun
         self._end = 0.0
         self.load = SearchLoad()
 
-    def begins(self, busy: NDArray[np.bool_], strikes: bool = False) -> bool:
+    def begins(self, busy: NDArray[np.bool_], strikes: bool = False, share: float = 1.0) -> bool:
         """Whether a search begins; else its blocks count as left out.
 
         Parameters
@@ -155,15 +170,29 @@ class Budget:
             (blocks down, blocks across), whether an array may have its centre there.
         strikes
             Whether in one of them much more alternates than usual.
+        share
+            Part of a search's work that it may do.
         """
         self._strikes, self._expects = strikes, False
         if not (blocks := np.count_nonzero(busy)):
             return False
-        self._end = self._left - max(SEARCH_PART * self._left, LAVISH_PART * (self._left - PLENTY_PART * self._most))
+        self._end = self._left - share * self._allowance
         lasts = self._left >= BEGIN_PART * self._most
         if not lasts:
             self.leave(int(blocks))
         return lasts
+
+    @property
+    def _allowance(self) -> float:
+        """Work that one search may do."""
+        above = self._left - NEW_PART * self._most
+        if not self._is_patient:
+            above = LAVISH_PART * (self._left - PLENTY_PART * self._most)
+        return max(SEARCH_PART * self._left, above)
+
+    def blocks(self, share: float = 1.0) -> int:
+        """Blocks that the next search can afford, at least one."""
+        return max(1, int(0.5 * share * self._allowance / self._block_work))
 
     @property
     def coarse(self) -> float:
@@ -173,7 +202,7 @@ class Budget:
     @property
     def ample(self) -> bool:
         """Whether hardly anything is used up: blocks are searched in which nothing is like a header."""
-        return self._left > AMPLE_PART * self._most
+        return self._left > self._ample_part * self._most
 
     @property
     def plenty(self) -> bool:
@@ -206,6 +235,11 @@ class Budget:
         self._left -= work
         self.load += SearchLoad(work=work)
 
+    def search(self, work: float, blocks: int) -> None:
+        """Learn what it costs to search a block."""
+        if blocks:
+            self._block_work += BLOCKS_WEIGHT * (work / blocks - self._block_work)
+
     def fit(self, score: float = 1.0) -> bool:
         """Whether a candidate may be fitted; it counts as fitted or, where that is for want of time, as dropped.
 
@@ -232,6 +266,29 @@ class Budget:
     def drop(self) -> None:
         """Count a candidate that is looked at no further."""
         self.load += SearchLoad(dropped=1)
+
+    def choose(
+        self, busy: NDArray[np.bool_], surges: NDArray[np.bool_], novelty: NDArray[np.float32], share: float = 1.0
+    ) -> NDArray[np.bool_]:
+        """Choose the blocks that the next search looks at; those left out for want of time are counted.
+
+        Parameters
+        ----------
+        busy
+            (blocks down, blocks across), where an array may have its centre.
+        surges
+            (blocks down, blocks across), where as much alternates as in a header.
+        novelty
+            (blocks down, blocks across), by which blocks are ranked where not all can be afforded.
+        share
+            Part of a search's work that it may do.
+        """
+        if self.ample:
+            return busy
+        chosen = _most_novel(busy & surges, novelty, self.blocks(share))
+        if not self.plenty:
+            self.leave(int(np.count_nonzero(busy) - np.count_nonzero(chosen)))
+        return chosen
 
     def leave(self, blocks: int) -> None:
         """Count busy blocks that were not searched.
@@ -291,9 +348,11 @@ class BoundedSearch:
             most -= work
             self.compared |= found.compared > 0
             out.append(found.rows)
+            left = (begin + np.arange(found.passed, count)) % count
+            unsearched = int(np.count_nonzero(busy.ravel()[left]))
+            self._budget.search(found.work, int(np.count_nonzero(busy)) - unsearched)
             if found.passed < count:
-                left = (begin + np.arange(found.passed, count)) % count
-                self._budget.leave(int(np.count_nonzero(busy.ravel()[left])))
+                self._budget.leave(unsearched)
                 down, across = divmod(int(left[0]), busy.shape[1])
                 self._next.append((down + frame.origin[1] // BLOCK_PX, across + frame.origin[0] // BLOCK_PX))
                 self.compared = True
@@ -311,3 +370,14 @@ def _begin(begun: Sequence[tuple[int, int]], busy: NDArray[np.bool_], frame: Fra
         if 0 <= down < rows and (alone or 0 <= across < columns):
             return down * columns + min(max(across, 0), columns - 1)
     return 0
+
+
+def _most_novel(blocks: NDArray[np.bool_], novelty: NDArray[np.float32], count: int) -> NDArray[np.bool_]:
+    """Keep the blocks of greatest novelty, as many as `count`; of equal ones the first, row by row."""
+    chosen = np.flatnonzero(blocks)
+    if chosen.size <= count:
+        return blocks
+    best = chosen[np.argsort(-novelty.ravel()[chosen], kind="stable")[:count]]
+    out = np.zeros_like(blocks)
+    out.ravel()[best] = True
+    return out

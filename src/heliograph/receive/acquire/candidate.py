@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.acquire.coarse import APART_SIDES, RING, SIDE_STEP, SearchParameters
+from heliograph.receive.acquire.coarse import APART_SIDES, RING, SearchParameters, size_limits
 from heliograph.receive.image.fit import Fit, Prior, fit_array
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.image.window import window_around
@@ -47,6 +47,10 @@ The second holds once the pose is found without the hidden cells: a cell of whic
 
 MOST_TILT = 0.2
 """Largest tilt taken for an array's: that of 48 degrees, beyond which LEDs of 22.6 degrees half angle hardly shine."""
+
+MOST_GAIN = 1.25
+"""Largest light of an array with all LEDs on, in full scales: brighter pixels saturate. The rest is for errors of the
+fit and for data beside a header."""
 
 OVERLAP = 0.1
 """Fraction of their sides by which two arrays may seem to overlap: a candidate's place and size err by half of it."""
@@ -204,7 +208,7 @@ def plausible(fit: Fit, parameters: SearchParameters, full_scale: int) -> bool:
     full_scale
         Largest gray level of the camera.
     """
-    bright = fit.gain >= parameters.min_contrast * full_scale
+    bright = parameters.min_contrast <= fit.gain / full_scale <= MOST_GAIN
     # a tilt that was given is that of an array
     given = (parameters.start.stretch, parameters.start.shear) if parameters.start is not None else (0.0, 0.0)
     turned = np.hypot(fit.pose.stretch - given[0], fit.pose.shear - given[1]) <= MOST_TILT
@@ -223,8 +227,8 @@ def of_size(fit: Fit, parameters: SearchParameters, side: int) -> bool:
     side
         LEDs in a row.
     """
-    size, half_step = side * fit.pose.pitch, SIDE_STEP**0.5
-    return parameters.min_side_px / half_step <= size <= parameters.max_side_px * half_step
+    smallest, largest = size_limits(parameters.min_side_px, parameters.max_side_px)
+    return smallest <= side * fit.pose.pitch <= largest
 
 
 def apart(a: Pose, b: Pose, side: int) -> bool:

@@ -39,6 +39,13 @@ Off the grid, a header then correlates less than another shifted one on it; a fi
 SIDE_STEP = 1.12
 """Ratio of successive sizes looked for: half a step costs 3 % of correlation."""
 
+
+def size_limits(min_side_px: float, max_side_px: float) -> tuple[float, float]:
+    """Smallest and largest side in px of an array that is found: half a step beyond the sizes that are searched."""
+    half_step = SIDE_STEP**0.5
+    return min_side_px / half_step, max_side_px * half_step
+
+
 BUSY = 2.0
 """Least mean alternation of a busy block, over the median block's.
 
@@ -51,8 +58,13 @@ BLANK = -1.0
 PART_LIT = 0.25
 """Least mean alternation of a busy block as a fraction of the least contrast: the array may fill a quarter of it."""
 
-CELLS_WORK = 15
-"""Work of summing a place's cells. Work is counted in places looked at; that takes 6 ns on the machine measured on."""
+BOXES_WORK, EXACT_WORK, CELLS_WORK = 2, 8, 15
+"""Work of two sums over the whole pixels of a place, of its exact sums, and of summing its cells. The unit is one place
+compared; that takes 6 ns on the machine measured on."""
+
+ONE_SIDED = 0.75
+"""Largest sum of what alternates in a place, by that of its magnitudes: half of a header's cells turn brighter while
+the other half turn darker. A header of which a third is hidden has 0.5 at most, a lamp 1."""
 
 HEADERS_AT_ONCE = 4
 """Headers that a place is correlated with in the time of looking at one."""
@@ -300,17 +312,22 @@ class _Sums(threading.local):
     """Integral images in memory that each thread keeps: that of a whole frame's takes longer to get than to fill."""
 
     def __init__(self) -> None:
-        self._kept = np.empty((2, 0))
+        self._kept = np.empty(0)
 
-    def of(self, change: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Integral images of an image and of its square, (rows + 1, columns + 1) each, until the next are asked for."""
-        shape = change.shape[0] + 1, change.shape[1] + 1
-        size = shape[0] * shape[1]
-        if size > self._kept.shape[1]:
-            self._kept = np.empty((2, size))
-        total, square = (one[:size].reshape(shape) for one in self._kept)
-        cv2.integral2(change, total, square, cv2.CV_64F, cv2.CV_64F)
-        return total, square
+    def of(self, change: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Integral images, valid until the next call, as `integrals` has them."""
+        shape = 3, change.shape[0] + 1, change.shape[1] + 1
+        size = shape[0] * shape[1] * shape[2]
+        if size > self._kept.size:
+            self._kept = np.empty(size)
+        return integrals(change, self._kept[:size].reshape(shape))
+
+
+def integrals(change: NDArray[np.float32], out: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fill `out`, (3, rows + 1, columns + 1), with the integral images of an image, its magnitude and its square."""
+    cv2.integral2(change, out[0], out[2], cv2.CV_64F, cv2.CV_64F)
+    cv2.integral(np.abs(change), out[1], cv2.CV_64F)
+    return out
 
 
 _sums = _Sums()
@@ -352,13 +369,11 @@ def coarse_search(
     """
     from heliograph.receive.acquire import kernels
 
-    total, square = _sums.of(change)
     best = np.zeros((parameters.candidates, 5))
     contrast = COARSE_CONTRAST * parameters.min_contrast * frame.full_scale
     corner = np.array(frame.origin, np.float64)
     found, work, passed, compared = kernels.search(
-        total,
-        square,
+        _sums.of(change),
         busy,
         float(BLOCK_PX),
         cells,

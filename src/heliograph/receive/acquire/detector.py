@@ -38,7 +38,6 @@ from heliograph.receive.acquire.drift import drift_of
 from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.header_fit import CLEAR, fit_first_pair, fit_header, fit_moving
 from heliograph.receive.acquire.hypotheses import ALL_ON, Headers, Hypothesis, headers
-from heliograph.receive.acquire.old_blocks import OldBlocks
 from heliograph.receive.acquire.parts import SearchedPart, searched_parts
 from heliograph.receive.acquire.slots import Due, DueFrames, Slots, begin_of, filled, first_there
 from heliograph.receive.acquire.usual import UsualAlternation
@@ -116,7 +115,6 @@ class Detector:
         sought = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT,), ORIENTATIONS[1:]), turned)
         self._coarse = tuple(BoundedSearch(parameters, one, self.budget) for one in sought)
         self._rolled = self._at_rolls(sought)
-        self._old = OldBlocks(self.budget, signal.packet_patterns)
         # data look otherwise to a search that begins with an inverse
         self._usual = UsualAlternation(signal.modulation), UsualAlternation(signal.modulation)
         self._span = min(self._header, 4)
@@ -231,8 +229,8 @@ class Detector:
         if not busy.any():
             usual.calm()
             return busy, False
-        surges, strikes = usual.surges(change, first.origin, self.budget.scarcity)
-        searched = self._old.left_out(busy, surges | self.budget.ample, first, self._frames.every)
+        surges, strikes, novelty = usual.surges(change, first.origin, self.budget.scarcity)
+        searched = self.budget.choose(busy, surges, novelty)
         return searched, bool((searched & strikes).any())
 
     def parts(self, turned: bool) -> int:
@@ -284,8 +282,8 @@ class Detector:
         parts = searched_parts(header, busy, self._sides[-1], alternation_of)
         found = list[Detection]()
         stages = [[(coarse, 0.0)] for coarse in self._coarse[: self.parts(turned)]]
-        for searches in [*stages, *(self._rolled if turned else ())]:
-            rolled = searches in self._rolled
+        for k, searches in enumerate([*stages, *(self._rolled if turned else ())]):
+            rolled = k >= len(stages)
             if rolled and not self.budget.plenty:
                 break
             fitted = list[Detection]()
@@ -296,6 +294,9 @@ class Detector:
                     continue
                 if self.budget.fit(one.score):
                     fitted += self._refine(slots, part, one, sought, taken)
+            if k and self.budget.short:
+                # an upright one may lie in blocks that were left out, and look like a turned one partly hidden
+                fitted = [one for one in fitted if one.clear]
             # what seems an upright array partly hidden may be a turned one in clear sight
             # and a rolled one must be in clear sight, as clutter has so many rolls to resemble a header
             fitted = [d for d in fitted if d.clear or not (found or rolled)]

@@ -6,7 +6,7 @@ import numpy as np
 
 from heliograph.base.arrays import TINY
 from heliograph.base.compiled import compiled
-from heliograph.receive.acquire.coarse import BLOCK_PX, CELLS_WORK, HEADERS_AT_ONCE
+from heliograph.receive.acquire.coarse import BLOCK_PX, BOXES_WORK, CELLS_WORK, EXACT_WORK, HEADERS_AT_ONCE, ONE_SIDED
 
 SINGLE = 1e-5
 """What single precision may take from a product of 16 numbers, and more, as a fraction of it."""
@@ -196,6 +196,14 @@ def _outer_box(integral, y, x, height, width):
     return integral[low, right] - integral[top, right] - integral[low, left] + integral[top, left]
 
 
+@compiled()
+def _inner_box(integral, y, x, height, width):
+    """Sum over the whole pixels that lie within a box."""
+    top, low = math.ceil(y), math.floor(y + height)
+    left, right = math.ceil(x), math.floor(x + width)
+    return integral[low, right] - integral[top, right] - integral[low, left] + integral[top, left]
+
+
 @compiled(fastmath=True)
 def _cell_sums(integral, y, x, cell, columns, rows, sums):
     """Sums over 4 x 4 cells, row by row; returns the sum of their squares. (5,) columns, (3, 5) rows are to work in."""
@@ -240,14 +248,14 @@ def _most_alike(columns, sums, dots):
 
 @compiled()
 def search(
-    total, square, busy, block, cells, sides, contrast, threshold, ring_width, grid, apart, corner, begin, limit, best
+    integrals, busy, block, cells, sides, contrast, threshold, ring_width, grid, apart, corner, begin, limit, best
 ):
     """Correlate what alternates with all headers over scale and position.
 
     Parameters
     ----------
-    total, square
-        (rows + 1, columns + 1) float64 integral images of the alternation and of its square.
+    integrals
+        (3, rows + 1, columns + 1) float64 integral images of the alternation, of its magnitude and of its square.
     busy
         (blocks down, blocks across) bool, blocks in which an array may have its centre.
     block
@@ -288,12 +296,18 @@ def search(
     compared
         Number of places that were correlated with the headers: which places are, does not depend on the headers.
     """
+    total, magnitude, square = integrals[0], integrals[1], integrals[2]
     rows, cols = total.shape[0] - 1, total.shape[1] - 1
     columns, room = (
         np.ascontiguousarray(cells.T).astype(np.float32),
         (np.empty(5, np.int64), np.empty((3, 5)), np.empty(16)),
     )
     dots = np.empty(cells.shape[0], np.float32)
+    # headers of as many positive as negative cells: a place of one sign is like none of them
+    one_sided = ONE_SIDED
+    for t in range(cells.shape[0]):
+        if cells[t].sum() != 0.0:
+            one_sided = 2.0
     found = np.int64(0)  # of a plain 0 a second `_keep` would be compiled
     work = passed = compared = 0
     while passed < busy.size and work < limit:
@@ -304,6 +318,7 @@ def search(
             step = max(1.0, grid * side)
             ring = ring_width * side
             whole, least = side + 2 * ring, contrast * contrast * side * side
+            filled = (1.0 - SINGLE) * (threshold * side) ** 2
             # where places are dense, a quarter of the block at a time
             parts = 2 if 4 * step < block else 1
             part = block / parts
@@ -317,12 +332,30 @@ def search(
                     x = _first_place(ring + _to_grid(corner[0], step), step, left - 0.5 * side)
                     while x + side + ring < cols - 1 and x + 0.5 * side < left + part:
                         work += 1
-                        # the pixels that it touches are summed faster, and have no less energy
-                        if _outer_box(square, y - ring, x - ring, whole, whole) >= least:
+                        # whole pixels are summed faster: those that it touches have no less energy, and
+                        # |<D, T>| <= sum |D| is below the threshold where small lamps fill a part of the place
+                        touched = _outer_box(square, y - ring, x - ring, whole, whole) >= least
+                        work += BOXES_WORK if touched else 0
+                        if touched:
+                            most = _outer_box(magnitude, y, x, side, side)
+                            touched = most * most >= filled * _inner_box(square, y - ring, x - ring, whole, whole)
+                        if touched:
                             place = y, x, side, ring
                             found, seen = _look(
-                                total, square, cells, columns, dots, place, least, threshold, apart, best, found, room
+                                (total, magnitude, square),
+                                cells,
+                                columns,
+                                dots,
+                                place,
+                                least,
+                                threshold,
+                                one_sided,
+                                apart,
+                                best,
+                                found,
+                                room,
                             )
+                            work += EXACT_WORK
                             work += CELLS_WORK if seen > 0 else 0
                             work += cells.shape[0] // HEADERS_AT_ONCE if seen > 1 else 0
                             compared += seen > 1
@@ -332,7 +365,7 @@ def search(
 
 
 @compiled(inline="always")
-def _look(total, square, cells, columns, dots, place, least, threshold, apart, best, found, room):
+def _look(integrals, cells, columns, dots, place, least, threshold, one_sided, apart, best, found, room):
     """Keep what lies in a square as a candidate for each header that it resembles.
 
     Returns
@@ -340,15 +373,20 @@ def _look(total, square, cells, columns, dots, place, least, threshold, apart, b
     found
         Candidates kept.
     seen
-        0 where too little alternates, 1 where it cannot be like a header, 2 where it was compared with all.
+        0 where too little alternates or too little of the square does, 1 where it cannot be like a header, 2 where it
+        was compared with all.
     """
-    (y, x, side, ring), (corners, rows, sums) = place, room
+    (total, magnitude, square), (y, x, side, ring), (corners, rows, sums) = integrals, place, room
     energy = _box(square, y - ring, x - ring, side + 2 * ring, side + 2 * ring)
     if energy < least:
         return found, 0
-    # |<D, T>| <= |sums| 4 and |T| |D| = side sqrt(energy)
     size = side * math.sqrt(energy)
     bound = threshold * size
+    # |<D, T>| <= sum |D| and |T| |D| = side sqrt(energy): lamps fill too little of a larger square
+    whole = _box(magnitude, y, x, side, side)
+    if whole < (1.0 - SINGLE) * bound or abs(_box(total, y, x, side, side)) > one_sided * whole:
+        return found, 0
+    # |<D, T>| <= |sums| 4
     if 16.0 * _cell_sums(total, y, x, side / 4.0, corners, rows, sums) < bound * bound:
         return found, 1
     if _most_alike(columns, sums, dots) >= (1.0 - SINGLE) * bound:

@@ -18,7 +18,16 @@ from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
 from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, SearchLoad
-from heliograph.receive.acquire.candidate import LEVEL_SPREAD, cell_weights, fit_near, followed, of_size, plausible
+from heliograph.receive.acquire.candidate import (
+    CANDIDATE_MARGIN_PX,
+    LEVEL_SPREAD,
+    cell_light,
+    cell_weights,
+    fit_near,
+    followed,
+    of_size,
+    plausible,
+)
 from heliograph.receive.acquire.coarse import (
     DIFFERENCE,
     SearchParameters,
@@ -29,14 +38,13 @@ from heliograph.receive.acquire.coarse import (
 from heliograph.receive.acquire.detection import Detection, distinct
 from heliograph.receive.acquire.given import Candidate, candidates_of
 from heliograph.receive.acquire.hypotheses import ALL_ON, headers
-from heliograph.receive.acquire.old_blocks import OldBlocks
 from heliograph.receive.acquire.parts import SearchedPart, searched_parts
 from heliograph.receive.acquire.slots import alike
 from heliograph.receive.acquire.usual import Usual
 from heliograph.receive.image.fit import Fit, header_amplitudes
 from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import common
+from heliograph.receive.image.window import common, cut_out, window_around
 from heliograph.signal.settings import SignalSettings
 
 QUIET = 0.3
@@ -70,6 +78,15 @@ receiver reads them out of step.
 """
 
 
+SHARE = 0.25
+"""Share of the work of one search that a search half a pattern out of step may do, as it comes twice as often."""
+
+LIT_WITHIN, UNEVEN_WITHIN, HIDDEN_CELLS = 0.3, 0.5, 3
+"""Least light of a cell in the frames within a header and largest difference of two cells, relative to the light of the
+array with all LEDs on; and the number of extreme cells ignored at either end. Each LED is lit for half of such a frame.
+Lamps that change before and after are uneven within, and mostly dark."""
+
+
 class StraddledDetector:
     """Looks for headers whose frames straddle two patterns each, in a stream of one frame per pattern.
 
@@ -92,7 +109,6 @@ class StraddledDetector:
         upright = headers((UPRIGHT,), ORIENTATIONS[1:])
         self._budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
         self._coarse = BoundedSearch(parameters, ALL_ON if parameters.all_on else upright, self._budget)
-        self._old = OldBlocks(self._budget, signal.packet_patterns)
         self._usual = Usual(STRADDLED_BLOCKS), Usual(STRADDLED_BLOCKS)
         self._frames: deque[Frame] = deque(maxlen=self._header + 1)
 
@@ -142,11 +158,10 @@ class StraddledDetector:
         quiet = within < 0.5 * QUIET * means
         if self._budget.bounded:
             now, _, early = usual.surge(means, frames[0].origin)
-            telling = (now > STRADDLED_SURGE) | early | self._budget.ample
-            busy = self._old.left_out(busy, telling, frames[0], 1, quiet)
+            busy = self._budget.choose(busy & quiet, (now > STRADDLED_SURGE) | early, now, SHARE)
         else:
             busy &= quiet
-        if not self._budget.begins(busy):
+        if not self._budget.begins(busy, share=SHARE):
             return []
         parts = searched_parts(ends, busy, self._sides[-1], lambda part: combined(part, weights))
         found = list[Detection | None]()
@@ -174,13 +189,22 @@ class StraddledDetector:
         if not (plausible(fit, parameters, frames[0].full_scale) and of_size(fit, parameters, self._side)):
             return None
         regularity = self._regularity(frames, fit, weights)
-        if regularity < parameters.regularity:
+        if regularity < parameters.regularity or not self._lit_within(frames, fit):
             return None
         time_s = 0.5 * (frames[0].time_s + frames[-1].time_s)
         start_s = frames[0].time_s + 0.5 * self._light_s
         (identity, seen_as), *others = sought.hypotheses[number]
         sound = np.ones(weights.shape)
         return Detection(identity, start_s, fit, time_s, fit.score, regularity, sound, seen_as, tuple(others))
+
+    def _lit_within(self, frames: Sequence[Frame], fit: Fit) -> bool:
+        """True if the frames within the header show the array evenly lit."""
+        self._budget.spend(FIT_WORK)
+        window = window_around(fit.pose, self._side, CANDIDATE_MARGIN_PX)
+        seen = np.mean([cut_out(frame, window) for frame in frames[1:-1]], axis=0, dtype=np.float32)
+        light = np.sort(cell_light(seen, window[:2], fit.pose, np.ones((self._side, self._side))))
+        low, high = light[HIDDEN_CELLS], light[-1 - HIDDEN_CELLS]
+        return bool(low >= LIT_WITHIN * fit.gain and high - low <= UNEVEN_WITHIN * fit.gain)
 
     def _regularity(self, frames: Sequence[Frame], fit: Fit, weights: NDArray[np.float64]) -> float:
         """Weaker over mean amplitude of the frames over the beginning and the end, about the mean of those within."""

@@ -116,7 +116,7 @@ class UsualAlternation:
 
     def surges(
         self, change: NDArray[np.float32], origin: tuple[int, int], scarcity: float
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float32]]:
         """Take what alternates in the frames of a search; tell where that is as much more than usual as a header's.
 
         A search that sees a header too late to fit it leaves it to the next one, in which it surges no more: so what
@@ -133,9 +133,10 @@ class UsualAlternation:
 
         Returns
         -------
-        (blocks down, blocks across) twice: where it surges as much as that, and where it strikes, as it surges by
-        `SURGE`. At first all of a place surges, and nothing strikes.
+        (blocks down, blocks across) three times: where it surges as much as that; where it strikes, as it surges by
+        `SURGE`; and how much it surges. At first all of a place surges, and nothing strikes.
         """
         now, before, early = self._usual.surge(change, origin)
         least = self._least + scarcity * (self._most - self._least)
-        return (now > least) | (before > self._most) | early, (now > SURGE) | (before > SURGE)
+        novelty = np.maximum(now, before)
+        return (now > least) | (before > self._most) | early, novelty > SURGE, novelty

@@ -1,0 +1,80 @@
+"""An array among many lamps that flicker: it is found, hardly anything else is, and the search keeps to its bound."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lamp_scenes import LampScene
+
+from heliograph.base.frames import Frame
+from heliograph.receive import make_receiver
+from heliograph.receive.acquire.budget import FILM_PART, PATIENT_WORK, WORK_PER_MS
+from heliograph.receive.acquire.coarse import SearchParameters, coarse_search
+from heliograph.receive.acquire.hypotheses import headers
+from heliograph.receive.acquire.straddled import StraddledDetector
+from heliograph.receive.events import DetectEvent, Event
+from heliograph.receive.image.orientation import UPRIGHT
+from heliograph.signal.header import all_header_cells
+from heliograph.signal.settings import SignalSettings
+
+PARAMETERS = SearchParameters(
+    min_side_px=8.0, max_side_px=64.0, min_contrast=0.03, score=0.9, regularity=0.15, candidates=6, blur_px=0.55
+)
+
+
+@pytest.mark.parametrize("kind", ["plain", "soft"])
+@pytest.mark.slow
+def test_an_array_among_lamps_is_found_within_the_bound_of_films(kind: str) -> None:
+    scene = LampScene(lamps=125, seed=3, duration_s=0.25, size=(256, 256))
+    link, events = scene.link(), list[Event]()
+    receiver = make_receiver(link.signal, replace(link.receive, receiver=kind), events.append)
+    count = 0
+    for frame in scene.frames():
+        list(receiver.push(frame))
+        count += 1
+    detected = [event.detection.identity for event in events if isinstance(event, DetectEvent)]
+    assert link.transmit.identities[0] in detected
+    assert len(detected) <= 3
+    # the last search may overdraw it by its last block and fit
+    bound = PATIENT_WORK + count * FILM_PART * WORK_PER_MS + 5e6
+    assert receiver.load.work < bound  # type: ignore[attr-defined]  # of those that search
+
+
+def test_a_film_is_searched_alike_every_time() -> None:
+    """The bound counts work, not time."""
+    scene, loads = LampScene(lamps=30, seed=1, duration_s=0.03, size=(128, 96)), []
+    for _ in range(2):
+        receiver = make_receiver(SignalSettings(), scene.link().receive)
+        for frame in scene.frames():
+            list(receiver.push(frame))
+        loads.append(receiver.load)  # type: ignore[attr-defined]  # of those that search
+    assert loads[0] == loads[1]
+    assert loads[0].work > 0
+
+
+def test_lamps_smaller_than_half_an_array_are_not_compared_with_headers() -> None:
+    change = np.zeros((96, 128), np.float32)
+    for y in (20, 48, 76):
+        for x in (24, 64, 104):
+            change[y : y + 4, x : x + 4] = 120.0
+    busy, frame = np.ones((12, 16), bool), Frame(0, 0.0, np.zeros((96, 128), np.uint8))
+    sought = headers((UPRIGHT,)).cells
+    assert coarse_search(change, busy, frame, PARAMETERS, sought, np.array([12.0, 16.0, 24.0])).compared == 0
+    # one header among them is
+    change[32:64, 40:72] = 60 * np.kron(all_header_cells()[4], np.ones((8, 8)))
+    found = coarse_search(change, busy, frame, PARAMETERS, sought, np.array([32.0]))
+    assert found.rows[0, 4] == 4
+
+
+@pytest.mark.parametrize(("within", "count"), [(0.5, 1), (0.0, 0)], ids=["an array", "lamps"])
+def test_half_a_pattern_out_of_step_the_array_is_lit_within_its_header(within: float, count: int) -> None:
+    """Lamps that shine before and after, and are dark between, are no array."""
+    header, found = np.kron(all_header_cells()[4], np.ones((8, 8))), 0
+    detector = StraddledDetector(PARAMETERS, SignalSettings())
+    for k, light in enumerate([0.5 + 0.5 * header, *[np.full_like(header, within)] * 3, 0.5 - 0.5 * header]):
+        pixels = np.full((96, 128), 20, np.uint8)
+        # half of the header, and half of even data
+        shown = light if k in (1, 2, 3) else 0.5 * light + 0.25
+        pixels[32:64, 48:80] = 20 + np.rint(160 * shown)
+        found += len(detector.push(Frame(k, 1e-3 * k, pixels)))
+    assert found == count
