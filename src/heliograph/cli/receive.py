@@ -264,6 +264,8 @@ class Folder:
 
 
 def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> None:
+    from heliograph.measure.journal import missed_words
+
     console.say(
         f"{counted(report['frames'], 'frame')} in {report['seconds']:.1f} s "
         f"({report['frames_per_second']:.0f} frames/s), {counted(report['detections'], 'detection')}"
@@ -284,6 +286,8 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
         )
         for layer, t in array["layers"].items():
             console.say(f"  {layer:6} {counted(t['ok'], 'codeword')} read, {t['failed']} not, {t['bytes']} bytes")
+    for missed in report["missed_starts"]:
+        console.say(missed_words(missed))
     for name in folder.messages:
         console.say(f"message {folder.path}/{name}")
     for identity, layer, stream, had, size in reception.unfinished():

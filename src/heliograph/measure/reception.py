@@ -14,7 +14,7 @@ from heliograph.measure.errors import ErrorCounter
 from heliograph.receive import Codeword, Packet, make_receiver
 from heliograph.receive.acquire.budget import SearchLoad
 from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.events import DetectEvent, DropEvent
+from heliograph.receive.events import DetectEvent, DropEvent, MissedStartEvent
 from heliograph.receive.receivers import AnyObserver
 from heliograph.signal.block import Block, payload_bytes
 from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress
@@ -102,6 +102,8 @@ class Reception:
     ----------
     truth
         Truth of the film; None where it is not known.
+    missed_starts
+        Arrays of which a packet began before the first header found, with the time of that header, as plain values.
     files
         Symbols of files from passages before; None begins without any.
 
@@ -130,6 +132,7 @@ class Reception:
         self.frames = 0
         self.detections = 0
         self.left_out = SearchLoad()
+        self.missed_starts: list[dict[str, Any]] = []
         self.errors = ErrorCounter(truth.settings, truth.messages) if truth else None
         self._truths = truth.frames() if truth else None
         self._reassembler = Reassembler()
@@ -216,6 +219,7 @@ class Reception:
             "dropped_candidates": self.left_out.dropped,
             "dropped_blocks": self.left_out.blocks,
             "arrays": [_plain(identity, tally) for identity, tally in sorted(self.arrays.items())],
+            "missed_starts": list(self.missed_starts),
             "files": list(self.file_rows.values()),
         }
         if self.errors is not None:
@@ -259,6 +263,8 @@ def receive_film(
     def counted(event: Any) -> None:
         if isinstance(event, DetectEvent):
             reception.found(event.detection)
+        elif isinstance(event, MissedStartEvent):
+            reception.missed_starts.append({"id": event.identity, "time_s": round(event.time_s, 6)})
         elif isinstance(event, DropEvent):
             reception.left_out += event.load
         if observe is not None:
