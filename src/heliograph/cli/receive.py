@@ -115,6 +115,8 @@ def run_receive(
         console.say_json(report)
     else:
         _show(report, reception, folder)
+        for line in kept.lacking(reception.files, reception.frames / source.rate_hz):
+            console.say_prose(line)
         _show_why(why, film)
         if watch.is_live and not found_array(report):
             seen_by = watch.recorded or film
@@ -291,7 +293,8 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
     for name in folder.messages:
         console.say(f"message {folder.path}/{name}")
     for identity, layer, stream, had, size in reception.unfinished():
-        console.say(f"array {identity}, {layer}, message {stream}: {had} of {size} bytes")
+        missing = f"{size - had} missing: film longer, or until the array repeats the message"
+        console.say(f"array {identity}, {layer}, message {stream}: {had} of {size} bytes, {missing}")
     if reception.errors is not None:
         _show_errors(reception.errors)
 

@@ -220,6 +220,9 @@ class Reception:
             "dropped_blocks": self.left_out.blocks,
             "arrays": [_plain(identity, tally) for identity, tally in sorted(self.arrays.items())],
             "missed_starts": list(self.missed_starts),
+            "unfinished": [
+                dict(zip(("id", "layer", "stream", "had", "bytes"), row, strict=True)) for row in self.unfinished()
+            ],
             "files": list(self.file_rows.values()),
         }
         if self.errors is not None:
