@@ -45,7 +45,7 @@ def test_results_and_errors_name_a_film_on_one_line(
         line = failed(called(command, "--", f"no{ODD}", capfd=capfd, monkeypatch=monkeypatch))
         assert line == f"heliograph: there is no file no{SHOWN}: check the name"
 
-    run = called("receive", "--workers", 1, "--", ODD, f"no{ODD}", capfd=capfd, monkeypatch=monkeypatch)
+    run = called("receive", "--workers", "1", "--", ODD, f"no{ODD}", capfd=capfd, monkeypatch=monkeypatch)
     assert [json.loads(row)["film"] for row in run.stdout.splitlines()] == [ODD, f"no{ODD}"]
 
     run = called("convert", f"./{ODD}", f"to{ODD}", capfd=capfd, monkeypatch=monkeypatch)

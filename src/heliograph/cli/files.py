@@ -1,5 +1,6 @@
 """Files from the air while a film is received: how far they have come, and where they are written."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,7 @@ class Files:
         self.store: FileStore | None = FileStore(folder) if folder is not None else None
         self._aloud = aloud
         self._said: dict[FileKey, float] = {}
+        self._before: dict[FileKey, int] = {}
         self._complained: set[tuple[FileKey, str]] = set()
 
     def begin(self, files: "FileGatherer") -> None:
@@ -37,6 +39,7 @@ class Files:
         for progress in self.store.begin(files) if self.store else ():
             if self._aloud and progress.whole is None:
                 console.say(f"{_words(progress)}, from before")
+            self._before[progress.key] = progress.had
             self.took(progress)
 
     def took(self, progress: "FileProgress") -> None:
@@ -61,6 +64,15 @@ class Files:
             return error
         return None
 
+    def lacking(self, files: "FileGatherer", seconds: float) -> "Iterator[str]":
+        """Say of each file that is not whole what is there, what is missing, and what helps.
+
+        `seconds` is the length of the film.
+        """
+        for progress in files.unfinished():
+            new = progress.had - self._before.get(progress.key, 0)
+            yield lacking_words(progress, seconds / new if new > 0 else None, kept=self.store is not None)
+
     def _whole(self, progress: "FileProgress") -> None:
         from heliograph.link.file_store import safe_name
 
@@ -79,8 +91,19 @@ def _words(progress: "FileProgress") -> str:
     return f"file {key}: {progress.had} of {key.count} symbols ({100 * progress.had // key.count} %)"
 
 
-def join(folder: Path) -> list[Path]:
-    """Put together what several films have left of files in a folder; return those that are whole now."""
+def lacking_words(progress: "FileProgress", seconds_a_symbol: float | None, kept: bool) -> str:
+    """Say what is there of a file that is not whole, what is missing, and what helps."""
+    missing = max(progress.key.count - progress.had, 1)
+    more = f", about {missing * seconds_a_symbol:.1f} s" if seconds_a_symbol is not None else ""
+    again = "another film with the same --files DIR" if kept else "--files DIR, which keeps them for another film"
+    return f"{_words(progress)}, {missing} missing: film longer{more}, or take {again}"
+
+
+def join(folder: Path) -> tuple[list[Path], list[str]]:
+    """Put together what several films have left of files in a folder.
+
+    Return the files that are whole now, and a line for each that is not.
+    """
     from heliograph.link.file_store import FileStore
     from heliograph.signal.fountain.files import FileGatherer
 
@@ -89,4 +112,4 @@ def join(folder: Path) -> list[Path]:
         if progress.whole is not None:
             store.keep(progress.whole, progress.key)
     store.finish(files)
-    return store.written
+    return store.written, [lacking_words(progress, None, kept=True) for progress in files.unfinished()]

@@ -115,6 +115,8 @@ def run_receive(
         console.say_json(report)
     else:
         _show(report, reception, folder)
+        for line in kept.lacking(reception.files, reception.frames / source.rate_hz):
+            console.say_prose(line)
         _show_why(why, film)
         if watch.is_live and not found_array(report):
             seen_by = watch.recorded or film
@@ -264,6 +266,8 @@ class Folder:
 
 
 def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> None:
+    from heliograph.measure.journal import missed_words
+
     console.say(
         f"{counted(report['frames'], 'frame')} in {report['seconds']:.1f} s "
         f"({report['frames_per_second']:.0f} frames/s)"
@@ -285,10 +289,13 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
         console.say(_array_line(array))
         for layer, t in array["layers"].items():
             console.say(f"  {layer:6} {counted(t['ok'], 'codeword')} read, {t['failed']} not, {t['bytes']} bytes")
+    for missed in report["missed_starts"]:
+        console.say(missed_words(missed))
     for name in folder.messages:
         console.say(f"message {folder.path}/{name}")
     for identity, layer, stream, had, size in reception.unfinished():
-        console.say(f"array {identity}, {layer}, message {stream}: {had} of {size} bytes")
+        missing = f"{size - had} missing: film longer, or until the array repeats the message"
+        console.say(f"array {identity}, {layer}, message {stream}: {had} of {size} bytes, {missing}")
     if reception.errors is not None:
         _show_errors(reception.errors)
 

@@ -205,8 +205,9 @@ def run_many(
         again = "the same command goes on" if works[0].output else "with --output the same command would go on"
         console.complain(f"interrupted after {len(rows)} of {len(works)} films; {again}")
         sys.exit(console.INTERRUPTED)
-    for path in join(files) if files else ():
-        console.complain(f"{path} is whole, of several films")
+    whole, lacking = join(files) if files else ([], [])
+    for line in [*(f"{path} is whole, of several films" for path in whole), *lacking]:
+        console.complain(line)
     faults = list[str]()
     if broken := sum("error" in row for row in rows.values()):
         faults.append(f"{broken} of {len(works)} films could not be read to the end; their lines say why")
@@ -253,12 +254,14 @@ def receive_one(work: FilmWork) -> dict[str, Any]:
         kept = Files(work.files_folder, aloud=False)
         kept.begin(reception.files)
         with open_film(work.path, **work.seen.keywords()) as source:
-            signal, _ = signal_of(source, base.signal, changes)
+            signal, departure = signal_of(source, base.signal, changes)
             with Folder(work.folder) as folder, News(Told()) as news:
                 watch = Watch(source, None, None, aloud=False)
                 ending = read_film(watch, signal, settings, reception, (folder, news, kept))
                 report = {"film": work.film, **reception.report(time.perf_counter() - began)}
                 report["messages"] = folder.messages
+                if departure:
+                    report["departure"] = departure
                 why_unread(source, signal, settings, report, ending, quiet=True)
                 if ending is not None:
                     report["error"] = _line(ending)

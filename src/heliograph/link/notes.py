@@ -96,6 +96,23 @@ def signal_of(
     return signal, f"not as the film's note says: {listed}" if listed else ""
 
 
+def departures(film: object, signal: SignalSettings) -> list[tuple[str, Any, Any]]:
+    """Return the settings in which a signal differs from what a film notes: dotted key, value, noted value.
+
+    Parameters
+    ----------
+    film
+        An open film; frames without metadata note nothing.
+    signal
+        The signal the film is read with.
+    """
+    try:
+        note = json.loads(getattr(film, "metadata", {}).get(SIGNAL_TAG, "{}"))
+        return _differences(signal, from_mapping(SignalSettings, merge(to_mapping(signal), note)))
+    except (ValueError, RecursionError):  # no JSON, or no settings
+        return []
+
+
 def _differences(one: SignalSettings, other: SignalSettings) -> list[tuple[str, Any, Any]]:
     """Dotted keys in which two signals differ, with both values."""
     pairs = [(key, _value(one, key), _value(other, key)) for key in keys_of(SignalSettings)]

@@ -11,7 +11,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.film import packet_row
 from heliograph.receive import Packet
 from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.events import DetectEvent, LostEvent
+from heliograph.receive.events import DetectEvent, LostEvent, MissedStartEvent
 from heliograph.receive.image.pose import Pose
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.road.countdown import Countdown
@@ -20,7 +20,8 @@ from heliograph.signal.fountain.files import FileProgress
 from heliograph.signal.message import Message
 
 Row = Mapping[str, Any]
-"""What happened, as plain values; its `event` is "found", "packet", "message", "lights", "file" or "lost"."""
+"""What happened, as plain values; its `event` is "found", "missed_start", "packet", "message", "lights", "file" or
+"lost"."""
 
 SPEED_PACKETS = 8
 """Most packets over which a speed is averaged: 0.8 s of the reference link. Chosen."""
@@ -58,6 +59,8 @@ class Journal:
         if isinstance(event, DetectEvent):
             self._orientations[event.detection.identity] = str(event.detection.orientation)
             self._tell(self._found(event.detection, event.frames))
+        elif isinstance(event, MissedStartEvent):
+            self._tell({"event": "missed_start", "id": event.identity, "time_s": round(event.time_s, 6)})
         elif isinstance(event, LostEvent):
             way = self._ways.pop(event.identity, None)
             last = {"distance_m": round(way[-1][1], 3)} if way else {}
@@ -205,6 +208,8 @@ def sentence(row: Row) -> str:
         drift = float(np.hypot(*row["drift_px_s"]))
         moves = f"moving by {drift:.0f} px/s in the image"
         return f"{when} found {row['distance_m']:.1f} m away, {moves}, {row['orientation']}{_doubt(row)}"
+    if row["event"] == "missed_start":
+        return missed_words(row)
     if row["event"] == "lost":
         if "distance_m" not in row:
             return f"{when} lost, no packet of it was read, {row['orientation']}{_doubt(row)}"
@@ -215,6 +220,18 @@ def sentence(row: Row) -> str:
         for name, words in row["layers"].items()
     )
     return f"{when} read: {words}; {row['distance_m']:.1f} m away{_moves(row)}, {row['orientation']}{_doubt(row)}"
+
+
+def missed_words(row: Row) -> str:
+    """Say that the packet before the first header of an array is lost.
+
+    Parameters
+    ----------
+    row
+        A row with the `id` of the array and `time_s` of that header.
+    """
+    first = f"before the first header found, at {row['time_s']:.3f} s"
+    return f"array {row['id']}: a packet began {first}; that packet is lost"
 
 
 def file_words(row: Row) -> str:

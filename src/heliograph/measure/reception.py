@@ -14,7 +14,7 @@ from heliograph.measure.errors import ErrorCounter
 from heliograph.receive import Codeword, Packet, make_receiver
 from heliograph.receive.acquire.budget import SearchLoad
 from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.events import DetectEvent, DropEvent
+from heliograph.receive.events import DetectEvent, DropEvent, MissedStartEvent
 from heliograph.receive.receivers import AnyObserver
 from heliograph.signal.block import Block, payload_bytes
 from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress
@@ -106,6 +106,8 @@ class Reception:
     ----------
     truth
         Truth of the film; None where it is not known.
+    missed_starts
+        Arrays of which a packet began before the first header found, with the time of that header, as plain values.
     files
         Symbols of files from passages before; None begins without any.
 
@@ -134,6 +136,7 @@ class Reception:
         self.frames = 0
         self.detections = 0
         self.left_out = SearchLoad()
+        self.missed_starts: list[dict[str, Any]] = []
         self.errors = ErrorCounter(truth.settings, truth.messages) if truth else None
         self._truths = truth.frames() if truth else None
         self._reassembler = Reassembler()
@@ -231,6 +234,10 @@ class Reception:
             "dropped_blocks": self.left_out.blocks,
             "arrays": [_plain(identity, tally) for identity, tally in tallies if tally.confirmed],
             "uncertain": [_plain(identity, tally) for identity, tally in tallies if not tally.confirmed],
+            "missed_starts": list(self.missed_starts),
+            "unfinished": [
+                dict(zip(("id", "layer", "stream", "had", "bytes"), row, strict=True)) for row in self.unfinished()
+            ],
             "files": list(self.file_rows.values()),
         }
         if self.errors is not None:
@@ -274,6 +281,8 @@ def receive_film(
     def counted(event: Any) -> None:
         if isinstance(event, DetectEvent):
             reception.found(event.detection)
+        elif isinstance(event, MissedStartEvent):
+            reception.missed_starts.append({"id": event.identity, "time_s": round(event.time_s, 6)})
         elif isinstance(event, DropEvent):
             reception.left_out += event.load
         if observe is not None:

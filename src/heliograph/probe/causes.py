@@ -1,7 +1,9 @@
 """What may be the matter with a region or with a film, and what is told of the film as a whole."""
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from heliograph.base.words import counted
 from heliograph.probe.arrays import ArraySeen
@@ -21,7 +23,7 @@ Kind = Literal[
     "out of focus", "moving", "cut", "hidden", "out of step", "search", "elsewhere",
     "turned", "lamp", "no header", "unread", "moves",
     "slow camera", "lost frames", "repeated frames", "overexposed", "dark", "other bits", "short", "still",
-    "sight", "angle", "motion", "exposure", "glare", "resolution", "focus", "cells", "rate",
+    "other settings", "sight", "angle", "motion", "exposure", "glare", "resolution", "focus", "cells", "rate",
 ]  # fmt: skip
 """What is the matter, in a word or two; "array" where nothing is. Those of the last line are told of screens."""
 
@@ -36,6 +38,10 @@ STANDS_STILL = 0.9
 
 OVEREXPOSED, DARK = 0.15, 0.15
 """Part of a film's pixels at full scale, and brightest level over full scale, that are told."""
+
+
+WHATEVER_SENT = ("lost frames", "repeated frames", "overexposed", "dark", "other bits")
+"""Kinds of causes that do not follow from the settings of the signal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,3 +234,16 @@ def still(asked: Asked) -> Cause:
         ("look whether the array is switched on and in the picture",
          f"expose no longer than a pattern of {1e3 / light_hz:.3g} ms: a pattern and its inverse are even light"),
     )  # fmt: skip
+
+
+def other_settings(differing: Sequence[tuple[str, Any, Any]]) -> Cause:
+    """Return the cause that a film notes another signal than the one it is read with.
+
+    Parameters
+    ----------
+    differing
+        Dotted key, value and noted value of each setting in question, 1 or more.
+    """
+    why = ", ".join(f"{key} is {ours}, and the film's note says {noted}" for key, ours, noted in differing)
+    advice = tuple(f"leave {key} out, or write --set '{key}={json.dumps(noted)}'" for key, _, noted in differing)
+    return Cause("other settings", why, advice)

@@ -11,9 +11,10 @@ import numpy as np
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.frames import Frame
 from heliograph.link.film import FrameProgress, silent
+from heliograph.link.notes import departures
 from heliograph.probe.activity import Stretch, Stretches
 from heliograph.probe.arrays import ArraySeen, ArrayWatch, looked_into
-from heliograph.probe.causes import ArrayLike, Cause, RegionSeen, film_causes, still
+from heliograph.probe.causes import WHATEVER_SENT, ArrayLike, Cause, RegionSeen, film_causes, other_settings, still
 from heliograph.probe.frames import FrameTimes, FrameWatch
 from heliograph.probe.headers import header_seen
 from heliograph.probe.levels import Levels, LevelWatch
@@ -127,7 +128,13 @@ class Findings:
         """What to change, the gravest first, each line once."""
         causes = [*(cause for one in self.regions for cause in one.causes), *self.causes]
         # what reads a region goes before what would only help, and what may be no array comes last
-        causes.sort(key=lambda cause: (not cause.proven, cause.kind != "short", cause.kind in NO_ARRAY_AT_ALL))
+        causes.sort(
+            key=lambda cause: (
+                not cause.proven,
+                cause.kind not in ("other settings", "short"),
+                cause.kind in NO_ARRAY_AT_ALL,
+            )
+        )
         return list(dict.fromkeys(line for cause in causes for line in cause.advice))
 
 
@@ -184,7 +191,17 @@ def probe_film(
         broken = error
     if watch.last is None:
         raise broken or MediaError(f"{film.path} holds no frames: record it again")
-    return _findings(watch, film, Asked(signal, settings, watch.frames.times().rate_hz), broken, trials)
+    asked = Asked(signal, settings, watch.frames.times().rate_hz)
+    differing = departures(film, signal)
+    found = _findings(watch, film, asked, broken, trials and not differing)
+    return _by_note(found, differing) if differing and not found.read else found
+
+
+def _by_note(found: Findings, differing: Sequence[tuple[str, Any, Any]]) -> Findings:
+    """Name the settings that differ from the film's note in place of what follows from them."""
+    causes = [cause for cause in found.causes if cause.kind in WHATEVER_SENT]
+    regions = tuple(replace(seen, causes=(), would_be=None) for seen in found.regions)
+    return replace(found, regions=regions, causes=(other_settings(differing), *causes))
 
 
 class _Watch:

@@ -114,7 +114,7 @@ def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
     parameters = search_parameters(settings, signal, PLAIN_REGULARITY)
     search = _there(PyramidSearch(parameters, signal), parameters, settings, signal.side)
     follow = _following(signal, settings, observe, pairing, reader)
-    return Parts(SteppedClock(signal.pattern_period_s), search, follow, signal.side)
+    return Parts(SteppedClock(signal.pattern_period_s), search, follow, signal)
 
 
 def soft_parts(
@@ -157,7 +157,7 @@ def soft_parts(
     search = _there(PhasedSearch(parameters, signal), parameters, settings, signal.side)
     reader = reader or soft_reader(signal, settings, observe)
     follow = _following(signal, settings, observe, pairing, reader)
-    return Parts(CameraClock(), search, follow, signal.side)
+    return Parts(CameraClock(), search, follow, signal)
 
 
 def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> MakeReader:

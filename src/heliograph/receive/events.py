@@ -25,6 +25,7 @@ __all__ = [
     "Event",
     "ExtractEvent",
     "LostEvent",
+    "MissedStartEvent",
     "Observer",
     "TrackEvent",
     "ignore",
@@ -136,6 +137,24 @@ class LostEvent:
 
 
 @dataclass(frozen=True, slots=True)
+class MissedStartEvent:
+    """A packet of an array began before the first header found of the array; that packet is not read.
+
+    It comes before the first packet with a decoded codeword.
+
+    Attributes
+    ----------
+    identity
+        Number of the array, 0 to 29.
+    time_s
+        Start in seconds of the first header found.
+    """
+
+    identity: int
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class DropEvent:
     """More alternates in the frames than searching them may cost: a part was left out.
 
@@ -151,7 +170,7 @@ class DropEvent:
     load: SearchLoad
 
 
-Event = DetectEvent | TrackEvent | ExtractEvent | EqualiseEvent | DecodeEvent | LostEvent | DropEvent
+Event = DetectEvent | TrackEvent | ExtractEvent | EqualiseEvent | DecodeEvent | LostEvent | MissedStartEvent | DropEvent
 """Every event."""
 
 Observer = Callable[[Event], None]

@@ -1,7 +1,7 @@
 """A receiver: finds arrays in a stream of frames and hands each frame to all that are followed."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from heliograph.base.frames import Frame, check_next
@@ -9,13 +9,15 @@ from heliograph.base.threads import in_one_thread
 from heliograph.receive.acquire.budget import SearchLoad
 from heliograph.receive.acquire.candidate import apart
 from heliograph.receive.acquire.detection import Detection, HeaderSearch
+from heliograph.receive.acquire.earlier_light import shone_before
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.coming import ComingPacket
-from heliograph.receive.events import DetectEvent, DropEvent, LostEvent, Observer
+from heliograph.receive.events import DetectEvent, DropEvent, LostEvent, MissedStartEvent, Observer
 from heliograph.receive.image.orientation import UPRIGHT, Orientation
 from heliograph.receive.oriented_receivers import OrientedReceivers
 from heliograph.receive.packets import Packet
 from heliograph.receive.timing.camera_clock import FrameClock
+from heliograph.signal.settings import SignalSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,14 +32,14 @@ class Parts:
         Looks for headers of arrays that are not followed yet.
     follow
         Makes the receiver of an array that was found.
-    side
-        LEDs in a row.
+    signal
+        The light's signal: LEDs in a row, length of a pattern and of a packet.
     """
 
     clock: FrameClock
     search: HeaderSearch
     follow: Callable[[Detection], ArrayReceiver]
-    side: int
+    signal: SignalSettings
 
 
 class StreamReceiver:
@@ -55,7 +57,8 @@ class StreamReceiver:
         self._parts, self._observe = parts, observe
         self._arrays: list[OrientedReceivers] = []
         self._orientation: Orientation | None = None
-        self._started = False
+        self._began_s: float | None = None
+        self._read, self._missed = set[int](), dict[int, float]()
         self._last: Frame | None = None
         self._coming: deque[ComingPacket | LostEvent] = deque()
         self._newest: ComingPacket | None = None
@@ -114,15 +117,17 @@ class StreamReceiver:
                 self._observe(first)
             elif wait or first.done:
                 self._coming.popleft()
-                yield first.packet()
+                packet = first.packet()
+                self._tell_missed_start(packet)
+                yield packet
             else:
                 return
 
     def _take(self, frame: Frame) -> Iterator[ComingPacket]:
         """Take a frame whose time is known."""
-        if not self._started:
+        if self._began_s is None:
             self._parts.search.start(self._parts.clock.period_s)
-            self._started = True
+            self._began_s = frame.time_s
         for array in [a for a in self._arrays if a.overdue(frame.time_s)]:
             # a camera's clock may jump by any length: the pairs of that time are not gone through
             yield from array.flush(over=True)
@@ -141,7 +146,7 @@ class StreamReceiver:
 
     def _weigh(self, detection: Detection) -> Iterator[ComingPacket]:
         """Follow what was found unless it lies where a better array is followed."""
-        rivals = [a for a in self._arrays if not apart(a.leading.pose, detection.fit.pose, self._parts.side)]
+        rivals = [a for a in self._arrays if not apart(a.leading.pose, detection.fit.pose, self._parts.signal.side)]
         if any(self._stands(rival, detection) for rival in rivals):
             return
         for rival in rivals:
@@ -162,11 +167,29 @@ class StreamReceiver:
         recent = tuple(self._parts.search.recent)
         self._tell_losses()
         self._observe(DetectEvent(detection, recent))
+        missed = self._misses_start(detection, recent)
+        for one in detection.hypotheses:
+            self._missed.pop(one.identity, None)
+            if missed and one.identity not in self._read:
+                self._missed[one.identity] = detection.start_time_s
         settled = self._orientation is not None
         array = OrientedReceivers([self._parts.follow(one) for one in detection.hypotheses], settled)
         self._arrays.append(array)
         for frame in recent:
             yield from self._push(array, frame)
+
+    def _tell_missed_start(self, packet: Packet) -> None:
+        """Report before the first packet read of an array that one before it is lost."""
+        if packet.status in ("ok", "partial"):
+            self._read.add(packet.identity)
+            if packet.identity in self._missed:
+                self._observe(MissedStartEvent(packet.identity, self._missed.pop(packet.identity)))
+
+    def _misses_start(self, detection: Detection, recent: Sequence[Frame]) -> bool:
+        """Return True if the array was sending before its header, in the first two packets of the film."""
+        assert self._began_s is not None
+        signal, since_s = self._parts.signal, detection.start_time_s - self._began_s
+        return since_s < 2.5 * signal.packet_s and shone_before(detection, recent, signal)
 
     def _push(self, array: OrientedReceivers, frame: Frame) -> Iterator[ComingPacket]:
         """Hand a frame to an array; the first right codeword tells how the camera sees all of them."""

@@ -1,0 +1,50 @@
+"""A film that notes another signal than the one it is read with: the note comes before all guesses."""
+
+from pathlib import Path
+
+import pytest
+from small_links import small
+
+from heliograph.link.film import write_film
+from heliograph.link.notes import departures, signal_of
+from heliograph.media import open_film
+from heliograph.probe import probe_film
+from heliograph.probe.words import in_sentences, in_short, lines
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("film") / "a.h5"
+    settings = small("channel.camera.width=48", "channel.camera.height=48", "channel.duration_s=0.04")
+    write_film(path, settings, [{"high": [b"red"]}], seed=1)
+    return path
+
+
+@pytest.mark.parametrize("key", ["data_pairs", "header_pairs", "slot_order", "rate.high", "rate.low", "light"])
+def test_each_differing_setting_is_named_with_both_values(key: str, film: Path) -> None:
+    values = {
+        "data_pairs": 24, "header_pairs": 4, "slot_order": [1, 0, 2, 3], "rate.high": 0.4, "rate.low": 0.5,
+        "light": "steady",
+    }  # fmt: skip
+    asked = small(f"signal.{key}={values[key]!r}")
+    with open_film(film) as source:
+        ((named, ours, noted),) = departures(source, asked.signal)
+        assert (named, ours) == (f"signal.{key}", values[key])
+        found = probe_film(source, asked.signal, asked.receive, reading=False)
+    assert [cause.kind for cause in found.causes] == ["other settings"]
+    assert f"signal.{key} is {ours}, and the film's note says {noted}" in found.causes[0].why
+    assert found.advice[0].startswith(f"leave signal.{key} out, or write --set 'signal.{key}=")
+    assert len(found.advice) == 1
+    assert not any(seen.causes for seen in found.regions)
+    for words in (lines(found), in_short(found), in_sentences(found)):
+        assert "the film's note says" in "\n".join(words)
+
+
+def test_a_film_that_is_read_as_it_notes_departs_in_nothing(film: Path) -> None:
+    with open_film(film) as source:
+        signal, _ = signal_of(source, small("signal.data_pairs=24").signal)
+        assert departures(source, signal) == []
+        source.metadata = {}
+        assert departures(source, small("signal.data_pairs=24").signal) == []
+        source.metadata = {"heliograph_signal": "{no JSON"}
+        assert departures(source, signal) == []

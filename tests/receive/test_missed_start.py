@@ -1,0 +1,75 @@
+"""A packet that began before the first header found is reported, once."""
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import pytest
+
+from heliograph.base.frames import Frame
+from heliograph.link.settings import load_settings
+from heliograph.link.simulate import simulate
+from heliograph.measure.journal import Journal, Row, sentence
+from heliograph.measure.reception import Reception, receive_film
+
+SIZE = ["channel.camera.width=64", "channel.camera.height=64", "channel.arrays.0.x_m=0", "channel.arrays.0.y_m=0"]
+
+
+@cache
+def frames(start_s: float) -> tuple[Frame, ...]:
+    settings = load_settings("static", None, [*SIZE, f"channel.arrays.0.start_s={start_s}", "channel.duration_s=0.26"])
+    return tuple(frame for frame, _ in simulate(settings, [{"high": [b"red"], "low": [bytes(range(90))]}], 4))
+
+
+class Film:
+    path = "the film"
+
+    def __init__(self, frames: tuple[Frame, ...]):
+        self._frames = frames
+
+    def __iter__(self) -> Any:
+        return iter(self._frames)
+
+
+def received(film: tuple[Frame, ...], receiver: str) -> tuple[list[Row], Reception]:
+    settings = load_settings("static", None, [*SIZE, f"receive.receiver={receiver}"])
+    rows, reception = list[Row](), Reception()
+    journal = Journal(settings.receive.calibration, rows.append)
+    for packet, messages in receive_film(Film(film), settings.signal, settings, reception, journal.observe):
+        journal.read(packet, messages)
+    return rows, reception
+
+
+def torn(film: tuple[Frame, ...]) -> tuple[Frame, ...]:
+    """The second frame shows rows of the first one, and the first header cannot be found."""
+    pixels = film[1].pixels.copy()
+    pixels[:32] = film[0].pixels[:32]
+    return film[0], replace(film[1], pixels=pixels), *film[2:]
+
+
+RECEIVERS = ["plain", pytest.param("soft", marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("receiver", RECEIVERS)
+@pytest.mark.parametrize(("start_s", "begun", "header_s"), [(-0.0371, tuple, 0.063), (0.0, torn, 0.1)])
+def test_a_packet_before_the_first_header_is_reported_once(
+    start_s: float, begun: Any, header_s: float, receiver: str
+) -> None:
+    rows, reception = received(begun(frames(start_s)), receiver)
+    missed = [row for row in rows if row["event"] == "missed_start"]
+    assert missed == [{"event": "missed_start", "id": 0, "time_s": pytest.approx(header_s, abs=0.001)}]
+    kinds = [row["event"] for row in rows]
+    assert kinds.index("missed_start") == kinds.index("packet") - 1
+    words = f"array 0: a packet began before the first header found, at {header_s:.3f} s; that packet is lost"
+    assert sentence(missed[0]) == words
+    report = reception.report(1.0)["missed_starts"]
+    assert report == [{"id": 0, "time_s": pytest.approx(header_s, abs=0.001)}]
+
+
+@pytest.mark.parametrize("receiver", RECEIVERS)
+@pytest.mark.parametrize("start_s", [0.0, 0.0503])
+def test_nothing_is_missed_of_an_array_that_is_switched_on(start_s: float, receiver: str) -> None:
+    rows, reception = received(frames(start_s), receiver)
+    assert "missed_start" not in {row["event"] for row in rows}
+    assert len(reception.arrays) == 1
+    assert reception.report(1.0)["missed_starts"] == []
