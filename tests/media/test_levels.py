@@ -13,6 +13,7 @@ from made_videos import write_avi
 from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError
+from heliograph.base.frames import Frame
 from heliograph.media import open_film
 
 RAMP = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
@@ -97,7 +98,7 @@ def bright_cine(path: Path, levels: NDArray[np.uint16]) -> Path:
 def test_a_level_above_the_stated_bits_is_an_error(tmp_path: Path, make: Any, name: str) -> None:
     levels = np.full((4, 8, 16), 4095, np.uint16)
     levels[2, 3, 5] = 4096
-    frames = []
+    frames: list[Frame] = []
     with open_film(make(tmp_path / name, levels)) as film:
         assert film.bits == 12
         with pytest.raises(MediaError, match="gray level of 4096 after 2 whole frames, and its header says 12 bits"):

@@ -169,7 +169,7 @@ def timed(path: Path, times: Any, **attributes: Any) -> Path:
 def test_times_in_another_unit_are_reported(
     tmp_path: Path, rate: float, kind: type, factor: float, unit: str, start_s: float
 ) -> None:
-    times = ((start_s + np.arange(COUNT) / rate) * factor).astype(kind)
+    times: Any = ((start_s + np.arange(COUNT) / rate) * factor).astype(kind)
     if np.median(np.diff(times)) < 1:
         pytest.skip("whole milliseconds of this rate rise by less than one")
     path = timed(tmp_path / "a.h5", times)

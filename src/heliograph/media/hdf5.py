@@ -117,7 +117,8 @@ class Hdf5Reader(TimedReader):
             for place, time_s in enumerate(islice(_times(self.path, times), frames.shape[0])):
                 with _damage_is_clear(self.path, place):
                     pixels = read(place)
-                yield time_s, np.ascontiguousarray(pixels.T) if by_columns else pixels, self.bits
+                levels: Any = np.ascontiguousarray(pixels.T) if by_columns else pixels
+                yield time_s, levels, self.bits
 
 
 def is_hdf5(path: Path) -> bool:
@@ -341,7 +342,8 @@ def _check_form(path: Path, file: Any) -> None:
     # before their shapes are asked for, as for that of a virtual dataset other files are opened
     if any(dataset.is_virtual or dataset.external for dataset in (frames, times)):
         raise _elsewhere(path)
-    form, lengths = frames.shape or (), times.shape or ()  # None of a dataset without any
+    form: tuple[int, ...] = frames.shape or ()
+    lengths: tuple[int, ...] = times.shape or ()  # None of a dataset without any
     times_known = bool(lengths) and math.prod(lengths) == max(lengths)
     if times_known and len(form) == 3 and max(lengths) == form[2] != form[0]:
         raise MediaError(

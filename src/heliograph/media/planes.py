@@ -128,7 +128,8 @@ def is_limited(picture: "av.VideoFrame") -> bool:
 
 def _mend_palette(picture: "av.VideoFrame") -> None:
     """Make a palette of one colour one of gray levels: AVI of gray levels may come without a palette, all black."""
-    palette: Any = np.frombuffer(picture.planes[1], np.uint8).reshape(-1, 4)
+    plane: Any = picture.planes[1]
+    palette = np.frombuffer(plane, np.uint8).reshape(-1, 4)
     if not np.ptp(palette, axis=0).any():
         palette[:, :3], palette[:, 3] = np.arange(256)[:, None], 255
 

@@ -1,6 +1,7 @@
 """One array's receiver: its frames paired, followed, and gathered to packets."""
 
 import logging
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -90,7 +91,7 @@ class ArrayReceiver:
         self._signal, self._calibration, self._coast_s, self._observe = signal, calibration, coast_s, observe
         self._track = tracker.start(detection)
         self._gathered = self._empty()
-        self._number = 0
+        self._number, self._last_s = 0, -math.inf
         self._header = header_levels(detection.identity, signal.side) / 2.0 - 1.0
         self._slips = SlipWatch(detection.identity, signal)
         self._start_lost = 0
@@ -98,7 +99,7 @@ class ArrayReceiver:
         self._read: bool | None = None
         self._beside: ComingPacket | None = None
         self._taught = SharedLesson()
-        self._proven = self._misled = self._failed = self._outgrown = False
+        self._proven = self._misled = self._failed = self._outgrown = self._over = False
 
     @property
     def identity(self) -> int:
@@ -135,7 +136,7 @@ class ArrayReceiver:
     def done(self) -> bool:
         """Whether the array is out of sight or another size than its view is for, or what was followed is no array."""
         out_of_sight = self._pairing.now_s - self._track.last_seen_s > self._coast_s
-        return self._failed or self._outgrown or self._pairing.lost or out_of_sight
+        return self._failed or self._outgrown or self._over or self._pairing.lost or out_of_sight
 
     def leaves(self, time_s: float) -> bool:
         """Whether the array has another size than its view is for, and its packet is over: its next header is awaited.
@@ -185,20 +186,20 @@ class ArrayReceiver:
         frame
             The frame, with the time that the clock gives it.
         """
+        # no pair is due before the first header
+        before_s = min(max(self._last_s, self._pairing.origin_s), self._track.last_seen_s)
+        self._last_s = frame.time_s
+        if self._over:
+            return
+        if frame.time_s - before_s > self._coast_s + self._signal.packet_s:
+            # the packet in progress is over; times may jump by any length, so the pairs of the gap are skipped
+            self._over = True
+            yield from self.flush(over=True)
+            return
         paired = self._reader.format.mode != "single"
         seen = frame if self._as_camera else self._view.frame(frame, self.pose, self._signal.side)
         for one in self._slips.push(seen, self._pairing.origin_s, self._pose_at, paired):
             yield from self._take_all(self._pairing.push(one))
-
-    def overdue(self, time_s: float) -> bool:
-        """Whether a frame comes so late that the array is done, and the packet in progress over.
-
-        Parameters
-        ----------
-        time_s
-            Time of the frame in seconds.
-        """
-        return time_s - self._track.last_seen_s > self._coast_s + self._signal.packet_s
 
     def flush(self, over: bool = False) -> Iterator[ComingPacket]:
         """Yield the packet in progress.

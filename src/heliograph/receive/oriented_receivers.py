@@ -74,16 +74,6 @@ class OrientedReceivers:
             self._alone, self._held = False, []
         yield from self._believed(read)
 
-    def overdue(self, time_s: float) -> bool:
-        """Whether a frame comes so late that the array is done; see `ArrayReceiver`.
-
-        Parameters
-        ----------
-        time_s
-            Time of the frame in seconds.
-        """
-        return all(one.overdue(time_s) for one in self._receivers)
-
     def flush(self, over: bool = False) -> Iterator[ComingPacket]:
         """Yield the packet in progress; see `ArrayReceiver`.
 

@@ -128,10 +128,6 @@ class StreamReceiver:
         if self._began_s is None:
             self._parts.search.start(self._parts.clock.period_s)
             self._began_s = frame.time_s
-        for array in [a for a in self._arrays if a.overdue(frame.time_s)]:
-            # a camera's clock may jump by any length: the pairs of that time are not gone through
-            yield from array.flush(over=True)
-            self._forget(array)
         for array in list(self._arrays):
             yield from self._push(array, frame)
         for array in [a for a in self._arrays if a.done]:

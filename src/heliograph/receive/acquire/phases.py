@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from heliograph.base.errors import HeliographError
@@ -25,6 +26,22 @@ The light's clock asks for two on either side, and two to spare.
 
 SLOW_PHASES = 4
 """Phases tried for a camera of fewer than two frames per pattern: one of them is within 1/8 pattern of any header's."""
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseLimits:
+    """Limits of a search by phases.
+
+    Attributes
+    ----------
+    max_frames
+        Most frames a pattern: all frames of a header are kept, and each phase has a search of its own.
+    """
+
+    max_frames: int = 1000
+
+
+LIMITS = PhaseLimits()
 
 
 class PhasedSearch:
@@ -62,14 +79,20 @@ class PhasedSearch:
         Raises
         ------
         HeliographError
-            The camera is slower than the light.
+            The camera is slower than the light, or faster by more than `PhaseLimits.max_frames`.
         """
         light_s = self._signal.pattern_period_s
         if period_s > light_s * (1 + STEP_TOLERANCE):
             raise HeliographError(
                 f"the soft receiver needs at least one frame a pattern: the film has {1 / period_s:.1f} frames/s, the "
-                f"light {1 / light_s:.1f} patterns/s; film faster, or say by --fps what the camera did where the film "
-                f"misstates it"
+                f"light {1 / light_s:.1f} patterns/s; film faster, give times in seconds, or say by --fps what the "
+                "camera did where the film misstates it"
+            )
+        if period_s * LIMITS.max_frames < light_s:
+            raise HeliographError(
+                f"the soft receiver takes at most {LIMITS.max_frames} frames a pattern: the film has "
+                f"{1 / period_s:.3g} frames/s, the light {1 / light_s:.1f} patterns/s; give times in seconds, say by "
+                "--fps what the camera did where the film misstates it, or leave out frames"
             )
         alike = period_s > light_s * (1 - STEP_TOLERANCE)
         if alike:

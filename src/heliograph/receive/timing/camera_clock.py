@@ -129,10 +129,11 @@ class SteppedClock:
         if abs(period_s - self.period_s) > STEP_TOLERANCE * self.period_s:
             # the soft receiver, too, needs a frame a pattern
             other = "use --receiver soft, " if period_s < self.period_s else ""
+            rate = f"{1 / period_s:.1f}" if period_s < 1 else f"{1 / period_s:.2g}"
             raise HeliographError(
-                f"the plain receiver needs one frame a pattern: the film has {1 / period_s:.1f} frames/s, the light "
-                f"{1 / self.period_s:.1f} patterns/s; film at that rate, {other}or say by --fps what the camera did "
-                f"where the film misstates it"
+                f"the plain receiver needs one frame a pattern: the film has {rate} frames/s, the light "
+                f"{1 / self.period_s:.1f} patterns/s; film at that rate, {other}give times in seconds, or say by --fps "
+                f"what the camera did where the film misstates it"
             )
 
 
