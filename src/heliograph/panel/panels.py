@@ -10,12 +10,12 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError, shown
 from heliograph.base.threads import in_one_thread, one_thread
-from heliograph.panel.lattice import FIRST_BLUR, Fitted, Lattice, Shape
+from heliograph.panel.lattice import FIRST_BLUR, MOST_BLUR, Fitted, Lattice, Shape
 from heliograph.panel.lattice_fit import fitted
-from heliograph.panel.outline import SMOOTHING, SMOOTHING_PITCHES, Region, evidence, outlined, quadrilateral
-from heliograph.panel.phase import AFRESH, FARTHEST, ONWARDS, Phased, phased, strength
+from heliograph.panel.outline import SMOOTHING, Region, evidence, outlined, quadrilateral
 from heliograph.panel.picture import COLOURS, AnyFrame, Levels, Picture, picture_of
-from heliograph.panel.place import Place, area, grown, is_convex
+from heliograph.panel.place import Place, area, grid, grown, homographies, is_possible, mapped, LIMITS
+from heliograph.panel.search import Candidate, best_candidate, found_again, quadrilaterals, settled
 
 MOST_LEDS = 1 << 16
 """Most LEDs of a panel: with 256 x 256 undoing the blur takes 0.3 to 0.6 GB."""
@@ -23,26 +23,20 @@ MOST_LEDS = 1 << 16
 LEAST_SIDE_PX = 8.0
 """Least side of a panel in px: of less nothing is told."""
 
-SHOWN = 5.0
-"""Standard deviations from which on a grid is taken to show: noise has more once in a million frames."""
+LEAST_VISIBLE = 0.5
+"""Smallest share of a panel within the frame: of less neither grid nor outline tells."""
 
-SURE = 15.0
-"""Strength of a grid from which on its phases are taken for the right ones.
+ACCEPTED = 0.5
+"""Least score of a place that is found without corners. It is the odds of one to one."""
 
-Of panels of 0.55 pitches of blur a grid had 8 at the right place, and up to 7.5 at wrong ones.
-"""
-
-FAINTER = 0.8
-"""Least strength of a grid, as a fraction of the frame's before, of one that is not looked for farther about.
-
-Chosen: of 64 x 64 LEDs on or off at random it differs by 2 %; where an eighth of a panel is a pitch off, by more.
-"""
-
-WORSE = 1.5
-"""Ratio of what a fit leaves unexplained to what the frame's before did, above which another start is tried. Chosen."""
+SURE = 0.9
+"""Score that a fit may fall to: beyond it the fit's corners are more exact than the phases'."""
 
 SEEN = 0.5
-"""Least score of a panel whose grid never shows. Chosen."""
+"""Least correlation of the pixels with the fitted image of a panel whose grid does not show. Chosen."""
+
+BLUR_WORSE = 1.5
+"""Ratio of what a fit leaves unexplained to what the frame's before did, above which another start is tried. Chosen."""
 
 FOLLOW_STEPS = 4
 """Most steps of a fit from frame to frame: it starts within a tenth of a pitch where the grid shows."""
@@ -94,20 +88,30 @@ def locate(
     shape = _shape(rows, columns)
     first = pictures[0]
     images = [one.gray for one in pictures]
+    hand = None if corners is None else _corners(corners) - first.corner
+    if hand is not None:
+        _check_there(hand, first, shape)
     x, y, width, height = _region(region, first)
     # what lies beyond the region may be another panel's
-    shows, begin = evidence(images)[y : y + height, x : x + width], np.array([x, y], np.float64)
-    start = quadrilateral(shows, region) + begin if corners is None else _corners(corners) - first.corner
-    _check_there(start, first)
-    if corners is None or shape is None:
-        widths = [share * area(start) ** 0.5 for share in SMOOTHING]
-        if shape is not None:
-            widths += [share * shape.pitch(start) for share in SMOOTHING_PITCHES]
-        start = _kept(outlined(shows, start - begin, widths) + begin, start)
+    part, begin = np.s_[..., y : y + height, x : x + width], np.array([x, y], np.float64)
     if shape is None:
-        return Place(start + first.corner)
+        shows = evidence(images)[part]
+        start = quadrilateral(shows, region) + begin if hand is None else hand
+        _check_there(start, first, shape)
+        widths = [share * area(start) ** 0.5 for share in SMOOTHING]
+        return Place(_kept(outlined(shows, start - begin, widths) + begin, start) + first.corner)
+    parts = [np.ascontiguousarray(one[part]) for one in images]
     with one_thread():
-        _, found = _fitted(first, [start], Fitted(start, nan, 1.0), shape, inf)
+        if hand is None:
+            starts = quadrilaterals(parts, np.ptp(first.levels[part], axis=0), shape, region)
+            found = _fitted_place(parts, best_candidate(parts, starts, shape), shape)
+            if found.score < ACCEPTED or not _is_there(found.corners, Picture(parts[0][None])):
+                raise HeliographError(
+                    f"no panel of {shape.rows} x {shape.columns} LEDs was found for certain: give corners=, the four "
+                    "corners of the LED area in px, or several frames in which LEDs of all outer lines are lit"
+                )
+            return Place(found.corners + begin + first.corner, found.blur, found.score)
+        found = _fitted_place(images, best_candidate(images, [hand], shape, hand), shape, hand)
     return Place(found.corners + first.corner, found.blur, found.score)
 
 
@@ -174,7 +178,7 @@ def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool 
     assert shape is not None
     matrix = _leakage(leakage, picture)
     at = _checked(place).corners - picture.corner
-    _check_there(at, picture)
+    _check_there(at, picture, shape)
     images, moved = _about(picture, at, 2 * shape.pitch(at))
     corners = at - moved
     values = _unblurred(images, corners, place.blur, shape) if unblur else _weighted(images, corners, shape)
@@ -186,49 +190,61 @@ def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool 
     return values.reshape((rows, columns) if len(images) == 1 else (rows, columns, len(images)))
 
 
+def _fitted_place(
+    images: Sequence[Levels], candidate: Candidate, shape: Shape, hand: Floats | None = None
+) -> Fitted:
+    """The candidate after the fit of its LEDs' images, with the candidate's score; or as it was where it agreed better."""
+    corners = candidate.corners
+    image, moved = _about(Picture(images[0][None]), corners, 2 * shape.pitch(corners))
+    fit = _afresh(image[0], corners - moved, shape)
+    fit = fit._replace(corners=fit.corners + moved)
+    again = settled(images, fit.corners, shape, hand, shift=False)
+    is_near = np.abs(fit.corners - corners).max() < shape.pitch(corners)
+    if is_near and again.score >= min(candidate.score, SURE):
+        return fit._replace(score=again.score)
+    return fit._replace(corners=corners, score=candidate.score)
+
+
 def _followed(frames: Iterable[AnyFrame], place: Place, shape: Shape) -> Iterator[Place]:
     last = before = place.corners
     held = Fitted(last, place.blur if place.blur > 0 else FIRST_BLUR * shape.pitch(last), 1.0)
-    known = 0.0
-    for frame in frames:
+    for number, frame in enumerate(frames):
         picture = picture_of(frame)
-        starts = [one for one in (2 * last - before, last) if _is_there(one - picture.corner, picture)]
-        strong, found = 0.0, held
-        if starts:
-            strong, found = _fitted(picture, [one - picture.corner for one in starts], held, shape, known)
-        # of a panel whose grid never showed the fit alone tells
-        seen = strong >= SHOWN if known or strong >= SHOWN else found.score >= SEEN
-        if not (starts and seen and _is_there(found.corners, picture)):
+        if number == 0:
+            _check_there(last - picture.corner, picture, shape)
+        starts = [one for one in (2 * last - before, last) if _is_there(one - picture.corner, picture, shape)]
+        found, score = _found_on(picture, [one - picture.corner for one in starts], held, shape) if starts else (held, 0)
+        if not score or not _is_there(found.corners, picture, shape):
             before = last
             yield Place(last, held.blur, 0.0)
             continue
-        known = strong if strong >= SHOWN else known
         held, last, before = found, found.corners + picture.corner, last
-        yield Place(last, found.blur, found.score)
+        yield Place(last, found.blur, score)
 
 
-def _fitted(
-    picture: Picture, starts: Sequence[Floats], held: Fitted, shape: Shape, known: float = 0.0
-) -> tuple[float, Fitted]:
-    """How surely the LEDs' grid shows, and its place in a picture; `known` is how surely it showed before."""
-    images, moved = _about(Picture(picture.gray[None]), starts[0], (FARTHEST + 2) * shape.pitch(starts[0]))
-    image, grid = images[0], Phased(starts[0] - moved, 0.0)
-    for ways in (ONWARDS, AFRESH):
-        for start in starts:
-            if grid.strength < max(FAINTER * known, SHOWN):
-                grid = max(grid, phased(image, start - moved, shape, ways), key=lambda one: one.strength)
-    if grid.strength >= SURE and held.hessian is not None:  # an earlier fit leaves little to do
-        found = fitted(image, held._replace(corners=grid.corners), shape, FOLLOW_STEPS)
-    elif grid.strength >= SURE:
-        found = _afresh(image, grid.corners, shape)
+def _found_on(picture: Picture, starts: Sequence[Floats], held: Fitted, shape: Shape) -> tuple[Fitted, float]:
+    """The panel's place in a picture near the starts, and its score; 0 if it is not seen."""
+    images, moved = _about(Picture(picture.gray[None]), starts[0], 5 * shape.pitch(starts[0]))
+    image = images[0]
+    near = found_again(image, [one - moved for one in starts], shape)
+    if near.score >= ACCEPTED:
+        at = near.corners
+        if held.hessian is not None:  # an earlier fit leaves little to do
+            found = fitted(image, held._replace(corners=at), shape, FOLLOW_STEPS)
+        else:
+            found = _afresh(image, at, shape)
     else:
         found = held._replace(score=-1.0)
-        for start in [*(one - moved for one in starts), grid.corners]:
+        for start in [*(one - moved for one in starts), near.corners]:
             # what is as well explained as before is right
-            if 1 - found.score > WORSE * (1 - held.score):
+            if 1 - found.score > BLUR_WORSE * (1 - held.score):
                 found = max(found, _afresh(image, start, shape), key=lambda one: one.score)
-    strong = strength(image, found.corners, shape)
-    return strong, found._replace(corners=found.corners + moved)
+        if found.score < SEEN:
+            return held, 0.0
+    score = settled([image], found.corners, shape, near.corners, shift=False).score
+    if near.score >= ACCEPTED > score:
+        found, score = found._replace(corners=near.corners), near.score
+    return found._replace(corners=found.corners + moved), score
 
 
 def _afresh(image: Levels, corners: Floats, shape: Shape) -> Fitted:
@@ -240,6 +256,11 @@ def _unblurred(images: Levels, corners: Floats, blur: float, shape: Shape) -> Fl
     if not blur > 0:
         raise HeliographError(
             "the blur of the place is not known: locate(..., rows=, columns=) finds it, or give Place(corners, blur)"
+        )
+    if blur > MOST_BLUR * shape.pitch(corners):
+        raise HeliographError(
+            f"the LEDs lie {shape.pitch(corners):.1f} px apart, too close for a blur of {blur:.1f} px: sample without "
+            "unblur, or give the blur that locate finds"
         )
     mask = shape.mask(corners, (images.shape[1], images.shape[2]))
     with one_thread():
@@ -275,28 +296,28 @@ def _about(picture: Picture, corners: Floats, margin: float) -> tuple[Levels, Fl
 
 def _kept(corners: Floats, start: Floats) -> Floats:
     """Fitted corners, or where they went astray those from which the fit started."""
-    return corners if _is_place(corners) and 0.5 < area(corners) / area(start) < 2 else start
+    return corners if is_possible(corners) and 0.5 < area(corners) / area(start) < 2 else start
 
 
-def _is_place(corners: Floats) -> bool:
-    """Whether corners are those of a panel that is large enough, seen from its front."""
-    return is_convex(corners) and area(corners) >= LEAST_SIDE_PX**2
-
-
-def _is_there(corners: Floats, picture: Picture) -> bool:
-    """Whether a panel is a convex quadrilateral whose middle lies within a picture."""
+def _is_there(corners: Floats, picture: Picture, shape: Shape | None = None) -> bool:
+    """True if a panel may have such corners, and at least half of it lies within the picture."""
     rows, columns = picture.levels.shape[1:]
-    x, y = corners.mean(axis=0)
-    return _is_place(corners) and 0 <= x < columns and 0 <= y < rows and abs(area(corners)) < 4 * rows * columns
+    if not is_possible(corners, *((shape.rows, shape.columns) if shape else (1, 1))):
+        return False
+    if abs(area(corners)) < LEAST_SIDE_PX**2:
+        return False
+    x, y = mapped(homographies(corners), grid(8, 8)).T
+    return bool(((x > -0.5) & (x < columns - 0.5) & (y > -0.5) & (y < rows - 0.5)).mean() >= LEAST_VISIBLE)
 
 
-def _check_there(corners: Floats, picture: Picture) -> None:
-    if not _is_there(corners, picture):
+def _check_there(corners: Floats, picture: Picture, shape: Shape | None) -> None:
+    if not _is_there(corners, picture, shape):
         rows, columns = picture.levels.shape[1:]
         text = ", ".join(f"{x:.0f} {y:.0f}" for x, y in corners + picture.corner)
         raise HeliographError(
             f"the corners {text} are no panel in a frame of {columns}x{rows} pixels: give x, y of upper left, upper "
-            f"right, lower right and lower left"
+            f"right, lower right and lower left, uncrossed, at least half within the frame, {LIMITS.pitch_px:g} px or "
+            f"more an LED"
         )
 
 
