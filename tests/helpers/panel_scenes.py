@@ -75,9 +75,8 @@ def draw_scene(
     frames = []
     for k in range(count):
         light = patterns[k] * weights[k][:, None] * gains
-        frames.append(
-            camera.frame(light, tracks[k], background, colour, board_margin, board_level, np.random.default_rng([seed, family, k]))
-        )
+        noise = np.random.default_rng([seed, family, k])
+        frames.append(camera.frame(light, tracks[k], background, colour, board_margin, board_level, noise))
     return Scene(rows, columns, frames, tracks, float(patterns.mean()), pitch, text)
 
 
@@ -140,7 +139,7 @@ def _corners(rng: np.random.Generator, rows: int, columns: int, pitch: float, wi
 def _hand(rng: np.random.Generator, family: int, count: int, pitch: float) -> Floats:
     """Shift (frames, 2) in px by the hand: a random walk, or a sway."""
     if family == 0:
-        return np.cumsum(rng.normal(0, 0.08 * pitch, (count, 2)), axis=0) - 0.0
+        return np.cumsum(rng.normal(0, 0.08 * pitch, (count, 2)), axis=0)
     k = np.arange(count)[:, None]
     return 0.4 * pitch * np.sin(k * rng.uniform(0.2, 0.9, 2) + rng.uniform(0, 6, 2)) * rng.uniform(0.2, 1.0)
 
@@ -205,12 +204,11 @@ class _Camera:
         wide = cv2.GaussianBlur(shown, (0, 0), self.bloom_px)
         far = cv2.GaussianBlur(shown, (0, 0), 3 * self.bloom_px)
         # `peak` is the level at the centre of a single LED
-        single = 1 / max(2 * np.pi * (self.blur_px**2 + 0.3), 1e-9) * (np.linalg.norm(corners[1] - corners[0]) / columns) ** 2
+        pitch = np.linalg.norm(corners[1] - corners[0]) / columns
+        single = pitch**2 / (2 * np.pi * (self.blur_px**2 + 0.3))
         glow = ((1 - self.bloom) * narrow + self.bloom * (0.7 * wide + 0.3 * far)) / min(single, 1 / 0.2) * self.peak
-        rim = cv2.getPerspectiveTransform(
-            edge.astype(np.float32), corners.astype(np.float32)
-        )
-        grown = np.array([[-margin, -margin], [columns + margin, -margin], [columns + margin, rows + margin], [-margin, rows + margin]]) * DOT_PX
+        rim = cv2.getPerspectiveTransform(edge.astype(np.float32), corners.astype(np.float32))
+        grown = edge + 0.5 + margin * DOT_PX * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         outline = cv2.perspectiveTransform(grown[None].astype(np.float64), rim)[0]
         cover = np.zeros((height, width), np.uint8)
         cv2.fillConvexPoly(cover, np.rint(outline * 16).astype(np.int32), 1, shift=4)
@@ -227,8 +225,12 @@ class _Camera:
             out = cv2.imdecode(cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, self.quality])[1], cv2.IMREAD_COLOR)
         elif self.loss == "palette":
             step = 255 / self.shades
-            dither = rng.uniform(-0.5, 0.5, out.shape) if self.family else np.array([[-0.4, 0.1], [0.35, -0.15]])[
-                np.ix_(np.arange(height) % 2, np.arange(width) % 2)
-            ][..., None]
+            dither = (
+                rng.uniform(-0.5, 0.5, out.shape)
+                if self.family
+                else np.array([[-0.4, 0.1], [0.35, -0.15]])[np.ix_(np.arange(height) % 2, np.arange(width) % 2)][
+                    ..., None
+                ]
+            )
             out = np.clip(np.rint(out / step + dither) * step, 0, 255).astype(np.uint8)
         return out

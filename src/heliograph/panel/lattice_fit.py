@@ -3,6 +3,7 @@
 import numpy as np
 
 from heliograph.base.arrays import RCOND, TINY, Floats
+from heliograph.base.errors import HeliographError
 from heliograph.panel.lattice import LEAST_BLUR_PX, MOST_BLUR, PIXEL_VARIANCE_PX2, Fitted, Lattice, Shape
 from heliograph.panel.picture import Levels
 from heliograph.panel.place import is_possible
@@ -59,7 +60,10 @@ def fitted(image: Levels, start: Fitted, shape: Shape, steps: int = STEPS, enoug
         moved = _moved(best.fit, change, shape)
         if not is_possible(moved.corners, shape.rows, shape.columns):
             break
-        tried = _Seen(image, mask, moved, shape, factor)
+        try:
+            tried = _Seen(image, mask, moved, shape, factor)
+        except HeliographError:  # the blur no longer tells LEDs apart
+            break
         if tried.fit.score >= best.fit.score:
             best = tried
             hessian = best.hessian() if fresh else hessian

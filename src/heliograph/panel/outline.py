@@ -93,14 +93,17 @@ def quadrilateral(image: Levels, region: Region | None) -> Floats:
     outlines, _ = cv2.findContours(lit, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     hulls = sorted((cv2.convexHull(one) for one in outlines), key=cv2.contourArea)
     if not hulls or cv2.contourArea(hulls[-1]) < LEAST_AREA * image.size:
-        raise HeliographError(f"no area that is bright or changes{_where(region)} is as large as a panel: give corners=")
+        raise HeliographError(
+            f"no area that is bright or changes{_where(region)} is as large as a panel: give corners="
+        )
     return ordered(four_corners(hulls[-1]))
 
 
 def nothing_shows(region: Region | None) -> HeliographError:
     """The error for a frame, or its region, that shows nothing."""
     return HeliographError(
-        f"nothing is bright or changes{_where(region)}: give corners=, the panel's four corners in px, or several frames"
+        f"nothing is bright or changes{_where(region)}: give corners=, the panel's four corners in px, or several "
+        "frames"
     )
 
 

@@ -1,7 +1,6 @@
 """Any panel of LEDs by hand, without this project's packets: where it is, where it goes, what its LEDs show."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from math import inf, nan
 from numbers import Integral
 from typing import Any
 
@@ -14,7 +13,7 @@ from heliograph.panel.lattice import FIRST_BLUR, MOST_BLUR, Fitted, Lattice, Sha
 from heliograph.panel.lattice_fit import fitted
 from heliograph.panel.outline import SMOOTHING, Region, evidence, outlined, quadrilateral
 from heliograph.panel.picture import COLOURS, AnyFrame, Levels, Picture, picture_of
-from heliograph.panel.place import Place, area, grid, grown, homographies, is_possible, mapped, LIMITS
+from heliograph.panel.place import LIMITS, Place, area, grid, grown, homographies, is_possible, mapped
 from heliograph.panel.search import Candidate, best_candidate, found_again, quadrilaterals, settled
 
 MOST_LEDS = 1 << 16
@@ -26,8 +25,8 @@ LEAST_SIDE_PX = 8.0
 LEAST_VISIBLE = 0.5
 """Smallest share of a panel within the frame: of less neither grid nor outline tells."""
 
-ACCEPTED = 0.5
-"""Least score of a place that is found without corners. It is the odds of one to one."""
+ACCEPTED = 0.75
+"""Least score of a place that is taken for right. Chosen from `benchmarks/panel_places.py`."""
 
 SURE = 0.9
 """Score that a fit may fall to: beyond it the fit's corners are more exact than the phases'."""
@@ -58,18 +57,20 @@ def locate(
 ) -> Place:
     """Find where a panel of LEDs is, whatever it shows.
 
-    With `rows` and `columns` the place is that at which the LEDs explain the first frame best: to some hundredths of a
-    pixel, with the blur. Without them it is the outline of the LED area, to about a pitch.
+    With `rows` and `columns` the place is that of the LEDs' grid in the first frame, with the blur: to some hundredths
+    of a pixel if the LEDs are not clipped. Its score is the probability that no LED is off by 0.4 pitches or more,
+    calibrated on drawn scenes: 0.75 and more counts as right. Without `corners` a place below that is an error.
+    Without `rows` and `columns` the place is the outline of the LED area, to about a pitch, without a score.
 
     Parameters
     ----------
     frames
         A frame: `heliograph.Frame`, or an array (rows, columns) of gray levels or (rows, columns, 3) of colours. Or a
-        list of successive frames: where they change the panel is; the place is that in the first.
+        list of successive frames: the lit LEDs of up to eight frames count together; the place is that in the first.
     corners
         Four points (x, y) in px, as given by hand: the corners of the LED area, upper left, upper right, lower right
-        and lower left as the panel counts its rows; they may be off by about two pitches. None: the largest area is
-        taken that changes, or of a single frame that is bright.
+        and lower left, clockwise in the image; they may be off by about half a pitch, or by two pitches if LEDs of all
+        outer lines are lit. None: areas that are bright, coloured or change are searched.
     region
         (x, y, columns, rows) in px of the part of the frame that is searched; None for all of it.
     rows, columns
@@ -82,7 +83,8 @@ def locate(
     Raises
     ------
     HeliographError
-        The arguments are none of these; no quadrilateral is there; or it lies beyond the frame.
+        The arguments are none of these; the corners are no quadrilateral that a camera may see of such a panel, or less
+        than half of it lies within the frame; or no panel was found for certain without corners.
     """
     pictures = _pictures(frames)
     shape = _shape(rows, columns)
@@ -131,19 +133,21 @@ def follow(frames: Iterable[AnyFrame], place: Place, rows: int, columns: int) ->
     Yields
     ------
     Place
-        The place in each frame. Where the panel is not seen, as it is hidden or shows nothing, its score is 0 and its
-        corners are those of the frame before.
+        The place in each frame, with a score as of `locate`, given that the place before was right. If the panel is not
+        seen, as it is hidden or shows nothing, the score is 0 and the corners are those of the frame before.
 
     Raises
     ------
     HeliographError
-        At once: the arguments are none of these. Later: a frame is none.
+        At once: the arguments are none of these. Later: the place is not in the first frame, or a frame is none.
     """
     if not isinstance(frames, Iterable):
         raise HeliographError(f"frames are an open film, or any iterable of frames, not {shown(frames)}")
-    shape = _shape(rows, columns)
+    shape, start = _shape(rows, columns), _checked(place)
     assert shape is not None
-    return in_one_thread(_followed(frames, _checked(place), shape))
+    if not is_possible(start.corners, shape.rows, shape.columns):
+        raise _no_panel(start.corners, "")
+    return in_one_thread(_followed(frames, start, shape))
 
 
 def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool = False, leakage: Any = None) -> Floats:
@@ -190,10 +194,8 @@ def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool 
     return values.reshape((rows, columns) if len(images) == 1 else (rows, columns, len(images)))
 
 
-def _fitted_place(
-    images: Sequence[Levels], candidate: Candidate, shape: Shape, hand: Floats | None = None
-) -> Fitted:
-    """The candidate after the fit of its LEDs' images, with the candidate's score; or as it was where it agreed better."""
+def _fitted_place(images: Sequence[Levels], candidate: Candidate, shape: Shape, hand: Floats | None = None) -> Fitted:
+    """The candidate after the fit of its LEDs' images; or as it was where it agreed better."""
     corners = candidate.corners
     image, moved = _about(Picture(images[0][None]), corners, 2 * shape.pitch(corners))
     fit = _afresh(image[0], corners - moved, shape)
@@ -213,7 +215,9 @@ def _followed(frames: Iterable[AnyFrame], place: Place, shape: Shape) -> Iterato
         if number == 0:
             _check_there(last - picture.corner, picture, shape)
         starts = [one for one in (2 * last - before, last) if _is_there(one - picture.corner, picture, shape)]
-        found, score = _found_on(picture, [one - picture.corner for one in starts], held, shape) if starts else (held, 0)
+        found, score = held, 0.0
+        if starts:
+            found, score = _found_on(picture, [one - picture.corner for one in starts], held, shape)
         if not score or not _is_there(found.corners, picture, shape):
             before = last
             yield Place(last, held.blur, 0.0)
@@ -313,12 +317,15 @@ def _is_there(corners: Floats, picture: Picture, shape: Shape | None = None) -> 
 def _check_there(corners: Floats, picture: Picture, shape: Shape | None) -> None:
     if not _is_there(corners, picture, shape):
         rows, columns = picture.levels.shape[1:]
-        text = ", ".join(f"{x:.0f} {y:.0f}" for x, y in corners + picture.corner)
-        raise HeliographError(
-            f"the corners {text} are no panel in a frame of {columns}x{rows} pixels: give x, y of upper left, upper "
-            f"right, lower right and lower left, uncrossed, at least half within the frame, {LIMITS.pitch_px:g} px or "
-            f"more an LED"
-        )
+        raise _no_panel(corners + picture.corner, f" in a frame of {columns}x{rows} pixels")
+
+
+def _no_panel(corners: Floats, where: str) -> HeliographError:
+    text = ", ".join(f"{x:.0f} {y:.0f}" for x, y in corners)
+    return HeliographError(
+        f"the corners {text} are no panel{where}: give x, y of upper left, upper right, lower right and lower left, at "
+        f"least half of the panel within the frame, {LIMITS.pitch_px:g} px or more from LED to LED"
+    )
 
 
 def _pictures(frames: Any) -> list[Picture]:

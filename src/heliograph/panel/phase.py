@@ -81,11 +81,14 @@ class Agreement(NamedTuple):
     ----------
     phases
         (2,) coherent share of the waves' evidence in patches of each side of `PhaseTuning.patch_leds`, -1 to 1.
+    leverage
+        Error of a corner where lit LEDs are off by 1 each: large where no LEDs are lit near a corner.
     rows, columns
         Sum of the LEDs' peaks in each line of LEDs, lines beyond the panel included; 1 is the panel's bright LEDs.
     """
 
     phases: Floats
+    leverage: float
     rows: Floats
     columns: Floats
 
@@ -134,7 +137,21 @@ class GridView:
         # an LED's peak has about the right phase in both directions
         is_peak = (self.x.real > np.abs(self.x.imag)) & (self.y.real > np.abs(self.y.imag))
         peaks = np.where(is_peak & (peaks > self._tuning.faint_peak * bright), peaks / bright, 0.0).clip(0, 1)
-        return Agreement(np.array(phases), peaks[:, inner].sum(axis=1), peaks[inner].sum(axis=0))
+        return Agreement(np.array(phases), self._leverage(), peaks[:, inner].sum(axis=1), peaks[inner].sum(axis=0))
+
+    def _leverage(self) -> float:
+        """Largest standard deviation of a corner along x or y, for lit LEDs that are off by 1 each."""
+        inner = slice(self._tuning.rim, -self._tuning.rim)
+        rows, columns = self._shape.rows, self._shape.columns
+        v, u = ((np.arange(n) + 0.5) / n - 0.5 for n in (rows, columns))
+        ways = _moves(np.tile(u, rows), np.repeat(v, columns))
+        power = np.full((8, 8), 0.0)
+        for wave, way in zip((self.x, self.y), ways, strict=True):
+            size = np.abs(self._even(wave)[inner, inner]).ravel()
+            power += (way * (size / max(float(size.max()), TINY)) ** 2) @ way.T
+        spread = np.linalg.inv(power + 1e-3 * np.eye(8))
+        corners = _moves(*(UNIT.T - 0.5))
+        return float(np.sqrt(max(np.einsum("ik,ij,jk->k", way, spread, way).max() for way in corners)))
 
     def strength(self) -> float:
         """Coherent share of the waves' evidence in wide patches."""
@@ -146,8 +163,9 @@ class GridView:
         y, x = (np.arange(n) - self._tuning.rim + 0.5 for n in self.x.shape)
         change, shift = np.eye(2), np.zeros(2)
         for axis, wave in enumerate((self.x, self.y)):
-            change[axis] += self._period(wave, axis)
-            turn = np.exp(-2j * np.pi * ((change[axis, 0] - (axis == 0)) * x + (change[axis, 1] - (axis == 1)) * y[:, None]))
+            change[axis] += self._period(wave)
+            along, down = change[axis] - np.eye(2)[axis]
+            turn = np.exp(-2j * np.pi * (along * x + down * y[:, None]))
             shift[axis] = np.angle((self._even(wave) * turn).sum()) / (2 * np.pi)
         counts = np.array([self._shape.columns, self._shape.rows])
         # the LED k lies where change p + shift = k
@@ -161,8 +179,7 @@ class GridView:
         y, x = np.mgrid[: self.x.shape[0], : self.x.shape[1]] - rim + 0.5
         inside = slice(rim - 1, 1 - rim)
         u, v = x[inside, inside].ravel() / counts[0] - 0.5, y[inside, inside].ravel() / counts[1] - 0.5
-        one, none = np.ones(u.size), np.zeros(u.size)
-        ways = [np.stack([one, u, v, none, none, none, u * u, u * v]), np.stack([none, none, none, one, u, v, u * v, v * v])]
+        ways = _moves(u, v)
         columns, moves = [], []
         for wave, way, count in zip((self.x, self.y), ways, counts, strict=True):
             smooth = _smoothed(self._even(wave), window)[inside, inside].ravel()
@@ -171,15 +188,12 @@ class GridView:
             moves.append(-np.angle(smooth) / (2 * np.pi) / count * weight)
         hold = 0.02 * u.size**0.5 * np.diag([0, 1, 1, 0, 1, 1, 3, 3])
         found = np.linalg.lstsq(np.vstack([*columns, hold]), np.concatenate([*moves, np.zeros(8)]), rcond=None)[0]
-        a, b = UNIT.T - 0.5
-        bend = found[6] * a + found[7] * b
-        moved = np.stack([found[0] + found[1] * a + found[2] * b + bend * a,
-                          found[3] + found[4] * a + found[5] * b + bend * b], axis=1)  # fmt: skip
+        moved = np.stack([found @ way for way in _moves(*(UNIT.T - 0.5))], axis=1)
         return mapped(self._map, UNIT + moved)
 
     def shifted(self, columns: int, rows: int) -> Floats:
         """Corners (4, 2) shifted by whole pitches."""
-        return mapped(self._map, UNIT + [columns / self._shape.columns, rows / self._shape.rows])
+        return mapped(self._map, UNIT + np.array([columns / self._shape.columns, rows / self._shape.rows]))
 
     def _domed(self, image: Levels) -> Levels:
         """The image with a dome over clipped light: its peak then lies where the light's middle is."""
@@ -232,7 +246,7 @@ class GridView:
         high = max(float(np.quantile(size[rim:-rim, rim:-rim], 0.95)), TINY)
         return np.asarray(wave * np.minimum(1.0, high / np.maximum(size, TINY)))
 
-    def _period(self, wave: Waves, axis: int) -> Floats:
+    def _period(self, wave: Waves) -> Floats:
         """Change (2,) of the frequencies along x and y in periods an LED, of the strongest wave."""
         rows, columns = (1 << int(np.ceil(np.log2(2 * n))) for n in wave.shape)
         spectrum = np.abs(np.fft.fft2(self._even(wave), (rows, columns)))
@@ -254,6 +268,15 @@ def refined(
             return corners
         found = GridView(image, found, shape).bent(window)
     return found if is_possible(found, shape.rows, shape.columns) else corners
+
+
+def _moves(u: Floats, v: Floats) -> tuple[Floats, Floats]:
+    """Moves (8, n) along x and along y of points of the square about 0 by each coefficient of a homography."""
+    one, none = np.ones(u.size), np.zeros(u.size)
+    return (
+        np.stack([one, u, v, none, none, none, u * u, u * v]),
+        np.stack([none, none, none, one, u, v, u * v, v * v]),
+    )
 
 
 def _smoothed(wave: Waves, window: float) -> Waves:

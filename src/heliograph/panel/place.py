@@ -49,7 +49,7 @@ class Place:
     blur
         Standard deviation of one LED's image in px, emitter and lens together; NaN where it is not known.
     score
-        Correlation of the pixels with the panel's fitted image, at most 1; NaN where nothing was fitted.
+        Probability that the place is right, 0 to 1; NaN if the LEDs' grid was not searched.
     """
 
     corners: Floats
@@ -224,9 +224,8 @@ def is_possible(corners: Floats, rows: int = 1, columns: int = 1) -> bool:
     sines = _cross(np.roll(sides, 1, axis=0), sides) / (np.roll(lengths, 1) * lengths)
     far = np.append(UNIT, np.ones((4, 1)), axis=1) @ homographies(corners)[2]
     counts = np.array([columns, rows, columns, rows])
-    return bool(
-        (lengths / counts).min() >= LIMITS.pitch_px and sines.min() >= LIMITS.sine and far.max() <= LIMITS.depth * far.min()
-    )
+    is_near = far.max() <= LIMITS.depth * far.min()
+    return bool((lengths / counts).min() >= LIMITS.pitch_px and sines.min() >= LIMITS.sine and is_near)
 
 
 def pitches(corners: Floats, rows: int, columns: int) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from heliograph.base.arrays import Floats
+from heliograph.base.arrays import TINY, Floats
 from heliograph.base.errors import HeliographError
 from heliograph.panel.lattice import Shape
 from heliograph.panel.outline import LEAST_CHANGE, Region, evidence, four_corners, nothing_shows, ordered
@@ -38,29 +38,33 @@ class SearchTuning:
         Frames whose lit LEDs count together.
     max_hand
         Largest error in pitches of corners by hand.
+    max_hand_cost
+        Square of the distance in pitches from corners by hand from which on lit LEDs alone decide.
     sure
         Score from which on no other start is tried.
     max_peaks
         Lit LEDs of a line that count for the choice among whole pitches.
     phases
-        Log odds of a place up to whole pitches: a constant, and what each of `Agreement.phases` adds.
+        Log odds of a place up to whole pitches: a constant, and the factors of both `Agreement.phases` and of ln
+        `Agreement.leverage`.
     shift
         Log odds of a place against a shift by a pitch: a constant, what each lit LED more in an outer line adds,
         and what corners by hand add that are met exactly.
     """
 
-    spreads: tuple[float, ...] = (0.01, 0.02, 0.04)
-    thresholds: tuple[float, ...] = (0.35, 0.6)
+    spreads: tuple[float, ...] = (0.012, 0.035)
+    thresholds: tuple[float, ...] = (0.5,)
     gaps: tuple[float, ...] = (0.0, 0.06)
     min_area: float = 0.005
     max_pitch_ratio: float = 2.2
     n_refined: int = 8
     n_frames: int = 8
     max_hand: float = 3.0
+    max_hand_cost: float = 2.0
     sure: float = 0.9
-    max_peaks: float = 3.0
-    phases: tuple[float, float, float] = (-10.0, 12.0, 6.0)
-    shift: tuple[float, float, float] = (-0.5, 3.0, 4.0)
+    max_peaks: float = 6.0
+    phases: tuple[float, float, float, float] = (-15.4, 10.7, 9.8, -2.2)
+    shift: tuple[float, float, float] = (0.8, 1.0, 2.0)
 
 
 SEARCH = SearchTuning()
@@ -84,7 +88,9 @@ class Candidate(NamedTuple):
     score: float
 
 
-def quadrilaterals(images: Sequence[Levels], colour: Levels, shape: Shape, region: Region | None = None) -> list[Floats]:
+def quadrilaterals(
+    images: Sequence[Levels], colour: Levels, shape: Shape, region: Region | None = None
+) -> list[Floats]:
     """Quadrilaterals (4, 2) in px that may be a panel's outline, those whose grid shows best first.
 
     Parameters
@@ -103,9 +109,9 @@ def quadrilaterals(images: Sequence[Levels], colour: Levels, shape: Shape, regio
         raise nothing_shows(region)
     found: list[Floats] = []
     for corners in (corners for image in maps for corners in _outlines(image)):
-        if is_plausible(corners, shape):
-            if all(np.abs(corners - other).max() > 1.2 * shape.pitch(corners) for other in found):
-                found.append(corners)
+        is_known = any(np.abs(corners - other).max() <= 1.2 * shape.pitch(corners) for other in found)
+        if not is_known and is_plausible(corners, shape):
+            found.append(corners)
     judged = []
     for corners in found:
         view = GridView(images[0], corners, shape)
@@ -133,10 +139,11 @@ def best_candidate(
     hand
         (4, 2) corners in px as given by hand; None where none were given.
     """
-    best = Candidate(UNIT, Agreement(np.zeros(2), np.zeros(0), np.zeros(0)), -1.0) if hand is None else settled(
+    best = Candidate(UNIT, Agreement(np.zeros(2), 0.0, np.zeros(0), np.zeros(0)), -1.0) if hand is None else settled(
         images[:1], hand, shape, hand, shift=False)  # fmt: skip
     for start in starts:
-        for stretch in (False, True):
+        # starts without a hand are stretched already
+        for stretch in (False,) if hand is None else (False, True):
             corners = refined(images[0], start, shape, stretch)
             if is_plausible(corners, shape) and (hand is None or is_near(corners, hand, shape)):
                 best = max(best, settled(images[:1], corners, shape, hand), key=lambda one: one.score)
@@ -171,7 +178,7 @@ def _outlines(image: Levels) -> Iterator[Floats]:
 def _closed(lit: Levels, gap: int) -> Levels:
     if not gap:
         return lit.astype(np.uint8)
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * gap + 1, 2 * gap + 1))
+    kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * gap + 1, 2 * gap + 1))
     padded = cv2.morphologyEx(np.pad(lit.astype(np.uint8), gap), cv2.MORPH_CLOSE, kernel)
     return padded[gap:-gap, gap:-gap]
 
@@ -191,7 +198,9 @@ def _hull_corners(lit: Levels) -> Iterator[Floats]:
             yield ordered(cv2.boxPoints(cv2.minAreaRect(hull)).astype(np.float64))
 
 
-def settled(images: Sequence[Levels], corners: Floats, shape: Shape, hand: Floats | None = None, shift: bool = True) -> Candidate:
+def settled(
+    images: Sequence[Levels], corners: Floats, shape: Shape, hand: Floats | None = None, shift: bool = True
+) -> Candidate:
     """The place near corners that agrees best with pictures, whole pitches chosen by the lit LEDs and the hand.
 
     Parameters
@@ -224,13 +233,14 @@ def settled(images: Sequence[Levels], corners: Floats, shape: Shape, hand: Float
         evidence = np.array([line[rim + k : rim + k + count].sum() for k in range(-rim, rim + 1)]) * SEARCH.shift[1]
         steps = np.arange(-rim, rim + 1)
         if hand is not None:
-            evidence = evidence - SEARCH.shift[2] * (steps + off) ** 2
+            evidence = evidence - SEARCH.shift[2] * np.minimum((steps + off) ** 2, SEARCH.max_hand_cost)
         best = int(np.argmax(evidence - 1e-6 * np.abs(steps))) if shift else rim
         others = [evidence[k] for k in (best - 1, best + 1) if 0 <= k < len(evidence)]
         moves.append(int(steps[best]))
         odds.append(float(evidence[best] - max(others)))
-    start, along, wide = SEARCH.phases
-    score = _probability(start + along * lit.phases[0] + wide * lit.phases[1])
+    constant, narrow, wide, lever = SEARCH.phases
+    log_odds = constant + narrow * lit.phases[0] + wide * lit.phases[1] + lever * np.log(max(lit.leverage, TINY))
+    score = _probability(log_odds)
     for one in odds:
         score *= _probability(SEARCH.shift[0] + one)
     return Candidate(views[0].shifted(*moves) if any(moves) else corners, lit, score)
