@@ -88,16 +88,16 @@ def _text_patterns(rng: np.random.Generator, rows: int, columns: int, count: int
     thickness = 1 if size < 16 or rng.random() < 0.7 else 2
     cv2.putText(strip, word, (2, 2 * size), cv2.FONT_HERSHEY_PLAIN, size / 11.0, 255, thickness)
     used = np.flatnonzero((strip > 100).any(axis=1))
-    strip = strip[used[0] : used[-1] + 1] > 100
-    spare = rows - len(strip)
+    line = strip[used[0] : used[-1] + 1] > 100
+    spare = rows - len(line)
     top = rng.integers(0, spare + 1) if spare > 0 else 0
-    whole = np.zeros((rows, strip.shape[1]), bool)
-    part = strip[:rows]
+    whole = np.zeros((rows, line.shape[1]), bool)
+    part = line[:rows]
     whole[top : top + len(part)] = part
     if rows == 32 and rng.random() < 0.7:  # two lines of text
-        whole = np.zeros((rows, strip.shape[1]), bool)
-        whole[1 : 1 + min(len(strip), 15)] = strip[:15]
-        whole[17 : 17 + min(len(strip), 15)] = np.roll(strip, -9, axis=1)[:15]
+        whole = np.zeros((rows, line.shape[1]), bool)
+        whole[1 : 1 + min(len(line), 15)] = line[:15]
+        whole[17 : 17 + min(len(line), 15)] = np.roll(line, -9, axis=1)[:15]
     step, begin = rng.integers(0, 3), rng.integers(0, 4 * size)
     return np.stack([whole[:, begin + k * step :][:, :columns] for k in range(count)])
 
@@ -151,10 +151,10 @@ def _background(rng: np.random.Generator, family: int, height: int, width: int) 
     patches = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), rng.uniform(5, 25))
     out = out * (1 + 0.5 * patches / patches.std()).clip(0.1)
     for _ in range(rng.integers(0, 8)):
-        x, y = rng.integers(0, width), rng.integers(0, height)
+        x, y = int(rng.integers(0, width)), int(rng.integers(0, height))
         if family == 0:
-            size = rng.integers(5, 80, 2)
-            cv2.rectangle(out, (x, y), (int(x + size[0]), int(y + size[1])), float(rng.uniform(0, 140)), -1)
+            wide, high = (int(n) for n in rng.integers(5, 80, 2))
+            cv2.rectangle(out, (x, y), (x + wide, y + high), float(rng.uniform(0, 140)), -1)
         else:
             end = rng.integers(0, width), rng.integers(0, height)
             cv2.line(out, (x, y), (int(end[0]), int(end[1])), float(rng.uniform(0, 140)), int(rng.integers(1, 9)))
@@ -165,7 +165,7 @@ def _background(rng: np.random.Generator, family: int, height: int, width: int) 
     for _ in range(rng.integers(0, 3)):
         at = int(rng.integers(0, width)), int(rng.integers(0, height))
         cv2.circle(out, at, int(rng.integers(1, 8)), float(rng.uniform(120, 300)), -1)
-    return out.clip(0)
+    return np.asarray(out.clip(0))
 
 
 class _Camera:
@@ -233,4 +233,4 @@ class _Camera:
                 ]
             )
             out = np.clip(np.rint(out / step + dither) * step, 0, 255).astype(np.uint8)
-        return out
+        return np.asarray(out, np.uint8)

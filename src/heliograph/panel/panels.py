@@ -125,8 +125,8 @@ def follow(frames: Iterable[AnyFrame], place: Place, rows: int, columns: int) ->
     frames
         Successive frames, each as for `locate`.
     place
-        Where the panel is in the first of them, of `locate`. From one frame to the next it may move by up to three
-        pitches beside what it did before.
+        Where the panel is in the first of them, of `locate`. Its motion may change by half a pitch from frame to frame,
+        or by up to two pitches if LEDs of all outer lines are lit.
     rows, columns
         LEDs along a column and along a row, 2 or more of each.
 

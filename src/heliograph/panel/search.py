@@ -48,8 +48,8 @@ class SearchTuning:
         Log odds of a place up to whole pitches: a constant, and the factors of both `Agreement.phases` and of ln
         `Agreement.leverage`.
     shift
-        Log odds of a place against a shift by a pitch: a constant, what each lit LED more in an outer line adds,
-        and what corners by hand add that are met exactly.
+        Log odds of a place against a shift by a pitch: a constant, the weight of a lit LED in an outer line, and the
+        weight of the squared distance from corners by hand, and of the growth beside them.
     """
 
     spreads: tuple[float, ...] = (0.012, 0.035)
@@ -227,8 +227,9 @@ def settled(
     )
     rim = TUNING.rim
     moves, odds = [], []
-    offset = (0.0, 0.0) if hand is None else hand_offset(corners, hand, shape)
-    for peaks, count, off in zip((lit.columns, lit.rows), (shape.columns, shape.rows), offset, strict=True):
+    offset, growth = (np.zeros(2), np.zeros(2)) if hand is None else _beside_hand(corners, hand, shape)
+    counts = shape.columns, shape.rows
+    for peaks, count, off, grown in zip((lit.columns, lit.rows), counts, offset, growth, strict=True):
         line = np.minimum(peaks, SEARCH.max_peaks)
         evidence = np.array([line[rim + k : rim + k + count].sum() for k in range(-rim, rim + 1)]) * SEARCH.shift[1]
         steps = np.arange(-rim, rim + 1)
@@ -237,7 +238,7 @@ def settled(
         best = int(np.argmax(evidence - 1e-6 * np.abs(steps))) if shift else rim
         others = [evidence[k] for k in (best - 1, best + 1) if 0 <= k < len(evidence)]
         moves.append(int(steps[best]))
-        odds.append(float(evidence[best] - max(others)))
+        odds.append(float(evidence[best] - max(others)) - SEARCH.shift[2] * abs(grown))
     constant, narrow, wide, lever = SEARCH.phases
     log_odds = constant + narrow * lit.phases[0] + wide * lit.phases[1] + lever * np.log(max(lit.leverage, TINY))
     score = _probability(log_odds)
@@ -262,11 +263,11 @@ def is_near(corners: Floats, hand: Floats, shape: Shape) -> bool:
     return bool(np.linalg.norm(corners - hand, axis=1).max() <= SEARCH.max_hand * shape.pitch(hand))
 
 
-def hand_offset(corners: Floats, hand: Floats, shape: Shape) -> tuple[float, float]:
-    """Mean shift in pitches along rows and columns of corners beside those given by hand."""
-    to_unit = np.linalg.inv(homographies(hand))
-    off = (mapped(to_unit, corners) - UNIT).mean(axis=0)
-    return float(off[0]) * shape.columns, float(off[1]) * shape.rows
+def _beside_hand(corners: Floats, hand: Floats, shape: Shape) -> tuple[Floats, Floats]:
+    """Shift (2,) and growth (2,) in pitches along rows and columns of corners beside those given by hand."""
+    off = (mapped(np.linalg.inv(homographies(hand)), corners) - UNIT) * [shape.columns, shape.rows]
+    left, right, top, low = off[[0, 3], 0].mean(), off[[1, 2], 0].mean(), off[:2, 1].mean(), off[2:, 1].mean()
+    return np.array([left + right, top + low]) / 2, np.array([right - left, low - top])
 
 
 def _probability(log_odds: float) -> float:
