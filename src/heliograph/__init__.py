@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from heliograph.link.simulate import simulate
     from heliograph.media import convert_film, create_film, open_colours, open_film, open_slots
     from heliograph.media.live.camera import register_camera
-    from heliograph.panel import Place, follow, locate, sample
+    from heliograph.panel import Place, UnmixedColours, follow, locate, sample, unmix_colours
     from heliograph.receive import (
         Packet,
         Receiver,
@@ -51,6 +51,7 @@ _HOMES = {
     "SettingsError": "base.errors",
     "SignalSettings": "signal.settings",
     "Transmitter": "transmit",
+    "UnmixedColours": "panel",
     "budget": "link.budget",
     "convert_film": "media",
     "create_film": "media",
@@ -76,6 +77,7 @@ _HOMES = {
     "sample": "panel",
     "simulate": "link.simulate",
     "sweep": "sweeps.sweep",
+    "unmix_colours": "panel",
     "write_dataset": "datasets.dataset",
 }
 
@@ -93,6 +95,7 @@ __all__ = [
     "SettingsError",
     "SignalSettings",
     "Transmitter",
+    "UnmixedColours",
     "budget",
     "convert_film",
     "create_film",
@@ -118,6 +121,7 @@ __all__ = [
     "sample",
     "simulate",
     "sweep",
+    "unmix_colours",
     "write_dataset",
 ]
 

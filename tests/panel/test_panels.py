@@ -1,6 +1,7 @@
 """`locate`, `follow` and `sample` on films of `panel_films`, which has none of their code."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -9,11 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from panel_films import PanelFilm, keystone, moving
+from panel_scenes import draw_scene
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import heliograph
 from heliograph.measure.statistics import Count
-from heliograph.panel.lattice import Lattice
+from heliograph.panel.lattice import Lattice, Shape
+from heliograph.panel.search import settled
 
 ROWS, COLUMNS = 16, 20
 Colours = NDArray[np.uint8]
@@ -195,6 +198,40 @@ def test_a_panel_of_64_x_64_in_three_colours_is_read() -> None:
     assert count.interval()[1] < 2e-4
 
 
+@pytest.mark.parametrize("seed", [8, 17, 31])
+def test_the_score_tells_right_places_from_wrong_ones(seed: int) -> None:
+    scene = draw_scene(seed, count=1)
+    image = scene.frames[0].mean(axis=2, dtype=np.float32)
+    right, (rows, columns) = scene.corners[0], (scene.rows, scene.columns)
+    across, down = (right[1] - right[0]) / columns, (right[3] - right[0]) / rows
+    wrong = [(right + across / 2, 0, 0), (right + down / 2, 0, 0), (right, 0, 1), (right, 0, -1), (right, 1, 0)]
+    wrong += [(right + across, 0, 0), (right - across, 0, 0), (right + down, 0, 0), (right - down, 0, 0)]
+
+    def score(corners: Any, more_rows: int = 0, more_columns: int = 0) -> float:
+        shape = Shape(rows + more_rows, columns + more_columns)
+        return settled([image], corners, shape, right, shift=False).score
+
+    assert score(right) >= 0.75
+    assert max(score(*one) for one in wrong) < 0.75
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [16, 19, 35])
+def test_a_hand_held_panel_with_bloom_is_found_or_corners_are_asked_for(seed: int) -> None:
+    """The scenes end in numpy.linalg.LinAlgError, or a place that is off by pitches, if an outline is trusted."""
+    scene = draw_scene(seed, count=2)
+    place = None
+    with suppress(heliograph.HeliographError):
+        place = heliograph.locate(scene.frames, rows=scene.rows, columns=scene.columns)
+    assert place is None or (place.score >= 0.75 and scene.error_pitches(place.corners) < 0.4)
+
+
+def test_a_still_dark_frame_leaves_corners_by_hand_without_a_score() -> None:
+    place = heliograph.locate(FRAME, PLACE.corners, rows=16, columns=16)
+    assert place.score < 0.75
+    assert np.abs(place.corners - PLACE.corners).max() < 0.5 * 5.0
+
+
 FRAME = np.zeros((120, 150), np.uint8)
 PLACE = heliograph.Place(np.array([[20.0, 20], [120, 20], [120, 100], [20, 100]]), 1.5)
 Anything: Any = heliograph
@@ -229,6 +266,42 @@ DOORS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: Anything.sample(np.dstack([FRAME] * 3), PLACE, 16, 16, leakage=np.ones((3, 3))), "that has an inverse"
     ),
 }  # fmt: skip
+
+
+NO_PANELS = {
+    "crossed": [(20, 20), (120, 100), (120, 20), (20, 100)],
+    "on a line": [(20, 20), (60, 60), (100, 100), (110, 110)],
+    "three on a line": [(20, 20), (70, 20), (120, 20), (70, 100)],
+    "nearly on a line": [(20, 20), (70, 19), (120, 20), (70, 100)],
+    "twice the same": [(20, 20), (20, 20), (120, 100), (20, 100)],
+    "all the same": [(20, 20)] * 4,
+    "not convex": [(20, 20), (120, 20), (40, 40), (20, 100)],
+    "mirrored": [(120, 20), (20, 20), (20, 100), (120, 100)],
+    "mostly beyond": [(110, 20), (260, 20), (260, 100), (110, 100)],
+    "LEDs closer than pixels": [(20, 20), (40, 20), (40, 40), (20, 40)],
+    "seen along its surface": [(20, 50), (120, 20), (120, 100), (20, 55)],
+}
+
+
+@pytest.mark.parametrize("name", NO_PANELS)
+def test_corners_that_are_no_panel_are_said_in_one_line(name: str) -> None:
+    corners = np.array(NO_PANELS[name], float)
+    place = heliograph.Place(corners, 1.5)
+    calls: list[Callable[[], object]] = [
+        lambda: heliograph.locate(FRAME, corners, rows=16, columns=16),
+        lambda: list(heliograph.follow([FRAME], place, 16, 16)),
+        lambda: heliograph.sample(FRAME, place, 16, 16),
+        lambda: heliograph.sample(FRAME, place, 16, 16, unblur=True),
+    ]
+    for call in calls:
+        with pytest.raises(heliograph.HeliographError, match=r"^the corners .* are no panel[^\n]*$"):
+            call()
+
+
+def test_a_blur_that_hides_the_grid_is_said_in_one_line() -> None:
+    for blur in (9.0, 50.0, 1e6):
+        with pytest.raises(heliograph.HeliographError, match="too close for a blur"):
+            heliograph.sample(FRAME, replace(PLACE, blur=blur), 16, 16, unblur=True)
 
 
 @pytest.mark.parametrize("door", DOORS)

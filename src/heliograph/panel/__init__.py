@@ -1,6 +1,7 @@
-"""Any panel of LEDs, without this project's packets: `locate`, `follow` and `sample`; a place is a homography."""
+"""Any panel of LEDs, without this project's packets: `locate`, `follow`, `sample`, `unmix_colours`."""
 
+from heliograph.panel.colours import UnmixedColours, unmix_colours
 from heliograph.panel.panels import follow, locate, sample
 from heliograph.panel.place import Place
 
-__all__ = ["Place", "follow", "locate", "sample"]
+__all__ = ["Place", "UnmixedColours", "follow", "locate", "sample", "unmix_colours"]

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from heliograph.base.arrays import TINY, Floats
+from heliograph.base.errors import HeliographError
 from heliograph.panel.picture import Levels
 from heliograph.panel.place import grid, grown, homographies, mapped, pitches, slopes
 
@@ -201,7 +202,7 @@ class Lattice:
         solved = self._solved(matched)
         onto = self._plane.reshape(3, -1) @ images.reshape(len(images), -1).T
         # A^T A a + A^T P c = A^T r and P^T A a + P^T P c = P^T r
-        background = np.linalg.solve(self._rest, onto - self._on_leds.T @ solved)
+        background = np.linalg.lstsq(self._rest, onto - self._on_leds.T @ solved, rcond=TINY)[0]
         return np.asarray(solved - self._shared @ background), np.asarray(background)
 
     def image(self, light: Floats, background: Floats) -> Levels:
@@ -279,7 +280,13 @@ class Lattice:
                 overlap[: rows - u, max(-v, 0) : columns - max(v, 0)] = np.exp(-square / (4 * self.sigma**2))
                 band[u * columns + v] += overlap.ravel()
         band[0] += RIDGE
-        return np.asarray(cholesky_banded(band / (4 * np.pi * self.sigma**2), lower=True, check_finite=False))
+        try:
+            return np.asarray(cholesky_banded(band / (4 * np.pi * self.sigma**2), lower=True, check_finite=False))
+        except np.linalg.LinAlgError:
+            raise HeliographError(
+                f"the LEDs lie {self.shape.pitch(self.corners):.1f} px apart, too close for a blur of "
+                f"{self.sigma:.1f} px: give corners and blur that locate finds"
+            ) from None
 
     def _solved(self, right: Floats) -> Floats:
         return np.asarray(cho_solve_banded((self.factor, True), right, check_finite=False))

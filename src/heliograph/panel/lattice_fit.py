@@ -2,9 +2,11 @@
 
 import numpy as np
 
-from heliograph.base.arrays import TINY, Floats
+from heliograph.base.arrays import RCOND, TINY, Floats
+from heliograph.base.errors import HeliographError
 from heliograph.panel.lattice import LEAST_BLUR_PX, MOST_BLUR, PIXEL_VARIANCE_PX2, Fitted, Lattice, Shape
 from heliograph.panel.picture import Levels
+from heliograph.panel.place import is_possible
 
 STEPS = 12
 """Most steps of a fit. Chosen: it bounds the time of what does not converge."""
@@ -55,7 +57,13 @@ def fitted(image: Levels, start: Fitted, shape: Shape, steps: int = STEPS, enoug
         # neighbours stay as far apart as they are while the blur stays
         same = np.abs(change[:-1]).max() < SAME_SIZE_PX and abs(change[-1]) < SAME_BLUR
         factor = best.lattice.factor if same else None
-        tried = _Seen(image, mask, _moved(best.fit, change, shape), shape, factor)
+        moved = _moved(best.fit, change, shape)
+        if not is_possible(moved.corners, shape.rows, shape.columns):
+            break
+        try:
+            tried = _Seen(image, mask, moved, shape, factor)
+        except HeliographError:  # the blur no longer tells LEDs apart
+            break
         if tried.fit.score >= best.fit.score:
             best = tried
             hessian = best.hessian() if fresh else hessian
@@ -95,7 +103,8 @@ class _Seen:
 def _change(hessian: Floats, gradient: Floats, longest_px: float) -> Floats:
     """Step (9,) of corners and ln sigma, no longer than the image is linear in it."""
     held = np.diag(np.diag(hessian)) * HOLD
-    change = np.linalg.solve(hessian + held, gradient)
+    # what shows no light has no change either
+    change = np.linalg.lstsq(hessian + held, gradient, rcond=RCOND)[0]
     return np.asarray(change / max(np.abs(change[:-1]).max() / longest_px, abs(change[-1]) / LONGEST_STEP, 1.0))
 
 

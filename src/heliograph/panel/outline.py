@@ -21,9 +21,6 @@ SMOOTHING = (0.1, 0.05)
 Chosen: LEDs of a panel of 16 a side then show as an even area; the first finds corners that are off by a tenth of it.
 """
 
-SMOOTHING_PITCHES = (3.0, 1.2, 0.8)
-"""The same in pitches where LEDs are counted. Below 0.7 pitches single LEDs show."""
-
 EVEN = 0.9
 """Distance of the points that stand for an even area, in widths of the smoothing: it ripples by 1e-5 then."""
 
@@ -89,21 +86,32 @@ def quadrilateral(image: Levels, region: Region | None) -> Floats:
     """
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), SPREAD * min(image.shape), borderType=cv2.BORDER_REPLICATE))
     low, high = float(smooth.min()), float(smooth.max())
-    where = f" in the region {','.join(map(str, region))}" if region else ""
     if high - low < LEAST_CHANGE:
-        raise HeliographError(
-            f"nothing is bright or changes{where}: give corners=, the panel's four corners in px, or several frames"
-        )
+        raise nothing_shows(region)
     scaled = np.rint((smooth - low) / (high - low) * 255).astype(np.uint8)
     _, lit = cv2.threshold(scaled, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     outlines, _ = cv2.findContours(lit, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     hulls = sorted((cv2.convexHull(one) for one in outlines), key=cv2.contourArea)
     if not hulls or cv2.contourArea(hulls[-1]) < LEAST_AREA * image.size:
-        raise HeliographError(f"no area that is bright or changes{where} is as large as a panel: give corners=")
-    return _ordered(_four_corners(hulls[-1]))
+        raise HeliographError(
+            f"no area that is bright or changes{_where(region)} is as large as a panel: give corners="
+        )
+    return ordered(four_corners(hulls[-1]))
 
 
-def _four_corners(hull: Any) -> Floats:
+def nothing_shows(region: Region | None) -> HeliographError:
+    """The error for a frame, or its region, that shows nothing."""
+    return HeliographError(
+        f"nothing is bright or changes{_where(region)}: give corners=, the panel's four corners in px, or several "
+        "frames"
+    )
+
+
+def _where(region: Region | None) -> str:
+    return f" in the region {','.join(map(str, region))}" if region else ""
+
+
+def four_corners(hull: Any) -> Floats:
     """The four corners of a convex outline, by the coarsest polygon that has four."""
     length = cv2.arcLength(hull, True)
     for fraction in np.geomspace(0.005, 0.2, 40):
@@ -115,7 +123,7 @@ def _four_corners(hull: Any) -> Floats:
     return np.asarray(cv2.boxPoints(cv2.minAreaRect(hull)), np.float64)
 
 
-def _ordered(corners: Floats) -> Floats:
+def ordered(corners: Floats) -> Floats:
     """Corners clockwise, the one nearest to the upper left first."""
     corners = corners if area(corners) > 0 else corners[::-1]
     return np.roll(corners, -int(np.argmin(corners.sum(axis=1))), axis=0)

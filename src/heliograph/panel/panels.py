@@ -1,7 +1,6 @@
 """Any panel of LEDs by hand, without this project's packets: where it is, where it goes, what its LEDs show."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from math import inf, nan
 from numbers import Integral
 from typing import Any
 
@@ -10,12 +9,12 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError, shown
 from heliograph.base.threads import in_one_thread, one_thread
-from heliograph.panel.lattice import FIRST_BLUR, Fitted, Lattice, Shape
+from heliograph.panel.lattice import FIRST_BLUR, MOST_BLUR, Fitted, Lattice, Shape
 from heliograph.panel.lattice_fit import fitted
-from heliograph.panel.outline import SMOOTHING, SMOOTHING_PITCHES, Region, evidence, outlined, quadrilateral
-from heliograph.panel.phase import AFRESH, FARTHEST, ONWARDS, Phased, phased, strength
+from heliograph.panel.outline import SMOOTHING, Region, evidence, outlined, quadrilateral
 from heliograph.panel.picture import COLOURS, AnyFrame, Levels, Picture, picture_of
-from heliograph.panel.place import Place, area, grown, is_convex
+from heliograph.panel.place import LIMITS, Place, area, grid, grown, homographies, is_possible, mapped
+from heliograph.panel.search import Candidate, best_candidate, found_again, quadrilaterals, settled
 
 MOST_LEDS = 1 << 16
 """Most LEDs of a panel: with 256 x 256 undoing the blur takes 0.3 to 0.6 GB."""
@@ -23,26 +22,20 @@ MOST_LEDS = 1 << 16
 LEAST_SIDE_PX = 8.0
 """Least side of a panel in px: of less nothing is told."""
 
-SHOWN = 5.0
-"""Standard deviations from which on a grid is taken to show: noise has more once in a million frames."""
+LEAST_VISIBLE = 0.5
+"""Smallest share of a panel within the frame: of less neither grid nor outline tells."""
 
-SURE = 15.0
-"""Strength of a grid from which on its phases are taken for the right ones.
+ACCEPTED = 0.75
+"""Least score of a place that is taken for right. Chosen from `benchmarks/panel_places.py`."""
 
-Of panels of 0.55 pitches of blur a grid had 8 at the right place, and up to 7.5 at wrong ones.
-"""
-
-FAINTER = 0.8
-"""Least strength of a grid, as a fraction of the frame's before, of one that is not looked for farther about.
-
-Chosen: of 64 x 64 LEDs on or off at random it differs by 2 %; where an eighth of a panel is a pitch off, by more.
-"""
-
-WORSE = 1.5
-"""Ratio of what a fit leaves unexplained to what the frame's before did, above which another start is tried. Chosen."""
+SURE = 0.9
+"""Score that a fit may fall to: beyond it the fit's corners are more exact than the phases'."""
 
 SEEN = 0.5
-"""Least score of a panel whose grid never shows. Chosen."""
+"""Least correlation of the pixels with the fitted image of a panel whose grid does not show. Chosen."""
+
+BLUR_WORSE = 1.5
+"""Ratio of what a fit leaves unexplained to what the frame's before did, above which another start is tried. Chosen."""
 
 FOLLOW_STEPS = 4
 """Most steps of a fit from frame to frame: it starts within a tenth of a pitch where the grid shows."""
@@ -64,18 +57,20 @@ def locate(
 ) -> Place:
     """Find where a panel of LEDs is, whatever it shows.
 
-    With `rows` and `columns` the place is that at which the LEDs explain the first frame best: to some hundredths of a
-    pixel, with the blur. Without them it is the outline of the LED area, to about a pitch.
+    With `rows` and `columns` the place is that of the LEDs' grid in the first frame, with the blur: to some hundredths
+    of a pixel if the LEDs are not clipped. Its score is the probability that no LED is off by 0.4 pitches or more,
+    calibrated on drawn scenes: 0.75 and more counts as right. Without `corners` a place below that is an error.
+    Without `rows` and `columns` the place is the outline of the LED area, to about a pitch, without a score.
 
     Parameters
     ----------
     frames
         A frame: `heliograph.Frame`, or an array (rows, columns) of gray levels or (rows, columns, 3) of colours. Or a
-        list of successive frames: where they change the panel is; the place is that in the first.
+        list of successive frames: the lit LEDs of up to eight frames count together; the place is that in the first.
     corners
         Four points (x, y) in px, as given by hand: the corners of the LED area, upper left, upper right, lower right
-        and lower left as the panel counts its rows; they may be off by about two pitches. None: the largest area is
-        taken that changes, or of a single frame that is bright.
+        and lower left, clockwise in the image; they may be off by about half a pitch, or by two pitches if LEDs of all
+        outer lines are lit. None: areas that are bright, coloured or change are searched.
     region
         (x, y, columns, rows) in px of the part of the frame that is searched; None for all of it.
     rows, columns
@@ -88,26 +83,37 @@ def locate(
     Raises
     ------
     HeliographError
-        The arguments are none of these; no quadrilateral is there; or it lies beyond the frame.
+        The arguments are none of these; the corners are no quadrilateral that a camera may see of such a panel, or less
+        than half of it lies within the frame; or no panel was found for certain without corners.
     """
     pictures = _pictures(frames)
     shape = _shape(rows, columns)
     first = pictures[0]
     images = [one.gray for one in pictures]
+    hand = None if corners is None else _corners(corners) - first.corner
+    if hand is not None:
+        _check_there(hand, first, shape)
     x, y, width, height = _region(region, first)
     # what lies beyond the region may be another panel's
-    shows, begin = evidence(images)[y : y + height, x : x + width], np.array([x, y], np.float64)
-    start = quadrilateral(shows, region) + begin if corners is None else _corners(corners) - first.corner
-    _check_there(start, first)
-    if corners is None or shape is None:
-        widths = [share * area(start) ** 0.5 for share in SMOOTHING]
-        if shape is not None:
-            widths += [share * shape.pitch(start) for share in SMOOTHING_PITCHES]
-        start = _kept(outlined(shows, start - begin, widths) + begin, start)
+    part, begin = np.s_[..., y : y + height, x : x + width], np.array([x, y], np.float64)
     if shape is None:
-        return Place(start + first.corner)
+        shows = evidence(images)[part]
+        start = quadrilateral(shows, region) + begin if hand is None else hand
+        _check_there(start, first, shape)
+        widths = [share * area(start) ** 0.5 for share in SMOOTHING]
+        return Place(_kept(outlined(shows, start - begin, widths) + begin, start) + first.corner)
+    parts = [np.ascontiguousarray(one[part]) for one in images]
     with one_thread():
-        _, found = _fitted(first, [start], Fitted(start, nan, 1.0), shape, inf)
+        if hand is None:
+            starts = quadrilaterals(parts, np.ptp(first.levels[part], axis=0), shape, region)
+            found = _fitted_place(parts, best_candidate(parts, starts, shape), shape)
+            if found.score < ACCEPTED or not _is_there(found.corners, Picture(parts[0][None])):
+                raise HeliographError(
+                    f"no panel of {shape.rows} x {shape.columns} LEDs was found for certain: give corners=, the four "
+                    "corners of the LED area in px, or several frames in which LEDs of all outer lines are lit"
+                )
+            return Place(found.corners + begin + first.corner, found.blur, found.score)
+        found = _fitted_place(images, best_candidate(images, [hand], shape, hand), shape, hand)
     return Place(found.corners + first.corner, found.blur, found.score)
 
 
@@ -119,27 +125,29 @@ def follow(frames: Iterable[AnyFrame], place: Place, rows: int, columns: int) ->
     frames
         Successive frames, each as for `locate`.
     place
-        Where the panel is in the first of them, of `locate`. From one frame to the next it may move by up to three
-        pitches beside what it did before.
+        Where the panel is in the first of them, of `locate`. Its motion may change by half a pitch from frame to frame,
+        or by up to two pitches if LEDs of all outer lines are lit.
     rows, columns
         LEDs along a column and along a row, 2 or more of each.
 
     Yields
     ------
     Place
-        The place in each frame. Where the panel is not seen, as it is hidden or shows nothing, its score is 0 and its
-        corners are those of the frame before.
+        The place in each frame, with a score as of `locate`, given that the place before was right. If the panel is not
+        seen, as it is hidden or shows nothing, the score is 0 and the corners are those of the frame before.
 
     Raises
     ------
     HeliographError
-        At once: the arguments are none of these. Later: a frame is none.
+        At once: the arguments are none of these. Later: the place is not in the first frame, or a frame is none.
     """
     if not isinstance(frames, Iterable):
         raise HeliographError(f"frames are an open film, or any iterable of frames, not {shown(frames)}")
-    shape = _shape(rows, columns)
+    shape, start = _shape(rows, columns), _checked(place)
     assert shape is not None
-    return in_one_thread(_followed(frames, _checked(place), shape))
+    if not is_possible(start.corners, shape.rows, shape.columns):
+        raise _no_panel(start.corners, "")
+    return in_one_thread(_followed(frames, start, shape))
 
 
 def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool = False, leakage: Any = None) -> Floats:
@@ -174,7 +182,7 @@ def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool 
     assert shape is not None
     matrix = _leakage(leakage, picture)
     at = _checked(place).corners - picture.corner
-    _check_there(at, picture)
+    _check_there(at, picture, shape)
     images, moved = _about(picture, at, 2 * shape.pitch(at))
     corners = at - moved
     values = _unblurred(images, corners, place.blur, shape) if unblur else _weighted(images, corners, shape)
@@ -186,49 +194,61 @@ def sample(frame: AnyFrame, place: Place, rows: int, columns: int, unblur: bool 
     return values.reshape((rows, columns) if len(images) == 1 else (rows, columns, len(images)))
 
 
+def _fitted_place(images: Sequence[Levels], candidate: Candidate, shape: Shape, hand: Floats | None = None) -> Fitted:
+    """The candidate after the fit of its LEDs' images; or as it was where it agreed better."""
+    corners = candidate.corners
+    image, moved = _about(Picture(images[0][None]), corners, 2 * shape.pitch(corners))
+    fit = _afresh(image[0], corners - moved, shape)
+    fit = fit._replace(corners=fit.corners + moved)
+    again = settled(images, fit.corners, shape, hand, shift=False)
+    is_near = np.abs(fit.corners - corners).max() < shape.pitch(corners)
+    if is_near and again.score >= min(candidate.score, SURE):
+        return fit._replace(score=again.score)
+    return fit._replace(corners=corners, score=candidate.score)
+
+
 def _followed(frames: Iterable[AnyFrame], place: Place, shape: Shape) -> Iterator[Place]:
     last = before = place.corners
     held = Fitted(last, place.blur if place.blur > 0 else FIRST_BLUR * shape.pitch(last), 1.0)
-    known = 0.0
-    for frame in frames:
+    for number, frame in enumerate(frames):
         picture = picture_of(frame)
-        starts = [one for one in (2 * last - before, last) if _is_there(one - picture.corner, picture)]
-        strong, found = 0.0, held
+        if number == 0:
+            _check_there(last - picture.corner, picture, shape)
+        starts = [one for one in (2 * last - before, last) if _is_there(one - picture.corner, picture, shape)]
+        found, score = held, 0.0
         if starts:
-            strong, found = _fitted(picture, [one - picture.corner for one in starts], held, shape, known)
-        # of a panel whose grid never showed the fit alone tells
-        seen = strong >= SHOWN if known or strong >= SHOWN else found.score >= SEEN
-        if not (starts and seen and _is_there(found.corners, picture)):
+            found, score = _found_on(picture, [one - picture.corner for one in starts], held, shape)
+        if not score or not _is_there(found.corners, picture, shape):
             before = last
             yield Place(last, held.blur, 0.0)
             continue
-        known = strong if strong >= SHOWN else known
         held, last, before = found, found.corners + picture.corner, last
-        yield Place(last, found.blur, found.score)
+        yield Place(last, found.blur, score)
 
 
-def _fitted(
-    picture: Picture, starts: Sequence[Floats], held: Fitted, shape: Shape, known: float = 0.0
-) -> tuple[float, Fitted]:
-    """How surely the LEDs' grid shows, and its place in a picture; `known` is how surely it showed before."""
-    images, moved = _about(Picture(picture.gray[None]), starts[0], (FARTHEST + 2) * shape.pitch(starts[0]))
-    image, grid = images[0], Phased(starts[0] - moved, 0.0)
-    for ways in (ONWARDS, AFRESH):
-        for start in starts:
-            if grid.strength < max(FAINTER * known, SHOWN):
-                grid = max(grid, phased(image, start - moved, shape, ways), key=lambda one: one.strength)
-    if grid.strength >= SURE and held.hessian is not None:  # an earlier fit leaves little to do
-        found = fitted(image, held._replace(corners=grid.corners), shape, FOLLOW_STEPS)
-    elif grid.strength >= SURE:
-        found = _afresh(image, grid.corners, shape)
+def _found_on(picture: Picture, starts: Sequence[Floats], held: Fitted, shape: Shape) -> tuple[Fitted, float]:
+    """The panel's place in a picture near the starts, and its score; 0 if it is not seen."""
+    images, moved = _about(Picture(picture.gray[None]), starts[0], 5 * shape.pitch(starts[0]))
+    image = images[0]
+    near = found_again(image, [one - moved for one in starts], shape)
+    if near.score >= ACCEPTED:
+        at = near.corners
+        if held.hessian is not None:  # an earlier fit leaves little to do
+            found = fitted(image, held._replace(corners=at), shape, FOLLOW_STEPS)
+        else:
+            found = _afresh(image, at, shape)
     else:
         found = held._replace(score=-1.0)
-        for start in [*(one - moved for one in starts), grid.corners]:
+        for start in [*(one - moved for one in starts), near.corners]:
             # what is as well explained as before is right
-            if 1 - found.score > WORSE * (1 - held.score):
+            if 1 - found.score > BLUR_WORSE * (1 - held.score):
                 found = max(found, _afresh(image, start, shape), key=lambda one: one.score)
-    strong = strength(image, found.corners, shape)
-    return strong, found._replace(corners=found.corners + moved)
+        if found.score < SEEN:
+            return held, 0.0
+    score = settled([image], found.corners, shape, near.corners, shift=False).score
+    if near.score >= ACCEPTED > score:
+        found, score = found._replace(corners=near.corners), near.score
+    return found._replace(corners=found.corners + moved), score
 
 
 def _afresh(image: Levels, corners: Floats, shape: Shape) -> Fitted:
@@ -240,6 +260,11 @@ def _unblurred(images: Levels, corners: Floats, blur: float, shape: Shape) -> Fl
     if not blur > 0:
         raise HeliographError(
             "the blur of the place is not known: locate(..., rows=, columns=) finds it, or give Place(corners, blur)"
+        )
+    if blur > MOST_BLUR * shape.pitch(corners):
+        raise HeliographError(
+            f"the LEDs lie {shape.pitch(corners):.1f} px apart, too close for a blur of {blur:.1f} px: sample without "
+            "unblur, or give the blur that locate finds"
         )
     mask = shape.mask(corners, (images.shape[1], images.shape[2]))
     with one_thread():
@@ -275,29 +300,32 @@ def _about(picture: Picture, corners: Floats, margin: float) -> tuple[Levels, Fl
 
 def _kept(corners: Floats, start: Floats) -> Floats:
     """Fitted corners, or where they went astray those from which the fit started."""
-    return corners if _is_place(corners) and 0.5 < area(corners) / area(start) < 2 else start
+    return corners if is_possible(corners) and 0.5 < area(corners) / area(start) < 2 else start
 
 
-def _is_place(corners: Floats) -> bool:
-    """Whether corners are those of a panel that is large enough, seen from its front."""
-    return is_convex(corners) and area(corners) >= LEAST_SIDE_PX**2
-
-
-def _is_there(corners: Floats, picture: Picture) -> bool:
-    """Whether a panel is a convex quadrilateral whose middle lies within a picture."""
+def _is_there(corners: Floats, picture: Picture, shape: Shape | None = None) -> bool:
+    """True if a panel may have such corners, and at least half of it lies within the picture."""
     rows, columns = picture.levels.shape[1:]
-    x, y = corners.mean(axis=0)
-    return _is_place(corners) and 0 <= x < columns and 0 <= y < rows and abs(area(corners)) < 4 * rows * columns
+    if not is_possible(corners, *((shape.rows, shape.columns) if shape else (1, 1))):
+        return False
+    if abs(area(corners)) < LEAST_SIDE_PX**2:
+        return False
+    x, y = mapped(homographies(corners), grid(8, 8)).T
+    return bool(((x > -0.5) & (x < columns - 0.5) & (y > -0.5) & (y < rows - 0.5)).mean() >= LEAST_VISIBLE)
 
 
-def _check_there(corners: Floats, picture: Picture) -> None:
-    if not _is_there(corners, picture):
+def _check_there(corners: Floats, picture: Picture, shape: Shape | None) -> None:
+    if not _is_there(corners, picture, shape):
         rows, columns = picture.levels.shape[1:]
-        text = ", ".join(f"{x:.0f} {y:.0f}" for x, y in corners + picture.corner)
-        raise HeliographError(
-            f"the corners {text} are no panel in a frame of {columns}x{rows} pixels: give x, y of upper left, upper "
-            f"right, lower right and lower left"
-        )
+        raise _no_panel(corners + picture.corner, f" in a frame of {columns}x{rows} pixels")
+
+
+def _no_panel(corners: Floats, where: str) -> HeliographError:
+    text = ", ".join(f"{x:.0f} {y:.0f}" for x, y in corners)
+    return HeliographError(
+        f"the corners {text} are no panel{where}: give x, y of upper left, upper right, lower right and lower left, at "
+        f"least half of the panel within the frame, {LIMITS.pitch_px:g} px or more from LED to LED"
+    )
 
 
 def _pictures(frames: Any) -> list[Picture]:

@@ -14,6 +14,28 @@ SLOPE_STEP_PX = 0.01
 """Step in px of numeric derivatives by a corner: rounding then errs by 1e-12 px, the map's curvature by less."""
 
 
+@dataclass(frozen=True, slots=True)
+class PanelLimits:
+    """Limits of quadrilaterals that may be panels.
+
+    Attributes
+    ----------
+    pitch_px
+        Smallest pitch of LEDs in px: closer ones cannot be told apart.
+    sine
+        Smallest sine of a corner's angle.
+    depth
+        Largest ratio of the distances of the farthest and nearest corner from the camera.
+    """
+
+    pitch_px: float = 1.5
+    sine: float = 0.1
+    depth: float = 4.0
+
+
+LIMITS = PanelLimits()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
     """Where a panel is in the image, with full perspective.
@@ -27,7 +49,7 @@ class Place:
     blur
         Standard deviation of one LED's image in px, emitter and lens together; NaN where it is not known.
     score
-        Correlation of the pixels with the panel's fitted image, at most 1; NaN where nothing was fitted.
+        Probability that the place is right, 0 to 1; NaN if the LEDs' grid was not searched.
     """
 
     corners: Floats
@@ -183,6 +205,27 @@ def is_convex(corners: Floats) -> bool:
         return False
     sides = np.roll(corners, -1, axis=0) - corners
     return bool((_cross(sides, np.roll(sides, -1, axis=0)) > 0).all())
+
+
+def is_possible(corners: Floats, rows: int = 1, columns: int = 1) -> bool:
+    """True if a camera may see a panel of LEDs with such corners, and tell its LEDs apart.
+
+    Parameters
+    ----------
+    corners
+        (4, 2) corners in px, of any value.
+    rows, columns
+        LEDs along a column and along a row.
+    """
+    if not is_convex(corners):
+        return False
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.linalg.norm(sides, axis=1)
+    sines = _cross(np.roll(sides, 1, axis=0), sides) / (np.roll(lengths, 1) * lengths)
+    far = np.append(UNIT, np.ones((4, 1)), axis=1) @ homographies(corners)[2]
+    counts = np.array([columns, rows, columns, rows])
+    is_near = far.max() <= LIMITS.depth * far.min()
+    return bool((lengths / counts).min() >= LIMITS.pitch_px and sines.min() >= LIMITS.sine and is_near)
 
 
 def pitches(corners: Floats, rows: int, columns: int) -> tuple[float, float]:

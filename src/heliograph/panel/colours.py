@@ -1,0 +1,252 @@
+"""Crosstalk between the colours of a panel: estimated from the panel's own values, and removed."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from heliograph.base.arrays import RCOND, TINY, Floats
+from heliograph.base.errors import HeliographError, shown
+from heliograph.panel.picture import COLOURS
+
+Bits = NDArray[np.bool_]
+
+STATES = np.array(list(product((0.0, 1.0), repeat=COLOURS)))
+"""The eight states (8, 3) of an LED of three colours."""
+
+STEPS = np.array([step for step in product((-1.0, 0.0, 1.0), repeat=COLOURS) if step > (0.0, 0.0, 0.0)])
+"""Steps (13, 3) from a state to another one, each in one direction."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnmixingTuning:
+    """How crosstalk is estimated.
+
+    Attributes
+    ----------
+    n_starts
+        Random starts beside the regular ones.
+    n_values
+        LEDs from which the best start is chosen.
+    max_steps
+        Most alternations of decisions and least squares from a start.
+    extreme
+        Share of the LEDs that count as the darkest ones.
+    min_separation
+        Smallest step between two states in standard deviations of the residual; noise split in two has 2.7.
+    min_count
+        Fewest LEDs in which a colour is on, and is off.
+    """
+
+    n_starts: int = 40
+    n_values: int = 2000
+    max_steps: int = 60
+    extreme: float = 0.02
+    min_separation: float = 3.3
+    min_count: int = 4
+
+
+TUNING = UnmixingTuning()
+
+
+class UnmixedColours(NamedTuple):
+    """Values of a panel without crosstalk, of `unmix_colours`.
+
+    Attributes
+    ----------
+    bits
+        (..., 3) bool, True where an LED of that colour is on.
+    light
+        (..., 3) float64 light of each colour: about 0 where it is off, 1 where it is on.
+    matrix
+        (3, 3) float64, the levels that each channel (row) sees of each colour (column) that is on.
+    offset
+        (3,) float64, the levels of the channels where all colours are off.
+    """
+
+    bits: Bits
+    light: Floats
+    matrix: Floats
+    offset: Floats
+
+
+def unmix_colours(values: Any, start: Any = None, full_scale: float | None = None) -> UnmixedColours:
+    r"""Remove the crosstalk between the colours of a panel, without a calibration film.
+
+    The values of an LED with the bits x, one for each colour, are
+
+        y = M x + b + noise,
+
+    clipped at full scale. M and b are found by decision-directed least squares: each LED gets the bits whose M x + b
+    lies nearest, then M and b minimise the sum of \|y - M x - b\|^2 over all LEDs, until no bit changes. Of many
+    starts the one with the smallest sum wins. Colour k of the result is the one that channel k sees best, so channels
+    in the order blue, green, red give bits in that order.
+
+    Parameters
+    ----------
+    values
+        (..., 3) numbers of any shape and real dtype, such as `sample` gives; `numpy.stack` joins frames of one film.
+        Each colour must be on in some LEDs and off in others, independently of the other colours.
+    start
+        (3, 3) first guess of M, of any scale, such as the leakage of another film; None where none is known.
+    full_scale
+        Level from which values are clipped, such as 250 for frames of 8 bits; None where none are.
+
+    Returns
+    -------
+    The bits, the light without crosstalk, M and b.
+
+    Raises
+    ------
+    HeliographError
+        The values have another shape or are not finite, or they do not show three colours that change independently.
+
+    Examples
+    --------
+    >>> import numpy as np, heliograph
+    >>> rng = np.random.default_rng(0)
+    >>> bits = rng.random((16, 16, 3)) < 0.5
+    >>> crosstalk = np.array([[90, 40, 10], [20, 80, 45], [5, 30, 70]])
+    >>> values = bits @ crosstalk.T + 12 + rng.normal(0, 4, bits.shape)
+    >>> unmixed = heliograph.unmix_colours(values)
+    >>> int((unmixed.bits != bits).sum())
+    0
+    """
+    levels = _levels(values)
+    flat = levels.reshape(-1, COLOURS)
+    top = np.inf if full_scale is None else _full_scale(full_scale)
+    guess = _start(start)
+    rng = np.random.default_rng(0)
+    few = flat if len(flat) <= TUNING.n_values else flat[rng.choice(len(flat), TUNING.n_values, replace=False)]
+    best: tuple[float, Floats] | None = None
+    for mixing in _starts(few, guess, rng):
+        cost, mixing = _alternated(few, mixing, top)
+        if (best is None or cost < best[0] * (1 - RCOND)) and _separated(few, mixing, top):
+            best = cost, mixing
+    if best is None:
+        raise HeliographError(
+            "the values do not show three colours that change independently: give frames in which each colour is on in "
+            "some LEDs and off in others, alone and with the other colours"
+        )
+    _, mixing = _alternated(flat, best[1], top)
+    mixing = _in_order(mixing)
+    bits = _decided(flat, mixing, top)
+    matrix, offset = mixing[:, :COLOURS], mixing[:, COLOURS]
+    light = np.linalg.solve(matrix, (flat - offset).T).T
+    shape = levels.shape
+    return UnmixedColours(bits.reshape(shape) > 0, light.reshape(shape), matrix, offset)
+
+
+def _alternated(levels: Floats, mixing: Floats, top: float) -> tuple[float, Floats]:
+    """Sum of squares and mixing (3, 4) after decisions and least squares in turn."""
+    bits = _decided(levels, mixing, top)
+    for _ in range(TUNING.max_steps):
+        known = np.column_stack([bits, np.ones(len(bits))])
+        # a clipped level is at least what the bits ask for
+        aim = np.where(levels >= top, np.maximum(levels, known @ mixing.T), levels)
+        mixing = np.linalg.lstsq(known, aim, rcond=RCOND)[0].T
+        again = _decided(levels, mixing, top)
+        if (again == bits).all():
+            break
+        bits = again
+    return float((_residual(levels, mixing, bits, top) ** 2).sum()), mixing
+
+
+def _decided(levels: Floats, mixing: Floats, top: float) -> Floats:
+    """Bits (n, 3) as 0 and 1 whose levels lie nearest."""
+    shown = np.minimum(STATES @ mixing[:, :COLOURS].T + mixing[:, COLOURS], top)
+    seen = np.minimum(levels, top)
+    distance = (shown**2).sum(axis=1) - 2 * seen @ shown.T
+    return np.asarray(STATES[distance.argmin(axis=1)])
+
+
+def _residual(levels: Floats, mixing: Floats, bits: Floats, top: float) -> Floats:
+    shown = bits @ mixing[:, :COLOURS].T + mixing[:, COLOURS]
+    return np.asarray(np.minimum(levels, top) - np.minimum(shown, top))
+
+
+def _separated(levels: Floats, mixing: Floats, top: float) -> bool:
+    """True if each colour is on and off often enough, and no step between states is a split of the noise."""
+    bits = _decided(levels, mixing, top)
+    on = bits.sum(axis=0)
+    if min(on.min(), (len(bits) - on).min()) < TUNING.min_count:
+        return False
+    matrix = mixing[:, :COLOURS]
+    known = np.column_stack([bits, np.ones(len(bits))])
+    if np.linalg.matrix_rank(known) <= COLOURS or np.linalg.cond(matrix) > 1 / RCOND:
+        return False
+    steps = matrix @ STEPS.T
+    size = np.linalg.norm(steps, axis=0)
+    along = _residual(levels, mixing, bits, top) @ (steps / size)
+    return bool((size >= TUNING.min_separation * along.std(axis=0)).all())
+
+
+def _starts(levels: Floats, guess: Floats | None, rng: np.random.Generator) -> Iterator[Floats]:
+    """First mixings (3, 4): by each channel's range, by the caller's guess, and by the levels of three LEDs."""
+    dark = levels[np.argsort(levels.sum(axis=1))[: max(1, int(TUNING.extreme * len(levels)))]].mean(axis=0)
+    high = np.quantile(levels, 1 - TUNING.extreme, axis=0) - dark
+    middle = 0.5 * (levels.min(axis=0) + levels.max(axis=0)) - dark
+    guesses = [np.eye(COLOURS), *([guess] if guess is not None else [])]
+    for matrix in guesses:
+        for reach in (high, 2 * middle):
+            yield np.column_stack([matrix / max(np.abs(matrix).max(), TINY) * reach[:, None], dark])
+    far = levels - dark
+    lit = far[(far**2).sum(axis=1) >= 0.1 * (far**2).sum(axis=1).max()]
+    for _ in range(TUNING.n_starts):
+        matrix = lit[rng.choice(len(lit), COLOURS, replace=len(lit) < COLOURS)].T
+        yield np.column_stack([matrix, dark])
+
+
+def _in_order(mixing: Floats) -> Floats:
+    """The mixing (3, 4) whose colours add light, each in the place of the channel that sees it best."""
+    matrix, offset = mixing[:, :COLOURS].copy(), mixing[:, COLOURS].copy()
+    for k in range(COLOURS):
+        if matrix[:, k].sum() < 0:  # off and on are exchanged
+            offset += matrix[:, k]
+            matrix[:, k] *= -1
+    share = matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
+    _, order = linear_sum_assignment(-share / np.linalg.norm(share, axis=0))
+    return np.column_stack([matrix[:, order], offset])
+
+
+def _levels(values: Any) -> Floats:
+    try:
+        found = np.asarray(values)
+        levels = found.astype(np.float64) if found.dtype.kind in "buif" else None
+    except (TypeError, ValueError):
+        levels = None
+    if levels is None or levels.ndim < 1 or levels.shape[-1:] != (COLOURS,) or not levels.size:
+        raise HeliographError(
+            f"values are numbers of shape (..., 3), such as sample gives of a frame in colour, not {shown(values)}"
+        )
+    if not np.isfinite(levels).all():
+        raise HeliographError("values are not finite: leave out the LEDs beyond the frame, which sample gives as NaN")
+    return np.asarray(levels)
+
+
+def _full_scale(full_scale: Any) -> float:
+    try:
+        level = float(full_scale)
+    except (TypeError, ValueError):
+        level = np.nan
+    if not np.isfinite(level):
+        raise HeliographError(f"full_scale is a level, such as 250, not {shown(full_scale)}")
+    return level
+
+
+def _start(start: Any) -> Floats | None:
+    if start is None:
+        return None
+    try:
+        matrix = np.asarray(start, np.float64)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.shape != (COLOURS, COLOURS) or not np.isfinite(matrix).all():
+        raise HeliographError(
+            f"start is a matrix (3, 3): what each channel (row) sees of each colour (column), not {shown(start)}"
+        )
+    return matrix

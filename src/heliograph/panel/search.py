@@ -1,0 +1,274 @@
+"""A panel searched in a picture: quadrilaterals that may be one, each refined by the phase of its grid, and judged."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from heliograph.base.arrays import TINY, Floats
+from heliograph.base.errors import HeliographError
+from heliograph.panel.lattice import Shape
+from heliograph.panel.outline import LEAST_CHANGE, Region, evidence, four_corners, nothing_shows, ordered
+from heliograph.panel.phase import TUNING, Agreement, GridView, refined
+from heliograph.panel.picture import Levels
+from heliograph.panel.place import UNIT, homographies, is_possible, mapped, pitches
+
+
+@dataclass(frozen=True, slots=True)
+class SearchTuning:
+    """How a panel is searched and judged. Chosen by `python -m benchmarks.panel_places`.
+
+    Attributes
+    ----------
+    spreads
+        Standard deviations of the smoothing before thresholds, as fractions of the image's shorter side.
+    thresholds
+        Levels between the lowest and highest from which an image counts as lit, beside Otsu's.
+    gaps
+        Gaps that are closed, as fractions of the image's shorter side.
+    min_area
+        Smallest area of a quadrilateral as a fraction of the image's.
+    max_pitch_ratio
+        Largest ratio of the pitches along rows and columns.
+    n_refined
+        Quadrilaterals that are refined, the best first.
+    n_frames
+        Frames whose lit LEDs count together.
+    max_hand
+        Largest error in pitches of corners by hand.
+    max_hand_cost
+        Square of the distance in pitches from corners by hand from which on lit LEDs alone decide.
+    sure
+        Score from which on no other start is tried.
+    max_peaks
+        Lit LEDs of a line that count for the choice among whole pitches.
+    phases
+        Log odds of a place up to whole pitches: a constant, and the factors of both `Agreement.phases` and of ln
+        `Agreement.leverage`.
+    shift
+        Log odds of a place against a shift by a pitch: a constant, the weight of a lit LED in an outer line, and the
+        weight of the squared distance from corners by hand, and of the growth beside them.
+    """
+
+    spreads: tuple[float, ...] = (0.012, 0.035)
+    thresholds: tuple[float, ...] = (0.5,)
+    gaps: tuple[float, ...] = (0.0, 0.06)
+    min_area: float = 0.005
+    max_pitch_ratio: float = 2.2
+    n_refined: int = 8
+    n_frames: int = 8
+    max_hand: float = 3.0
+    max_hand_cost: float = 2.0
+    sure: float = 0.9
+    max_peaks: float = 6.0
+    phases: tuple[float, float, float, float] = (-15.4, 10.7, 9.8, -2.2)
+    shift: tuple[float, float, float] = (0.8, 1.0, 2.0)
+
+
+SEARCH = SearchTuning()
+
+
+class Candidate(NamedTuple):
+    """A place that may be the panel's.
+
+    Attributes
+    ----------
+    corners
+        (4, 2) corners in px of the picture.
+    agreement
+        Agreement of the picture with the grid there.
+    score
+        Probability that the place is right, 0 to 1.
+    """
+
+    corners: Floats
+    agreement: Agreement
+    score: float
+
+
+def quadrilaterals(
+    images: Sequence[Levels], colour: Levels, shape: Shape, region: Region | None = None
+) -> list[Floats]:
+    """Quadrilaterals (4, 2) in px that may be a panel's outline, those whose grid shows best first.
+
+    Parameters
+    ----------
+    images
+        Gray images (rows, columns) of one size; the panel's place in the first is searched.
+    colour
+        (rows, columns) difference of the strongest and the weakest channel of the first.
+    shape
+        Rows and columns of the panel.
+    region
+        Part of the frame that the images show, for the error; None for all of it.
+    """
+    maps = [one for one in (images[0], colour, evidence(images)) if float(np.ptp(one)) >= LEAST_CHANGE]
+    if not maps:
+        raise nothing_shows(region)
+    found: list[Floats] = []
+    for corners in (corners for image in maps for corners in _outlines(image)):
+        is_known = any(np.abs(corners - other).max() <= 1.2 * shape.pitch(corners) for other in found)
+        if not is_known and is_plausible(corners, shape):
+            found.append(corners)
+    judged = []
+    for corners in found:
+        view = GridView(images[0], corners, shape)
+        judged.append((view.strength(), corners))
+        stretched = view.stretched()
+        if is_plausible(stretched, shape):
+            judged.append((GridView(images[0], stretched, shape).strength(), stretched))
+    judged.sort(key=lambda one: -one[0])
+    return [corners for _, corners in judged[: SEARCH.n_refined]]
+
+
+def best_candidate(
+    images: Sequence[Levels], starts: Sequence[Floats], shape: Shape, hand: Floats | None = None
+) -> Candidate:
+    """The candidate with the highest score near any start.
+
+    Parameters
+    ----------
+    images
+        Gray images (rows, columns) of one size; the place is that in the first.
+    starts
+        (4, 2) corners in px to start from.
+    shape
+        Rows and columns of the panel.
+    hand
+        (4, 2) corners in px as given by hand; None where none were given.
+    """
+    best = Candidate(UNIT, Agreement(np.zeros(2), 0.0, np.zeros(0), np.zeros(0)), -1.0) if hand is None else settled(
+        images[:1], hand, shape, hand, shift=False)  # fmt: skip
+    for start in starts:
+        # starts without a hand are stretched already
+        for stretch in (False,) if hand is None else (False, True):
+            corners = refined(images[0], start, shape, stretch)
+            if is_plausible(corners, shape) and (hand is None or is_near(corners, hand, shape)):
+                best = max(best, settled(images[:1], corners, shape, hand), key=lambda one: one.score)
+    if best.score < 0:
+        raise HeliographError(
+            f"no panel of {shape.rows} x {shape.columns} LEDs was found: give corners=, its four corners in px"
+        )
+    return settled(images[: SEARCH.n_frames], best.corners, shape, hand)
+
+
+def is_plausible(corners: Floats, shape: Shape) -> bool:
+    """True if a camera may see such a panel, with about the same pitch along rows and columns."""
+    if not is_possible(corners, shape.rows, shape.columns):
+        return False
+    along, down = pitches(corners, shape.rows, shape.columns)
+    return max(along, down) <= SEARCH.max_pitch_ratio * min(along, down)
+
+
+def _outlines(image: Levels) -> Iterator[Floats]:
+    side = min(image.shape)
+    wide = cv2.GaussianBlur(image, (0, 0), 0.15 * side)
+    for spread in SEARCH.spreads:
+        smooth = cv2.GaussianBlur(image, (0, 0), max(spread * side, 1.0))
+        for seen in (smooth, smooth - wide):
+            scaled = np.rint((seen - seen.min()) / max(float(np.ptp(seen)), 1e-6) * 255).astype(np.uint8)
+            otsu, _ = cv2.threshold(scaled, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+            for level in (otsu, *(255 * share for share in SEARCH.thresholds)):
+                for gap in SEARCH.gaps:
+                    yield from _hull_corners(_closed(scaled > level, int(gap * side)))
+
+
+def _closed(lit: Levels, gap: int) -> Levels:
+    if not gap:
+        return lit.astype(np.uint8)
+    kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * gap + 1, 2 * gap + 1))
+    padded = cv2.morphologyEx(np.pad(lit.astype(np.uint8), gap), cv2.MORPH_CLOSE, kernel)
+    return padded[gap:-gap, gap:-gap]
+
+
+def _hull_corners(lit: Levels) -> Iterator[Floats]:
+    """Corners of the two largest lit areas, and of all large ones together."""
+    outlines, _ = cv2.findContours(lit, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    outlines = sorted(outlines, key=cv2.contourArea)[-40:]
+    if not outlines:
+        return
+    largest = cv2.contourArea(outlines[-1])
+    together = np.concatenate([one for one in outlines if cv2.contourArea(one) >= 0.05 * largest])
+    for points in (*outlines[-2:], together):
+        hull = cv2.convexHull(points)
+        if cv2.contourArea(hull) >= SEARCH.min_area * lit.size:
+            yield ordered(four_corners(hull))
+            yield ordered(cv2.boxPoints(cv2.minAreaRect(hull)).astype(np.float64))
+
+
+def settled(
+    images: Sequence[Levels], corners: Floats, shape: Shape, hand: Floats | None = None, shift: bool = True
+) -> Candidate:
+    """The place near corners that agrees best with pictures, whole pitches chosen by the lit LEDs and the hand.
+
+    Parameters
+    ----------
+    images
+        Gray images (rows, columns) of one size; the place is that in the first.
+    corners
+        (4, 2) corners in px whose grid fits, whole pitches left aside.
+    shape
+        Rows and columns of the panel.
+    hand
+        (4, 2) corners in px as given by hand; None where none were given.
+    shift
+        True if the place may be shifted by whole pitches.
+    """
+    views = [GridView(images[0], corners, shape)]
+    for image in images[1:]:
+        # the panel moves by less than half a pitch
+        views.append(GridView(image, refined(image, views[-1].corners, shape, stretch=False), shape))
+    agreements = [view.agreement() for view in views]
+    good = [one for one in agreements if one.phases.min() >= agreements[0].phases.min() - 0.2] or agreements[:1]
+    lit = agreements[0]._replace(
+        rows=np.max([one.rows for one in good], axis=0), columns=np.max([one.columns for one in good], axis=0)
+    )
+    rim = TUNING.rim
+    moves, odds = [], []
+    offset, growth = (np.zeros(2), np.zeros(2)) if hand is None else _beside_hand(corners, hand, shape)
+    counts = shape.columns, shape.rows
+    for peaks, count, off, grown in zip((lit.columns, lit.rows), counts, offset, growth, strict=True):
+        line = np.minimum(peaks, SEARCH.max_peaks)
+        evidence = np.array([line[rim + k : rim + k + count].sum() for k in range(-rim, rim + 1)]) * SEARCH.shift[1]
+        steps = np.arange(-rim, rim + 1)
+        if hand is not None:
+            evidence = evidence - SEARCH.shift[2] * np.minimum((steps + off) ** 2, SEARCH.max_hand_cost)
+        best = int(np.argmax(evidence - 1e-6 * np.abs(steps))) if shift else rim
+        others = [evidence[k] for k in (best - 1, best + 1) if 0 <= k < len(evidence)]
+        moves.append(int(steps[best]))
+        odds.append(float(evidence[best] - max(others)) - SEARCH.shift[2] * abs(grown))
+    constant, narrow, wide, lever = SEARCH.phases
+    log_odds = constant + narrow * lit.phases[0] + wide * lit.phases[1] + lever * np.log(max(lit.leverage, TINY))
+    score = _probability(log_odds)
+    for one in odds:
+        score *= _probability(SEARCH.shift[0] + one)
+    return Candidate(views[0].shifted(*moves) if any(moves) else corners, lit, score)
+
+
+def found_again(image: Levels, starts: Sequence[Floats], shape: Shape) -> Candidate:
+    """The candidate of the highest score near where the panel was expected, the most likely start first."""
+    found = []
+    for start in starts:
+        for windows in (TUNING.windows_leds[-2:], TUNING.windows_leds):
+            found.append(settled([image], refined(image, start, shape, False, windows), shape, start))
+            if found[-1].score >= SEARCH.sure:
+                return found[-1]
+    return max(found, key=lambda one: one.score)
+
+
+def is_near(corners: Floats, hand: Floats, shape: Shape) -> bool:
+    """True if no corner is farther from those given by hand than a hand may err."""
+    return bool(np.linalg.norm(corners - hand, axis=1).max() <= SEARCH.max_hand * shape.pitch(hand))
+
+
+def _beside_hand(corners: Floats, hand: Floats, shape: Shape) -> tuple[Floats, Floats]:
+    """Shift (2,) and growth (2,) in pitches along rows and columns of corners beside those given by hand."""
+    off = (mapped(np.linalg.inv(homographies(hand)), corners) - UNIT) * [shape.columns, shape.rows]
+    left, right, top, low = off[[0, 3], 0].mean(), off[[1, 2], 0].mean(), off[:2, 1].mean(), off[2:, 1].mean()
+    return np.array([left + right, top + low]) / 2, np.array([right - left, low - top])
+
+
+def _probability(log_odds: float) -> float:
+    return float(1 / (1 + np.exp(-np.clip(log_odds, -50, 50))))
