@@ -200,11 +200,11 @@ def _followed(frames: Iterable[AnyFrame], place: Place, shape: Shape) -> Iterato
         seen = strong >= SHOWN if known or strong >= SHOWN else found.score >= SEEN
         if not (starts and seen and _is_there(found.corners, picture)):
             before = last
-            yield Place(last, held.blur, 0.0)
+            yield Place(last.copy(), held.blur, 0.0)
             continue
         known = strong if strong >= SHOWN else known
         held, last, before = found, found.corners + picture.corner, last
-        yield Place(last, found.blur, found.score)
+        yield Place(last.copy(), found.blur, found.score)
 
 
 def _fitted(
@@ -323,7 +323,7 @@ def _shape(rows: Any, columns: Any) -> Shape | None:
 
 def _corners(corners: Any) -> Floats:
     try:
-        found = np.asarray(corners, np.float64)
+        found = np.array(corners, np.float64)
     except (TypeError, ValueError):
         found = np.empty(0)
     if found.shape != (4, 2) or not np.isfinite(found).all():

@@ -125,6 +125,8 @@ class ScreenReceiver:
 
     def _checked(self, frame: Frame) -> Iterator[Packet]:
         check_next(frame, self._last)
+        # the caller may fill its array again, and frames are kept
+        frame = frame.copied()
         last, self._last = self._last, frame
         if last is not None:
             # a copy of the frame before shows nothing new
