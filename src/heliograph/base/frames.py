@@ -152,6 +152,15 @@ def check_next(frame: Frame, last: Frame | None) -> None:
         )
 
 
+def check_order(frame: Frame, last: Frame, by_index: bool = False) -> None:
+    """Raise a HeliographError if a frame does not follow the last one in time, or in number where that counts."""
+    if frame.time_s <= last.time_s or (by_index and frame.index <= last.index):
+        raise HeliographError(
+            f"frames must follow in time: frame {frame.index} at {frame.time_s:.6f} s came after "
+            f"frame {last.index} at {last.time_s:.6f} s"
+        )
+
+
 def check_unmasked(pixels: NDArray[Any]) -> None:
     """Raise a HeliographError if some pixels of a frame are masked."""
     if isinstance(pixels, np.ma.MaskedArray) and (count := np.count_nonzero(pixels.mask)):

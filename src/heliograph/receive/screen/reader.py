@@ -16,7 +16,7 @@ from heliograph.receive.screen.headers import TIES, HeaderSeen, headers, named_f
 from heliograph.receive.screen.packet import ReadPacket, decoded, solved_evenly
 from heliograph.receive.screen.pairs import Solved, solved
 from heliograph.receive.screen.readout import Kept
-from heliograph.receive.screen.samples import Bins
+from heliograph.receive.screen.samples import Bins, Samples
 from heliograph.receive.screen.timing import refined
 from heliograph.receive.settings import ScreenSettings
 from heliograph.signal.formats import AGREED, SHORT_PAIRS, Format, format_of
@@ -179,7 +179,9 @@ class PacketReading:
         if now_s - first < 3 * step:
             return False
         self._searched_s = now_s
-        samples = self._kept.evened(first, now_s + step, clock)
+        samples = self._samples(first, now_s + step, clock)
+        if samples is None:
+            return False
         left, clock = refined(Bins(samples), clock, self._kept.frame_s, self._kept.readout.length, self._row_s)
         if left > MOST_UNEXPLAINED and len(samples.times_s) >= ENOUGH_FRAMES:
             # a header alone is explained by half its rate's period too
@@ -192,10 +194,10 @@ class PacketReading:
             for k, p in enumerate(pairs.pairs)
             if clock.begins(p) >= first - PARTLY * step and clock.begins(p + 1) <= now_s
         ]
-        if not whole:
-            return False
-        found = headers(pairs.change[whole[0] : whole[-1] + 1], self._signal.header_pairs)
+        found = headers(pairs.change[whole[0] : whole[-1] + 1], self._signal.header_pairs) if whole else []
         if not found:
+            # the next search begins there
+            self._kept.drop_before(now_s - 4 * step)
             return False
         best = min((one for one in found if one.score > found[0].score - 0.1), key=lambda one: (one.place, -one.score))
         self._next = clock.begins(pairs.pairs[whole[0]] + best.place)
@@ -203,6 +205,11 @@ class PacketReading:
         self._lost, self._begun = 0, best
         self._form = self._named(best, pairs.change[whole[0] :])
         return True
+
+    def _samples(self, start_s: float, end_s: float, clock: Clock) -> Samples | None:
+        """Samples between two times without the camera's gain; None if they are too few."""
+        enough = len(self._kept.between(start_s, end_s)) >= ENOUGH_FRAMES // 2
+        return self._kept.evened(start_s, end_s, clock) if enough else None
 
     def _named(self, header: HeaderSeen, change: Floats) -> Format:
         try:
@@ -212,8 +219,8 @@ class PacketReading:
 
     def _packet(self, clock: Clock, start_s: float, end_s: float) -> Iterator[ReadPacket]:
         around = 2 * clock.period_s
-        samples = self._kept.evened(start_s - around, end_s + around, clock)
-        if len(samples.times_s) < ENOUGH_FRAMES // 2:
+        samples = self._samples(start_s - around, end_s + around, clock)
+        if samples is None:
             self._next = None
             return
         _, clock = refined(Bins(samples), clock, self._kept.frame_s, self._kept.readout.length, self._row_s)

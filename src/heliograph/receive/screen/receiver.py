@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliograph.base.errors import SettingsError
-from heliograph.base.frames import Frame, check_next
+from heliograph.base.frames import Frame, check_next, check_order
 from heliograph.base.threads import in_one_thread
 from heliograph.receive.coming import ENOUGH_SEEN, HEADER_SEEN
 from heliograph.receive.decode.codeword import Decoding
@@ -23,6 +23,9 @@ from heliograph.signal.settings import SignalSettings
 
 LOST_S = 1.0
 """Seconds out of sight after which an array is looked for anew. Chosen."""
+
+PAUSE_PACKETS = 0.5
+"""Packets without a frame after which an array is looked for anew, if that is longer: half a packet is not read."""
 
 PERIODS = 64
 """Frames of which the median period is taken. Chosen: a camera's rate hardly changes."""
@@ -101,7 +104,7 @@ class ScreenReceiver:
         Raises
         ------
         HeliographError
-            It is no frame, or one of another camera than the last.
+            It is no frame, or one of another camera than the last; or it does not follow the last one in time.
         """
         return in_one_thread(self._checked(frame))
 
@@ -125,14 +128,17 @@ class ScreenReceiver:
 
     def _checked(self, frame: Frame) -> Iterator[Packet]:
         check_next(frame, self._last)
-        # the caller may fill its array again, and frames are kept
-        frame = frame.copied()
-        last, self._last = self._last, frame
+        last = self._last
         if last is not None:
             # a copy of the frame before shows nothing new
             if frame.pixels.shape == last.pixels.shape and np.array_equal(frame.pixels, last.pixels):
                 return
+            check_order(frame, last)
             self._periods.append((frame.time_s - last.time_s) / max(frame.index - last.index, 1))
+            if frame.time_s - last.time_s > max(LOST_S, PAUSE_PACKETS * self._signal.packet_s):
+                yield from self._give_up()
+        # the caller may fill its array again, and frames are kept
+        self._last = frame = frame.copied()
         if self._follower is not None:
             yield from self._follow(frame, self._follower)
         if self._follower is None and (taken := self._search.take(frame)) is not None:
