@@ -27,6 +27,7 @@ __all__ = [
     "LostEvent",
     "Observer",
     "TrackEvent",
+    "UnseenEvent",
     "ignore",
 ]
 
@@ -151,7 +152,20 @@ class DropEvent:
     load: SearchLoad
 
 
-Event = DetectEvent | TrackEvent | ExtractEvent | EqualiseEvent | DecodeEvent | LostEvent | DropEvent
+@dataclass(frozen=True, slots=True)
+class UnseenEvent:
+    """The receiver "screen" has seen no screen since the film began. The event comes once.
+
+    Attributes
+    ----------
+    searched_s
+        Seconds of the film that were searched.
+    """
+
+    searched_s: float
+
+
+Event = DetectEvent | TrackEvent | ExtractEvent | EqualiseEvent | DecodeEvent | LostEvent | DropEvent | UnseenEvent
 """Every event."""
 
 Observer = Callable[[Event], None]

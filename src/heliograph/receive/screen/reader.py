@@ -9,6 +9,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.coming import ENOUGH_SEEN
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.image.orientation import Orientation
+from heliograph.receive.screen.budget import SearchBudget
 from heliograph.receive.screen.clock import Clock
 from heliograph.receive.screen.clock_search import ENOUGH_FRAMES, MOST_UNEXPLAINED, ClockSearch
 from heliograph.receive.screen.follow import Sample
@@ -81,6 +82,8 @@ class PacketReading:
         Rows and columns of a frame.
     screen
         Whether the time from row to row is known, and whether other pattern rates are tried.
+    budget
+        What the search for a screen may cost.
     """
 
     def __init__(
@@ -90,11 +93,12 @@ class PacketReading:
         frame_s: float,
         shape: tuple[int, ...],
         screen: ScreenSettings,
+        budget: SearchBudget,
     ):
         self._signal, self._options = signal, options
-        self._row_s = screen.row_time_s
+        self._row_s, self._budget = screen.row_time_s, budget
         self._kept = Kept(shape, frame_s)
-        self._search = ClockSearch(signal.pattern_period_s, screen.row_time_s, not screen.find_rate)
+        self._search = ClockSearch(signal.pattern_period_s, screen.row_time_s, not screen.find_rate, budget)
         self._clock: Clock | None = None
         self._searched_s = -np.inf
         self._next: float | None = None  # time at which the next packet begins
@@ -103,6 +107,11 @@ class PacketReading:
         self._form = AGREED
         self._lost = 0
         self._orientation: Orientation | None = None
+
+    @property
+    def is_named(self) -> bool:
+        """True if a header was seen."""
+        return self._begun is not None
 
     @property
     def clocked(self) -> bool:
@@ -182,7 +191,8 @@ class PacketReading:
         samples = self._samples(first, now_s + step, clock)
         if samples is None:
             return False
-        left, clock = refined(Bins(samples), clock, self._kept.frame_s, self._kept.readout.length, self._row_s)
+        bins = Bins(samples, self._budget)
+        left, clock = refined(bins, clock, self._kept.frame_s, self._kept.readout.length, self._row_s)
         if left > MOST_UNEXPLAINED and len(samples.times_s) >= ENOUGH_FRAMES:
             # a header alone is explained by half its rate's period too
             self._clock = None
