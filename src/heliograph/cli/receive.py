@@ -105,6 +105,9 @@ def run_receive(
                 why = None if watch.is_live else why_unread(source, signal, settings, report, ending)
             except KeyboardInterrupt as error:
                 why, ending = None, error
+            if why is not None and why.screen is not None and isinstance(ending, HeliographError):
+                # the receiver for arrays refused the rate of a screen's film
+                ending = HeliographError(f"{film} shows a screen: {why.screen.advice[0]}")
             if ending is not None:
                 report["error"] = ended(ending)
             ending = finish_folder(folder, report, watch) or kept.finish(reception.files) or ending
@@ -114,7 +117,7 @@ def run_receive(
     elif as_json:
         console.say_json(report)
     else:
-        _show(report, reception, folder)
+        _show(report, reception, folder, watch.unseen)
         _show_why(why, film)
         if watch.is_live and not found_array(report):
             seen_by = watch.recorded or film
@@ -262,7 +265,7 @@ class Folder:
                     old.unlink(missing_ok=True)
 
 
-def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> None:
+def _show(report: dict[str, Any], reception: "Reception", folder: Folder, unseen: str) -> None:
     console.say(
         f"{counted(report['frames'], 'frame')} in {report['seconds']:.1f} s "
         f"({report['frames_per_second']:.0f} frames/s), {counted(report['detections'], 'detection')}"
@@ -274,7 +277,7 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
             f"array is, or raise receive.detect.busy_part"
         )
     if not report["arrays"]:
-        console.say("no array found")
+        console.say(f"no array found: {unseen}" if unseen else "no array found")
     for array in report["arrays"]:
         console.say(
             f"array {array['id']}: {counted(array['packets'], 'packet')}, "
