@@ -21,6 +21,11 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "fractions": ({"pixels": np.zeros((32, 64))}, "uint8 or uint16, not float64"),
     "wide integers": ({"pixels": np.zeros((32, 64), np.int32)}, "uint8 or uint16, not int32"),
     "foreign order of bytes": ({"pixels": np.zeros((32, 64), ">u2"), "bits": 16}, "not >u2"),
+    "masked pixels": (
+        {"pixels": np.ma.masked_less(np.arange(6, dtype=np.uint8).reshape(2, 3), 2)},
+        "2 pixels .* masked",
+    ),
+    "a buffer": ({"pixels": memoryview(bytes(6))}, "a NumPy array, not memoryview"),
     "no array": ({"pixels": [[1, 2]]}, "a NumPy array, not list"),
     "bits of another type": ({"pixels": GRAY.astype(np.uint16)}, "uint16 have 9 to 16 bits, not 8"),
     "too many bits": ({"bits": 99}, "uint8 have 8 bits, not 99"),
@@ -49,6 +54,24 @@ def test_what_is_no_frame_is_one_clear_line(what: str) -> None:
 def test_numbers_of_numpy_and_windows_are_frames() -> None:
     wide = Frame(np.int64(3), np.float32(0.5), GRAY[:, ::2].astype(np.uint16), np.int64(12), (np.int32(4), 2))  # type: ignore[arg-type]
     assert wide.full_scale == 4095
+
+
+@pytest.mark.parametrize("make", [np.ma.masked_array, lambda pixels: pixels.view(np.recarray)])
+def test_a_subclass_of_arrays_becomes_an_array(make: Callable[[Any], Any]) -> None:
+    frame = Frame(0, 0.0, make(GRAY.copy()))
+    assert type(frame.pixels) is np.ndarray
+    assert (frame.pixels == GRAY).all()
+
+
+def test_a_copy_of_a_frame_lies_row_after_row_in_memory() -> None:
+    pixels = np.arange(6, dtype=np.uint8).reshape(3, 2)
+    frame = Frame(1, 0.5, pixels.T[::-1], 8, (3, 4))
+    copy = frame.copied()
+    assert (copy.index, copy.time_s, copy.bits, copy.origin) == (1, 0.5, 8, (3, 4))
+    assert copy.pixels.flags.c_contiguous
+    assert copy.pixels.tolist() == [[1, 3, 5], [0, 2, 4]]
+    pixels[:] = 0
+    assert copy.pixels.any()
 
 
 def test_the_check_takes_microseconds() -> None:

@@ -106,6 +106,21 @@ def test_a_panel_is_followed_and_read_in_three_colours() -> None:
         assert wrong(values, film) == 0
 
 
+def test_places_may_be_changed_while_a_panel_is_followed() -> None:
+    shown = frames(4)
+    start = heliograph.Place(small().corners(0))
+    usual = [place.corners for place in heliograph.follow(shown, start, ROWS, COLUMNS)]
+    for place, corners in zip(heliograph.follow(shown, start, ROWS, COLUMNS), usual, strict=True):
+        np.testing.assert_array_equal(place.corners, corners)
+        place.corners[:] = 0
+
+
+def test_masked_pixels_are_refused() -> None:
+    masked = np.ma.masked_less(next(iter(frames(1))), 10)
+    with pytest.raises(heliograph.HeliographError, match="pixels of a frame are masked"):
+        heliograph.sample(masked, heliograph.Place(small().corners(0)), ROWS, COLUMNS)
+
+
 def test_a_panel_that_is_hidden_for_a_while_is_found_again() -> None:
     film, shown = small(), [*frames(10)]
     shown[4] = shown[5] = np.full_like(shown[0], 30)

@@ -5,11 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scenes import film, link
 from screen_films import Phone, phone_frames
 from screen_light import shown
 
 from heliograph.base.frames import Frame
+from heliograph.link.settings import load_settings
 from heliograph.probe import Findings, probe_film
+from heliograph.probe.screens import screen_cause
 from heliograph.probe.words import in_sentences, lines
 from heliograph.web.screen import screen_settings
 from heliograph.web.sending import sending_of
@@ -144,3 +147,41 @@ def test_a_screen_that_is_read_is_not_asked_why() -> None:
     assert not found.regions
     assert not found.causes
     assert "light: not asked, as an array is read" in lines(found)
+
+
+SCREENS: dict[str, dict[str, float]] = {
+    "phone": {"rate_hz": 10.0},
+    "phone-15": {"rate_hz": 15.0},
+    "phone-60": {"rate_hz": 30.0, "fps": 60.0, "seconds": 3.0, "readout_s": 0.012, "exposure_s": 0.008},
+    "phone-240": {"rate_hz": 60.0, "fps": 240.0, "seconds": 1.6, "readout_s": 0.003, "exposure_s": 0.002,
+                  "jitter_s": 0.0002},
+    "phone-slow": {"rate_hz": 2.0, "seconds": 12.0},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("side", [8, 16])
+@pytest.mark.parametrize("preset", SCREENS)
+def test_a_screen_that_was_to_be_read_as_an_array_is_recognised(preset: str, side: int) -> None:
+    settings, seen = load_settings("paper"), SCREENS[preset]
+    shown_film = Kept(filmed(side=side, **seen), seen.get("fps", 30.0))  # type: ignore[arg-type]
+    found = probe_film(shown_film, settings.signal, settings.receive, reading=False)
+    assert kinds(found) == ["screen"]
+    assert f"{side} x {side} cells, {seen['rate_hz']:g} patterns a second" in found.causes[0].why
+    size = " --set signal.side=8" if side == 8 else ""
+    assert found.advice == [f"read it by --preset {preset}{size}, which chooses --receiver screen"]
+
+
+@pytest.mark.parametrize(("distance_m", "fps"), [(4.0, 4000), (8.0, 1000), (8.0, 2000), (30.0, 2000)])
+def test_an_array_of_leds_is_no_screen_whatever_rate_its_film_claims(distance_m: float, fps: int) -> None:
+    changes = f"channel.camera.fps={fps}", f"channel.camera.exposure_s={1 / max(fps, 1000)}"
+    frames = film(link(*changes, distance_m=distance_m), 64)
+    for claimed_hz in (30.0, 120.0):
+        stamped = [replace(one, time_s=k / claimed_hz) for k, one in enumerate(frames)]
+        assert screen_cause(stamped, claimed_hz) is None
+
+
+def test_noise_is_no_screen() -> None:
+    rng = np.random.default_rng(3)
+    assert (
+        screen_cause([Frame(k, k / 30, rng.integers(90, 110, (120, 160), np.uint8)) for k in range(96)], 30.0) is None
+    )

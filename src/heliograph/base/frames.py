@@ -33,7 +33,9 @@ class Frame:
     time_s
         Start of the exposure in seconds, by the camera's clock.
     pixels
-        Gray levels from 0 to full scale, shape (rows, columns), uint8 (8 bit) or uint16 (9 to 16 bit).
+        Gray levels from 0 to full scale, shape (rows, columns), uint8 (8 bit) or uint16 (9 to 16 bit). A view of any
+        array is allowed, in any order in memory. The frame shares the array; the receivers "plain", "soft" and
+        "screen" copy the pixels of each frame that they take, so the array may be filled again for the next frame.
     bits
         Bits of a gray level, 8 to 16; full scale is ``2**bits - 1``.
     origin
@@ -42,8 +44,8 @@ class Frame:
     Raises
     ------
     HeliographError
-        The pixels are no gray levels, or time, number, bits or corner are none. Levels are not looked at, so that a
-        frame costs microseconds.
+        The pixels are no gray levels, or some are masked; or time, number, bits or corner are none. Levels are not
+        looked at, so that a frame costs microseconds.
     """
 
     index: int
@@ -54,6 +56,10 @@ class Frame:
 
     def __post_init__(self) -> None:
         _check_pixels(self.pixels, self.bits)
+        if type(self.pixels) is not np.ndarray:
+            check_unmasked(self.pixels)
+            # subclasses compute in other ways
+            object.__setattr__(self, "pixels", np.asarray(self.pixels))
         if not (_is_whole(self.index) and abs(self.index) <= LATEST_INDEX):
             raise HeliographError(f"a frame's index is its number, a whole one, not {shown(self.index)}")
         if not (isinstance(self.time_s, (int, float, np.integer, np.floating)) and abs(self.time_s) <= LATEST_S):
@@ -80,6 +86,12 @@ class Frame:
             Start of the exposure in seconds.
         """
         return _unchecked(self.index, time_s, self)
+
+    def copied(self) -> "Frame":
+        """The same frame with pixels of its own, row after row in memory; it is not checked again."""
+        frame = _unchecked(self.index, self.time_s, self)
+        object.__setattr__(frame, "pixels", np.array(self.pixels, order="C"))
+        return frame
 
     def numbered(self, index: int) -> "Frame":
         """The same frame with another number, which is not checked: a search numbers each frame by its pattern.
@@ -138,6 +150,21 @@ def check_next(frame: Frame, last: Frame | None) -> None:
             f"all whole frames have the same size: frame {frame.index} has {sizes} pixels; give windows their origin "
             f"on the sensor, or take a new receiver where the camera changes"
         )
+
+
+def check_order(frame: Frame, last: Frame, by_index: bool = False) -> None:
+    """Raise a HeliographError if a frame does not follow the last one in time, or in number where that counts."""
+    if frame.time_s <= last.time_s or (by_index and frame.index <= last.index):
+        raise HeliographError(
+            f"frames must follow in time: frame {frame.index} at {frame.time_s:.6f} s came after "
+            f"frame {last.index} at {last.time_s:.6f} s"
+        )
+
+
+def check_unmasked(pixels: NDArray[Any]) -> None:
+    """Raise a HeliographError if some pixels of a frame are masked."""
+    if isinstance(pixels, np.ma.MaskedArray) and (count := np.count_nonzero(pixels.mask)):
+        raise HeliographError(f"{count} pixels of a frame are masked; give them a level, such as by pixels.filled(0)")
 
 
 def _check_pixels(pixels: Any, bits: Any) -> None:

@@ -90,7 +90,8 @@ Duration = Annotated[
 Receiver = Annotated[
     str | None,
     typer.Option(
-        help="Receiver: plain, soft or one of your own; that of the preset if left out.",
+        help="Receiver: plain, soft, screen (for a phone's film of a screen) or one of your own; that of the preset if "
+        "left out.",
         show_default=False,
         autocompletion=options.begun_receivers,
     ),

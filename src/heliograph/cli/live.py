@@ -66,6 +66,7 @@ class Watch:
         self.path, self.frame_count = source.path, source.frame_count
         self._source, self._live, self._recorder, self._aloud = source, live, recorder, aloud
         self._read = False
+        self.unseen = ""
 
     @property
     def is_live(self) -> bool:
@@ -85,11 +86,16 @@ class Watch:
             raise MediaError(f"{self.path} gave no frame: see that its trigger is off or has pulses, and its exposure")
 
     def observe(self, event: Any) -> None:
-        """Take note of arrays that are lost."""
-        from heliograph.receive.events import LostEvent
+        """Take note of arrays that are lost, and of a screen that is not there."""
+        from heliograph.receive.events import DetectEvent, LostEvent, UnseenEvent
 
         if isinstance(event, LostEvent):
             self._failed()
+        elif isinstance(event, UnseenEvent):
+            self.unseen = "no screen is visible, or none that can be read"
+            console.complain(f"{self.path}: {self.unseen}, in the first {event.searched_s:.1f} s")
+        elif isinstance(event, DetectEvent):
+            self.unseen = ""
 
     def packet(self, packet: "Packet") -> None:
         """Take note of a packet."""

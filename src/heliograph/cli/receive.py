@@ -105,6 +105,9 @@ def run_receive(
                 why = None if watch.is_live else why_unread(source, signal, settings, report, ending)
             except KeyboardInterrupt as error:
                 why, ending = None, error
+            if why is not None and why.screen is not None and isinstance(ending, HeliographError):
+                # the receiver for arrays refused the rate of a screen's film
+                ending = HeliographError(f"{film} shows a screen: {why.screen.advice[0]}")
             if ending is not None:
                 report["error"] = ended(ending)
             ending = finish_folder(folder, report, watch) or kept.finish(reception.files) or ending
@@ -114,7 +117,7 @@ def run_receive(
     elif as_json:
         console.say_json(report)
     else:
-        _show(report, reception, folder)
+        _show(report, reception, folder, watch.unseen)
         for line in kept.lacking(reception.files, reception.frames / source.rate_hz):
             console.say_prose(line)
         _show_why(why, film)
@@ -265,7 +268,7 @@ class Folder:
                     old.unlink(missing_ok=True)
 
 
-def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> None:
+def _show(report: dict[str, Any], reception: "Reception", folder: Folder, unseen: str) -> None:
     from heliograph.measure.journal import missed_words
 
     console.say(
@@ -281,8 +284,8 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder) -> Non
         )
     if not report["arrays"]:
         found = report["detections"]
-        unread = f": {counted(found, 'detection')} without a decoded codeword" if found else ""
-        console.say(f"no array found{unread}")
+        cause = unseen or (f"{counted(found, 'detection')} without a decoded codeword" if found else "")
+        console.say(f"no array found: {cause}" if cause else "no array found")
     for array in report["uncertain"]:
         console.say(f"uncertain, no codeword decoded: {_array_line(array)}")
     for array in report["arrays"]:

@@ -220,10 +220,10 @@ def _followed(frames: Iterable[AnyFrame], place: Place, shape: Shape) -> Iterato
             found, score = _found_on(picture, [one - picture.corner for one in starts], held, shape)
         if not score or not _is_there(found.corners, picture, shape):
             before = last
-            yield Place(last, held.blur, 0.0)
+            yield Place(last.copy(), held.blur, 0.0)
             continue
         held, last, before = found, found.corners + picture.corner, last
-        yield Place(last, found.blur, score)
+        yield Place(last.copy(), found.blur, score)
 
 
 def _found_on(picture: Picture, starts: Sequence[Floats], held: Fitted, shape: Shape) -> tuple[Fitted, float]:
@@ -351,7 +351,7 @@ def _shape(rows: Any, columns: Any) -> Shape | None:
 
 def _corners(corners: Any) -> Floats:
     try:
-        found = np.asarray(corners, np.float64)
+        found = np.array(corners, np.float64)
     except (TypeError, ValueError):
         found = np.empty(0)
     if found.shape != (4, 2) or not np.isfinite(found).all():

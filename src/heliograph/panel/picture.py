@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError
-from heliograph.base.frames import Frame
+from heliograph.base.frames import Frame, check_unmasked
 
 Levels = NDArray[np.float32]
 """Gray levels, (rows, columns), or (channels, rows, columns)."""
@@ -56,7 +56,7 @@ def picture_of(frame: object) -> Picture:
     Raises
     ------
     HeliographError
-        It is none of these, or has levels that are no numbers.
+        It is none of these, or has levels that are no numbers or are masked.
     """
     if isinstance(frame, Frame):
         return Picture(_finite(frame.pixels[None]), frame.origin)
@@ -70,6 +70,7 @@ def picture_of(frame: object) -> Picture:
             f"a frame's pixels are numbers of shape (rows, columns) or (rows, columns, 3), not {frame.dtype} of "
             f"{frame.shape}; give several frames as a list"
         )
+    check_unmasked(frame)
     if not frame.size:
         raise HeliographError(f"a frame has no pixels: its shape is {frame.shape}; leave it out")
     return Picture(_finite(frame[None] if frame.ndim == 2 else np.moveaxis(frame, 2, 0)))

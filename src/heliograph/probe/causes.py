@@ -23,7 +23,7 @@ Kind = Literal[
     "out of focus", "moving", "cut", "hidden", "out of step", "search", "elsewhere",
     "turned", "lamp", "no header", "unread", "moves",
     "slow camera", "lost frames", "repeated frames", "overexposed", "dark", "other bits", "short", "still",
-    "other settings", "sight", "angle", "motion", "exposure", "glare", "resolution", "focus", "cells", "rate",
+    "other settings", "screen", "sight", "angle", "motion", "exposure", "glare", "resolution", "focus", "cells", "rate",
 ]  # fmt: skip
 """What is the matter, in a word or two; "array" where nothing is. Those of the last line are told of screens."""
 

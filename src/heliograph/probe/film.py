@@ -24,7 +24,7 @@ from heliograph.probe.reach import Reach, reaches
 from heliograph.probe.reading import Asked
 from heliograph.probe.region_causes import SATURATED, region_causes
 from heliograph.probe.regions import Region, regions_of
-from heliograph.probe.screens import ScreenLook, films_causes
+from heliograph.probe.screens import ScreenLook, films_causes, screen_cause
 from heliograph.probe.trials import SURE_HEADER, is_blurred, other_packets, what_reads
 from heliograph.probe.turned import what_reads_turned
 from heliograph.receive import Packet, ReceiveSettings, make_receiver
@@ -116,6 +116,11 @@ class Findings:
     def read(self) -> bool:
         """Whether an array was read with what was asked for."""
         return bool(self.arrays)
+
+    @property
+    def screen(self) -> Cause | None:
+        """That the film shows a screen, but was to be read by a receiver for arrays; None if not."""
+        return next((one for one in self.causes if one.kind == "screen"), None)
 
     @property
     def rate(self) -> LightRate | None:
@@ -252,7 +257,8 @@ def _findings(watch: _Watch, film: Film, asked: Asked, broken: BaseException | N
     arrays = {one.identity: one for one in watch.arrays.arrays(last.full_scale)}
     stretch = watch.stretches.best()
     screen = ScreenLook.of(stretch, asked, levels) if asked.settings.receiver == "screen" else None
-    regions, count = regions_of(stretch, levels.ceiling) if stretch else ([], 0)
+    other = None if screen is not None or arrays or stretch is None else screen_cause(stretch.frames, times.rate_hz)
+    regions, count = regions_of(stretch, levels.ceiling) if stretch and other is None else ([], 0)
     if screen is not None:  # all that changes about it is the same screen
         regions, count = ([], 0) if arrays else screen.regions(regions)
     seen = list[RegionSeen]()
@@ -274,7 +280,9 @@ def _findings(watch: _Watch, film: Film, asked: Asked, broken: BaseException | N
     causes = film_causes(times, levels, asked, watch.error, rate)
     if screen is not None:
         causes = films_causes(causes)
-    if not seen and not arrays and stretch is not None:
+    if other is not None:
+        causes = (other,)
+    elif not seen and not arrays and stretch is not None:
         causes = (*(screen.nothing_seen() if screen is not None else (still(asked),)), *causes)
     return Findings(
         path=str(film.path), width=last.pixels.shape[1], height=last.pixels.shape[0], bits=last.bits, asked=asked,

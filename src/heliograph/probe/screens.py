@@ -8,6 +8,7 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
+from heliograph.link.settings import PRESETS
 from heliograph.probe.activity import Stretch
 from heliograph.probe.causes import Cause, Kind, RegionSeen
 from heliograph.probe.cells import cells_of_a_side
@@ -18,6 +19,7 @@ from heliograph.probe.reading import Asked
 from heliograph.probe.regions import Region
 from heliograph.receive.screen.clock_search import ANY_RATES
 from heliograph.receive.screen.outline import changing, quadrilaterals, reduced
+from heliograph.signal.settings import SignalSettings
 
 LOOKED_AT = 32
 """Frames whose changes show where the array is. Chosen: a second of a phone's."""
@@ -68,6 +70,12 @@ wide because it moves: of a hand that went 20 px to either side it was 0.82, of 
 
 BRIGHT, DARK = 0.8, 0.15
 """Median level over full scale of a picture that is nearly white; brightest level of one that is dark. Chosen."""
+
+PHONES_HZ = 20.0, 250.0
+"""Frames a second of phones' films."""
+
+SCREEN_CELL_PX = 3.0
+"""Least px a cell of a screen that is recognised without being asked for: LEDs of arrays lie 1 to 3 px apart."""
 
 FILM_KINDS: tuple[Kind, ...] = ("lost frames", "repeated frames", "still", "other bits", "short")
 """What is told of a screen's film as of any other; the rest is told by the array itself."""
@@ -221,6 +229,39 @@ class ScreenLook:
     def nothing_seen(self) -> tuple[Cause, ...]:
         """Why nothing is seen that changes as patterns do."""
         return tuple(_nothing_seen(self.levels))
+
+
+def screen_cause(frames: Sequence[Frame], rate_hz: float) -> Cause | None:
+    """Recognise a film of a screen that was to be read as one of an LED array.
+
+    Parameters
+    ----------
+    frames
+        The liveliest frames of the film.
+    rate_hz
+        Frames a second as they are stamped.
+
+    Returns
+    -------
+    The receiver and preset that read it; None if it shows no screen, or does not tell.
+    """
+    if not PHONES_HZ[0] <= rate_hz <= PHONES_HZ[1] or frames[0].bits != 8 or (area := area_of(frames)) is None:
+        return None
+    cells = cells_of_a_side(frames)
+    if cells is None or _side_px(area) < SCREEN_CELL_PX * cells:
+        return None
+    patterns_hz = patterns_per_s(frames)
+    if patterns_hz is None or rate_hz < FEWEST_FRAMES * patterns_hz:
+        return None
+    periods = {name: changes["signal"]["pattern_period_s"] for name, (_, changes) in PRESETS.items() if "phone" in name}
+    preset = min(periods, key=lambda name: abs(np.log(periods[name] * patterns_hz)))
+    side = "" if cells == SignalSettings().side else f" --set signal.side={cells}"
+    return Cause(
+        "screen",
+        f"the film shows a screen: {cells} x {cells} cells, {patterns_hz:.3g} patterns a second, {rate_hz:.3g} frames "
+        f"a second",
+        (f"read it by --preset {preset}{side}, which chooses --receiver screen",),
+    )
 
 
 def films_causes(causes: Sequence[Cause]) -> tuple[Cause, ...]:

@@ -28,6 +28,7 @@ __all__ = [
     "MissedStartEvent",
     "Observer",
     "TrackEvent",
+    "UnseenEvent",
     "ignore",
 ]
 
@@ -170,7 +171,30 @@ class DropEvent:
     load: SearchLoad
 
 
-Event = DetectEvent | TrackEvent | ExtractEvent | EqualiseEvent | DecodeEvent | LostEvent | MissedStartEvent | DropEvent
+@dataclass(frozen=True, slots=True)
+class UnseenEvent:
+    """The receiver "screen" has seen no screen since the film began. The event comes once.
+
+    Attributes
+    ----------
+    searched_s
+        Seconds of the film that were searched.
+    """
+
+    searched_s: float
+
+
+Event = (
+    DetectEvent
+    | TrackEvent
+    | ExtractEvent
+    | EqualiseEvent
+    | DecodeEvent
+    | LostEvent
+    | MissedStartEvent
+    | DropEvent
+    | UnseenEvent
+)
 """Every event."""
 
 Observer = Callable[[Event], None]

@@ -139,7 +139,8 @@ class Receiver(Protocol):
         Parameters
         ----------
         frame
-            A camera frame, or a window of one; frames come in the order of time.
+            A camera frame, or a window of one; frames come in the order of time. The caller may fill its array again
+            once the packets are taken, so a receiver copies the pixels that it keeps.
         """
 
     def finish(self) -> Iterator[Packet]:

@@ -82,7 +82,8 @@ class StreamReceiver:
     def _checked(self, frame: Frame) -> Iterator[Packet]:
         """Take a camera's frame, if it may follow the last one."""
         check_next(frame, self._last)
-        self._last = frame
+        # the caller may fill its array again, and frames are kept
+        self._last = frame = frame.copied()
         for timed in self._parts.clock.push(frame):
             self._await(self._take(timed))
         yield from self._known()

@@ -111,7 +111,8 @@ def receive_frames(
     Parameters
     ----------
     frames
-        Camera frames in the order of time.
+        Camera frames in the order of time. The receivers of this package copy the pixels, so one array may be filled
+        again for each frame, as OpenCV's ``read(image)`` does.
     signal, settings, observe
         The light's signal, the receiver's settings and an observer, as for `make_receiver`.
 

@@ -302,3 +302,24 @@ def test_names_of_cameras(film: Path) -> None:
         register_camera("aravis", Odd)
     assert isinstance(played_camera.find(CameraSettings()), list)
     assert CameraKind(Odd).find is None
+
+
+class RefilledCamera(PlayedCamera):
+    """Fills one array again for each of its pictures."""
+
+    def frames(self, wait_s: float) -> list[Picture] | None:  # noqa: ARG002 - the protocol's
+        if self._next >= FRAMES:
+            return None
+        if not self._next:
+            self._pixels = np.empty((8, 12), np.uint8)
+        self._pixels[:] = self._next
+        self._next += 1
+        return [Picture(self._pixels, self._next)]
+
+
+def test_a_camera_may_fill_its_array_again(film: Path) -> None:
+    register_camera("refilled", RefilledCamera)
+    with open_film(f"camera:refilled:{film}") as reader:
+        levels = [int(frame.pixels[0, 0]) for frame in reader]
+    assert levels == list(range(len(levels)))
+    assert levels

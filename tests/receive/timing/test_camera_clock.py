@@ -155,3 +155,21 @@ def test_frames_in_step_pass_as_they_are(fps: float) -> None:
     frames = stamped([k / fps for k in numbers], numbers)
     assert timed(frames, clock) == frames
     assert list(clock.flush()) == []
+
+
+@pytest.mark.parametrize("pause", [3.5, 10.5, 7000.4])
+@pytest.mark.parametrize("at", [3, 8, 20, 200])
+def test_a_camera_may_go_on_at_any_phase_after_a_pause(pause: float, at: int) -> None:
+    stamps = 1e-3 * (np.arange(300) + pause * (np.arange(300) >= at))
+    clock = CameraClock()
+    out = timed(stamped(list(stamps)), clock)
+    assert [f.time_s for f in out] == pytest.approx(list(stamps), abs=0.05e-3)
+    assert clock.period_s == pytest.approx(1e-3, rel=1e-4)
+    frames = stamped(list(stamps))
+    assert timed(frames, SteppedClock(1e-3)) == frames
+
+
+def test_pauses_between_all_of_the_first_frames_leave_a_period() -> None:
+    clock = CameraClock()
+    timed(stamped(list(np.cumsum([0.01 * 3.0**k for k in range(FIRST)]))), clock)
+    assert clock.period_s > 0

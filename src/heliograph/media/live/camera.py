@@ -24,7 +24,8 @@ class Picture:
     Attributes
     ----------
     pixels
-        (rows, columns) gray levels, which nobody else writes to; None of one that arrived in part.
+        (rows, columns) gray levels; None of one that arrived in part. They are copied before the next call of
+        `Camera.frames`: a camera may then fill the array again.
     number
         Its number by the camera, one more than that of the picture before; None where the camera gives none.
     stamp_ns

@@ -171,7 +171,8 @@ class Grabber:
                     place = self._numbering.place(picture.number, picture.stamp_ns, time.monotonic_ns())
                     if place is not None:
                         self._frames += 1
-                        self._queue.put(Frame(place.index, place.time_s, picture.pixels, self._form.bits))
+                        frame = Frame(place.index, place.time_s, picture.pixels, self._form.bits)
+                        self._queue.put(frame.copied())
                 self._listen(bool(pictures))
             except CameraLostError as error:
                 self._look_again(error)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from heliograph.receive.screen.budget import SearchBudget
 from heliograph.receive.screen.clock import Clock
 from heliograph.receive.screen.readout import Kept
 from heliograph.receive.screen.samples import Bins
@@ -57,13 +58,16 @@ class ClockSearch:
         Time from row to row; None to find it.
     fixed
         Whether the pattern period that is said is the only one.
+    budget
+        What the search for a screen may cost.
     """
 
-    def __init__(self, period_s: float, row_s: float | None, fixed: bool):
-        self._period_s, self._row_s = period_s, row_s
+    def __init__(self, period_s: float, row_s: float | None, fixed: bool, budget: SearchBudget):
+        self._period_s, self._row_s, self._budget = period_s, row_s, budget
         usual = [1 / rate for rate in (*RATES, *DISPLAY_RATES) if abs(rate * period_s - 1) > STEP / 2]
         self._periods = [[period_s]] if fixed else [[period_s], usual, [1 / rate for rate in ANY_RATES]]
         self._next_s = -np.inf
+        self._group = 0  # of rates with which the next search begins
 
     def again(self) -> None:
         """Look anew: the clock that was found was wrong."""
@@ -81,19 +85,25 @@ class ClockSearch:
         """
         now_s = kept.last.time_s
         length = now_s - kept.first.time_s
-        if len(kept) < ENOUGH_FRAMES or (now_s < self._next_s and not final):
+        if len(kept) < ENOUGH_FRAMES or ((now_s < self._next_s or not self._budget.lasts) and not final):
             return None
         self._next_s = now_s + max(SEARCH_PAUSE * length, 4 * kept.frame_s)
         # others explain a part of a slow light: its own rate has the first word
         waits = length < ENOUGH_PATTERNS * self._period_s and not final
         best: tuple[float, Clock, float] | None = None
-        for periods in self._periods[: 1 if waits else None]:
+        groups = [0] if waits else [*range(self._group, len(self._periods)), *range(self._group)]
+        for group in groups:
+            periods, self._group = self._periods[group], group
+            if group != groups[0] and not self._budget.lasts:
+                break
             fit = [p for p in periods if length >= ENOUGH_PATTERNS * p]
             found = self._among(fit, kept) if fit else None
             if found is not None and (best is None or found[0] < best[0]):
                 best = found
             if best is not None and best[0] < SURELY_EXPLAINED:
                 break
+        else:
+            self._group = 0
         if best is None:
             kept.drop_before(now_s - 2 * LONGEST_SEARCH_S)
             return None
@@ -105,7 +115,7 @@ class ClockSearch:
         longest = max(2 * ENOUGH_PATTERNS * min(periods), ENOUGH_PATTERNS * max(periods)) * 1.2
         samples = kept.gathered(kept.last.time_s - longest, kept.last.time_s)
         samples = samples.evened(samples.light.mean((1, 2)))
-        found = searched(samples, periods, kept.frame_s, kept.readout.length, self._row_s)
+        found = searched(samples, periods, kept.frame_s, kept.readout.length, self._row_s, self._budget)
         if not found or found[0][0] >= MOST_UNEXPLAINED:
             return None
         return *found[0], longest
@@ -117,7 +127,7 @@ class ClockSearch:
         for one in kept.readouts:
             kept.readout = one
             samples = kept.gathered(start_s, end_s)
-            bins = Bins(samples.evened(samples.light.mean((1, 2))))
+            bins = Bins(samples.evened(samples.light.mean((1, 2))), self._budget)
             begun = replace(clock, row_s=clock.row_s * first.length / one.length)
             least = best[0] if one is first else BETTER * best[0]
             now, refined_clock = refined(bins, begun, kept.frame_s, one.length, self._row_s)

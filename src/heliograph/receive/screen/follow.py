@@ -103,7 +103,7 @@ class Follower:
         seen = self._seen(frame, expected, steps)
         if seen is not None and float(seen.light.mean()) < DARK * self._bright:
             return None  # the backlight was off
-        if self._firm and (seen is None or self._doubt(seen) > 1):
+        if self._firm and (seen is None or self._doubt(seen) > 1) and self._look.budget.lasts:
             seen = self._slipped(frame, expected, steps, seen)
         if seen is None:
             self._motion = np.zeros(2)

@@ -26,6 +26,9 @@ LEAST_SIDE = 9
 CANDIDATES = 4
 """Most places that are examined. Chosen: what moves in a film makes few larger ones."""
 
+FRACTIONS = tuple(np.geomspace(0.01, 0.15, 24).tolist())
+"""Departures of a polygon from an outline that are tried, by the outline's length."""
+
 FOUR = 4
 """Corners of a quadrilateral."""
 
@@ -67,7 +70,7 @@ def changing(frames: Sequence[Pixels32]) -> Pixels32:
     """
     total = np.zeros_like(frames[0])
     for one, next_one in pairwise(frames):
-        total += np.abs(next_one - one)
+        total += cv2.absdiff(next_one, one)
     total *= 1000 / (len(frames) - 1)
     return np.maximum(total - np.float32(np.median(total)), 0)
 
@@ -100,6 +103,9 @@ def quadrilaterals(changes: Pixels32, factor: int) -> list[Floats]:
         # the rim of a screen that moves surrounds the array
         outlines, _ = cv2.findContours(lit, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         for one in outlines:
+            _, _, width, height = cv2.boundingRect(one)
+            if np.hypot(width, height) < LEAST_SIDE:
+                continue
             corners = _corners(cv2.convexHull(one))
             sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
             if sides.min() >= LEAST_SIDE and sides.max() < 2.5 * sides.min():
@@ -118,7 +124,7 @@ def quadrilaterals(changes: Pixels32, factor: int) -> list[Floats]:
 def _corners(hull: Any) -> Floats:
     """The four corners of a convex outline, by the coarsest polygon that has four."""
     length = cv2.arcLength(hull, True)
-    for fraction in np.geomspace(0.01, 0.15, 24):
+    for fraction in FRACTIONS:
         polygon = cv2.approxPolyDP(hull, fraction * length, True)[:, 0]
         if len(polygon) == FOUR:
             return np.asarray(polygon, np.float64)

@@ -9,6 +9,7 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.coming import ENOUGH_SEEN
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.image.orientation import Orientation
+from heliograph.receive.screen.budget import SearchBudget
 from heliograph.receive.screen.clock import Clock
 from heliograph.receive.screen.clock_search import ENOUGH_FRAMES, MOST_UNEXPLAINED, ClockSearch
 from heliograph.receive.screen.follow import Sample
@@ -16,7 +17,7 @@ from heliograph.receive.screen.headers import TIES, HeaderSeen, headers, named_f
 from heliograph.receive.screen.packet import ReadPacket, decoded, solved_evenly
 from heliograph.receive.screen.pairs import Solved, solved
 from heliograph.receive.screen.readout import Kept
-from heliograph.receive.screen.samples import Bins
+from heliograph.receive.screen.samples import Bins, Samples
 from heliograph.receive.screen.timing import refined
 from heliograph.receive.settings import ScreenSettings
 from heliograph.signal.formats import AGREED, SHORT_PAIRS, Format, format_of
@@ -81,6 +82,8 @@ class PacketReading:
         Rows and columns of a frame.
     screen
         Whether the time from row to row is known, and whether other pattern rates are tried.
+    budget
+        What the search for a screen may cost.
     """
 
     def __init__(
@@ -90,11 +93,12 @@ class PacketReading:
         frame_s: float,
         shape: tuple[int, ...],
         screen: ScreenSettings,
+        budget: SearchBudget,
     ):
         self._signal, self._options = signal, options
-        self._row_s = screen.row_time_s
+        self._row_s, self._budget = screen.row_time_s, budget
         self._kept = Kept(shape, frame_s)
-        self._search = ClockSearch(signal.pattern_period_s, screen.row_time_s, not screen.find_rate)
+        self._search = ClockSearch(signal.pattern_period_s, screen.row_time_s, not screen.find_rate, budget)
         self._clock: Clock | None = None
         self._searched_s = -np.inf
         self._next: float | None = None  # time at which the next packet begins
@@ -103,6 +107,11 @@ class PacketReading:
         self._form = AGREED
         self._lost = 0
         self._orientation: Orientation | None = None
+
+    @property
+    def is_named(self) -> bool:
+        """True if a header was seen."""
+        return self._begun is not None
 
     @property
     def clocked(self) -> bool:
@@ -179,8 +188,11 @@ class PacketReading:
         if now_s - first < 3 * step:
             return False
         self._searched_s = now_s
-        samples = self._kept.evened(first, now_s + step, clock)
-        left, clock = refined(Bins(samples), clock, self._kept.frame_s, self._kept.readout.length, self._row_s)
+        samples = self._samples(first, now_s + step, clock)
+        if samples is None:
+            return False
+        bins = Bins(samples, self._budget)
+        left, clock = refined(bins, clock, self._kept.frame_s, self._kept.readout.length, self._row_s)
         if left > MOST_UNEXPLAINED and len(samples.times_s) >= ENOUGH_FRAMES:
             # a header alone is explained by half its rate's period too
             self._clock = None
@@ -192,10 +204,10 @@ class PacketReading:
             for k, p in enumerate(pairs.pairs)
             if clock.begins(p) >= first - PARTLY * step and clock.begins(p + 1) <= now_s
         ]
-        if not whole:
-            return False
-        found = headers(pairs.change[whole[0] : whole[-1] + 1], self._signal.header_pairs)
+        found = headers(pairs.change[whole[0] : whole[-1] + 1], self._signal.header_pairs) if whole else []
         if not found:
+            # the next search begins there
+            self._kept.drop_before(now_s - 4 * step)
             return False
         best = min((one for one in found if one.score > found[0].score - 0.1), key=lambda one: (one.place, -one.score))
         self._next = clock.begins(pairs.pairs[whole[0]] + best.place)
@@ -203,6 +215,11 @@ class PacketReading:
         self._lost, self._begun = 0, best
         self._form = self._named(best, pairs.change[whole[0] :])
         return True
+
+    def _samples(self, start_s: float, end_s: float, clock: Clock) -> Samples | None:
+        """Samples between two times without the camera's gain; None if they are too few."""
+        enough = len(self._kept.between(start_s, end_s)) >= ENOUGH_FRAMES // 2
+        return self._kept.evened(start_s, end_s, clock) if enough else None
 
     def _named(self, header: HeaderSeen, change: Floats) -> Format:
         try:
@@ -212,8 +229,8 @@ class PacketReading:
 
     def _packet(self, clock: Clock, start_s: float, end_s: float) -> Iterator[ReadPacket]:
         around = 2 * clock.period_s
-        samples = self._kept.evened(start_s - around, end_s + around, clock)
-        if len(samples.times_s) < ENOUGH_FRAMES // 2:
+        samples = self._samples(start_s - around, end_s + around, clock)
+        if samples is None:
             self._next = None
             return
         _, clock = refined(Bins(samples), clock, self._kept.frame_s, self._kept.readout.length, self._row_s)

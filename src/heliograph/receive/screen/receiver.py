@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliograph.base.errors import SettingsError
-from heliograph.base.frames import Frame, check_next
+from heliograph.base.frames import Frame, check_next, check_order
 from heliograph.base.threads import in_one_thread
 from heliograph.receive.coming import ENOUGH_SEEN, HEADER_SEEN
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.events import DecodeEvent, Observer
+from heliograph.receive.events import DecodeEvent, Observer, UnseenEvent
 from heliograph.receive.packets import Packet, Status
+from heliograph.receive.screen.budget import SearchBudget
 from heliograph.receive.screen.follow import Follower, Sample
 from heliograph.receive.screen.packet import ReadPacket
 from heliograph.receive.screen.reader import PacketReading
@@ -23,6 +24,13 @@ from heliograph.signal.settings import SignalSettings
 
 LOST_S = 1.0
 """Seconds out of sight after which an array is looked for anew. Chosen."""
+
+PAUSE_PACKETS = 0.5
+"""Packets without a frame after which an array is looked for anew, if that is longer: half a packet is not read."""
+
+UNSEEN_S, UNSEEN_PATTERNS = 5.0, 15
+"""Seconds and patterns of a film without a light's clock from which on no screen is taken to be visible, if both are
+over. A clock is found from ten patterns."""
 
 PERIODS = 64
 """Frames of which the median period is taken. Chosen: a camera's rate hardly changes."""
@@ -87,12 +95,14 @@ class ScreenReceiver:
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Observer):
         self._signal, self._settings, self._observe = signal, settings, observe
         self._options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
-        self._search = ArraySearch(signal.side, settings.screen.gamma)
+        self._budget = SearchBudget()
+        self._search = ArraySearch(signal.side, settings.screen.gamma, self._budget)
         self._telling = Telling(signal, observe)
         self._last: Frame | None = None
         self._follower: Follower | None = None
         self._reading: PacketReading | None = None
         self._sample: Sample | None = None
+        self._unseen_since: float | None = None
         self._periods: deque[float] = deque(maxlen=PERIODS)
 
     def push(self, frame: Frame) -> Iterator[Packet]:
@@ -101,7 +111,7 @@ class ScreenReceiver:
         Raises
         ------
         HeliographError
-            It is no frame, or one of another camera than the last.
+            It is no frame, or one of another camera than the last; or it does not follow the last one in time.
         """
         return in_one_thread(self._checked(frame))
 
@@ -121,27 +131,46 @@ class ScreenReceiver:
     def _finish(self) -> Iterator[Packet]:
         if self._follower is None and (taken := self._search.find()) is not None:
             yield from self._take_up(taken)
+        if self._follower is None and self._last is not None:
+            self._note_unseen(self._last.time_s, 0.0)
         yield from self._give_up()
 
     def _checked(self, frame: Frame) -> Iterator[Packet]:
         check_next(frame, self._last)
-        last, self._last = self._last, frame
+        last = self._last
+        if last is None:
+            self._unseen_since = frame.time_s
         if last is not None:
             # a copy of the frame before shows nothing new
             if frame.pixels.shape == last.pixels.shape and np.array_equal(frame.pixels, last.pixels):
                 return
+            check_order(frame, last)
+            self._budget.earn(frame.time_s - last.time_s)
             self._periods.append((frame.time_s - last.time_s) / max(frame.index - last.index, 1))
+            if frame.time_s - last.time_s > max(LOST_S, PAUSE_PACKETS * self._signal.packet_s):
+                yield from self._give_up()
+        # the caller may fill its array again, and frames are kept
+        self._last = frame = frame.copied()
         if self._follower is not None:
             yield from self._follow(frame, self._follower)
         if self._follower is None and (taken := self._search.take(frame)) is not None:
             yield from self._take_up(taken)
+        self._note_unseen(frame.time_s, max(UNSEEN_S, UNSEEN_PATTERNS * self._signal.pattern_period_s))
+
+    def _note_unseen(self, time_s: float, least_s: float) -> None:
+        """Tell once that no screen was seen for so long since the film began."""
+        if self._reading is not None and self._reading.clocked:
+            self._unseen_since = None
+        if self._unseen_since is not None and time_s - self._unseen_since >= least_s:
+            self._observe(UnseenEvent(time_s - self._unseen_since))
+            self._unseen_since = None
 
     def _take_up(self, taken: Taken) -> Iterator[Packet]:
         """Follow an array that was found, and read what the frames kept show of it."""
         self._search.forget()
         self._follower = taken.follower
         frame_s, shape = float(np.median(self._periods)), taken.seen[-1][0].pixels.shape
-        self._reading = PacketReading(self._signal, self._options, frame_s, shape, self._settings.screen)
+        self._reading = PacketReading(self._signal, self._options, frame_s, shape, self._settings.screen, self._budget)
         for frame, sample in taken.seen:
             yield from self._read(frame, sample)
 
@@ -149,6 +178,10 @@ class ScreenReceiver:
         sample = follower.take(frame)
         yield from self._read(frame, sample)
         if sample is None and follower.lost_since is not None and frame.time_s - follower.lost_since > LOST_S:
+            yield from self._give_up()
+        elif self._reading is not None and self._reading.is_named:
+            self._budget.fill()
+        elif self._budget.is_overdrawn:
             yield from self._give_up()
 
     def _read(self, frame: Frame, sample: Sample | None) -> Iterator[Packet]:

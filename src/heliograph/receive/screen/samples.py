@@ -5,11 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
+from heliograph.receive.screen.budget import SearchBudget
 from heliograph.receive.screen.clock import Clock, pairs_between
 
 BINS = 8
 """Groups of cells by row of pixels that are taken at one time. Chosen: an eighth of a frame's readout is 4 ms at
 most."""
+
+CLOCK_SAMPLES, PRODUCT_SAMPLES = 5000, 0.008
+"""Work of judging a clock, and of a product in it, in `budget.SAMPLES_PER_S`."""
 
 PAIR_LOADING = 1e-3
 """Loading of the least squares, by the power of a frame: a pair that hardly any frame shows must not be made of
@@ -70,9 +74,12 @@ class Bins:
     ----------
     samples
         What is seen, the camera's gain taken out.
+    budget
+        What the search for a screen may cost; None counts for nobody.
     """
 
-    def __init__(self, samples: Samples):
+    def __init__(self, samples: Samples, budget: SearchBudget | None = None):
+        self._budget = budget or SearchBudget()
         n = samples.light.shape[-1]
         y = samples.rows.mean(0).ravel()
         order = np.argsort(y, kind="stable")
@@ -101,6 +108,9 @@ class Bins:
         # a frame more is needed than there are unknowns
         if len(pairs) + 1 >= frames - 1:
             return 1.0
+        self._budget.spend(
+            CLOCK_SAMPLES + PRODUCT_SAMPLES * len(self.rows) * frames * len(pairs) * (frames + len(pairs))
+        )
         m = clock.design(self.times_s + clock.row_s * self.rows, pairs)
         m = self._root * (m - (self._share * m).sum(1, keepdims=True))
         gram = m.transpose(0, 2, 1) @ m

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
+from heliograph.receive.screen.budget import SearchBudget
 from heliograph.receive.screen.follow import Follower, Sample
-from heliograph.receive.screen.grid import RIM_CELLS, Look, Place, inside
+from heliograph.receive.screen.grid import PIXEL_SAMPLES, RIM_CELLS, Look, Place, inside, light_of
 from heliograph.receive.screen.outline import Pixels32, changing, quadrilaterals, reduced, sharpened
 
 KEPT_FRAMES = 64
@@ -24,9 +25,6 @@ BELIEVED = 48
 """Frames from which a doubtful array is taken for one. Chosen: 1.6 s at 30 frames a second, three patterns of 2 a
 second."""
 
-VAIN_PAUSE = 0.5
-"""Part of the frames kept that comes before the next search where thorough ones were in vain. Chosen."""
-
 FIRST_SEARCH = 12
 """Frames before the first search: four patterns at three frames a pattern."""
 
@@ -39,9 +37,6 @@ BLURS_PX = (1.0, 0.6, 1.6, 2.4)
 
 WIDEST = 0.45
 """Largest blur that is tried in cells: a wider one lets cells explain anything."""
-
-VAIN = 4
-"""Thorough searches in vain after which they become rarer: each takes a second. Chosen."""
 
 TRIED = 8
 """Best places of one frame that are tried in several."""
@@ -110,13 +105,15 @@ class ArraySearch:
         Cells in a row, n.
     gamma
         Exponent of light by gray level that is undone.
+    budget
+        What the search may cost; None for one of its own.
     """
 
-    def __init__(self, side: int, gamma: float):
-        self._side, self._gamma = side, gamma
+    def __init__(self, side: int, gamma: float, budget: SearchBudget | None = None):
+        self._side, self._gamma, self._budget = side, gamma, budget or SearchBudget()
         self._light: NDArray[np.float32] | None = None
         self._factor = 1
-        self._vain = 0
+        self._window = 0  # with which the next search begins
         self.forget()
 
     def forget(self) -> None:
@@ -137,7 +134,7 @@ class ArraySearch:
         small, self._factor = reduced(self._linear(frame))
         self._small.append(small)
         self._since += 1
-        if self._since < max(SEARCH_EVERY, VAIN_PAUSE * len(self._frames) if self._vain else 0):
+        if self._since < SEARCH_EVERY:
             return None
         return self.find()
 
@@ -146,12 +143,18 @@ class ArraySearch:
         if len(self._frames) < FIRST_SEARCH:
             return None
         self._since = 0
-        for count in WINDOWS:
+        for window in (*range(self._window, len(WINDOWS)), *range(self._window)):
+            count, self._window = WINDOWS[window], window
             if count > 2 * len(self._small):
-                break
+                continue
+            if not self._budget.lasts:
+                return None
             places = quadrilaterals(changing(list(self._small)[-count:]), self._factor)
-            tried = sorted((self._placed(one, count) for one in places), key=lambda one: one.score)
-            if tried and DOUBTFUL < tried[0].score < np.inf and not self._hopeless():
+            # the strongest change comes first
+            changes = self._changes(count) if places else np.empty((0, 0), np.float32)
+            found = [self._placed(one, changes) for one in places if self._budget.lasts]
+            tried = sorted(found, key=lambda one: one.score)
+            if tried and DOUBTFUL < tried[0].score < np.inf and self._budget.lasts:
                 tried = [self._searched(tried[0]), *tried]
             # what is doubtful may be noise while a slow light has not changed yet
             most = np.inf if len(self._frames) >= BELIEVED else DOUBTFUL
@@ -159,35 +162,35 @@ class ArraySearch:
                 taken = self._whole(one) if one.score < most else None
                 if taken is not None:
                     return taken
+        self._window = 0
         return None
 
     def _linear(self, frame: Frame) -> Pixels32:
         if self._light is None:
             levels = np.arange(frame.full_scale + 1) / frame.full_scale
             self._light = (levels**self._gamma).astype(np.float32)
-        linear: Pixels32 = self._light[frame.pixels]
-        return linear
+        return light_of(frame.pixels, self._light)
 
-    def _placed(self, corners: Floats, count: int) -> Placed:
+    def _changes(self, count: int) -> Pixels32:
+        """How much each pixel changes in the latest frames, in some of them if they are many."""
+        latest = list(self._frames)[-count:]
+        linear = [self._linear(one) for one in latest[:: max(1, len(latest) // 16)]]
+        self._budget.spend(PIXEL_SAMPLES * len(linear) * linear[0].size)
+        return changing(linear)
+
+    def _placed(self, corners: Floats, changes: Pixels32) -> Placed:
         """Where what may be an array fits best, and how well."""
         frames = list(self._frames)
         middle = max(len(frames) - TRIAL_FRAMES, 0)
-        latest = frames[-count:]
-        linear = [self._linear(one) for one in latest[:: max(1, len(latest) // 16)]]
-        sharp = sharpened(changing(linear), corners, self._factor)
+        sharp = sharpened(changes, corners, self._factor)
         assert self._light is not None
-        looks = [Look(self._side, blur, self._light) for blur in BLURS_PX]
+        looks = [Look(self._side, blur, self._light, self._budget) for blur in BLURS_PX]
         some = frames[middle : middle + TRIAL_FRAMES]
         starts = [Place.of(one, self._side) for one in (sharp, corners)]
         best = min((self._trial(looks[0], one, some) for one in starts), key=lambda one: one[0])
         cell = best[1].cell_px(self._side)
         tried = [Placed(*self._trial(one, best[1], some), one) for one in looks if one.blur_px < WIDEST * cell]
         return min(tried, key=lambda one: one.score, default=Placed(*best, looks[0]))
-
-    def _hopeless(self) -> bool:
-        """Whether too much was tried in vain of late."""
-        self._vain += 1
-        return self._vain > VAIN and self._vain & (self._vain - 1) != 0
 
     def _searched(self, placed: Placed) -> Placed:
         """The best of many places about one: a hand that sways makes an array seem larger."""
@@ -198,7 +201,7 @@ class ArraySearch:
         for x, y in product(np.arange(1.0, wide, -SCALES / n), np.arange(1.0, high, -SCALES / n)):
             for right, down in product((0.0, 0.5), (0.0, 0.5)):
                 one = place.scaled(x, y, n).shifted(right, down)
-                if inside(one, n, frames[0].pixels.shape):
+                if inside(one, n, frames[0].pixels.shape) and self._budget.lasts:
                     seen = look(frames[0].pixels, one, SETTLING)
                     found.append((seen.misfit, seen.place))
         found.sort(key=lambda one: one[0])

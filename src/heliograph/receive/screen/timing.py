@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from heliograph.base.arrays import Floats
+from heliograph.receive.screen.budget import SearchBudget
 from heliograph.receive.screen.clock import Clock
 from heliograph.receive.screen.samples import Bins, Samples
 
@@ -45,7 +46,12 @@ MOST_PATTERNS_A_FRAME = 1.7
 
 
 def searched(
-    samples: Samples, periods: Iterable[float], frame_s: float, height: int, row_s: float | None
+    samples: Samples,
+    periods: Iterable[float],
+    frame_s: float,
+    height: int,
+    row_s: float | None,
+    budget: SearchBudget | None = None,
 ) -> list[tuple[float, Clock]]:
     """Find clocks that explain what is seen, the best first.
 
@@ -61,12 +67,14 @@ def searched(
         Rows of a frame.
     row_s
         Time from row to row where it is known; None to find it.
+    budget
+        What the search for a screen may cost; None counts for nobody.
 
     Returns
     -------
     Some clocks with what they leave unexplained, refined; none where a film could show none of the periods.
     """
-    bins = Bins(samples)
+    bins = Bins(samples, budget)
     readouts = [r for r in READOUTS_S if r <= LONGEST_READOUT * frame_s * 1.01] or [0.0]
     rows = [r / height for r in readouts] if row_s is None else [row_s]
     length = float(samples.times_s[-1] - samples.times_s[0])

@@ -6,8 +6,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import TINY
 from heliograph.base.errors import HeliographError
-from heliograph.base.frames import Frame
+from heliograph.base.frames import Frame, check_order
 
 SAMPLED_ROWS = 16
 """Every so many rows of two frames are compared before all of them: nearly all frames differ there already."""
@@ -29,6 +30,13 @@ The filter remembers some hundred frames.
 
 MISSING = 0.75
 """Frame periods by which a stamp must be late for a frame to be missing before it: 15 times the jitter expected."""
+
+PAUSE_PERIODS, PAUSE_OFF = 16, 0.25
+"""Frame periods from which on a gap is a pause of the camera, and the part of a period by which a shorter pause differs
+from a whole number of periods: five times the jitter expected."""
+
+ANY_PHASE = 1 / 12
+"""Variance in squared frame periods of the phase at which a camera goes on after a pause: it is uniform."""
 
 STEP_TOLERANCE = 0.02
 """Largest departure of the camera's rate from the light's, as a fraction, for frames to count as in step."""
@@ -97,7 +105,7 @@ class SteppedClock:
         if self._last is not None:
             if _copied(self._last, frame):
                 return
-            _check_order(self._last, frame, by_index=True)
+            check_order(frame, self._last, by_index=True)
             self._gaps.append((frame.time_s - self._last.time_s, frame.index - self._last.index))
             if len(self._gaps) == FIRST_FRAMES:
                 self._check_rate()
@@ -125,7 +133,8 @@ class SteppedClock:
         gaps, numbers = np.array(taken).T
         # a number that was rounded up after one that was rounded down skips one: times alone count steps
         steps = np.maximum(np.round(gaps / frame_period(gaps / numbers)), 1)
-        period_s = float(gaps.sum() / steps.sum())
+        # after a pause a camera goes on at any phase
+        period_s = float(gaps[steps == 1].mean())
         if abs(period_s - self.period_s) > STEP_TOLERANCE * self.period_s:
             # the soft receiver, too, needs a frame a pattern
             other = "use --receiver soft, " if period_s < self.period_s else ""
@@ -166,12 +175,11 @@ class CameraClock:
         HeliographError
             The frame comes before the last one.
         """
-        last = self._last
-        if last is not None and not (copied := _copied(last, frame)):
-            _check_order(last, frame, by_index=False)
+        if self._last is not None:
+            if _copied(self._last, frame):
+                return
+            check_order(frame, self._last)
         self._last = frame
-        if last is not None and copied:
-            return
         if self.period_s:
             yield self._timed(frame)
             return
@@ -187,11 +195,18 @@ class CameraClock:
         times = np.array([f.time_s for f in held])
         gaps = np.diff(times)
         # frames may be missing though their numbers run on
-        number = np.append(0.0, np.cumsum(np.maximum(np.round(gaps / frame_period(gaps)), 1)))
-        centred = number - number.mean()
-        # least squares of time = time_0 + number * period
-        self.period_s = float(centred @ times / (centred @ centred))
-        self._time_s = float(times.mean() + (number[0] - number.mean() - 1) * self.period_s)
+        periods = gaps / frame_period(gaps)
+        steps = np.maximum(np.round(periods), 1)
+        number = np.append(0.0, np.cumsum(steps))
+        pause = (steps > PAUSE_PERIODS) | ((steps > 1) & (np.abs(periods - steps) > PAUSE_OFF))
+        run = np.append(0, np.cumsum(pause))
+        # least squares of time = time_0 + number * period, with a time_0 for each run between two pauses
+        count = np.bincount(run)
+        number_0, time_0 = (np.bincount(run, of) / count for of in (number, times))
+        centred = number - number_0[run]
+        slope = float(centred @ times / max(float(centred @ centred), TINY))
+        self.period_s = slope if slope > 0 else frame_period(gaps)
+        self._time_s = float(time_0[0] + (number[0] - number_0[0] - 1) * self.period_s)
         self._covariance = JITTER**2, 0.0, 12 / len(held) ** 2 * JITTER**2
         for frame in held:
             yield self._timed(frame)
@@ -204,6 +219,8 @@ class CameraClock:
         p00, p01, p11 = self._covariance
         p00, p01 = p00 + 2 * steps * p01 + steps**2 * p11, p01 + steps * p11
         p11 += WANDER**2 * max(steps, 0)
+        if steps > PAUSE_PERIODS or (steps > 1 and abs(late + 1 - steps) > PAUSE_OFF):
+            p00 += ANY_PHASE
         # K = P H^T / (H P H^T + R), P = (1 - K H) P
         k0, k1 = p00 / (p00 + JITTER**2), p01 / (p00 + JITTER**2)
         error = (late + 1 - steps) * self.period_s
@@ -228,15 +245,6 @@ def frame_period(gaps: NDArray[np.float64]) -> float:
     median = float(np.median(gaps))
     short = gaps[gaps < SHORT * median]
     return float(np.median(short)) if len(short) >= len(gaps) / 4 else median
-
-
-def _check_order(last: Frame, frame: Frame, by_index: bool) -> None:
-    """Raise a HeliographError where a frame does not follow another."""
-    if frame.time_s <= last.time_s or (by_index and frame.index <= last.index):
-        raise HeliographError(
-            f"frames must follow in time: frame {frame.index} at {frame.time_s:.6f} s came after "
-            f"frame {last.index} at {last.time_s:.6f} s"
-        )
 
 
 def _copied(last: Frame, frame: Frame) -> bool:
