@@ -142,7 +142,8 @@ def opened(asked: Asked, shared: Shared) -> Iterator[Source]:
 def _film(asked: Asked, shared: Shared, path: Path, name: str) -> Iterator[Source]:
     base = _base(asked, shared)
     settings, changes = _settings(asked, base)
-    with open_film(path, rate_hz=asked.rate_hz, camera=shared.camera if is_camera(path) else ()) as film:
+    camera = shared.camera if is_camera(path) else ()
+    with open_film(path, rate_hz=asked.rate_hz, expand_range=True, camera=camera) as film:
         signal, _ = signal_of(film, base.signal, changes)
         known = None
         beside = truth_path(path)
