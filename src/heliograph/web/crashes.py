@@ -1,5 +1,6 @@
 """Unexpected exceptions: logged with their traceback, told to the page as one line, and the page's socket closed."""
 
+import asyncio
 import contextlib
 import logging
 import re
@@ -13,7 +14,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from heliograph.base.errors import HeliographError, brief
 from heliograph.media.live.camera import CameraCrashError
-from heliograph.web.shared import BusyError
+from heliograph.web.memory import release_memory
+from heliograph.web.shared import BusyError, Places
 from heliograph.web.told import GoneError
 
 T = TypeVar("T")
@@ -96,6 +98,28 @@ async def in_thread(work: Callable[[], T]) -> T:
             raise CrashError from error
 
     return await run_in_threadpool(guarded)
+
+
+@contextlib.asynccontextmanager
+async def taking_place(places: Places) -> AsyncIterator[None]:
+    """Take a place for the block; return its memory to the system at the end.
+
+    Parameters
+    ----------
+    places
+        Places of those who receive.
+
+    Raises
+    ------
+    BusyError
+        All places are taken.
+    """
+    with places.take():
+        try:
+            yield
+        finally:
+            # a task of its own, which goes on where this one is cancelled
+            await asyncio.shield(asyncio.ensure_future(in_thread(release_memory)))
 
 
 @contextlib.asynccontextmanager

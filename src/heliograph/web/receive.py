@@ -12,7 +12,7 @@ from starlette.websockets import WebSocketDisconnect
 from heliograph.base.errors import HeliographError
 from heliograph.probe.cells import SIDES
 from heliograph.web.camera_frames import CameraFrames, MessageError
-from heliograph.web.crashes import closing, in_thread
+from heliograph.web.crashes import closing, in_thread, taking_place
 from heliograph.web.looking import Asked
 from heliograph.web.reading import read_camera, read_upload
 from heliograph.web.saver import Saver
@@ -71,7 +71,7 @@ async def receive(socket: WebSocket, shared: Here) -> None:
     await socket.accept(PROTOCOL)
     async with closing(socket, lambda line: {"event": "error", "error": line}):
         wish = await _wish(socket)
-        with shared.sessions.take():
+        async with taking_place(shared.sessions):
             if wish.kind == "film":
                 await _film(socket, shared, wish)
             else:

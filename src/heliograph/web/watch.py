@@ -10,7 +10,7 @@ from heliograph.media.live.listing import cameras_there
 from heliograph.media.live.reader import is_camera
 from heliograph.media.live.settings import camera_settings
 from heliograph.receive.registry import RECEIVERS
-from heliograph.web.crashes import closing, in_thread
+from heliograph.web.crashes import closing, in_thread, taking_place
 from heliograph.web.security import PROTOCOL
 from heliograph.web.shared import Shared, shared_of
 from heliograph.web.watching.session import Session
@@ -60,5 +60,5 @@ async def watch(socket: WebSocket) -> None:
     shared = shared_of(socket)
     await socket.accept(PROTOCOL if PROTOCOL in socket.scope.get("subprotocols", ()) else None)
     async with closing(socket, lambda line: {"event": "failed", "reason": line}):
-        with shared.sessions.take():
+        async with taking_place(shared.sessions):
             await Session(socket, shared).attend()

@@ -200,6 +200,7 @@ class Session:
             for task in tasks:  # one of the two finds out first that the page has gone
                 if not task.cancelled():
                     task.exception()
+            await self._end()  # the reception holds its frames, and its place, until it has ended
         for code, reason in filter(None, let_go):
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._socket.close(code, reason), LAST_WORDS_S)
