@@ -59,6 +59,5 @@ async def watch(socket: WebSocket) -> None:
     """
     shared = shared_of(socket)
     await socket.accept(PROTOCOL if PROTOCOL in socket.scope.get("subprotocols", ()) else None)
-    async with closing(socket, lambda line: {"event": "failed", "reason": line}):
-        async with taking_place(shared.sessions):
-            await Session(socket, shared).attend()
+    async with closing(socket, lambda line: {"event": "failed", "reason": line}), taking_place(shared.sessions):
+        await Session(socket, shared).attend()
