@@ -31,6 +31,8 @@ class PileUp:
     ----------
     width
         Levels, over the ceiling, by which noise and a codec smear one level.
+    range_part
+        Most such levels over the range from the region's darkest level to its top: fewer than from level to level.
     part
         Least part of the region's pixels: of random data 1/16 of the LEDs have the highest of five levels.
     ratio
@@ -40,6 +42,7 @@ class PileUp:
     """
 
     width: float = 0.06
+    range_part: float = 0.15
     part: float = 0.3
     ratio: float = 3.0
     level: float = 0.5
@@ -62,7 +65,8 @@ def overexposed_part(counts: NDArray[np.int64], ceiling: int, rule: PileUp = Pil
     total = max(int(counts.sum()), 1)
     clipped = float(counts[ceiling:].sum()) / total
     places = np.cumsum(counts)
-    top, width = int(np.searchsorted(places, 0.995 * total)), max(round(rule.width * ceiling), 1)
+    bottom, top = (int(np.searchsorted(places, part * total)) for part in (0.005, 0.995))
+    width = max(round(min(rule.width * ceiling, rule.range_part * (top - bottom))), 1)
     begin = max(top - width, 0)
     piled, below = int(counts[begin + 1 :].sum()), int(counts[max(begin + 1 - width, 0) : begin + 1].sum())
     is_piled = top >= rule.level * ceiling and piled >= rule.part * total and piled >= rule.ratio * below

@@ -19,7 +19,7 @@ STILL_BLINKS = 0.45
 """Least ratio of what alternates to what changes of a region that blinks; of an edge that passes it is about 0.2."""
 
 SATURATED = 0.3
-"""Part of a region's pixels that are overexposed from which on levels are lost. LEDs that are resolved take a fifth of it."""
+"""Overexposed part of a region's pixels above which levels are lost. LEDs that are resolved take a fifth of it."""
 
 FAST_PX = 0.5
 """Motion in px a frame from which on detection fails at times: headers of four frames are smeared by 0.7 px."""
@@ -144,9 +144,9 @@ def _is_saturated(seen: RegionSeen, asked: Asked) -> bool:
 
 
 def _saturated(seen: RegionSeen) -> Cause:
-    part = f"{100 * seen.region.saturated:.0f} % of its pixels"
+    part = f"{100 * seen.region.saturated:.0f} % of its pixels are at full scale or at one highest level"
     return Cause(
-        "saturated", f"it is overexposed: {part} are at full scale or at one highest level, so that its levels are lost",
+        "saturated", f"it is overexposed: {part}, so that its levels are lost",
         ("expose shorter, lower the gain, or close the lens, until LEDs stay below full scale",),
     )  # fmt: skip
 

@@ -45,7 +45,7 @@ MILKY = 0.5
 """Mean gray level of a weak array over full scale from which on something shines on it; below it is dark. Chosen."""
 
 BURNT = 0.25
-"""Part of the array that is overexposed from which on levels are lost: with the two upper ones of five (PWM, eq. (1)) it
+"""Overexposed part of the array above which levels are lost: with the two upper ones of five (PWM, eq. (1)) it
 is 5 of 16 cells of random data. All was read at 0.34 in good light, an eighth at 0.8."""
 
 FEWEST_FRAMES = 1.7
@@ -298,7 +298,8 @@ def _place(shown: _Shown) -> Iterator[Cause]:
 def _light(shown: _Shown) -> Iterator[Cause]:
     level = float(np.mean(shown.seen.region.brightness)) / shown.full_scale
     if shown.is_burnt:
-        yield Cause("exposure", f"{100 * shown.seen.region.saturated:.0f} % of the patterns are white blots, whose levels are lost", (
+        part = 100 * shown.seen.region.saturated
+        yield Cause("exposure", f"{part:.0f} % of the patterns are white blots, whose levels are lost", (
             "lower the brightness of the screen, or the exposure by touching the patterns in the phone's picture",
         ))  # fmt: skip
     elif shown.light < WEAK and level > MILKY:
