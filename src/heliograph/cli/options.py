@@ -123,13 +123,14 @@ class FilmOptions:
         return self.crop is not None or self.binning != 1 or self.rotate != 0
 
     def keywords(self) -> dict[str, Any]:
-        """Return them as `open_film` takes them; a MediaError where the crop is no four whole numbers."""
+        """Return them as `open_film` takes them, black at 0; a MediaError if the crop is not four whole numbers."""
         try:
             crop = tuple(map(int, self.crop.split(","))) if self.crop is not None else None
         except ValueError:
             raise MediaError(f"--crop takes X,Y,WIDTH,HEIGHT in whole pixels, not {shown(self.crop)}") from None
         return {
-            "rate_hz": self.fps, "crop": crop, "binning": self.binning, "rotate": self.rotate, "channel": self.channel
+            "rate_hz": self.fps, "crop": crop, "binning": self.binning, "rotate": self.rotate,
+            "channel": self.channel, "expand_range": True,
         }  # fmt: skip
 
 

@@ -27,7 +27,7 @@ def read_ahead(frames: Iterator[Frame]) -> Iterator[Frame]:
     Frame
         Each frame, and after the last one the error that ended them, if there was one.
     """
-    waiting: queue.Queue[Frame | Exception | None] = queue.Queue(FRAMES_AHEAD)
+    waiting: queue.Queue[Frame | BaseException | None] = queue.Queue(FRAMES_AHEAD)
     wanted = threading.Event()
     wanted.set()
     thread = threading.Thread(target=_read, args=(frames, waiting, wanted), name="film-reader", daemon=True)
@@ -49,17 +49,19 @@ def read_ahead(frames: Iterator[Frame]) -> Iterator[Frame]:
         thread.join()
 
 
-def _read(frames: Iterator[Frame], waiting: "queue.Queue[Frame | Exception | None]", wanted: threading.Event) -> None:
+def _read(
+    frames: Iterator[Frame], waiting: "queue.Queue[Frame | BaseException | None]", wanted: threading.Event
+) -> None:  # fmt: skip
     """Put frames in the queue while they are wanted, and last of all the error that ended them, or None."""
-    end: Exception | None = None
+    end: BaseException | None = None
     try:
         for frame in frames:
             waiting.put(frame)
             if not wanted.is_set():
                 break
-    except Exception as error:  # raised in the thread that asks for the frames
+        close = getattr(frames, "close", None)
+        if close is not None:
+            close()
+    except BaseException as error:  # raised in the thread that asks for the frames, which waits for an end
         end = error
-    close = getattr(frames, "close", None)
-    if close is not None:
-        close()
     waiting.put(end)

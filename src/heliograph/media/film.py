@@ -109,8 +109,9 @@ def open_film(
         The file, the folder of pictures, or their names with %d or %04d for a number. A file's content tells its kind;
         the suffix counts for Photron alone.
     expand_range
-        Stretch limited-range video (black at 16, white at 235, usual for dashcams) to the full scale. Films written
-        here are full range and stay as they are.
+        Stretch limited-range video (black at 16, white at 235, usual for dashcams) to the full scale, as the commands
+        and the pages do. YUV video without a tag counts as limited, as in FFmpeg and players; MJPEG, RGB, gray and raw
+        recordings count as full range. Films written here are full range and stay as they are.
     rate_hz
         Frames per second that the camera took, above 0, if the file claims another rate, as films in slow motion do, or
         has no clock. Frame k is then taken at ``k / rate_hz``; gaps between even stamps count as missing frames. None

@@ -53,7 +53,7 @@ class ThreadedSink:
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self._queue: queue.Queue[Frame | None] = queue.Queue(QUEUED_FRAMES)
-        self._error: Exception | None = None
+        self._error: BaseException | None = None
         self._stopping = False
         self._thread = threading.Thread(target=self._work, name="film-encoder", daemon=True)
         self._thread.start()
@@ -85,7 +85,7 @@ class ThreadedSink:
     def _store(self, frame: Frame) -> None:
         try:
             self._sink.put(frame)
-        except Exception as error:  # kept for the caller's thread
+        except BaseException as error:  # kept for the caller's thread
             self._error = error
 
     def _raise_error(self) -> None:

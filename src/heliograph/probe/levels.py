@@ -24,6 +24,56 @@ MOST_CEILING = 0.9
 
 
 @dataclass(frozen=True, slots=True)
+class PileUp:
+    """When pixels at the top of a region's gray levels count as overexposed.
+
+    Attributes
+    ----------
+    width
+        Levels, over the ceiling, by which noise and a codec smear one level.
+    range_part
+        Most such levels over the range from the region's darkest level to its top: fewer than from level to level.
+    part
+        Least part of the region's pixels: of random data 1/16 of the LEDs have the highest of five levels.
+    ratio
+        Least ratio of the pixels at the top to those as many levels just below.
+    level
+        Least top level over the ceiling.
+    """
+
+    width: float = 0.06
+    range_part: float = 0.15
+    part: float = 0.3
+    ratio: float = 3.0
+    level: float = 0.5
+
+
+def overexposed_part(counts: NDArray[np.int64], ceiling: int, rule: PileUp = PileUp()) -> float:
+    """Return the part of a region's pixels that are overexposed, whether their level is at full scale or below.
+
+    Clipping, a tone curve or limited range ends the levels of a region at a level of its own, where pixels pile up.
+
+    Parameters
+    ----------
+    counts
+        (levels,) pixels of the region by gray level.
+    ceiling
+        Level at which the sensor is cut off.
+    rule
+        When pixels at the top count.
+    """
+    total = max(int(counts.sum()), 1)
+    clipped = float(counts[ceiling:].sum()) / total
+    places = np.cumsum(counts)
+    bottom, top = (int(np.searchsorted(places, part * total)) for part in (0.005, 0.995))
+    width = max(round(min(rule.width * ceiling, rule.range_part * (top - bottom))), 1)
+    begin = max(top - width, 0)
+    piled, below = int(counts[begin + 1 :].sum()), int(counts[max(begin + 1 - width, 0) : begin + 1].sum())
+    is_piled = top >= rule.level * ceiling and piled >= rule.part * total and piled >= rule.ratio * below
+    return max(clipped, piled / total) if is_piled else clipped
+
+
+@dataclass(frozen=True, slots=True)
 class Levels:
     """Gray levels of a film.
 

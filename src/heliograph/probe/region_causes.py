@@ -19,7 +19,7 @@ STILL_BLINKS = 0.45
 """Least ratio of what alternates to what changes of a region that blinks; of an edge that passes it is about 0.2."""
 
 SATURATED = 0.3
-"""Part of a region's pixels at full scale from which on levels are lost. LEDs that are resolved take a fifth of it."""
+"""Overexposed part of a region's pixels above which levels are lost. LEDs that are resolved take a fifth of it."""
 
 FAST_PX = 0.5
 """Motion in px a frame from which on detection fails at times: headers of four frames are smeared by 0.7 px."""
@@ -54,6 +54,8 @@ def region_causes(seen: RegionSeen, asked: Asked, full_scale: int) -> tuple[Caus
         return (Cause("moves", "it moves or changes slowly, and does not blink", (NO_CHANGE,)),)
     # size and contrast are no fault of what does not look like an array
     causes = tuple(_measured(seen, asked, full_scale)) if seen.like_array else ()
+    if not causes and _is_saturated(seen, asked):  # nor does it show a header then
+        causes = (_saturated(seen),)
     return causes or (_header(seen, asked),)
 
 
@@ -104,6 +106,8 @@ def _measured(seen: RegionSeen, asked: Asked, full_scale: int) -> Sequence[Cause
     """Causes by what a region shows, the gravest first."""
     region, header, detect = seen.region, seen.header_like, asked.settings.detect
     smallest, out = asked.settings.smallest_side_px, list[Cause]()
+    if _is_saturated(seen, asked):
+        out.append(_saturated(seen))
     if seen.rate is not None and abs(seen.rate.frames / asked.frames_a_pattern - 1) > STEP_TOLERANCE:
         out.append(_other_rate(seen.rate, asked))
     elif asked.frames_a_pattern < 1 - STEP_TOLERANCE:
@@ -119,11 +123,6 @@ def _measured(seen: RegionSeen, asked: Asked, full_scale: int) -> Sequence[Cause
     gain = header.fit.gain / full_scale if header else region.contrast
     if gain < detect.min_contrast:
         out.append(_too_dim(seen, asked, full_scale, None))
-    if region.saturated > SATURATED:
-        out.append(Cause(
-            "saturated", f"{100 * region.saturated:.0f} % of its pixels are at full scale, so that its levels are lost",
-            ("expose shorter, lower the gain, or close the lens, until LEDs stay below full scale",),
-        ))  # fmt: skip
     if region.at_border:
         out.append(Cause(
             "cut", "it reaches the frame's border, and a part of it is not in the picture",
@@ -137,6 +136,19 @@ def _measured(seen: RegionSeen, asked: Asked, full_scale: int) -> Sequence[Cause
     if header and not _hidden(seen) and is_blurred(header.fit.pose):
         out.append(_out_of_focus(seen, None))
     return out
+
+
+def _is_saturated(seen: RegionSeen, asked: Asked) -> bool:
+    # on-off light has half of its LEDs at the highest level
+    return seen.region.saturated > (SATURATED if asked.signal.modulation == "haar" else 2 * SATURATED)
+
+
+def _saturated(seen: RegionSeen) -> Cause:
+    part = f"{100 * seen.region.saturated:.0f} % of its pixels are at full scale or at one highest level"
+    return Cause(
+        "saturated", f"it is overexposed: {part}, so that its levels are lost",
+        ("expose shorter, lower the gain, or close the lens, until LEDs stay below full scale",),
+    )  # fmt: skip
 
 
 def _hidden(seen: RegionSeen) -> bool:

@@ -10,6 +10,7 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.probe.activity import ALTERNATION_NOISE, ROUNDED, Stretch, blinking
 from heliograph.probe.blocks import Group, groups_of
+from heliograph.probe.levels import overexposed_part
 from heliograph.receive.acquire.coarse import ALTERNATION, BLOCK_PX
 from heliograph.receive.image.window import Window, covered, cut_out
 
@@ -70,7 +71,7 @@ class Region:
     evenness
         How much all of it goes up and down as one: 1 for a lamp, about 0 for a pattern and its inverse.
     saturated
-        Fraction of its pixels that reach the level at which the sensor is cut off.
+        Fraction of its pixels that are overexposed, see `overexposed_part`.
     at_border
         Whether it touches the frame's border.
     spots
@@ -261,12 +262,12 @@ def _placed(region: Region, frames: Sequence[Frame], ceiling: int) -> Region:
     """What the place and size of a region tell."""
     count, (left, top), (rows, cols) = len(frames), frames[0].origin, frames[0].pixels.shape
     step = max(1, int(np.ceil(region.side / MOST_SIDE_PX)))
-    brightness, saturated = np.zeros(count), 0.0
+    brightness, levels = np.zeros(count), np.zeros(frames[0].full_scale + 1, np.int64)
     counted = set(_spread(count, int(region.width * region.height / step**2)))
     for k, frame in enumerate(frames):
         box = thinned(frame, region.box_at(k, count), step) if k in counted else None
         brightness[k] = np.nan if box is None else box.mean()
-        saturated += 0.0 if box is None else float((box >= ceiling).mean()) / len(counted)
+        levels += 0 if box is None else np.bincount(box.astype(np.intp).ravel(), minlength=levels.size)
     known = np.flatnonzero(np.isfinite(brightness))
     brightness = np.interp(np.arange(count), known, brightness[known])
     ends = [region.centre_at(k, count) for k in (0, count - 1)]
@@ -282,6 +283,7 @@ def _placed(region: Region, frames: Sequence[Frame], ceiling: int) -> Region:
         int(min(max(end[k] for end in ends) + half[k] + margin, ((left + cols), (top + rows))[k])) for k in (0, 1)
     )
     window = x0, y0, max(x1 - x0, 1), max(y1 - y0, 1)
+    saturated = overexposed_part(levels, ceiling)
     return replace(region, brightness=brightness, saturated=saturated, at_border=bool(at_border), window=window)
 
 

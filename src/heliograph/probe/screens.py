@@ -47,7 +47,7 @@ MILKY = 0.5
 """Mean gray level of a weak array over full scale from which on something shines on it; below it is dark. Chosen."""
 
 BURNT = 0.25
-"""Part of the array at full scale from which on levels are lost: with the two upper ones of five (PWM, eq. (1)) it
+"""Overexposed part of the array above which levels are lost: with the two upper ones of five (PWM, eq. (1)) it
 is 5 of 16 cells of random data. All was read at 0.34 in good light, an eighth at 0.8."""
 
 FEWEST_FRAMES = 1.7
@@ -130,6 +130,11 @@ class _Shown:
         header = self.seen.header
         gain = header.fit.gain / self.full_scale if header is not None and self.believed else 0.0
         return max(gain, self.seen.region.contrast)
+
+    @property
+    def is_burnt(self) -> bool:
+        """True if it is overexposed."""
+        return self.seen.region.saturated > BURNT
 
     @property
     def moves(self) -> bool:
@@ -308,8 +313,12 @@ def _nothing_seen(levels: Levels) -> Iterator[Cause]:
 
 
 def _causes(shown: _Shown) -> Iterator[Cause]:
+    light = tuple(_light(shown))
+    if shown.is_burnt:  # white blots have neither the outline nor the header of the array
+        yield from light
+        return
     yield from _place(shown)
-    yield from _light(shown)
+    yield from light
     yield from _sharpness(shown)
     yield from _number(shown)
     yield from _pace(shown)
@@ -328,9 +337,10 @@ def _place(shown: _Shown) -> Iterator[Cause]:
 
 
 def _light(shown: _Shown) -> Iterator[Cause]:
-    saturated, level = shown.seen.region.saturated, float(np.mean(shown.seen.region.brightness)) / shown.full_scale
-    if saturated > BURNT:
-        yield Cause("exposure", f"{100 * saturated:.0f} % of the patterns are white blots, whose levels are lost", (
+    level = float(np.mean(shown.seen.region.brightness)) / shown.full_scale
+    if shown.is_burnt:
+        part = 100 * shown.seen.region.saturated
+        yield Cause("exposure", f"{part:.0f} % of the patterns are white blots, whose levels are lost", (
             "lower the brightness of the screen, or the exposure by touching the patterns in the phone's picture",
         ))  # fmt: skip
     elif shown.light < WEAK and level > MILKY:

@@ -11,6 +11,7 @@ from starlette.exceptions import HTTPException
 from heliograph.base.errors import HeliographError
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.web import built, bundles, receive, transmit, uploads, watch
+from heliograph.web.crashes import CrashReports, is_crash
 from heliograph.web.limits import Limits
 from heliograph.web.security import Door, Guard
 from heliograph.web.shared import BusyError, Shared
@@ -56,12 +57,15 @@ def create_app(
     app.add_exception_handler(HeliographError, _refused)
     app.add_exception_handler(HTTPException, _failed)
     app.add_exception_handler(RequestValidationError, _not_understood)
+    app.add_middleware(CrashReports)
     app.add_middleware(Guard, door=door or Door(), limits=limits)
     return app
 
 
 async def _refused(_request: Request, error: Exception) -> JSONResponse:
     """What a user can mend, as the command would say it."""
+    if is_crash(error):
+        raise error
     status = 413 if isinstance(error, TooLargeError) else 503 if isinstance(error, BusyError) else 400
     # what is left of a request is not read
     return JSONResponse({"error": str(error)}, status, {"connection": "close"} if status == 413 else None)

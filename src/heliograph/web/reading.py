@@ -231,6 +231,8 @@ def _tell_why(frames: list[Frame], settings: LinkSettings, tell: Tell, unsaid: t
     try:
         shown = Frames("the film", frames, _rate_of(frames), len(frames))
         found = probe_film(shown, settings.signal, settings.receive, reading=False, most=WHY_FRAMES, trials=False)
+        if found.broken is not None:
+            raise found.broken
         lines = [line for line in in_sentences(found) if not line.startswith(unsaid)]
     except HeliographError as error:
         lines = [str(error)]

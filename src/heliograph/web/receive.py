@@ -2,24 +2,23 @@
 
 import asyncio
 import contextlib
-import json
 from collections.abc import Awaitable, Callable
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, WebSocket
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocketDisconnect
 
-from heliograph.base.errors import HeliographError, MediaError
+from heliograph.base.errors import HeliographError
 from heliograph.probe.cells import SIDES
 from heliograph.web.camera_frames import CameraFrames, MessageError
+from heliograph.web.crashes import closing, in_thread, taking_place
 from heliograph.web.looking import Asked
 from heliograph.web.reading import read_camera, read_upload
 from heliograph.web.saver import Saver
 from heliograph.web.screen import LEAST_RATE_HZ, MOST_RATE_HZ
 from heliograph.web.security import PROTOCOL
-from heliograph.web.shared import Shared, shared_of
+from heliograph.web.shared import Shared, named_as, shared_of
 from heliograph.web.told import GoneError, Told
 
 FIRST_WORD_S = 10.0
@@ -70,30 +69,29 @@ async def receive(socket: WebSocket, shared: Here) -> None:
         Uploads, places, and films of what failed.
     """
     await socket.accept(PROTOCOL)
-    try:
+    async with closing(socket, lambda line: {"event": "error", "error": line}):
         wish = await _wish(socket)
-        with shared.sessions.take():
+        async with taking_place(shared.sessions):
             if wish.kind == "film":
                 await _film(socket, shared, wish)
             else:
                 await _camera(socket, shared, wish)
         await socket.close()
-    except (HeliographError, ValidationError) as error:
-        await _close(socket, error)
-    except WebSocketDisconnect:
-        pass
-    except (TimeoutError, RuntimeError):  # the page is as good as gone
-        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-            await socket.close(1001)
 
 
 async def _wish(socket: WebSocket) -> Wish:
-    text = await asyncio.wait_for(socket.receive(), FIRST_WORD_S)
+    try:
+        text = await asyncio.wait_for(socket.receive(), FIRST_WORD_S)
+    except TimeoutError:
+        raise GoneError from None
     if text["type"] == "websocket.disconnect":
         raise WebSocketDisconnect
     if not isinstance(text.get("text"), str):
         raise MessageError("the first message says what to receive, in JSON")
-    return Wish.model_validate_json(text["text"])
+    try:
+        return Wish.model_validate_json(text["text"])
+    except (ValidationError, UnicodeError):
+        raise MessageError("that is no message of these pages") from None
 
 
 async def _film(socket: WebSocket, shared: Shared, wish: Wish) -> None:
@@ -102,9 +100,8 @@ async def _film(socket: WebSocket, shared: Shared, wish: Wish) -> None:
 
         def work() -> None:
             try:
-                read_upload(path, _asked(wish), told.tell, saver)
-            except HeliographError as error:  # where it lies is nobody's business
-                raise MediaError(str(error).replace(str(path), "the film")) from None
+                with named_as(path, "the film"):
+                    read_upload(path, _asked(wish), told.tell, saver)
             finally:
                 saver.close()
 
@@ -141,7 +138,7 @@ def _saver(shared: Shared) -> Saver:
 
 async def _saved(saver: Saver, shared: Shared) -> dict[str, Any]:
     """What is told once what failed so far is saved; a page that goes meanwhile leaves nothing behind."""
-    saving = asyncio.ensure_future(run_in_threadpool(saver.save))
+    saving = asyncio.ensure_future(in_thread(saver.save))
     try:
         return {"event": "saved", **await asyncio.shield(saving)}
     except HeliographError as error:
@@ -167,35 +164,30 @@ def _asked(wish: Wish) -> Asked:
 async def _work(
     socket: WebSocket, told: Told, work: Callable[[], None], take: Take, stop: Callable[[], None] = lambda: None
 ) -> None:
-    """Run a worker in its thread while the page is told what it tells, and heard; `stop` lets it wait no longer."""
+    """Run a worker in its thread, send its rows to the page and take the page's messages; `stop` ends its waiting."""
     worker = asyncio.ensure_future(_run(work, told))
     telling, hearing = asyncio.ensure_future(told.forward()), asyncio.ensure_future(_hear(socket, told, take))
+    done: set[asyncio.Future[None]] = set()
     try:
-        await asyncio.wait((telling, hearing), return_when=asyncio.FIRST_COMPLETED)
-        for one in (hearing, telling):
-            if one.done():
-                one.result()
+        done, _ = await asyncio.wait((telling, hearing), return_when=asyncio.FIRST_COMPLETED)
     finally:
         told.gone()
         stop()
         telling.cancel()
         hearing.cancel()
         await asyncio.gather(telling, hearing, return_exceptions=True)
-    await worker
+    await worker  # it holds the film, and its place among the receptions
+    for task in done:
+        task.result()
 
 
 async def _run(work: Callable[[], None], told: Told) -> None:
-    """Run a worker to its end; what a user can mend is told as its last word."""
-
-    def safely() -> None:
-        try:
-            work()
-        except HeliographError as error:
-            told.tell({"event": "error", "error": str(error)})
-
-    with contextlib.suppress(GoneError):
-        await run_in_threadpool(safely)
-    await told.end()
+    """Run a worker to its end."""
+    try:
+        with contextlib.suppress(GoneError):
+            await in_thread(work)
+    finally:
+        await told.end()
 
 
 async def _hear(socket: WebSocket, told: Told, take: Take) -> None:
@@ -208,10 +200,3 @@ async def _hear(socket: WebSocket, told: Told, take: Take) -> None:
         answer = await take(message.get("text") or "" if data is None else data)
         if answer is not None:
             await told.answer(answer)
-
-
-async def _close(socket: WebSocket, error: Exception) -> None:
-    text = "that is no message of these pages" if isinstance(error, ValidationError) else str(error)
-    with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-        await socket.send_text(json.dumps({"event": "error", "error": text}))
-        await socket.close(1008)

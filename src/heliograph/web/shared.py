@@ -3,15 +3,36 @@
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import cast
 
 from starlette.requests import HTTPConnection
 
-from heliograph.base.errors import HeliographError
+from heliograph.base.errors import HeliographError, printable
 from heliograph.link.settings import LinkSettings
 from heliograph.web.bundles import Bundles
 from heliograph.web.limits import Limits
 from heliograph.web.uploads import Uploads
+
+
+@contextlib.contextmanager
+def named_as(path: Path, name: str) -> Iterator[None]:
+    """Replace a film's path in the errors of the block: where it lies is the server's own business.
+
+    Parameters
+    ----------
+    path
+        Path of the film.
+    name
+        Name of the film on the page.
+    """
+    try:
+        yield
+    except HeliographError as error:
+        shown = printable(str(path))
+        if shown not in str(error):
+            raise
+        raise type(error)(str(error).replace(shown, name)) from error
 
 
 class BusyError(HeliographError):

@@ -75,9 +75,12 @@ class Told:
             self._rows.get_nowait()
 
     async def forward(self) -> None:
-        """Send rows until the worker has ended; a page that takes none of them counts as gone."""
+        """Send rows until the worker has ended; raise a `GoneError` if the page takes none of them."""
         while (row := await self._rows.get()) is not None:
-            await asyncio.wait_for(self._socket.send_json(row), PATIENCE_S)
+            try:
+                await asyncio.wait_for(self._socket.send_json(row), PATIENCE_S)
+            except TimeoutError:
+                raise GoneError from None
 
     async def end(self) -> None:
         """Let `forward` end, once all was sent."""

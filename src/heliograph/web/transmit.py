@@ -9,11 +9,11 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import FileResponse
 from starlette.background import BackgroundTask
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
 from heliograph.base.errors import MediaError
 from heliograph.media import create_film
+from heliograph.web.crashes import in_thread
 from heliograph.web.screen import LEAST_RATE_HZ, MOST_RATE_HZ
 from heliograph.web.sending import LED_PX, MARGIN, MOST_PACKETS, MOST_SENT, Sending, Sendings, sending_of
 from heliograph.web.shared import Places, shared_of
@@ -82,12 +82,12 @@ async def begin(
                 raise MediaError(f"a screen sends at most {MOST_SENT >> 10} kB: choose a smaller file")
     except ClientDisconnect:
         raise MediaError("the text or file broke off: send it again") from None
-    sending = await run_in_threadpool(sending_of, bytes(data), name, side, rate_hz)
+    sending = await in_thread(lambda: sending_of(bytes(data), name, side, rate_hz))
     return {"sending": known.add(sending), **sending.facts()}
 
 
 @router.get("/{name}/packets")
-def packets(
+async def packets(
     name: str,
     known: Known,
     first: Annotated[int, Query(ge=0, le=10**9)] = 0,
@@ -106,7 +106,9 @@ def packets(
     count
         How many.
     """
-    return Response(known.of(name).packets(first, count).tobytes(), media_type="application/octet-stream")
+    sending = known.of(name)
+    levels = await in_thread(lambda: sending.packets(first, count).tobytes())
+    return Response(levels, media_type="application/octet-stream")
 
 
 @router.get("/{name}/film")
@@ -137,7 +139,7 @@ async def film(
         raise MediaError(f"such a film has at most {MOST_FILM_PATTERNS} patterns: ask for fewer seconds")
     path = shared_of(request).uploads.folder() / f"patterns-{token_hex(8)}.mp4"
     with _films.take(), _gone_if_it_fails(path):
-        await run_in_threadpool(_write, path, sending, seconds, gamma)
+        await in_thread(lambda: _write(path, sending, seconds, gamma))
     return FileResponse(path, filename="patterns.mp4", background=BackgroundTask(path.unlink, missing_ok=True))
 
 

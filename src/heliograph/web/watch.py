@@ -1,10 +1,8 @@
 """The server's part of page *Watch*: what may be watched, and the WebSocket that shows it."""
 
-import contextlib
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, WebSocket, WebSocketDisconnect
-from fastapi.concurrency import run_in_threadpool
+from fastapi import APIRouter, Depends, WebSocket
 
 from heliograph.base.files import shown_name
 from heliograph.link.settings import PRESETS
@@ -12,9 +10,10 @@ from heliograph.media.live.listing import cameras_there
 from heliograph.media.live.reader import is_camera
 from heliograph.media.live.settings import camera_settings
 from heliograph.receive.registry import RECEIVERS
+from heliograph.web.crashes import closing, in_thread, taking_place
 from heliograph.web.security import PROTOCOL
-from heliograph.web.shared import BusyError, Shared, shared_of
-from heliograph.web.watching.session import BUSY, Session
+from heliograph.web.shared import Shared, shared_of
+from heliograph.web.watching.session import Session
 
 router = APIRouter(prefix="/api/watch")
 Ours = Annotated[Shared, Depends(shared_of)]
@@ -43,7 +42,8 @@ async def cameras(shared: Ours) -> dict[str, Any]:
     shared
         What the pages share; the cameras are noted there.
     """
-    found, lacking = await run_in_threadpool(cameras_there, camera_settings(shared.camera))
+    asked = camera_settings(shared.camera)
+    found, lacking = await in_thread(lambda: cameras_there(asked))
     shared.cameras[:] = [one["name"] for one in found]
     return {"cameras": found, "lacking": lacking}
 
@@ -59,10 +59,5 @@ async def watch(socket: WebSocket) -> None:
     """
     shared = shared_of(socket)
     await socket.accept(PROTOCOL if PROTOCOL in socket.scope.get("subprotocols", ()) else None)
-    with contextlib.suppress(WebSocketDisconnect):
-        try:
-            with shared.sessions.take():
-                await Session(socket, shared).attend()
-        except BusyError as error:
-            await socket.send_json({"event": "failed", "reason": str(error)})
-            await socket.close(BUSY, "all places are taken")
+    async with closing(socket, lambda line: {"event": "failed", "reason": line}), taking_place(shared.sessions):
+        await Session(socket, shared).attend()

@@ -65,6 +65,11 @@ export class Link {
     }, 100);
   }
 
+  /** True while the server hears commands. */
+  get isOpen(): boolean {
+    return this.socket?.readyState === WebSocket.OPEN;
+  }
+
   say(command: object): void {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(command));
   }

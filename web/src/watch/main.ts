@@ -41,7 +41,7 @@ function times(): number | null {
 function showState(): void {
   buttons.stop.disabled = !running;
   for (const id of ["pause", "step", "packet"] as const) buttons[id].disabled = !running;
-  buttons.save.disabled = model.state === null;
+  buttons.save.disabled = model.state === null || !link.isOpen;
   buttons.pause.textContent = paused ? "Go on" : "Pause";
   scrub.disabled = timeline.moments.length < 2;
   buttons.live.disabled = looking === null;

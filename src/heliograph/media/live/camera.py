@@ -17,6 +17,10 @@ class CameraLostError(MediaError):
     """The camera does not answer any more: its cable was pulled, or it was switched off."""
 
 
+class CameraCrashError(MediaError):
+    """An unexpected exception ended the camera's own code; it is the cause of this error."""
+
+
 @dataclass(frozen=True, slots=True)
 class Picture:
     """A picture as the camera sent it.

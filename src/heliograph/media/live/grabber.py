@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from heliograph.base.errors import HeliographError, MediaError, brief
 from heliograph.base.frames import Frame
-from heliograph.media.live.camera import Camera, CameraForm, CameraLostError
+from heliograph.media.live.camera import Camera, CameraCrashError, CameraForm, CameraLostError
 from heliograph.media.live.frame_queue import FrameQueue
 from heliograph.media.live.numbering import Numbering
 from heliograph.media.live.settings import CameraSettings
@@ -152,11 +152,14 @@ class Grabber:
             self._run()
         except HeliographError as error:
             self.error = error if isinstance(error, MediaError) else MediaError(str(error))
-        except Exception as error:  # whatever goes wrong within somebody else's camera
-            self.error = MediaError(f"{self._name} ended by {type(error).__name__}: {brief(error)}")
+        except BaseException as error:  # whatever goes wrong within somebody else's camera
+            self.error = CameraCrashError(f"{self._name} ended by {type(error).__name__}: {brief(error)}")
+            self.error.__cause__ = error
         finally:
-            self._let_go()
-            self._queue.end()
+            try:
+                self._let_go()
+            finally:  # the receiver waits for it
+                self._queue.end()
 
     def _run(self) -> None:
         while not self._over:
@@ -233,5 +236,5 @@ class Grabber:
     def _let_go(self) -> None:
         try:
             self._camera.close()
-        except Exception as error:  # somebody else's camera, which is not needed any more
+        except BaseException as error:  # somebody else's camera, which is not needed any more
             self.news.append(f"{self._name} could not be closed: {type(error).__name__}: {brief(error)}")

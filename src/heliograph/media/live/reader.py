@@ -8,7 +8,7 @@ from typing import Any
 from heliograph.base.config import from_mapping, to_mapping
 from heliograph.base.errors import HeliographError, MediaError, brief
 from heliograph.base.frames import Frame
-from heliograph.media.live.camera import PREFIX, Camera, CameraForm, camera_kind
+from heliograph.media.live.camera import PREFIX, Camera, CameraCrashError, CameraForm, camera_kind
 from heliograph.media.live.frame_queue import FrameQueue
 from heliograph.media.live.grabber import WAIT_S, CameraCounts, Grabber
 from heliograph.media.live.settings import CameraSettings
@@ -99,7 +99,8 @@ class LiveReader(FilmReader):
             raise
         except Exception as error:  # whatever goes wrong within somebody else's camera
             self._let_go()
-            raise MediaError(f"{self._name} cannot be opened: {type(error).__name__}: {brief(error)}") from error
+            reason = f"{type(error).__name__}: {brief(error)}"
+            raise CameraCrashError(f"{self._name} cannot be opened: {reason}") from error
 
     def _let_go(self) -> None:
         if self._camera is not None:

@@ -64,7 +64,7 @@ class Recorder:
         self._failed = False
         self._covered_s = float("-inf")
         self._thread: threading.Thread | None = None
-        self._error: MediaError | None = None
+        self._error: BaseException | None = None
 
     def saw(self, frame: Frame) -> None:
         """Keep a frame, and begin a film where something failed.
@@ -131,5 +131,5 @@ class Recorder:
                 for frame in frames:
                     film.write(frame)
             self.written = len(frames)
-        except MediaError as error:
+        except BaseException as error:  # raised by `saw` or `close`, in the receiver's thread
             self._error = error

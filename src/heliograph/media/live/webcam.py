@@ -54,7 +54,7 @@ class Webcam:
         self._address = address or FIRST
         self._container: Any = None
         self._channel = "luma"
-        self._came: queue.Queue[Picture | CameraLostError | None] = queue.Queue(HELD)
+        self._came: queue.Queue[Picture | BaseException | None] = queue.Queue(HELD)
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -130,7 +130,7 @@ class Webcam:
         """Take pictures, in a thread of its own: FFmpeg waits for the next one for as long as it takes."""
         import av
 
-        end: CameraLostError | None = None
+        end: BaseException | None = None
         try:
             for packet in self._container.demux(video=0):
                 for picture in self._decoded(packet):
@@ -142,6 +142,8 @@ class Webcam:
                     return
         except (av.error.FFmpegError, OSError) as error:
             end = CameraLostError(str(getattr(error, "strerror", None) or error))
+        except BaseException as error:  # raised by `frames`, in the thread that asks for pictures
+            end = error
         while not self._closing.is_set():
             with contextlib.suppress(queue.Full):
                 self._came.put(end, timeout=CLOSING_S / 4)

@@ -41,10 +41,13 @@ class Teller:
         Gets rows of plain values, all of them in order.
     show
         Gets scenes, of which only the newest counts.
+    fail
+        Gets the exception that ended the reception.
     """
 
     tell: Callable[[Row], None]
     show: Callable[[Scene], None]
+    fail: Callable[[BaseException], None]
 
 
 class Run:
@@ -118,17 +121,14 @@ class Run:
 
     def _main(self) -> None:
         try:
+            self._watch()
+        except BaseException as error:  # nothing above would tell the page; the server goes on
+            self._teller.fail(error)
+
+    def _watch(self) -> None:
+        try:
             with opened(self._asked, self._shared) as source:
                 self._receive(source)
-        except HeliographError as error:
-            self._teller.tell({"event": "failed", "reason": str(error)})
-        except MemoryError:
-            self._teller.tell({"event": "failed", "reason": "not enough memory for frames of that size"})
-        except OSError as error:
-            self._teller.tell({"event": "failed", "reason": f"input or output: {error.strerror or error}"})
-        except Exception as error:  # of whatever a film or a part of one's own brings; the server goes on
-            self._teller.tell({"event": "failed", "reason": f"{type(error).__name__}: {error}"[:400]})
-            raise
         finally:
             with self._ending:
                 self._over = True

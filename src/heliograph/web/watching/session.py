@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from heliograph.base.errors import HeliographError
 from heliograph.measure.journal import Row
+from heliograph.web.crashes import INTERNAL, in_thread, is_crash, report
 from heliograph.web.shared import Shared
 from heliograph.web.watching.gate import Gate
 from heliograph.web.watching.run import Run, Teller
@@ -41,7 +42,7 @@ IDLE_S = 900.0
 LAST_WORDS_S = 1.0
 """Longest time in s that a page that is let go is told so. Chosen."""
 
-IDLE, WRONG, TOO_SLOW, BUSY = 1000, 1008, 1013, 1013
+IDLE, WRONG, TOO_SLOW = 1000, 1008, 1013
 """Codes with which a WebSocket is closed (RFC 6455, section 7.4.1, and the registry of codes)."""
 
 
@@ -84,6 +85,8 @@ class Outbox:
     ----------
     full
         Whether rows were lost because the page did not take them.
+    crashed
+        True if the reception ended by an unexpected exception, so that the page is let go after its rows.
     filled
         Set when something waits.
     """
@@ -92,7 +95,7 @@ class Outbox:
         self._loop, self._lock = loop, threading.Lock()
         self._rows: deque[str] = deque()
         self._scene: Scene | None = None
-        self._bytes, self.full, self.filled = 0, False, asyncio.Event()
+        self._bytes, self.full, self.filled, self.crashed = 0, False, asyncio.Event(), False
 
     def tell(self, row: Row) -> None:
         """Put a row behind the others.
@@ -111,6 +114,23 @@ class Outbox:
                 self._rows.append(text)
                 self._bytes += len(text)
         self._wake()
+
+    def fail(self, error: BaseException) -> None:
+        """Put the row of an error behind the others; nothing follows an unexpected one.
+
+        Parameters
+        ----------
+        error
+            Exception that ended the reception.
+        """
+        self.tell({"event": "failed", "reason": report(error)})
+        self.crashed = is_crash(error)
+        self._wake()
+
+    @property
+    def is_empty(self) -> bool:
+        """True if no row waits."""
+        return not self._rows
 
     def show(self, scene: Scene) -> None:
         """Put a scene in the place of the one before, if that was not sent.
@@ -180,6 +200,7 @@ class Session:
             for task in tasks:  # one of the two finds out first that the page has gone
                 if not task.cancelled():
                     task.exception()
+            await self._end()  # the reception holds its frames, and its place, until it has ended
         for code, reason in filter(None, let_go):
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._socket.close(code, reason), LAST_WORDS_S)
@@ -223,7 +244,7 @@ class Session:
             if gate is not None:
                 gate.run_at(command.times)
         elif command.do == "stop" and self._run is not None:
-            await asyncio.to_thread(self._run.halt)
+            await in_thread(self._run.halt)
         elif command.do == "save":
             await self._save()
         elif gate is not None:
@@ -234,19 +255,19 @@ class Session:
         gate = Gate(self._speed)
         if paused:
             gate.pause()
-        self._run = Run(asked, self._shared, Teller(self._outbox.tell, self._outbox.show), gate)
+        self._run = Run(asked, self._shared, Teller(self._outbox.tell, self._outbox.show, self._outbox.fail), gate)
         self._run.start()
 
     async def _end(self) -> None:
         run, self._run = self._run, None
         if run is not None:
-            await asyncio.to_thread(run.stop)
+            await in_thread(run.stop)
 
     async def _save(self) -> None:
         if self._run is None:
             path = None
         else:
-            saving = asyncio.ensure_future(asyncio.to_thread(self._run.save))
+            saving = asyncio.ensure_future(in_thread(self._run.save))
             try:
                 path = await asyncio.shield(saving)
             except asyncio.CancelledError:  # the page has gone: nobody fetches it
@@ -271,7 +292,9 @@ class Session:
                 await self._socket.send_text(row)
             if self._credit and (scene := outbox.next_scene()) is not None:
                 self._credit -= 1
-                await self._socket.send_bytes(await asyncio.to_thread(scene.encoded))
+                await self._socket.send_bytes(await in_thread(scene.encoded))
+            if outbox.crashed and outbox.is_empty:
+                return INTERNAL, ""  # the last row says why
         return TOO_SLOW, "this page takes what is sent too slowly"
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from heliograph.base.config import from_mapping, merge, to_mapping
-from heliograph.base.errors import HeliographError, SettingsError, printable
+from heliograph.base.errors import SettingsError
 from heliograph.base.files import shown_name
 from heliograph.base.toml_text import parse_assignment
 from heliograph.link.film import FrameSource, frames_of
@@ -21,7 +21,7 @@ from heliograph.measure.reception import TruthSource
 from heliograph.media import open_film
 from heliograph.media.live.reader import LiveReader, is_camera, live_of
 from heliograph.signal.settings import SignalSettings
-from heliograph.web.shared import Shared
+from heliograph.web.shared import Shared, named_as
 
 OPEN = ("signal", "receive")
 """Parts of the settings that a page may change: what the light says, and how it is read."""
@@ -135,26 +135,16 @@ def opened(asked: Asked, shared: Shared) -> Iterator[Source]:
         else:
             name = _numbered(shared.cameras, asked.number, "camera")
             path = Path(name)
-        stack.enter_context(_named(path, name))
+        stack.enter_context(named_as(path, name))
         yield stack.enter_context(_film(asked, shared, path, name))
-
-
-@contextlib.contextmanager
-def _named(path: Path, name: str) -> Iterator[None]:
-    """Errors of the block name a film as the page does: where it lies is the server's own business."""
-    try:
-        yield
-    except HeliographError as error:
-        if printable(str(path)) not in str(error):
-            raise
-        raise type(error)(str(error).replace(printable(str(path)), name)) from error
 
 
 @contextlib.contextmanager
 def _film(asked: Asked, shared: Shared, path: Path, name: str) -> Iterator[Source]:
     base = _base(asked, shared)
     settings, changes = _settings(asked, base)
-    with open_film(path, rate_hz=asked.rate_hz, camera=shared.camera if is_camera(path) else ()) as film:
+    camera = shared.camera if is_camera(path) else ()
+    with open_film(path, rate_hz=asked.rate_hz, expand_range=True, camera=camera) as film:
         signal, _ = signal_of(film, base.signal, changes)
         known = None
         beside = truth_path(path)

@@ -1,0 +1,96 @@
+"""The command and the pages read the gray levels of a film by one rule, whether its range is tagged or not."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+from cli_runs import called
+from fastapi.testclient import TestClient
+
+from heliograph.base.frames import Frame
+from heliograph.web.app import create_app
+from heliograph.web.failures import Failures
+from heliograph.web.saver import Saver
+
+OWN = "http://127.0.0.1:8000"
+WHITE, DARK = 0.75, 40
+FRAMES, SIDE = 24, 64
+
+UNTAGGED, LIMITED, FULL = 0, 1, 2
+
+
+def picture(k: int, white: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Three quarters white; the rest is dark and moves."""
+    pixels = np.full((SIDE, SIDE), white, np.uint8)
+    pixels[:, : SIDE // 4] = DARK + k
+    return pixels
+
+
+def write_video(path: Path, codec: str, form: str, span: int, white: int) -> None:
+    with av.open(str(path), "w") as container:
+        stream: Any = container.add_stream(codec, rate=30)
+        stream.width = stream.height = SIDE
+        stream.pix_fmt = form
+        stream.codec_context.color_range = span
+        if codec == "libx264":
+            stream.options = {"qp": "0"}
+        for k in range(FRAMES):
+            luma = picture(k, white)
+            grey = np.full((SIDE // 2, SIDE), 128, np.uint8)
+            held = av.VideoFrame.from_ndarray(np.vstack([luma, grey]), format="yuv420p")
+            held.color_range = span
+            if form != "yuv420p":
+                held = held.reformat(format=form, src_color_range=FULL, dst_color_range=FULL)
+            held.pts = k
+            container.mux(stream.encode(held))
+        container.mux(stream.encode(None))
+
+
+def write_array(path: Path) -> None:
+    np.save(path, np.stack([picture(k, 255) for k in range(FRAMES)]))
+
+
+FILMS: dict[str, Callable[[Path], None]] = {
+    "untagged.mp4": lambda path: write_video(path, "libx264", "yuv420p", UNTAGGED, 235),
+    "limited.mp4": lambda path: write_video(path, "libx264", "yuv420p", LIMITED, 235),
+    "full.mp4": lambda path: write_video(path, "libx264", "yuv420p", FULL, 255),
+    "motion.avi": lambda path: write_video(path, "mjpeg", "yuvj420p", FULL, 255),
+    "raw.y4m": lambda path: write_video(path, "rawvideo", "yuv420p", UNTAGGED, 235),
+    "raw.avi": lambda path: write_video(path, "rawvideo", "gray", UNTAGGED, 255),
+}
+
+
+def at_full_scale(frames: list[Frame]) -> float:
+    assert len(frames) >= FRAMES
+    return float(np.mean([np.mean(frame.pixels == frame.full_scale) for frame in frames]))
+
+
+@pytest.mark.parametrize("name", FILMS)
+def test_probe_and_pages_see_the_same_part_at_full_scale(
+    name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / name
+    FILMS[name](path)
+    told = json.loads(called("probe", path, "--json", "--preset", "phone", capfd=capfd, monkeypatch=monkeypatch).stdout)
+    assert told["levels"]["at_full_scale"] == pytest.approx(WHITE, abs=0.01)
+    seen: dict[str, list[Frame]] = {"receive": [], "watch": []}
+    monkeypatch.setattr(Saver, "saw", lambda _saver, frame: seen["receive"].append(frame))
+    monkeypatch.setattr(Failures, "saw", lambda _failures, frame: seen["watch"].append(frame))
+    with TestClient(create_app(films=[str(path)]), base_url=OWN) as client:
+        kept = client.put(f"/api/films?kind={path.suffix[1:]}", content=path.read_bytes()).json()["film"]
+        with client.websocket_connect("ws://127.0.0.1:8000/api/receive", ["heliograph"]) as socket:
+            socket.send_json({"kind": "film", "film": kept, "side": 16, "rate_hz": 10})
+            while socket.receive()["type"] != "websocket.close":
+                pass
+        with client.websocket_connect("ws://127.0.0.1:8000/api/watch") as socket:
+            socket.send_json({"do": "open", "source": {"kind": "named", "preset": "phone"}})
+            event = ""
+            while event not in ("end", "failed"):
+                message = socket.receive()
+                event = json.loads(message["text"])["event"] if message.get("text") else event
+    assert at_full_scale(seen["receive"]) == pytest.approx(WHITE, abs=0.01)
+    assert at_full_scale(seen["watch"]) == pytest.approx(WHITE, abs=0.01)
