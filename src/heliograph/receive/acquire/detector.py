@@ -286,7 +286,7 @@ class Detector:
         stages = [[(coarse, 0.0)] for coarse in self._coarse[: self.parts(turned)]]
         for searches in [*stages, *(self._rolled if turned else ())]:
             rolled = searches in self._rolled
-            if rolled and not self.budget.plenty:
+            if rolled and not self.budget.ample:
                 break
             fitted = list[Detection]()
             for one, part, sought in self._candidates(parts, searches):
