@@ -130,13 +130,12 @@ def test_a_cameras_window_may_leave_the_region() -> None:
 
 
 @pytest.mark.parametrize(("pitch", "blur", "off_px"), [(1.7, 0.55, 1.5), (6.0, 1.4, 4.0)])
-def test_a_header_turned_by_40_degrees_is_found_where_it_was_given_and_not_else(
+def test_a_header_turned_by_40_degrees_is_found_with_the_tilt_that_was_given(
     pitch: float, blur: float, off_px: float
 ) -> None:
     """The second is found in reduced frames."""
     pose = Pose(100.2, 80.9, pitch, np.radians(40.0), blur, 0.04, -0.02)
     seen = header_film(pose)
-    assert not found_in(seen, PARAMETERS)
     by_hand = corners_of(pose) + off_px * np.array([[1, -1], [0, 1], [1, 0], [-1, -1]])
     start = pose_of(by_hand.ravel().tolist(), SIDE, 0.55)
     (found,) = found_in(seen, replace(PARAMETERS, start=start, everywhere=True))

@@ -284,7 +284,7 @@ class Detector:
         stages = [[(coarse, 0.0)] for coarse in self._coarse[: self.parts(turned)]]
         for k, searches in enumerate([*stages, *(self._rolled if turned else ())]):
             rolled = k >= len(stages)
-            if rolled and not self.budget.plenty:
+            if rolled and not self.budget.ample:
                 break
             fitted = list[Detection]()
             for one, part, sought in self._candidates(parts, searches):
