@@ -43,9 +43,9 @@ UNBOUNDED_PART = 1e6
 FILM_PART = 2.0
 """Part of a core's time, of the camera's, that searching a film takes on average: 2 ms for each pattern of 1 ms."""
 
-PATIENT_PART, PATIENT_WORK, PATIENT_S = 1.0, 80e6, 0.25
-"""Share of a core above which a search need not keep up with a camera. It then saves this much work, or the work of
-this many seconds if that is more; one search may spend half of it, and skips nothing while more than half is left."""
+PATIENT_PART, PATIENT_AMPLE_PART, PATIENT_WORK, PATIENT_S = 1.0, 0.9, 160e6, 0.25
+"""Share of a core above which a search need not keep up with a camera; the part that then stands for `AMPLE_PART`. Such
+a search saves this much work, or the work of this many seconds if that is more, and may spend half of it at once."""
 
 BLOCK_WORK, BLOCKS_WEIGHT = 1500.0, 1 / 8
 """Expected work of a block before the first search, and weight of one search in the running mean."""
@@ -153,7 +153,7 @@ class Budget:
         short = min(FIRST_SHORT_MS * WORK_PER_MS, 2 * (1 - AMPLE_PART) * self._most)
         self._is_patient = busy_part >= PATIENT_PART
         if self._is_patient:
-            self._most, self._ample_part, short = max(PATIENT_WORK, PATIENT_S * per_s), NEW_PART, 0.0
+            self._most, self._ample_part, short = max(PATIENT_WORK, PATIENT_S * per_s), PATIENT_AMPLE_PART, 0.0
         self._left = self._most - short
         self._block_work = BLOCK_WORK
         self._strikes = self._expects = False
