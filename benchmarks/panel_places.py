@@ -69,7 +69,8 @@ def measure_colours(seeds: int) -> None:
                 matrix = (np.eye(3) + rng.uniform(0, leak, (3, 3)) * (1 - np.eye(3))) * rng.uniform(60, 140, 3)
                 values = bits @ matrix.T + rng.uniform(5, 40) + rng.normal(0, 8, bits.shape)
                 trials += bits.size
-                before += int((values > (values.min(axis=0) + values.max(axis=0)) / 2 != bits).sum())
+                middle = (values.min(axis=0) + values.max(axis=0)) / 2
+                before += int(((values > middle) != bits).sum())
                 after += int((heliograph.unmix_colours(values).bits != bits).sum())
             print(f"| {lit:.0%} | {leak:.0%} | {trials} | {before} | {after} |", flush=True)
 

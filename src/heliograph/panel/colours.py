@@ -138,7 +138,7 @@ def unmix_colours(values: Any, start: Any = None, full_scale: float | None = Non
     matrix, offset = mixing[:, :COLOURS], mixing[:, COLOURS]
     light = np.linalg.solve(matrix, (flat - offset).T).T
     shape = levels.shape
-    return UnmixedColours(bits.reshape(shape) > 0, light.reshape(shape), matrix, offset)
+    return UnmixedColours(bits.reshape(shape) > 0, np.asarray(light.reshape(shape), np.float64), matrix, offset)
 
 
 def _alternated(levels: Floats, mixing: Floats, top: float) -> tuple[float, Floats]:

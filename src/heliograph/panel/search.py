@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from heliograph.base.arrays import TINY, Floats
+from heliograph.base.arrays import TINY, Floats, Gray
 from heliograph.base.errors import HeliographError
 from heliograph.panel.lattice import Shape
 from heliograph.panel.outline import LEAST_CHANGE, Region, evidence, four_corners, nothing_shows, ordered
@@ -175,15 +176,15 @@ def _outlines(image: Levels) -> Iterator[Floats]:
                     yield from _hull_corners(_closed(scaled > level, int(gap * side)))
 
 
-def _closed(lit: Levels, gap: int) -> Levels:
+def _closed(lit: NDArray[np.bool_], gap: int) -> Gray:
     if not gap:
         return lit.astype(np.uint8)
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * gap + 1, 2 * gap + 1))
     padded = cv2.morphologyEx(np.pad(lit.astype(np.uint8), gap), cv2.MORPH_CLOSE, kernel)
-    return padded[gap:-gap, gap:-gap]
+    return np.asarray(padded[gap:-gap, gap:-gap], np.uint8)
 
 
-def _hull_corners(lit: Levels) -> Iterator[Floats]:
+def _hull_corners(lit: Gray) -> Iterator[Floats]:
     """Corners of the two largest lit areas, and of all large ones together."""
     outlines, _ = cv2.findContours(lit, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     outlines = sorted(outlines, key=cv2.contourArea)[-40:]
@@ -265,7 +266,8 @@ def is_near(corners: Floats, hand: Floats, shape: Shape) -> bool:
 
 def _beside_hand(corners: Floats, hand: Floats, shape: Shape) -> tuple[Floats, Floats]:
     """Shift (2,) and growth (2,) in pitches along rows and columns of corners beside those given by hand."""
-    off = (mapped(np.linalg.inv(homographies(hand)), corners) - UNIT) * [shape.columns, shape.rows]
+    to_unit = np.asarray(np.linalg.inv(homographies(hand)), np.float64)
+    off = (mapped(to_unit, corners) - UNIT) * np.array([shape.columns, shape.rows])
     left, right, top, low = off[[0, 3], 0].mean(), off[[1, 2], 0].mean(), off[:2, 1].mean(), off[2:, 1].mean()
     return np.array([left + right, top + low]) / 2, np.array([right - left, low - top])
 
