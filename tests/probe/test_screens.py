@@ -163,7 +163,7 @@ SCREENS: dict[str, dict[str, float]] = {
 @pytest.mark.parametrize("preset", SCREENS)
 def test_a_screen_that_was_to_be_read_as_an_array_is_recognised(preset: str, side: int) -> None:
     settings, seen = load_settings("paper"), SCREENS[preset]
-    shown_film = Kept(filmed(side=side, **seen), seen.get("fps", 30.0))  # type: ignore[arg-type]
+    shown_film = Kept(filmed(side=side, **seen), seen.get("fps", 30.0))
     found = probe_film(shown_film, settings.signal, settings.receive, reading=False)
     assert kinds(found) == ["screen"]
     assert f"{side} x {side} cells, {seen['rate_hz']:g} patterns a second" in found.causes[0].why
