@@ -126,7 +126,10 @@ class VideoReader(TimedReader):
         try:
             pixels, bits = planes.to_gray(picture, self._expanded, self._reading.channel)
         except (av.error.FFmpegError, ValueError) as error:  # a form of pixels that FFmpeg cannot turn into gray
-            raise MediaError(f"{self.path} is damaged after {count} whole frames: copy it again") from error
+            raise MediaError(
+                f"{self.path} has pictures of the form {picture.format.name}, which give no gray levels, after {count} "
+                "whole frames: convert it, such as to FFV1"
+            ) from error
         return (pixels if self._way_up == Orientation() else self._way_up.upright(pixels)), bits
 
     def _check_form(self, pixels: Pixels, bits: int, count: int) -> None:
