@@ -143,7 +143,7 @@ def _turned(rng: Generator, number: int) -> Film:
 
     def turn(frame: Frame, _truth: Truth) -> Frame:
         pixels = frame.pixels[:, ::-1] if number & 4 else frame.pixels
-        return replace(frame, pixels=np.ascontiguousarray(np.rot90(pixels, number & 3)))
+        return replace(frame, pixels=np.asarray(np.rot90(pixels, number & 3), np.uint8))
 
     return Film(settings, 2, turn, whole_frames=True)
 
@@ -236,7 +236,9 @@ class RenderedFilm:
 
     path = "the film"
 
-    def __init__(self, frames: Sequence[tuple[Frame, FrameTruth]], settings: LinkSettings, messages: list[Messages]):
+    def __init__(
+        self, frames: Sequence[tuple[Frame, FrameTruth]], settings: LinkSettings, messages: Sequence[Messages]
+    ):
         self._frames, self.settings, self.messages = frames, settings, messages
 
     def __iter__(self) -> Iterator[Frame]:
@@ -249,7 +251,9 @@ class RenderedFilm:
 def render(film: Film, seed: int) -> RenderedFilm:
     """Render a film into memory."""
     settings = film.settings if film.packets is None else dithered(block_settings(film.settings, film.packets), seed)
-    messages = default_messages(settings) if film.repeated_messages else random_messages(settings, seed)
+    messages: Sequence[Messages] = random_messages(settings, seed)
+    if film.repeated_messages:
+        messages = default_messages(settings)
     margin = None if film.whole_frames else window_margin_px(settings)
     frames = [
         (film.alter(frame, truth) if film.alter else frame, _frame_truth(truth))

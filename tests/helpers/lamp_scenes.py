@@ -89,7 +89,7 @@ class LampScene:
             light = frame.pixels + lit
             if shift is not None:
                 map_ = np.column_stack([np.eye(2), shift(frame.time_s)])
-                light = cv2.warpAffine(light, map_, self.size, borderMode=cv2.BORDER_REFLECT)
+                light = np.asarray(cv2.warpAffine(light, map_, self.size, borderMode=cv2.BORDER_REFLECT), np.float64)
             yield replace(frame, pixels=np.clip(np.rint(light), 0, 255).astype(np.uint8))
 
 
@@ -125,7 +125,7 @@ class _Lamps:
         rows, columns = self._shape
         within = ((x >= 0) & (x < columns))[:, None, :] & ((y >= 0) & (y < rows))[:, :, None]
         number = (y[:, :, None] * columns + x[:, None, :])[within]
-        return np.bincount(number, discs[within], rows * columns).reshape(rows, columns)
+        return np.asarray(np.bincount(number, discs[within], rows * columns).reshape(rows, columns), np.float64)
 
     def _square(self, phase: Floats) -> Floats:
         """Light of a square wave from phase 0 on, in periods."""

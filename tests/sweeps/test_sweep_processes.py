@@ -169,7 +169,8 @@ def test_a_cluster_survives_a_killed_worker(reference: Any, tmp_path: Path) -> N
     pytest.importorskip("distributed")
     about = tmp_path / "scheduler.json"
     with dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(about)):
-        address = wait_until(lambda: about.exists() and about.read_text() and json.loads(about.read_text())["address"])
+        wait_until(lambda: about.exists() and about.read_text().rstrip().endswith("}"))
+        address = json.loads(about.read_text())["address"]
         workers = ("worker", address, "--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path))
         with dask(*workers) as one, dask(*workers):
             process = start("--scheduler", address, "--output", str(tmp_path))

@@ -135,7 +135,7 @@ def unmix_colours(values: Any, start: Any = None, full_scale: float | None = Non
     _, mixing = _alternated(flat, best[1], top)
     mixing = _in_order(mixing)
     bits = _decided(flat, mixing, top)
-    matrix, offset = mixing[:, :COLOURS], mixing[:, COLOURS]
+    matrix, offset = mixing[:, :COLOURS], np.asarray(mixing[:, COLOURS], np.float64)
     light = np.linalg.solve(matrix, (flat - offset).T).T
     shape = levels.shape
     return UnmixedColours(bits.reshape(shape) > 0, np.asarray(light.reshape(shape), np.float64), matrix, offset)

@@ -176,7 +176,7 @@ def _outlines(image: Levels) -> Iterator[Floats]:
                     yield from _hull_corners(_closed(scaled > level, int(gap * side)))
 
 
-def _closed(lit: NDArray[np.bool_], gap: int) -> Gray:
+def _closed(lit: NDArray[np.bool_], gap: int) -> NDArray[np.uint8]:
     if not gap:
         return lit.astype(np.uint8)
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * gap + 1, 2 * gap + 1))
@@ -184,7 +184,7 @@ def _closed(lit: NDArray[np.bool_], gap: int) -> Gray:
     return np.asarray(padded[gap:-gap, gap:-gap], np.uint8)
 
 
-def _hull_corners(lit: Gray) -> Iterator[Floats]:
+def _hull_corners(lit: NDArray[np.uint8]) -> Iterator[Floats]:
     """Corners of the two largest lit areas, and of all large ones together."""
     outlines, _ = cv2.findContours(lit, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     outlines = sorted(outlines, key=cv2.contourArea)[-40:]
@@ -267,7 +267,7 @@ def is_near(corners: Floats, hand: Floats, shape: Shape) -> bool:
 def _beside_hand(corners: Floats, hand: Floats, shape: Shape) -> tuple[Floats, Floats]:
     """Shift (2,) and growth (2,) in pitches along rows and columns of corners beside those given by hand."""
     to_unit = np.asarray(np.linalg.inv(homographies(hand)), np.float64)
-    off = (mapped(to_unit, corners) - UNIT) * np.array([shape.columns, shape.rows])
+    off = (mapped(to_unit, np.asarray(corners, np.float64)) - UNIT) * np.array([shape.columns, shape.rows])
     left, right, top, low = off[[0, 3], 0].mean(), off[[1, 2], 0].mean(), off[:2, 1].mean(), off[2:, 1].mean()
     return np.array([left + right, top + low]) / 2, np.array([right - left, low - top])
 

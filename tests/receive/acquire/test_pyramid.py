@@ -270,5 +270,4 @@ def test_frames_that_are_low_are_searched(rows: int, origin: tuple[int, int]) ->
     search, rng = PyramidSearch(replace(SEARCH, busy_part=UNBOUNDED_PART), SignalSettings()), np.random.default_rng(0)
     for k in range(12):
         pixels = rng.integers(0, 256, (rows, 300)).astype(np.uint8)
-        search.push(Frame(k, 1e-3 * k, pixels, origin=origin))
-    assert not search.load.fitted
+        assert not search.push(Frame(k, 1e-3 * k, pixels, origin=origin))

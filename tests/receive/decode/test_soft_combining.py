@@ -60,7 +60,8 @@ def test_a_packet_that_comes_again_is_read(number: int) -> None:
 def test_a_rejected_codeword_is_not_known() -> None:
     """Only the packet seen before supports the low layer: its bits may refine no pose and show no LED's brightness."""
     blocks = random_blocks(0)
-    signs = [FORM.layers[name].deinterleave(1.0 - 2.0 * FORM.layers[name].encode(blocks[name])) for name in FORM.layers]
+    coded = {name: np.asarray(1.0 - 2.0 * layer.encode(blocks[name])) for name, layer in FORM.layers.items()}
+    signs = [layer.deinterleave(coded[name]) for name, layer in FORM.layers.items()]
     llrs = tuple(LARGEST_LLR * one for by in signs for one in by)
     before = BufferedPacket(FORM.format, llrs, tuple(statistics_of(blocks, 60, 1)), GAIN, NOISE)
     packet, channel = KnownPoses(statistics_of(blocks, 200, 2)), GainAndNoise(GAIN, NOISE)
