@@ -68,8 +68,10 @@ def test_a_packet_before_the_first_header_is_reported_once(
 
 @pytest.mark.parametrize("receiver", RECEIVERS)
 @pytest.mark.parametrize("start_s", [0.0, 0.0503])
-def test_nothing_is_missed_of_an_array_that_is_switched_on(start_s: float, receiver: str) -> None:
-    rows, reception = received(frames(start_s), receiver)
+@pytest.mark.parametrize("first", [0, 1402])
+def test_nothing_is_missed_of_an_array_that_is_switched_on(start_s: float, first: int, receiver: str) -> None:
+    later = [replace(one, index=one.index + first, time_s=one.time_s + first / 1000) for one in frames(start_s)]
+    rows, reception = received(tuple(later), receiver)
     assert "missed_start" not in {row["event"] for row in rows}
     assert len(reception.arrays) == 1
     assert reception.report(1.0)["missed_starts"] == []

@@ -185,8 +185,10 @@ class StreamReceiver:
     def _misses_start(self, detection: Detection, recent: Sequence[Frame]) -> bool:
         """Return True if the array was sending before its header, in the first two packets of the film."""
         assert self._began_s is not None
-        signal, since_s = self._parts.signal, detection.start_time_s - self._began_s
-        return since_s < 2.5 * signal.packet_s and shone_before(detection, recent, signal)
+        signal, began_s = self._parts.signal, self._began_s
+        # the search fills up its window with copies of the first frame, at times before it
+        filmed = [frame for frame in recent if frame.time_s > began_s - signal.pattern_period_s / 2]
+        return detection.start_time_s - began_s < 2.5 * signal.packet_s and shone_before(detection, filmed, signal)
 
     def _push(self, array: OrientedReceivers, frame: Frame) -> Iterator[ComingPacket]:
         """Hand a frame to an array; the first right codeword tells how the camera sees all of them."""

@@ -30,7 +30,7 @@ def shone_before(detection: Detection, frames: Sequence[Frame], signal: SignalSe
     """
     start_s, period_s = detection.start_time_s, signal.pattern_period_s
     end_s = start_s + 2 * signal.header_pairs * period_s
-    before = [frame for frame in frames if frame.index >= 0 and frame.time_s < start_s - period_s / 2]
+    before = [frame for frame in frames if frame.time_s < start_s - period_s / 2]
     header = [frame for frame in frames if start_s - period_s / 4 <= frame.time_s < end_s - period_s]
     if not before or not header:
         return False
