@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.base.arrays import TINY, Floats, Gray
+from heliograph.base.arrays import TINY, Floats
 from heliograph.base.errors import HeliographError
 from heliograph.panel.lattice import Shape
 from heliograph.panel.outline import LEAST_CHANGE, Region, evidence, four_corners, nothing_shows, ordered

@@ -10,11 +10,13 @@ code's rate.
 
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
+from math import inf
 
 import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.threads import one_thread
+from heliograph.receive.acquire.coarse import size_limits
 from heliograph.receive.equalise.lmmse import equalise
 from heliograph.receive.image import kernels as image_kernels
 from heliograph.receive.image.footprint import to_grid
@@ -101,7 +103,8 @@ def reaches(
         return ()
     out = []
     for receiver in ("plain", "soft"):
-        found_m = distance_m * signal.side * pose.pitch / (smallest_px or SMALLEST_SIDE_PX[receiver])
+        least_px, _ = size_limits(smallest_px or SMALLEST_SIDE_PX[receiver], inf)
+        found_m = distance_m * signal.side * pose.pitch / least_px
         ends = _ends(receiver, pose, gain, noise, signal)
         out.append(Reach(receiver, {layer: min(end * distance_m, found_m) for layer, end in ends.items()}, found_m))
     return tuple(out)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from heliograph.link.settings import LinkSettings
-from heliograph.receive.acquire.coarse import SIDE_STEP
+from heliograph.receive.acquire.coarse import size_limits
 from heliograph.receive.registry import RECEIVERS
 from heliograph.sweeps.points import Point
 
@@ -50,9 +50,9 @@ def _outside(settings: LinkSettings) -> str:
     receive = settings.receive
     if not RECEIVERS.is_built_in(receive.receiver):
         return ""  # it may look for what it likes
-    half_step = SIDE_STEP**0.5
     smallest, largest = receive.smallest_side_px, receive.detect.max_side_px
+    lowest, highest = size_limits(smallest, largest)
     for least, most in sides_px(settings):
-        if most < smallest / half_step or least > largest * half_step:
+        if most < lowest or least > highest:
             return f"{most:.3g} px a side, looked for are {smallest:g} to {largest:g} px"
     return ""
