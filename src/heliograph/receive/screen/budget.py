@@ -1,6 +1,6 @@
 """What looking for a screen may cost: a film that shows none is gone through in less time than it lasts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 SAMPLES_PER_S = 14e6
 """Samples of an array that a core draws and fits in a second, on the machine of `docs/performance.md`."""
@@ -23,6 +23,11 @@ class SearchLimits:
     part: float = 0.2
     first_s: float = 1.0
     debt_s: float = 0.5
+
+    def for_light(self, period_s: float) -> "SearchLimits":
+        """Limits of a light of a pattern period; a header of less than 10 patterns/s takes longer to be seen."""
+        slower = max(1.0, 10 * period_s)
+        return replace(self, first_s=slower * self.first_s, debt_s=slower * self.debt_s)
 
 
 class SearchBudget:

@@ -13,7 +13,7 @@ from heliograph.receive.coming import ENOUGH_SEEN, HEADER_SEEN
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.events import DecodeEvent, Observer, UnseenEvent
 from heliograph.receive.packets import Packet, Status
-from heliograph.receive.screen.budget import SearchBudget
+from heliograph.receive.screen.budget import SearchBudget, SearchLimits
 from heliograph.receive.screen.follow import Follower, Sample
 from heliograph.receive.screen.packet import ReadPacket
 from heliograph.receive.screen.reader import PacketReading
@@ -95,7 +95,7 @@ class ScreenReceiver:
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Observer):
         self._signal, self._settings, self._observe = signal, settings, observe
         self._options = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
-        self._budget = SearchBudget()
+        self._budget = SearchBudget(SearchLimits().for_light(signal.pattern_period_s))
         self._search = ArraySearch(signal.side, settings.screen.gamma, self._budget)
         self._telling = Telling(signal, observe)
         self._last: Frame | None = None
