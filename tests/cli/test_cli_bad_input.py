@@ -69,7 +69,7 @@ BAD = {
     "receive {}/empty.mkv --output out": "empty.mkv is empty",
     "receive {}/missing.mkv --output out": "there is no file",
     "receive {}/folder": "is a folder",
-    "receive {}/a.mkv.truth.npz": "is not a video",
+    "receive {}/a.mkv.truth.npz": "is an archive, such as .zip or .npz",
     # settings
     "simulate a.mkv --preset papre": "did you mean 'paper'",
     "presets papre": "did you mean 'paper'",

@@ -204,7 +204,7 @@ def test_recording_a_camera_ends_after_its_duration(call: Call, film: Path) -> N
 def test_recording_a_camera_ends_by_ctrl_c(film: Path, tmp_path: Path) -> None:
     command = ("--load", PLAYED, "convert", f"camera:played:{film}", "taken.h5",
                "--camera", "Times=0", "--camera", "Speed=300")  # fmt: skip
-    says = succeeded(interrupted(*command, cwd=tmp_path, when=grown(tmp_path, ".*taken*", 300_000)))
+    says = succeeded(interrupted(*command, cwd=tmp_path, when=grown(tmp_path, ".*partial*", 300_000)))
     assert says.splitlines()[1].startswith("camera: ")
     with open_film(tmp_path / "taken.h5") as taken:
         assert f"taken.h5: {taken.frame_count} frames\n" in says

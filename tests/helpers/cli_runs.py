@@ -102,10 +102,13 @@ def interrupted(*arguments: str | Path, cwd: Path, when: Callable[[], bool], by:
     with subprocess.Popen(
         command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c
     ) as process:
-        wait_until(lambda: when() or process.poll() is not None)
-        assert process.poll() is None, "over before it could be interrupted"
-        os.kill(process.pid, by)
-        out, err = process.communicate(timeout=HANG_S)
+        try:
+            wait_until(lambda: when() or process.poll() is not None)
+            assert process.poll() is None, "over before it could be interrupted"
+            os.kill(process.pid, by)
+            out, err = process.communicate(timeout=HANG_S)
+        finally:
+            process.kill()  # a command without end would hold up the tests
     return subprocess.CompletedProcess(command, process.returncode, out, err)
 
 

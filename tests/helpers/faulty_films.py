@@ -134,7 +134,6 @@ FAULTY: dict[str, Callable[[], KeptFilm]] = {
     "hidden": lambda: kept(link(arrays=[{"x_m": 0, "y_m": 0, "hidden": (0, 0, 1, 0.6)}])),
     "other packets": lambda: kept(link("signal.header_pairs=1", "signal.data_pairs=30")),
     "out of step": lambda: kept(link(camera={**SMALL["camera"], "start_s": 0.0005})),
-    "turned": lambda: kept(link(arrays=[{"x_m": 0, "y_m": 0, "roll_deg": 40.0}])),
     "slow camera": lambda: kept(link(camera={**SMALL["camera"], "fps": 700.0})),
 }
 """Films of which the default receiver reads nothing."""

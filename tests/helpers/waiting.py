@@ -8,7 +8,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-HANG_S = 600.0
+HANG_S = 300.0
 """Time in s after which a wait counts as a hang, on any machine under any load."""
 HANG_MS = 1000 * HANG_S
 

@@ -49,7 +49,6 @@ TOLD = {
         "other packets", True, ("--set signal.header_pairs=1 --set signal.data_pairs=30",), "1 pairs of header and 30"
     ),
     "out of step": Told("out of step", True, ("--receiver soft",), "0.50 of a pattern"),
-    "turned": Told("turned", True, ("--corners ", "turn the camera"), "turned by 40 degrees"),
     "slow camera": Told("slow camera", False, (), "lasts 0.70 frames"),
 }
 
@@ -121,13 +120,6 @@ def test_orders_of_another_receiver_are_kept() -> None:
     assert abs(array.clock.phase) == pytest.approx(0.5, abs=0.03)
 
 
-def test_the_corners_that_are_advised_read_a_turned_array() -> None:
-    film = FAULTY["turned"]()
-    (line,) = (one for one in probed(film).advice if "--corners" in one)
-    corners = [float(n) for n in line.rpartition(" ")[2].split(",")]
-    assert probed(film, detect={"corners": corners}).read
-
-
 @pytest.mark.parametrize("place", [
     {"region": (0, 0, 40, 40)}, {"corners": (10.0, 10.0, 30.0, 10.0, 30.0, 30.0, 10.0, 30.0)},
 ])  # fmt: skip
@@ -141,12 +133,6 @@ def test_a_place_beside_the_array_is_told_and_so_is_where_it_is(place: dict[str,
     assert f"leave out --{name}, or say where it is: --region " in cause.advice[0]
     region = [int(n) for n in cause.advice[0].rpartition(" ")[2].split(",")]
     assert probed(film, detect={"region": region}).read
-
-
-def test_a_turned_array_beside_the_place_that_was_given_is_told_its_corners() -> None:
-    (cause,) = probed(FAULTY["turned"](), detect={"region": (0, 0, 40, 40)}).regions[0].causes
-    assert (cause.kind, cause.proven) == ("turned", True)
-    assert cause.advice[0].endswith(", without --region")
 
 
 def test_what_a_region_would_be_as_an_array_is_told() -> None:

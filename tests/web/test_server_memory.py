@@ -2,8 +2,6 @@
 
 import gc
 import json
-import subprocess
-import sys
 import threading
 from collections import Counter
 from collections.abc import Iterator
@@ -89,34 +87,3 @@ def test_memory_is_released_when_a_reception_has_ended(
     monkeypatch.setattr("heliograph.web.crashes.release_memory", released.set)
     page(client, film)
     assert released.wait(60)
-
-
-FRAGMENTED = """
-import resource, threading
-import numpy as np
-from heliograph.web.memory import release_memory
-
-def pages():
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * resource.getpagesize() >> 20
-
-def receive():
-    large = np.empty(16 << 20, np.uint8)  # from now on blocks up to this size come from an arena
-    del large
-    frames = [np.full(1 << 18, 1, np.uint8) for _ in range(400)]
-    kept.extend(frames[::40])
-
-kept = []
-thread = threading.Thread(target=receive)
-thread.start()
-thread.join()
-before = pages()
-release_memory()
-print(before - pages())
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="glibc keeps freed memory")
-def test_gaps_between_kept_arrays_are_returned_to_the_system() -> None:
-    said = subprocess.run([sys.executable, "-c", FRAGMENTED], capture_output=True, text=True, check=True).stdout
-    assert int(said) > 60  # of 100 MB, of which 2.5 are kept

@@ -137,6 +137,8 @@ def is_picture(path: Path, head: bytes) -> bool:
     head
         The first bytes of the file, 8 or more where it has them.
     """
+    if head.startswith(b"RIFF") and head[8:12] != b"WEBP":  # such as AVI
+        return False
     return head.startswith(_PNG) or (head.startswith(_STILLS) and path.suffix.lower() in PICTURE_SUFFIXES)
 
 
