@@ -62,10 +62,11 @@ BOXES_WORK, EXACT_WORK, CELLS_WORK = 2, 8, 15
 """Work of two sums over the whole pixels of a place, of its exact sums, and of summing its cells. The unit is one place
 compared; that takes 6 ns on the machine measured on."""
 
-ONE_SIDED = 0.92
+ONE_SIDED = 0.75
 """Largest sum of what alternates in a place, by that of its magnitudes: half of a header's cells turn brighter while
 the other half turn darker. A header of which a third is hidden has 0.5 at most, a header after darkness, half a pattern
-out of step, has 0.75 to 0.9, and a lamp has 1."""
+out of step, has 0.75 to 0.9, and a lamp has 1. An array that lights up half a pattern out of step is found by
+its second header."""
 
 HEADERS_AT_ONCE = 4
 """Headers that a place is correlated with in the time of looking at one."""

@@ -201,7 +201,8 @@ class StraddledDetector:
         """True if the frames within the header show the array evenly lit."""
         self._budget.spend(FIT_WORK)
         window = window_around(fit.pose, self._side, CANDIDATE_MARGIN_PX)
-        seen = np.asarray(np.mean([cut_out(frame, window) for frame in frames[1:-1]], axis=0), np.float32)
+        cutouts = [cut_out(frame, window) for frame in frames[1:-1]]
+        seen = np.asarray(np.mean(cutouts, axis=0, dtype=np.float32))
         light = np.sort(cell_light(seen, window[:2], fit.pose, np.ones((self._side, self._side))))
         low, high = light[HIDDEN_CELLS], light[-1 - HIDDEN_CELLS]
         return bool(low >= LIT_WITHIN * fit.gain and high - low <= UNEVEN_WITHIN * fit.gain)
