@@ -68,8 +68,8 @@ def test_any_phase_and_rate_is_read(fps: float, exposure_s: float, start_s: floa
 @pytest.mark.parametrize("start_s", [2.49e-3, 2.5e-3, 2.51e-3])
 @pytest.mark.slow
 def test_half_a_pattern_out_of_step_is_read(start_s: float) -> None:
-    """A header then shows only where it begins and ends, if the array has been lit before."""
-    assert_read(soft_packets([], start_s=start_s - 0.036), start_s, 2)
+    """A header then shows only where it begins and ends."""
+    assert_read(soft_packets([], start_s=start_s), start_s, 2)
 
 
 @pytest.mark.parametrize("start_s", [2.0e-3, 2.25e-3])
@@ -169,7 +169,7 @@ def test_a_light_of_ten_patterns_per_second_is_read_from_an_ordinary_camera() ->
     assert [packet.status for packet in packets] == ["ok", "ok"]
 
 
-@pytest.mark.parametrize("phase", [0.47, 0.475, 0.53])
+@pytest.mark.parametrize("phase", [0.47, 0.475, 0.5, 0.53])
 @pytest.mark.slow
 def test_half_a_pattern_out_of_step_far_arrays_stay_upright(phase: float) -> None:
     """Light of data beside such a header looks like a tilt, which no later header would put right."""

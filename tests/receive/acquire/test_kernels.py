@@ -119,7 +119,21 @@ def searched(
     sums = coarse.integrals(image, np.empty((3, image.shape[0] + 1, image.shape[1] + 1)))
     sizes, first = np.array(sides), np.array(corner)
     found, _, passed, _ = kernels.search(
-        sums, busy, 8.0, cells, sizes, contrast, threshold, RING, GRID, apart, first, 0, UNBOUNDED, best
+        sums,
+        busy,
+        8.0,
+        cells,
+        sizes,
+        contrast,
+        threshold,
+        coarse.ANY_SIDED,
+        RING,
+        GRID,
+        apart,
+        first,
+        0,
+        UNBOUNDED,
+        best,
     )
     assert passed == busy.size
     return found, best

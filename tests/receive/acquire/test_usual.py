@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from heliograph.receive.acquire.usual import EARLY_SEARCHES, LEAST_SURGE, OOK_SURGE, SURGE, UsualAlternation
+from heliograph.receive.acquire.usual import EARLY_SEARCHES, LEAST_SURGE, OOK_SURGE, SURGE, Usual, UsualAlternation
 
 Bools = NDArray[np.bool_]
 
@@ -50,16 +50,16 @@ def test_what_surges_does_so_for_one_more_search(modulation: str, factor: float,
     """A search that sees a header too late leaves it to the next, in which it surges no more."""
     usual, change = UsualAlternation(modulation), np.ones((6, 8), np.float32)
     for _ in range(5):
-        told, strong, _ = usual.surges(change, (0, 0), 0.0)
+        told, strong, *_ = usual.surges(change, (0, 0), 0.0)
         assert not strong.any()
     assert not told.any()
-    told, strong, _ = usual.surges(np.float32(factor) * change, (0, 0), 0.0)
+    told, strong, *_ = usual.surges(np.float32(factor) * change, (0, 0), 0.0)
     assert told.all()
     assert strong.all() == strong.any() == strikes
-    told, strong, _ = usual.surges(change, (0, 0), 1.0)
+    told, strong, *_ = usual.surges(change, (0, 0), 1.0)
     assert told.all() == told.any() == lasts
     assert strong.all() == strong.any() == strikes
-    told, strong, _ = usual.surges(change, (0, 0), 1.0)
+    told, strong, *_ = usual.surges(change, (0, 0), 1.0)
     assert not told.any()
     assert not strong.any()
 
@@ -78,10 +78,10 @@ def test_what_is_there_anew_is_usual_at_once() -> None:
 def test_where_it_was_calm_all_strikes(before: int) -> None:
     usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
     for _ in range(before):
-        told, strong, _ = usual.surges(change, (0, 0), 1.0)
+        told, strong, *_ = usual.surges(change, (0, 0), 1.0)
     for _ in range(20):
         usual.calm()
-    told, strong, _ = usual.surges(change, (0, 0), 1.0)
+    told, strong, *_ = usual.surges(change, (0, 0), 1.0)
     assert told.all()
     assert strong.all()
     # it was a place seen first, or one that was calm
@@ -135,3 +135,21 @@ def test_headers_surge_over_data_whatever_a_search_begins_with(
         before = surging
     assert len(told) > 8
     assert all(told)
+
+
+def test_blocks_wait_from_their_second_search_on() -> None:
+    """The first search may see a part of a header alone."""
+    usual, change, waits = Usual(3, packet_searches=10), np.ones((2, 3), np.float32), list[float]()
+    first = np.zeros((2, 3), bool)
+    first[0, 0] = True
+    for k in range(6):
+        surge = usual.surge(change, (0, 0))
+        waits.append(float(surge.waits[0, 0]))
+        assert np.isinf(surge.waits[1]).all()
+        usual.searched(first if k < 2 else ~first & False)
+    assert waits == pytest.approx([np.inf, np.inf, 0.1, 0.1, 0.2, 0.3])
+    for _ in range(5):
+        usual.calm()
+    assert usual.surge(change, (0, 0)).waits[0, 0] == pytest.approx(0.9)
+    # another part of the sensor is new
+    assert np.isinf(usual.surge(change, (8, 0)).waits).all()

@@ -44,12 +44,11 @@ def test_packets_are_read_without_the_equaliser(phase: float, distance_m: float)
     settings = at_rest(distance_m, phase)
     frames, recorder, other = film(settings, FRAMES), Recorder(), Recorder()
     packets = list(receive_frames(frames, settings.signal, settings.receive, recorder))
-    # an array that lights up half a pattern out of step is found by its second header
-    assert [packet.status for packet in packets] == ["ok"] * (2 if phase == 0.5 else 3)
+    assert [packet.status for packet in packets] == ["ok"] * 3
     assert recorder.of(EqualiseEvent) == []
     equalised = replace(settings.receive, soft=SoftSettings(led_by_led=False))
     alone = list(receive_frames(frames, settings.signal, equalised, other))
-    assert len(other.of(EqualiseEvent)) >= len(packets)
+    assert len(other.of(EqualiseEvent)) >= 3
     for packet, one in zip(packets, alone, strict=True):
         for name, words in packet.layers.items():
             assert [word.block for word in words] == [word.block for word in one.layers[name]]

@@ -3,9 +3,9 @@
 Work is counted and not timed, so a film is read alike on every machine. Each frame of a pattern brings some work to be
 done, and what is not used is kept for an array that comes into sight. One search takes a part of that. When a
 twentieth is used up, blocks are left out in which nothing is like a header just now (`usual`), and candidates that are
-little like one unless much more alternates than usual; when a quarter is, such candidates in any case. A search that
-cannot afford all blocks takes those in which most alternates compared with what usually does. Frames that were not
-searched are not kept for later, as newer ones take their place.
+little like one unless much more alternates than usual; when a quarter is, such candidates in any case; when half is,
+blocks that were searched less than half a packet ago. A search that cannot afford all blocks takes those in which most
+alternates compared with what usually does. Frames that were not searched are not kept, as newer ones take their place.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.coarse import BLOCK_PX, NOT_SEARCHED, SearchParameters, coarse_search
+from heliograph.receive.acquire.coarse import (
+    ANY_SIDED,
+    BLOCK_PX,
+    MAX_ONE_SIDED,
+    NOT_SEARCHED,
+    SearchParameters,
+    coarse_search,
+)
 from heliograph.receive.acquire.hypotheses import Headers
 from heliograph.receive.acquire.parts import SearchedPart
 
@@ -71,6 +78,9 @@ usual."""
 AMPLE_PART = 19 / 20
 """Part of it above which all blocks that alternate are searched, and all candidates fitted: with less, data of an array
 before its first header would be all the time, and frames wait for that (docs/performance.md)."""
+
+RESEARCH_PACKETS = 0.5
+"""Packets for which blocks that were searched in vain are left out where less than half of the work is there."""
 
 FIRST_SHORT_MS = 90.0
 """Work in ms that is not there at first, so that less is left than `AMPLE_PART`, a tenth used up with the default
@@ -268,7 +278,12 @@ class Budget:
         self.load += SearchLoad(dropped=1)
 
     def choose(
-        self, busy: NDArray[np.bool_], surges: NDArray[np.bool_], novelty: NDArray[np.float32], share: float = 1.0
+        self,
+        busy: NDArray[np.bool_],
+        surges: NDArray[np.bool_],
+        novelty: NDArray[np.float32],
+        waits: NDArray[np.float32],
+        share: float = 1.0,
     ) -> NDArray[np.bool_]:
         """Choose the blocks that the next search looks at; those left out for want of time are counted.
 
@@ -280,12 +295,17 @@ class Budget:
             (blocks down, blocks across), where as much alternates as in a header.
         novelty
             (blocks down, blocks across), by which blocks are ranked where not all can be afforded.
+        waits
+            (blocks down, blocks across), packets since the block was searched.
         share
             Part of a search's work that it may do.
         """
         if self.ample:
             return busy
-        chosen = _most_novel(busy & surges, novelty, self.blocks(share))
+        eligible = busy & surges
+        if self.short:
+            eligible &= waits > RESEARCH_PACKETS
+        chosen = _most_novel(eligible, novelty, self.blocks(share))
         if not self.plenty:
             self.leave(int(np.count_nonzero(busy) - np.count_nonzero(chosen)))
         return chosen
@@ -337,12 +357,15 @@ class BoundedSearch:
         """
         parameters, out, begun = self.parameters, list[NDArray[np.float64]](), self._next
         self.compared, self._next, most = False, [], self._budget.coarse
+        one_sided = ANY_SIDED if self._budget.plenty else MAX_ONE_SIDED
         for k, (change, busy, frame) in enumerate(parts):
             begin, count = _begin(begun, busy, frame, len(parts) == 1), busy.size
             limit, cells, apart = most / (len(parts) - k), self.headers.cells, self.headers.apart
             found, work = NOT_SEARCHED, 0.0
             if limit > 0:
-                found = coarse_search(change, busy, frame, parameters, cells, self.sides, apart, begin, limit)
+                found = coarse_search(
+                    change, busy, frame, parameters, cells, self.sides, apart, begin, limit, one_sided
+                )
                 work = PIXEL_WORK * change.size + found.work
             self._budget.spend(work)
             most -= work

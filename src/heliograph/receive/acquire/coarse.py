@@ -62,11 +62,10 @@ BOXES_WORK, EXACT_WORK, CELLS_WORK = 2, 8, 15
 """Work of two sums over the whole pixels of a place, of its exact sums, and of summing its cells. The unit is one place
 compared; that takes 6 ns on the machine measured on."""
 
-ONE_SIDED = 0.75
-"""Largest sum of what alternates in a place, by that of its magnitudes: half of a header's cells turn brighter while
-the other half turn darker. A header of which a third is hidden has 0.5 at most, a header after darkness, half a pattern
-out of step, has 0.75 to 0.9, and a lamp has 1. An array that lights up half a pattern out of step is found by
-its second header."""
+MAX_ONE_SIDED, ANY_SIDED = 0.75, 2.0
+"""Largest magnitude of the sum of what alternates in a place, by the sum of its magnitudes: where a quarter of the
+budget is used up, and no limit. Half of a header's cells turn brighter while the others turn darker. A header of which
+a third is hidden has 0.5 at most, a header after darkness, half a pattern out of step, 0.75 to 0.9, a lamp 1."""
 
 HEADERS_AT_ONCE = 4
 """Headers that a place is correlated with in the time of looking at one."""
@@ -345,6 +344,7 @@ def coarse_search(
     apart: float = APART_SIDES,
     begin: int = 0,
     limit: float = UNBOUNDED,
+    one_sided: float = MAX_ONE_SIDED,
 ) -> Searched:
     """Best candidates of a search.
 
@@ -368,6 +368,9 @@ def coarse_search(
         Number of the block searched first, counted row by row; the blocks before it come last.
     limit
         Work after which no further block is begun.
+    one_sided
+        Largest magnitude of the sum of what alternates in a place, by the sum of its magnitudes; of headers with as
+        many positive as negative cells alone.
     """
     from heliograph.receive.acquire import kernels
 
@@ -382,6 +385,7 @@ def coarse_search(
         sides,
         contrast,
         parameters.coarse_score,
+        ANY_SIDED if cells.sum(axis=1).any() else one_sided,
         RING,
         GRID,
         apart,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.budget import FIT_WORK, BoundedSearch, Budget, SearchLoad
+from heliograph.receive.acquire.budget import FIT_WORK, LITTLE_SCORE, BoundedSearch, Budget, SearchLoad
 from heliograph.receive.acquire.candidate import (
     HIDING_BLUR,
     LEVEL_SPREAD,
@@ -116,7 +116,7 @@ class Detector:
         self._coarse = tuple(BoundedSearch(parameters, one, self.budget) for one in sought)
         self._rolled = self._at_rolls(sought)
         # data look otherwise to a search that begins with an inverse
-        self._usual = UsualAlternation(signal.modulation), UsualAlternation(signal.modulation)
+        self._usual = tuple(UsualAlternation(signal.modulation, signal.packet_patterns / 2) for _ in range(2))
         self._span = min(self._header, 4)
         self._frames = DueFrames(self._header, self._span, signal.packet_patterns)
 
@@ -229,8 +229,9 @@ class Detector:
         if not busy.any():
             usual.calm()
             return busy, False
-        surges, strikes, novelty = usual.surges(change, first.origin, self.budget.scarcity)
-        searched = self.budget.choose(busy, surges, novelty)
+        surges, strikes, novelty, waits = usual.surges(change, first.origin, self.budget.scarcity)
+        searched = self.budget.choose(busy, surges, novelty, waits)
+        usual.searched(searched)
         return searched, bool((searched & strikes).any())
 
     def parts(self, turned: bool) -> int:
@@ -319,9 +320,11 @@ class Detector:
             for coarse, roll in searches
             for one, part in candidates_of(parts, coarse, self._side, roll)
         ]
-        if len(searches) > 1:
-            found = sorted(found, key=lambda one: -abs(one[0].score))[: self._parameters.candidates]
-        return found
+        if len(searches) == 1:
+            return found
+        # clutter has so many rolls to resemble a header
+        found = [one for one in found if abs(one[0].score) >= LITTLE_SCORE]
+        return sorted(found, key=lambda one: -abs(one[0].score))[: self._parameters.candidates]
 
     def _at_rolls(self, sought: Sequence[Headers]) -> list[list[tuple[BoundedSearch, float]]]:
         """Searches for rolled arrays, each with its roll in rad; none of a pose that was given or of squares."""

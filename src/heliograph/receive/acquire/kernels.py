@@ -6,7 +6,7 @@ import numpy as np
 
 from heliograph.base.arrays import TINY
 from heliograph.base.compiled import compiled
-from heliograph.receive.acquire.coarse import BLOCK_PX, BOXES_WORK, CELLS_WORK, EXACT_WORK, HEADERS_AT_ONCE, ONE_SIDED
+from heliograph.receive.acquire.coarse import BLOCK_PX, BOXES_WORK, CELLS_WORK, EXACT_WORK, HEADERS_AT_ONCE
 
 SINGLE = 1e-5
 """What single precision may take from a product of 16 numbers, and more, as a fraction of it."""
@@ -248,7 +248,21 @@ def _most_alike(columns, sums, dots):
 
 @compiled()
 def search(
-    integrals, busy, block, cells, sides, contrast, threshold, ring_width, grid, apart, corner, begin, limit, best
+    integrals,
+    busy,
+    block,
+    cells,
+    sides,
+    contrast,
+    threshold,
+    one_sided,
+    ring_width,
+    grid,
+    apart,
+    corner,
+    begin,
+    limit,
+    best,
 ):
     """Correlate what alternates with all headers over scale and position.
 
@@ -268,6 +282,8 @@ def search(
         Least rms alternation in gray levels.
     threshold
         Least correlation, 0 to 1.
+    one_sided
+        Largest magnitude of the sum of what alternates in a place over the sum of its magnitudes, 0 to 1.
     ring_width
         Width of the ring around a candidate that must not alternate, as a fraction of its side.
     grid
@@ -303,11 +319,6 @@ def search(
         (np.empty(5, np.int64), np.empty((3, 5)), np.empty(16)),
     )
     dots = np.empty(cells.shape[0], np.float32)
-    # headers of as many positive as negative cells: a place of one sign is like none of them
-    one_sided = ONE_SIDED
-    for t in range(cells.shape[0]):
-        if cells[t].sum() != 0.0:
-            one_sided = 2.0
     found = np.int64(0)  # of a plain 0 a second `_keep` would be compiled
     work = passed = compared = 0
     while passed < busy.size and work < limit:

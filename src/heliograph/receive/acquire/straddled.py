@@ -109,7 +109,7 @@ class StraddledDetector:
         upright = headers((UPRIGHT,), ORIENTATIONS[1:])
         self._budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
         self._coarse = BoundedSearch(parameters, ALL_ON if parameters.all_on else upright, self._budget)
-        self._usual = Usual(STRADDLED_BLOCKS), Usual(STRADDLED_BLOCKS)
+        self._usual = tuple(Usual(STRADDLED_BLOCKS, signal.packet_patterns / 2) for _ in range(2))
         self._frames: deque[Frame] = deque(maxlen=self._header + 1)
 
     @property
@@ -157,8 +157,9 @@ class StraddledDetector:
         # the latter are of twice what changes
         quiet = within < 0.5 * QUIET * means
         if self._budget.bounded:
-            now, _, early = usual.surge(means, frames[0].origin)
-            busy = self._budget.choose(busy & quiet, (now > STRADDLED_SURGE) | early, now, SHARE)
+            now, _, early, waits = usual.surge(means, frames[0].origin)
+            busy = self._budget.choose(busy & quiet, (now > STRADDLED_SURGE) | early, now, waits, SHARE)
+            usual.searched(busy)
         else:
             busy &= quiet
         if not self._budget.begins(busy, share=SHARE):

@@ -47,11 +47,14 @@ class Surge(NamedTuple):
         one.
     early
         Whether the place is so new that nothing is usual in it.
+    waits
+        (blocks down, blocks across), packets since the block was last searched.
     """
 
     now: NDArray[np.float32]
     before: NDArray[np.float32]
     early: bool
+    waits: NDArray[np.float32]
 
 
 class Usual:
@@ -61,12 +64,16 @@ class Usual:
     ----------
     around
         Blocks of a side about each over which its mean is taken.
+    packet_searches
+        Searches in the time of a packet.
     """
 
-    def __init__(self, around: int):
+    def __init__(self, around: int, packet_searches: float = 50.0):
         self._around, self._mean, self._origin = around, np.zeros((0, 0), np.float32), (0, 0)
-        self._before = self._mean
+        self._before = self._waits = self._mean
+        self._searched = np.zeros((0, 0), bool)
         self._searches = self._calm = 0
+        self._packet_searches = packet_searches
 
     def calm(self) -> None:
         """Take it that nothing alternates in the frames of a search: that takes no time, and is so nearly always."""
@@ -86,15 +93,21 @@ class Usual:
         if (around.shape, origin) != (self._mean.shape, self._origin):
             self._mean, self._origin, self._searches = around * np.float32(self._calm == 0), origin, 0
             self._before = np.zeros_like(around)
+            self._waits, self._searched = np.full_like(around, np.inf), np.zeros(around.shape, bool)
         if self._calm:
             self._mean = self._mean * np.float32((1 - USUAL_WEIGHT) ** self._calm)
             self._before = np.zeros_like(around)
+        self._waits += (self._calm + 1) / self._packet_searches
         self._searches, self._calm = self._searches + self._calm + 1, 0
         now = np.asarray(around / np.maximum(self._mean, np.float32(TINY)), np.float32)
         kept = np.where(now > ANEW, np.float32(1), np.float32(USUAL_WEIGHT))
         self._mean = self._mean + kept * (around - self._mean)
-        surge, self._before = Surge(now, self._before, self._searches <= EARLY_SEARCHES), now
+        surge, self._before = Surge(now, self._before, self._searches <= EARLY_SEARCHES, self._waits), now
         return surge
+
+    def searched(self, blocks: NDArray[np.bool_]) -> None:
+        """Take the blocks that are searched now; the next search may see the rest of a header in them."""
+        self._waits[self._searched], self._searched = 0, blocks
 
 
 class UsualAlternation:
@@ -106,9 +119,10 @@ class UsualAlternation:
         That of the data, "haar" or "ook".
     """
 
-    def __init__(self, modulation: str):
+    def __init__(self, modulation: str, packet_searches: float = 50.0):
         self._least, self._most = (OOK_SURGE, OOK_SURGE) if modulation == "ook" else (LEAST_SURGE, SURGE)
-        self._usual = Usual(AROUND_BLOCKS)
+        self._usual = Usual(AROUND_BLOCKS, packet_searches)
+        self.searched = self._usual.searched
 
     def calm(self) -> None:
         """Take it that nothing alternates; see `Usual`."""
@@ -134,9 +148,10 @@ class UsualAlternation:
         Returns
         -------
         (blocks down, blocks across) three times: where it surges as much as that; where it strikes, as it surges by
-        `SURGE`; and how much it surges. At first all of a place surges, and nothing strikes.
+        `SURGE`; and their priority, how much they surge times the searches since they were chosen. At first all of a
+        place surges, and nothing strikes.
         """
-        now, before, early = self._usual.surge(change, origin)
+        now, before, early, waits = self._usual.surge(change, origin)
         least = self._least + scarcity * (self._most - self._least)
         novelty = np.maximum(now, before)
-        return (now > least) | (before > self._most) | early, novelty > SURGE, novelty
+        return (now > least) | (before > self._most) | early, novelty > SURGE, novelty, waits
