@@ -81,28 +81,38 @@ def test_work_is_earned_by_the_pattern_and_kept_for_later() -> None:
 def test_blocks_of_greatest_novelty_are_searched_when_work_is_scarce() -> None:
     budget, busy = Budget(0.5, 1e-3), np.ones((20, 30), bool)
     busy[:, 0] = False
-    novelty = np.random.default_rng(0).uniform(0, 3, busy.shape).astype(np.float32)
+    novelty, waits = np.full(busy.shape, 1.5, np.float32), np.full(busy.shape, 2.0, np.float32)
+    novelty[4:9, 10:15] = 3.0
     most = 1e3 * SAVED_S * 0.5 * WORK_PER_MS
-    surges, waits = novelty > 1.2, np.full(busy.shape, 2.0, np.float32)
+    surges = novelty > 1.2
+    surges[12:] = False
     # a tenth is used up: what does not surge is left out, and not counted
     assert np.array_equal(budget.choose(busy, surges, novelty, waits), busy & surges)
     assert budget.load.blocks == 0
-    budget.spend((first_part(0.5) - 0.1) * most)
-    budget.search(1e6 * 600, 600)
+    budget.spend((first_part(0.5) - 0.4) * most)
     count = budget.blocks()
     assert 1 < count < np.count_nonzero(busy & surges)
     chosen = budget.choose(busy, surges, novelty, waits)
     assert np.count_nonzero(chosen) == count
-    assert novelty[chosen].min() > novelty[busy & ~chosen].max()
     assert budget.load.blocks == np.count_nonzero(busy) - count
-    # where less than half is there, those searched lately are left out, and those of before are not
-    waits[:10] = 0.5 * budgets.RESEARCH_PACKETS
-    assert budget.choose(busy, surges, novelty, waits)[:10].any() == (not budget.short)
-    budget.spend(0.3 * most)
+    # the middle of the area first
+    assert chosen[6, 12]
+    # those searched lately are left out, and those of before are not
+    waits[:8] = 0.5 * budgets.RESEARCH_PACKETS
     assert budget.short
     chosen = budget.choose(busy, surges, novelty, waits)
-    assert not chosen[:10].any()
-    assert chosen[10:].any()
+    assert not chosen[:8].any()
+    assert chosen[8, 12]
+
+
+def test_the_dearer_blocks_were_the_fewer_are_searched() -> None:
+    budget, few = Budget(0.5, 1e-3), np.ones((2, 3), bool)
+    before = budget.blocks()
+    for _ in range(20):
+        budget.begins(few)
+        budget.spend(few.size * 10 * budgets.BLOCK_WORK)
+        budget.earn()
+    assert budget.blocks() < before / 5
 
 
 @pytest.mark.parametrize("dark", [0, 20, 90], ids=["at its header", "early in a packet", "late in a packet"])

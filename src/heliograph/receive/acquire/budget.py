@@ -11,6 +11,7 @@ alternates compared with what usually does. Frames that were not searched are no
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,8 +55,8 @@ PATIENT_PART, PATIENT_AMPLE_PART, PATIENT_WORK, PATIENT_S = 1.0, 0.9, 160e6, 0.2
 """Share of a core above which a search need not keep up with a camera; the part that then stands for `AMPLE_PART`. Such
 a search saves this much work, or the work of this many seconds if that is more, and may spend half of it at once."""
 
-BLOCK_WORK, BLOCKS_WEIGHT = 1500.0, 1 / 8
-"""Expected work of a block before the first search, and weight of one search in the running mean."""
+BLOCK_WORK, BLOCKS_WEIGHT = 3000.0, 1 / 8
+"""Expected work of a block, fits included, before the first search, and weight of one search in the running mean."""
 
 BEGIN_PART = 1 / 20
 """Part of it that must be there for a search to begin: searches now and then, which fit what they find, are worth more
@@ -78,6 +79,10 @@ usual."""
 AMPLE_PART = 19 / 20
 """Part of it above which all blocks that alternate are searched, and all candidates fitted: with less, data of an array
 before its first header would be all the time, and frames wait for that (docs/performance.md)."""
+
+MAX_NOVELTY, AREA_BLOCKS = 4.0, 2.0
+"""Greatest novelty that counts, and standard deviation in blocks of the window in which novelty is summed up: the
+middle of an array must be among the blocks, and its rim changes by the same ratio."""
 
 RESEARCH_PACKETS = 0.5
 """Packets for which blocks that were searched in vain are left out where less than half of the work is there."""
@@ -165,7 +170,8 @@ class Budget:
         if self._is_patient:
             self._most, self._ample_part, short = max(PATIENT_WORK, PATIENT_S * per_s), PATIENT_AMPLE_PART, 0.0
         self._left = self._most - short
-        self._block_work = BLOCK_WORK
+        # work of a block in the mean, blocks of the last search, and work done before it
+        self._block_work, self._blocks, self._spent = BLOCK_WORK, 0, 0.0
         self._strikes = self._expects = False
         # what the search leaves that has begun
         self._end = 0.0
@@ -184,12 +190,17 @@ class Budget:
             Part of a search's work that it may do.
         """
         self._strikes, self._expects = strikes, False
-        if not (blocks := np.count_nonzero(busy)):
+        if self._blocks:
+            spent = (self.load.work - self._spent) / self._blocks
+            self._block_work += BLOCKS_WEIGHT * (spent - self._block_work)
+        self._blocks, self._spent = int(np.count_nonzero(busy)), self.load.work
+        if not self._blocks:
             return False
         self._end = self._left - share * self._allowance
         lasts = self._left >= BEGIN_PART * self._most
         if not lasts:
-            self.leave(int(blocks))
+            self.leave(self._blocks)
+            self._blocks = 0
         return lasts
 
     @property
@@ -202,7 +213,9 @@ class Budget:
 
     def blocks(self, share: float = 1.0) -> int:
         """Blocks that the next search can afford, at least one."""
-        return max(1, int(0.5 * share * self._allowance / self._block_work))
+        # what two patterns bring, so that enough is left for a near array, whose blocks cost more than others
+        work = 2 * self._rate if self.short else self._allowance
+        return max(1, int(share * work / self._block_work))
 
     @property
     def coarse(self) -> float:
@@ -244,11 +257,6 @@ class Budget:
         """
         self._left -= work
         self.load += SearchLoad(work=work)
-
-    def search(self, work: float, blocks: int) -> None:
-        """Learn what it costs to search a block."""
-        if blocks:
-            self._block_work += BLOCKS_WEIGHT * (work / blocks - self._block_work)
 
     def fit(self, score: float = 1.0) -> bool:
         """Whether a candidate may be fitted; it counts as fitted or, where that is for want of time, as dropped.
@@ -371,11 +379,9 @@ class BoundedSearch:
             most -= work
             self.compared |= found.compared > 0
             out.append(found.rows)
-            left = (begin + np.arange(found.passed, count)) % count
-            unsearched = int(np.count_nonzero(busy.ravel()[left]))
-            self._budget.search(found.work, int(np.count_nonzero(busy)) - unsearched)
             if found.passed < count:
-                self._budget.leave(unsearched)
+                left = (begin + np.arange(found.passed, count)) % count
+                self._budget.leave(int(np.count_nonzero(busy.ravel()[left])))
                 down, across = divmod(int(left[0]), busy.shape[1])
                 self._next.append((down + frame.origin[1] // BLOCK_PX, across + frame.origin[0] // BLOCK_PX))
                 self.compared = True
@@ -396,11 +402,12 @@ def _begin(begun: Sequence[tuple[int, int]], busy: NDArray[np.bool_], frame: Fra
 
 
 def _most_novel(blocks: NDArray[np.bool_], novelty: NDArray[np.float32], count: int) -> NDArray[np.bool_]:
-    """Keep the blocks of greatest novelty, as many as `count`; of equal ones the first, row by row."""
+    """Keep the blocks of greatest novelty, the middle of an area first; of equal ones the first, row by row."""
     chosen = np.flatnonzero(blocks)
     if chosen.size <= count:
         return blocks
-    best = chosen[np.argsort(-novelty.ravel()[chosen], kind="stable")[:count]]
+    rank = cv2.GaussianBlur(np.where(blocks, np.minimum(novelty, MAX_NOVELTY), 0), (0, 0), AREA_BLOCKS)
+    best = chosen[np.argsort(-rank.ravel()[chosen], kind="stable")[:count]]
     out = np.zeros_like(blocks)
     out.ravel()[best] = True
     return out
