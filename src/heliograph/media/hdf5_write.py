@@ -34,8 +34,18 @@ class PatientFile:
     def __init__(self, path: Path) -> None:
         self._file = path.open("w+b", buffering=0)
         self.error: OSError | None = None
-        self.seek, self.tell, self.read = self._file.seek, self._file.tell, self._file.read
-        self.flush, self.close = self._file.flush, self._file.close
+        self.read, self.close = self._file.read, self._file.close
+
+    def flush(self) -> None:
+        """Do nothing: the file has no buffer."""
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Seek; an interrupt may leave the HDF5 file open, which is then written in vain at exit."""
+        return offset if self._file.closed else self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        """Return the place reached."""
+        return 0 if self._file.closed else self._file.tell()
 
     def readinto(self, buffer: memoryview) -> int:
         """Read.
@@ -49,7 +59,7 @@ class PatientFile:
         -------
         How many bytes that were; all of them, once a write has failed.
         """
-        got = self._file.readinto(buffer)
+        got = 0 if self._file.closed else self._file.readinto(buffer)
         return len(buffer) if self.error else got  # what was never written may be asked for again
 
     def write(self, data: memoryview) -> int:
@@ -65,7 +75,9 @@ class PatientFile:
         How many bytes these are, whatever was written of them.
         """
         left = memoryview(data).cast("B")
-        while self.error is None and len(left):  # near the end of the disk only a part is taken
+        while (
+            self.error is None and len(left) and not self._file.closed
+        ):  # near the end of the disk only a part is taken
             left = left[self._tried(self._file.write, left) :]
         return len(data)
 
@@ -82,7 +94,7 @@ class PatientFile:
 
     def _tried(self, call: Callable[..., int], argument: object) -> int:
         try:
-            return call(argument)
+            return 0 if self._file.closed else call(argument)
         except OSError as error:
             self.error = error
             return 0
