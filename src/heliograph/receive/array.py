@@ -46,31 +46,7 @@ DUE_PATTERNS = 0.5
 
 
 class ArrayReceiver:
-    """Follows an array from its detection on and reads its packets.
-
-    Parameters
-    ----------
-    detection
-        Where and when its header was found.
-    pairing
-        Pairs the array's frames, and numbers the pairs.
-    tracker
-        Follows the array from pair to pair.
-    reader
-        Reads its first packet, and gives the readers of the next ones.
-    decoders
-        Decodes its packets, one after the other.
-    signal
-        The light's signal: pattern period, and pairs of header and data in a packet.
-    calibration
-        Lens, pixels and LEDs, by which the pitch in the image gives a distance.
-    coast_s
-        Seconds out of sight after which it is given up.
-    observe
-        Gets an event for each pair followed and for each packet decoded.
-    view
-        In which its frames are read; the detection, the pairing and the reader are those of this view.
-    """
+    """Follows an array from its detection on and reads its packets."""
 
     def __init__(
         self,
@@ -142,11 +118,6 @@ class ArrayReceiver:
         """Whether the array has another size than its view is for, and its packet is over: its next header is awaited.
 
         Its last pair may still be waited for, while the search finds that header.
-
-        Parameters
-        ----------
-        time_s
-            Time in seconds, of this packet or later.
         """
         if self._view.suits(self._track.state.pose):
             return False
@@ -155,13 +126,7 @@ class ArrayReceiver:
         return time_s + self._slips.lost * period_s > end_s - period_s / 2
 
     def yields(self, detection: Detection) -> bool:
-        """Whether a header that was found where this array is followed is a better start than its own.
-
-        Parameters
-        ----------
-        detection
-            The header: when it was found, and where on the sensor.
-        """
+        """Whether a header that was found where this array is followed is a better start than its own."""
         start_s = detection.start_time_s + self._slips.lost * self._signal.pattern_period_s
         packets = (start_s - self._pairing.origin_s) / self._signal.packet_s
         off_s = abs(packets - round(packets)) * self._signal.packet_s
@@ -179,13 +144,7 @@ class ArrayReceiver:
         return detection.clear and bool((detection.led_gains == 1).all()) and off > ASTRAY * there.pitch
 
     def push(self, frame: Frame) -> Iterator[ComingPacket]:
-        """Take the next frame; yield the packet it completes.
-
-        Parameters
-        ----------
-        frame
-            The frame, with the time that the clock gives it.
-        """
+        """Take the next frame; yield the packet it completes."""
         # no pair is due before the first header
         before_s = min(max(self._last_s, self._pairing.origin_s), self._track.last_seen_s)
         self._last_s = frame.time_s
@@ -202,13 +161,7 @@ class ArrayReceiver:
             yield from self._take_all(self._pairing.push(one))
 
     def flush(self, over: bool = False) -> Iterator[ComingPacket]:
-        """Yield the packet in progress.
-
-        Parameters
-        ----------
-        over
-            Whether it has come to its end unseen; if not, at least half of its data must have been seen.
-        """
+        """Yield the packet in progress."""
         for one in self._slips.flush():
             yield from self._take_all(self._pairing.push(one))
         yield from self._take_all(self._pairing.flush())

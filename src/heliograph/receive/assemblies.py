@@ -56,52 +56,17 @@ MakeReader = Callable[[Detection, Tracker], PacketReader]
 
 
 def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
-    """Assemble the receiver "plain".
-
-    Parameters
-    ----------
-    signal
-        Settings of the light's signal, on which both ends agree.
-    settings
-        Settings of the receiver: camera, detection, tracking, decoder, and those of "plain".
-    observe
-        Gets the events of all stages.
-    """
+    """Assemble the receiver "plain"."""
     return StreamReceiver(plain_parts(signal, settings, observe), observe)
 
 
 def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
-    """Assemble the receiver "soft".
-
-    Parameters
-    ----------
-    signal
-        Settings of the light's signal, on which both ends agree.
-    settings
-        Settings of the receiver: camera, detection, tracking, decoder, and those of "soft".
-    observe
-        Gets the events of all stages.
-
-    Raises
-    ------
-    SettingsError
-        The light does not use the hierarchical code, or its headers have no M-sequence.
-    """
+    """Assemble the receiver "soft"."""
     return StreamReceiver(soft_parts(signal, settings, observe), observe)
 
 
 def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> Parts:
-    """Parts of the paper's own receiver: one frame per pattern, in step with the light.
-
-    Parameters
-    ----------
-    signal
-        Settings of the light's signal, on which both ends agree.
-    settings
-        Settings of the receiver: camera, detection, tracking, decoder, and those of "plain".
-    observe
-        Gets the events of the arrays followed and of their readers.
-    """
+    """Parts of the paper's own receiver: one frame per pattern, in step with the light."""
     form = PacketFormat(signal)
     options = Decoding(settings.decode.algorithm or "max-log", settings.decode.iterations)
 
@@ -120,24 +85,7 @@ def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
 def soft_parts(
     signal: SignalSettings, settings: ReceiveSettings, observe: Observer, reader: MakeReader | None = None
 ) -> Parts:
-    """Parts of the receiver at the limit of the channel: any camera of at least one frame per pattern.
-
-    Parameters
-    ----------
-    signal
-        Settings of the light's signal, on which both ends agree.
-    settings
-        Settings of the receiver: camera, detection, tracking, decoder, and those of "soft".
-    observe
-        Gets the events of the arrays followed and of their readers.
-    reader
-        Makes the reader of an array's first packet; None for `soft_reader`.
-
-    Raises
-    ------
-    SettingsError
-        The light does not use the hierarchical code, or its headers have no M-sequence.
-    """
+    """Parts of the receiver at the limit of the channel: any camera of at least one frame per pattern."""
     _check_signal(signal)
 
     def pairing(found: Detection) -> Pairing:
@@ -161,21 +109,7 @@ def soft_parts(
 
 
 def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> MakeReader:
-    """Make the soft receiver's readers, which share what was seen of an array's codewords.
-
-    Parameters
-    ----------
-    signal
-        Settings of the light's signal, on which both ends agree.
-    settings
-        Settings of the receiver, of which those of the decoder and of "soft" count.
-    observe
-        Gets an `ExtractEvent` each pair.
-
-    Returns
-    -------
-    A function that makes the reader of an array's first packet.
-    """
+    """Make the soft receiver's readers, which share what was seen of an array's codewords."""
     form = PacketFormat(signal)
     decoding = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
     # by identity, not by array: one lost and found again goes on with its carousel
@@ -192,19 +126,7 @@ def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
 def search_parameters(
     settings: ReceiveSettings, signal: SignalSettings, regularity: float, impaired: bool = False
 ) -> SearchParameters:
-    """What a receiver's detector looks for.
-
-    Parameters
-    ----------
-    settings
-        Settings of the receiver, of which detection and the first guess of the blur count.
-    signal
-        The light's signal, whose header it is.
-    regularity
-        Least regularity of a detection, 0 to 1.
-    impaired
-        Whether tilted and partly hidden arrays are looked for too.
-    """
+    """What a receiver's detector looks for."""
     detect, blur_px = settings.detect, settings.calibration.blur_px
     given = bool(detect.corners or detect.region)
     busy_part = FILM_PART if detect.busy_part is None else detect.busy_part

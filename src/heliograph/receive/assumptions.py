@@ -20,18 +20,12 @@ correct by as much proves nothing of an array.
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """What a reading of a packet takes for granted.
+    """What a reading of a packet takes for granted."""
 
-    Attributes
-    ----------
-    led_gains
-        Gains of the LEDs.
-    cutouts
-        One per pair at the poses where the array is thought to be, in the single mode one per pattern; None where it
-        was not seen.
-    """
-
+    # Gains of the LEDs
     led_gains: LedGains
+    # One per pair at the poses where the array is thought to be, in the single mode one per pattern; None where it was
+    # not seen
     cutouts: Sequence[Cutout | None]
 
     @property
@@ -42,33 +36,18 @@ class Assumption:
 
 @dataclass(frozen=True, slots=True)
 class ReadPacket:
-    """A packet as it was read.
+    """A packet as it was read."""
 
-    Attributes
-    ----------
-    assumed
-        What was taken for granted.
-    decoded
-        What came of it.
-    words
-        Codewords by layer, with those that only other readings gave.
-    """
-
+    # What was taken for granted
     assumed: Assumption
+    # What came of it
     decoded: DecodedPacket[ObservedPacket]
+    # Codewords by layer, with those that only other readings gave
     words: Words
 
     @classmethod
     def of(cls, assumed: Assumption, decoded: DecodedPacket[ObservedPacket]) -> "ReadPacket":
-        """A reading with the codewords that it gave.
-
-        Parameters
-        ----------
-        assumed
-            What was taken for granted.
-        decoded
-            What came of it.
-        """
+        """A reading with the codewords that it gave."""
         return cls(assumed, decoded, decoded.words)
 
     @property
@@ -77,54 +56,24 @@ class ReadPacket:
         return open_words(self.words)
 
     def lacks(self, others: Words) -> bool:
-        """Whether another reading decoded a codeword that this one did not.
-
-        Parameters
-        ----------
-        others
-            Codewords by layer of the other reading.
-        """
+        """Whether another reading decoded a codeword that this one did not."""
         pairs = (pair for name, by in self.words.items() for pair in zip(by, others[name], strict=True))
         return any(one.status == "crc_fail" and other.status != "crc_fail" for one, other in pairs)
 
     def or_rather(self, later: "ReadPacket") -> "ReadPacket":
-        """The later reading if it leaves fewer codewords open, else this one; with the codewords of both.
-
-        Parameters
-        ----------
-        later
-            The same packet, read under another assumption.
-        """
+        """The later reading if it leaves fewer codewords open, else this one; with the codewords of both."""
         best = later if later.open < self.open else self
         words = {name: tuple(map(_decoded_one, by, later.words[name])) for name, by in self.words.items()}
         return replace(best, words=with_raw(words, self.words))
 
 
 def open_words(words: Words) -> int:
-    """How many codewords are not decoded.
-
-    Parameters
-    ----------
-    words
-        Codewords by layer, decoded or not, as a reading left them.
-    """
+    """How many codewords are not decoded."""
     return sum(word.status == "crc_fail" for by in words.values() for word in by)
 
 
 def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[ObservedPacket]]) -> ReadPacket:
-    """Read a packet, and where codewords stay open, once more under each other assumption that there is reason for.
-
-    Parameters
-    ----------
-    first
-        What headers have shown of the LEDs, and sums of the poses.
-    decode
-        Decodes the packet under an assumption.
-
-    Returns
-    -------
-    The reading that leaves the fewest codewords open, the earliest of several, with the codewords of all.
-    """
+    """Read a packet, and where codewords stay open, once more under each other assumption that there is reason for."""
     reading = ReadPacket.of(first, decode(first))
     for otherwise in (all_leds_sound, poses_by_power):
         assumed = otherwise(reading) if reading.open else None
@@ -136,21 +85,7 @@ def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[
 def read_new(
     first: Assumption, shown: Words | None, read: Callable[[Words | None], ReadPacket]
 ) -> tuple[ReadPacket, bool]:
-    """Read a packet of an array just found, of which the equaliser must show by itself that the pose is right.
-
-    Parameters
-    ----------
-    first
-        What headers have shown of the LEDs, and sums of the poses.
-    shown
-        Codewords by layer as the LEDs' positions alone left them; None where these tell nothing.
-    read
-        Reads it by the equaliser, which knows some codewords already, or none.
-
-    Returns
-    -------
-    The reading, and whether the pose misled it: codewords that the LEDs' positions showed are open in it.
-    """
+    """Read a packet of an array just found, of which the equaliser must show by itself that the pose is right."""
     if shown is not None and open_words(known := _without_finest(shown)) < sum(map(len, shown.values())):
         # a codeword that the equaliser adds to them where the poses are is proof enough, in half the time
         reading = read(known)
@@ -168,33 +103,13 @@ def _without_finest(words: Words) -> Words:
 
 
 def all_leds_sound(reading: ReadPacket) -> Assumption | None:
-    """Assume that no LED is dead or hidden: a header before a bright background may make sound ones seem so.
-
-    Parameters
-    ----------
-    reading
-        The best reading so far.
-
-    Returns
-    -------
-    The assumption; None where no LED seems dead or hidden.
-    """
+    """Assume that no LED is dead or hidden: a header before a bright background may make sound ones seem so."""
     led_gains = reading.assumed.led_gains
     return replace(reading.assumed, led_gains=LedGains.sound(len(led_gains.sight))) if led_gains.doubtful else None
 
 
 def poses_by_power(reading: ReadPacket) -> Assumption | None:
-    """Assume the array where the differences have their power: what shines beside it may have pulled sums' poses.
-
-    Parameters
-    ----------
-    reading
-        The best reading so far.
-
-    Returns
-    -------
-    The assumption; None in the single mode, which has no differences, and where the poses are right by them.
-    """
+    """Assume the array where the differences have their power: what shines beside it may have pulled sums' poses."""
     assumed = reading.assumed
     if reading.decoded.observed.form.single:
         return None

@@ -48,28 +48,16 @@ An array of 16 x 16 LEDs takes 1 MB. One that is left out is learnt anew.
 
 
 class Teaching(NamedTuple):
-    """What the packets of an array have taught.
+    """What the packets of an array have taught."""
 
-    Attributes
-    ----------
-    lesson
-        What the last one taught that was studied; None before.
-    study
-        Gives what the packet taught that was decoded last; None where it is studied, or teaches nothing.
-    """
-
+    # What the last one taught that was studied; None before
     lesson: Lesson | None = None
+    # Gives what the packet taught that was decoded last; None where it is studied, or teaches nothing
     study: Callable[[], Lesson | None] | None = None
 
 
 class SharedLesson(Shared[Teaching]):
-    """Hands what was learnt of an array on from packet to packet, where these are decoded.
-
-    Parameters
-    ----------
-    name
-        What tells it from others in another process; None for a new name.
-    """
+    """Hands what was learnt of an array on from packet to packet, where these are decoded."""
 
     kept = LESSONS_KEPT
 
@@ -79,48 +67,31 @@ class SharedLesson(Shared[Teaching]):
 
 @dataclass(frozen=True, slots=True)
 class DecodedPacket:
-    """A packet once it is decoded.
+    """A packet once it is decoded."""
 
-    Attributes
-    ----------
-    decoded
-        What decoding made of it.
-    events
-        What observers are told of decoding, in its order.
-    failure
-        Why nothing was read; None where it was decoded.
-    renumbered
-        The packet with its pairs renumbered, where that is how it was decoded; None else.
-    """
-
+    # What decoding made of it
     decoded: Decoded
+    # What observers are told of decoding, in its order
     events: tuple[Event, ...] = ()
+    # Why nothing was read; None where it was decoded
     failure: Exception | None = None
+    # The packet with its pairs renumbered, where that is how it was decoded; None else
     renumbered: TakenPacket | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """A packet to be decoded; another process may do it.
+    """A packet to be decoded; another process may do it."""
 
-    Attributes
-    ----------
-    taken
-        All that was taken of the packet.
-    identity
-        Number of the array, 0 to 29.
-    signal
-        Settings of the light's signal.
-    lacks_pair
-        Whether a pair of it is lost, nobody knows which.
-    taught
-        What the array's packets before have taught.
-    """
-
+    # All that was taken of the packet
     taken: TakenPacket
+    # Number of the array, 0 to 29
     identity: int
+    # Settings of the light's signal
     signal: SignalSettings
+    # Whether a pair of it is lost, nobody knows which
     lacks_pair: bool
+    # What the array's packets before have taught
     taught: SharedLesson
 
     def __call__(self) -> DecodedPacket:
@@ -142,14 +113,9 @@ class Work:
 
 @dataclass(frozen=True, slots=True)
 class Glance:
-    """A look at a packet before it is decoded.
+    """A look at a packet before it is decoded."""
 
-    Attributes
-    ----------
-    taken
-        All that was taken of the packet.
-    """
-
+    # All that was taken of the packet
     taken: TakenPacket
 
     def __call__(self) -> bool:
@@ -158,33 +124,15 @@ class Glance:
 
 
 def glanced(decoders: "Decoders", taken: TakenPacket) -> bool:
-    """Whether a look at a packet shows a right codeword; waits for it.
-
-    Parameters
-    ----------
-    decoders
-        Where packets are decoded.
-    taken
-        All that was taken of the packet.
-
-    Raises
-    ------
-    HeliographError
-        The process that decodes has ended.
-    """
+    """Whether a look at a packet shows a right codeword; waits for it."""
     return _result(decoders.submit(Glance(taken)))
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """Works out what a packet teaches, after it was decoded and handed out.
+    """Works out what a packet teaches, after it was decoded and handed out."""
 
-    Attributes
-    ----------
-    taught
-        What the array's packets have taught.
-    """
-
+    # What the array's packets have taught
     taught: SharedLesson
 
     def __call__(self) -> Lesson | None:
@@ -205,13 +153,7 @@ class Decoders(Protocol):
     """Decodes packets, one after the other."""
 
     def submit(self, work: Callable[[], Result], /) -> Future[Result]:
-        """Decode or study a packet, now or later, after all that was submitted before.
-
-        Parameters
-        ----------
-        work
-            Does it; called once, here or in another process.
-        """
+        """Decode or study a packet, now or later, after all that was submitted before."""
 
 
 class AtOnce:
@@ -236,13 +178,7 @@ class Beside:
 
 
 def decoders(beside: bool) -> Decoders:
-    """What decodes packets.
-
-    Parameters
-    ----------
-    beside
-        Whether in a process of its own, which is begun now.
-    """
+    """What decodes packets."""
     if not beside:
         return AtOnce()
     _submitted(_loaded)
@@ -272,23 +208,7 @@ def _loaded() -> None:
 
 
 class ComingPacket:
-    """A packet that was seen, and is decoded or being decoded.
-
-    Parameters
-    ----------
-    seen
-        The packet without its codewords.
-    taken
-        All that was taken of it.
-    work
-        What decoding makes of it.
-    lesson
-        What readers are told of what it teaches of the array.
-    observe
-        Gets the events of decoding, in the thread that asks for the packet.
-    exposure_range
-        Exposures in T_b between which headers so far put the camera's; None where nothing is known of it.
-    """
+    """A packet that was seen, and is decoded or being decoded."""
 
     def __init__(
         self,
@@ -310,13 +230,7 @@ class ComingPacket:
 
     @property
     def lesson(self) -> Lesson | None:
-        """What readers are told of what it teaches, None for nothing; waits until that is known.
-
-        Raises
-        ------
-        HeliographError
-            The process that decodes has ended.
-        """
+        """What readers are told of what it teaches, None for nothing; waits until that is known."""
         return _result(self._lesson)
 
     def settle(self) -> None:
@@ -325,13 +239,7 @@ class ComingPacket:
             self._lesson.result()
 
     def packet(self) -> Packet:
-        """The packet; waits until it is decoded.
-
-        Raises
-        ------
-        HeliographError
-            The process that decodes has ended.
-        """
+        """The packet; waits until it is decoded."""
         if self._packet is None:
             result, seen = _result(self._work), self._seen
             taken, words = result.renumbered or self._taken, result.decoded.words

@@ -15,52 +15,28 @@ from heliograph.receive.track.track import TrackedPair
 
 @dataclass(slots=True)
 class Gathered:
-    """What has been read of the current packet.
+    """What has been read of the current packet."""
 
-    Attributes
-    ----------
-    seen
-        (pairs,) pairs of data in which the array was seen.
-    frames
-        Numbers of its frames.
-    scores
-        Correlation of each pair's sum with the array, -1 to 1.
-    poses
-        The array's pose in each pair.
-    header
-        Score of each pair of its header.
-    clocked
-        Whether the light's clock measured its header.
-    """
-
+    # (pairs,) pairs of data in which the array was seen
     seen: NDArray[np.bool_]
+    # Numbers of its frames
     frames: list[int] = field(default_factory=list)
+    # Correlation of each pair's sum with the array, -1 to 1
     scores: list[float] = field(default_factory=list)
+    # The array's pose in each pair
     poses: list[Pose] = field(default_factory=list)
+    # Score of each pair of its header
     header: list[float] = field(default_factory=list)
+    # Whether the light's clock measured its header
     clocked: bool = False
 
     @classmethod
     def nothing(cls, pairs: int) -> "Gathered":
-        """Nothing yet.
-
-        Parameters
-        ----------
-        pairs
-            Pairs of data in a packet.
-        """
+        """Nothing yet."""
         return cls(np.zeros(pairs, dtype=bool))
 
     def note(self, frames: tuple[int, int], tracked: TrackedPair) -> None:
-        """Gather what every pair gives.
-
-        Parameters
-        ----------
-        frames
-            Numbers of its two frames.
-        tracked
-            The array in it.
-        """
+        """Gather what every pair gives."""
         self.frames += frames
         self.scores.append(tracked.fit.score)
         self.poses.append(tracked.state.pose)
@@ -77,19 +53,7 @@ class Gathered:
         return self.header_score >= HEADER_SEEN or (self.clocked and not self.header)
 
     def packet(self, identity: int, start_time_s: float, view: View, calibration: CalibrationSettings) -> Packet:
-        """The packet gathered, without its codewords; a pair of it must have been seen.
-
-        Parameters
-        ----------
-        identity
-            Number of the array, 0 to 29.
-        start_time_s
-            When its header began, in seconds of the camera's clock.
-        view
-            View in which its frames were read.
-        calibration
-            Lens, pixels and LEDs, by which the pitch in the image gives a distance.
-        """
+        """The packet gathered, without its codewords; a pair of it must have been seen."""
         pose = view.pose_out(self.poses[len(self.poses) // 2])
         return Packet(
             identity=identity,

@@ -20,28 +20,7 @@ wrong. A code of rate 1/3 corrects about 17 %.
 
 
 def decode_renumbered(taken: TakenPacket, pairs: int, observe: Observer) -> tuple[TakenPacket, Decoded]:
-    """Decode a packet that lacks a pair nobody knows of.
-
-    Parameters
-    ----------
-    taken
-        The packet's pairs, and after those that are left of it the next header's first one.
-    pairs
-        Pairs of data of a packet.
-    observe
-        Gets the events of each decoding.
-
-    Returns
-    -------
-    The packet for which most codewords were right, and what decoding made of it.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The packet's numbers give no solution.
-    heliograph.signal.formats.UnreadableModeError
-        Its header asks for a mode that no receiver may read.
-    """
+    """Decode a packet that lacks a pair nobody knows of."""
     best: tuple[TakenPacket, Decoded] | None = None
     # each in the middle of a part of the packet
     for place in np.unique((np.arange(PLACES) + 0.5) * pairs / PLACES).astype(int).tolist():

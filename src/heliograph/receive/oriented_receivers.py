@@ -16,15 +16,7 @@ HELD_BYTES = 128e6
 
 
 class OrientedReceivers:
-    """An array that is followed, its identity and orientation taken to be any of several until a codeword is right.
-
-    Parameters
-    ----------
-    receivers
-        A receiver for each identity and orientation that the header may mean, the most plausible first.
-    settled
-        Whether the camera's orientation is known; there is then one receiver.
-    """
+    """An array that is followed, its identity and orientation taken to be any of several until a codeword is right."""
 
     def __init__(self, receivers: Sequence[ArrayReceiver], settled: bool):
         self._receivers, self._settled = list(receivers), settled
@@ -52,13 +44,7 @@ class OrientedReceivers:
         return not self._receivers or self.leading.done
 
     def push(self, frame: Frame) -> Iterator[ComingPacket]:
-        """Take the next frame; yield the packet it completes.
-
-        Parameters
-        ----------
-        frame
-            The frame, with the time that the clock gives it.
-        """
+        """Take the next frame; yield the packet it completes."""
         read, wait = list[tuple[ArrayReceiver, list[ComingPacket]]](), False
         for one in self._receivers:
             packets = [packet for each in (*self._missed(one), frame) for packet in one.push(each)]
@@ -75,13 +61,7 @@ class OrientedReceivers:
         yield from self._believed(read)
 
     def flush(self, over: bool = False) -> Iterator[ComingPacket]:
-        """Yield the packet in progress; see `ArrayReceiver`.
-
-        Parameters
-        ----------
-        over
-            Whether it has come to its end unseen.
-        """
+        """Yield the packet in progress; see `ArrayReceiver`."""
         read = list[tuple[ArrayReceiver, list[ComingPacket]]]()
         for one in self._receivers:
             late = [packet for each in self._missed(one) for packet in one.push(each)]
@@ -92,17 +72,7 @@ class OrientedReceivers:
         yield from self._believed(read)
 
     def settle(self, orientation: Orientation) -> bool:
-        """Leave out what the camera's orientation rules out.
-
-        Parameters
-        ----------
-        orientation
-            How the camera sees all arrays.
-
-        Returns
-        -------
-        Whether a receiver is left.
-        """
+        """Leave out what the camera's orientation rules out."""
         left = [one for one in self._receivers if one.orientation == orientation]
         if left:
             self._receivers, self._settled = left, True

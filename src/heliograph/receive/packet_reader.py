@@ -35,62 +35,34 @@ Chosen: it bounds the time where the gain of an LED changes from fit to fit. Wit
 
 @dataclass(frozen=True, slots=True)
 class SoftParts:
-    """What the readers of an array's packets share.
+    """What the readers of an array's packets share."""
 
-    Attributes
-    ----------
-    form
-        The agreed format of packets.
-    tracker
-        Follows the array from pair to pair.
-    reading
-        How its packets are decoded.
-    observe
-        Gets an `ExtractEvent` each pair.
-    """
-
+    # The agreed format of packets
     form: PacketFormat
+    # Follows the array from pair to pair
     tracker: Tracker
+    # How its packets are decoded
     reading: SoftReading
+    # Gets an `ExtractEvent` each pair
     observe: Observer
 
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What a packet's header has shown.
+    """What a packet's header has shown."""
 
-    Attributes
-    ----------
-    shining
-        (n, n) gains of the LEDs in its last pair, 0 where something hides them.
-    pairs
-        Its pairs, and the array's poses in them.
-    format
-        Format that it signals, as far as it was seen.
-    even
-        The header out of step, its frames combined to one pair; None in step.
-    """
-
+    # (n, n) gains of the LEDs in its last pair, 0 where something hides them
     shining: Floats
+    # Its pairs, and the array's poses in them
     pairs: tuple[SeenHeader, ...] = ()
+    # Format that it signals, as far as it was seen
     format: Format = AGREED
+    # The header out of step, its frames combined to one pair; None in step
     even: Cutout | None = None
 
 
 class SoftReader:
-    """Reads a packet at the limit of the channel; see `array.PacketReader`.
-
-    Parameters
-    ----------
-    identity
-        Number of the array, 0 to 29.
-    parts
-        What all its readers share.
-    led_gains
-        Gains of its LEDs by earlier packets; None takes those of the detection.
-    proven
-        Whether it is beyond doubt that its LEDs have shone at its pose.
-    """
+    """Reads a packet at the limit of the channel; see `array.PacketReader`."""
 
     def __init__(self, identity: int, parts: SoftParts, led_gains: LedGains | None = None, proven: bool = False):
         self._identity, self._parts, self._side = identity, parts, parts.form.settings.side

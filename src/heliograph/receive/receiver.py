@@ -22,36 +22,20 @@ from heliograph.signal.settings import SignalSettings
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What a receiver is made of.
+    """What a receiver is made of."""
 
-    Attributes
-    ----------
-    clock
-        Gives frames their times.
-    search
-        Looks for headers of arrays that are not followed yet.
-    follow
-        Makes the receiver of an array that was found.
-    signal
-        The light's signal: LEDs in a row, length of a pattern and of a packet.
-    """
-
+    # Gives frames their times
     clock: FrameClock
+    # Looks for headers of arrays that are not followed yet
     search: HeaderSearch
+    # Makes the receiver of an array that was found
     follow: Callable[[Detection], ArrayReceiver]
+    # The light's signal: LEDs in a row, length of a pattern and of a packet
     signal: SignalSettings
 
 
 class StreamReceiver:
-    """Finds arrays in a stream of frames, follows each, and yields its packets; see `packets.Receiver`.
-
-    Parameters
-    ----------
-    parts
-        Its clock, its search for headers, and what follows an array found.
-    observe
-        Gets an event for each array that is taken up or given up.
-    """
+    """Finds arrays in a stream of frames, follows each, and yields its packets; see `packets.Receiver`."""
 
     def __init__(self, parts: Parts, observe: Observer):
         self._parts, self._observe = parts, observe
@@ -69,14 +53,7 @@ class StreamReceiver:
         return self._parts.search.load
 
     def push(self, frame: Frame) -> Iterator[Packet]:
-        """Take the next frame; yield the packets it completes; see `Receiver`.
-
-        Raises
-        ------
-        HeliographError
-            It is no frame, or one of another camera than the last; it comes before the last one, or the camera's rate
-            does not fit the light's. The receiver stays as it was, and can be finished.
-        """
+        """Take the next frame; yield the packets it completes; see `Receiver`."""
         return in_one_thread(self._checked(frame))
 
     def _checked(self, frame: Frame) -> Iterator[Packet]:

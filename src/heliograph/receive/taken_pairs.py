@@ -31,20 +31,13 @@ OUT_OF_STEP_STRIDE = 4
 
 
 class Lesson(NamedTuple):
-    """What a decoded packet teaches.
+    """What a decoded packet teaches."""
 
-    Attributes
-    ----------
-    led_gains
-        Gains of the LEDs; None where nothing was known of them before.
-    proven
-        Whether the equaliser has decoded a codeword of the array since it was found.
-    misled
-        Whether the array is not quite as it is followed: the equaliser does not read what the LEDs' positions tell.
-    """
-
+    # Gains of the LEDs; None where nothing was known of them before
     led_gains: LedGains | None
+    # Whether the equaliser has decoded a codeword of the array since it was found
     proven: bool
+    # Whether the array is not quite as it is followed: the equaliser does not read what the LEDs' positions tell
     misled: bool = False
 
     @property
@@ -55,85 +48,55 @@ class Lesson(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SoftReading:
-    """How the soft receiver decodes an array's packets.
+    """How the soft receiver decodes an array's packets."""
 
-    Attributes
-    ----------
-    buffer
-        What was seen of its codewords before; None adds nothing.
-    options
-        Algorithm of the channel decoder, and its most iterations.
-    feedback
-        What the equaliser gets back from the decoder.
-    led_by_led
-        Whether a packet is read LED by LED and square by square first.
-    """
-
+    # What was seen of its codewords before; None adds nothing
     buffer: SharedBuffer | None
+    # Algorithm of the channel decoder, and its most iterations
     options: Decoding
+    # What the equaliser gets back from the decoder
     feedback: Feedback
+    # Whether a packet is read LED by LED and square by square first
     led_by_led: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """Light of the array with all LEDs on in gray levels, as the last pair showed it.
+    """Light of the array with all LEDs on in gray levels, as the last pair showed it."""
 
-    Attributes
-    ----------
-    gain
-        That of a difference of a pair.
-    full_scale
-        Largest that the sensor can show.
-    sum_gain
-        Of the sum of a pair of data in step.
-    """
-
+    # That of a difference of a pair
     gain: float = 0.0
+    # Largest that the sensor can show
     full_scale: float = math.inf
+    # Of the sum of a pair of data in step
     sum_gain: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class TakenPairs:
-    """All that was taken of a packet; see `TakenPacket`.
+    """All that was taken of a packet; see `TakenPacket`."""
 
-    Attributes
-    ----------
-    identity
-        Number of the array, 0 to 29.
-    form
-        Format of the packet.
-    reading
-        How it is decoded.
-    mode
-        Number of the format that its header signals.
-    data
-        What was kept of its pairs.
-    light
-        Light of the array.
-    led_gains
-        Gains of its LEDs; None where nothing is known of them.
-    late_s
-        Seconds by which the data's light comes after the middle of an exposure.
-    even
-        The header out of step, its frames combined to one pair; None in step.
-    decided_noise
-        Variance of a pixel inside the array by decided data, in squared gray levels; None where there are inverses.
-    proven
-        Whether the equaliser has decoded a codeword of it since it was found: its pose and gains are then right.
-    """
-
+    # Number of the array, 0 to 29
     identity: int
+    # Format of the packet
     form: PacketFormat
+    # How it is decoded
     reading: SoftReading
+    # Number of the format that its header signals
     mode: int
+    # What was kept of its pairs
     data: KeptPairs
+    # Light of the array
     light: Light
+    # Gains of its LEDs; None where nothing is known of them
     led_gains: LedGains | None
+    # Seconds by which the data's light comes after the middle of an exposure
     late_s: float
+    # The header out of step, its frames combined to one pair; None in step
     even: Cutout | None
+    # Variance of a pixel inside the array by decided data, in squared gray levels; None where there are inverses
     decided_noise: float | None
+    # Whether the equaliser has decoded a codeword of it since it was found: its pose and gains are then right
     proven: bool = False
 
     @property
@@ -310,15 +273,7 @@ def _out_of_step(cutouts: Sequence[Cutout | None]) -> bool:
 
 
 def with_brightness(led_gains: LedGains | None, learnt: LedGains | None) -> LedGains | None:
-    """Gains of the LEDs, their brightness as it was learnt a packet before.
-
-    Parameters
-    ----------
-    led_gains
-        Gains so far, with what is in sight now; None where nothing is known of them.
-    learnt
-        Gains with the brightness that the packet before taught; None if it taught nothing.
-    """
+    """Gains of the LEDs, their brightness as it was learnt a packet before."""
     if learnt is None:
         return led_gains
     faded = learnt.faded()

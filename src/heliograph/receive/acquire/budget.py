@@ -105,23 +105,15 @@ places, a quarter of the 40 million that are there when nothing is used up. The 
 
 @dataclass(frozen=True, slots=True)
 class SearchLoad:
-    """What searches did and left out.
+    """What searches did and left out."""
 
-    Attributes
-    ----------
-    fitted
-        Candidates fitted to what alternates, well or not.
-    dropped
-        Candidates found and not fitted, or not as far as they might be, for want of time.
-    blocks
-        Blocks of 8 x 8 pixels in which something alternated, and which were not searched for want of time.
-    work
-        Work done, in places looked at.
-    """
-
+    # Candidates fitted to what alternates, well or not
     fitted: int = 0
+    # Candidates found and not fitted, or not as far as they might be, for want of time
     dropped: int = 0
+    # Blocks of 8 x 8 pixels in which something alternated, and which were not searched for want of time
     blocks: int = 0
+    # Work done, in places looked at
     work: float = 0.0
 
     @property
@@ -144,22 +136,7 @@ class SearchLoad:
 
 
 class Budget:
-    """Work that the searches of a stream of frames may do.
-
-    Parameters
-    ----------
-    busy_part
-        Part of a core's time that they may take on average, above 0, by `WORK_PER_MS`.
-    period_s
-        Time from pattern to pattern in s.
-
-    Attributes
-    ----------
-    bounded
-        Whether there is a bound at all.
-    load
-        What they did and left out so far.
-    """
+    """Work that the searches of a stream of frames may do."""
 
     def __init__(self, busy_part: float, period_s: float):
         per_s = busy_part * 1e3 * WORK_PER_MS
@@ -178,17 +155,7 @@ class Budget:
         self.load = SearchLoad()
 
     def begins(self, busy: NDArray[np.bool_], strikes: bool = False, share: float = 1.0) -> bool:
-        """Whether a search begins; else its blocks count as left out.
-
-        Parameters
-        ----------
-        busy
-            (blocks down, blocks across), whether an array may have its centre there.
-        strikes
-            Whether in one of them much more alternates than usual.
-        share
-            Part of a search's work that it may do.
-        """
+        """Whether a search begins; else its blocks count as left out."""
         self._strikes, self._expects = strikes, False
         if self._blocks:
             spent = (self.load.work - self._spent) / self._blocks
@@ -248,24 +215,12 @@ class Budget:
         self._left = min(self._left + self._rate, self._most)
 
     def spend(self, work: float) -> None:
-        """Do work; a search may end with less than nothing left.
-
-        Parameters
-        ----------
-        work
-            Work done, in places looked at.
-        """
+        """Do work; a search may end with less than nothing left."""
         self._left -= work
         self.load += SearchLoad(work=work)
 
     def fit(self, score: float = 1.0) -> bool:
-        """Whether a candidate may be fitted; it counts as fitted or, where that is for want of time, as dropped.
-
-        Parameters
-        ----------
-        score
-            Its correlation with a header before any fit, -1 to 1; left out for one that is fitted in any case.
-        """
+        """Whether a candidate may be fitted; it counts as fitted or, where that is for want of time, as dropped."""
         if abs(score) < LITTLE_SCORE and not (self.ample or self._expects or (self._strikes and self.plenty)):
             if not self.plenty:
                 self.drop()
@@ -293,21 +248,7 @@ class Budget:
         waits: NDArray[np.float32],
         share: float = 1.0,
     ) -> NDArray[np.bool_]:
-        """Choose the blocks that the next search looks at; those left out for want of time are counted.
-
-        Parameters
-        ----------
-        busy
-            (blocks down, blocks across), where an array may have its centre.
-        surges
-            (blocks down, blocks across), where as much alternates as in a header.
-        novelty
-            (blocks down, blocks across), by which blocks are ranked where not all can be afforded.
-        waits
-            (blocks down, blocks across), packets since the block was searched.
-        share
-            Part of a search's work that it may do.
-        """
+        """Choose the blocks that the next search looks at; those left out for want of time are counted."""
         if self.ample:
             return busy
         eligible = busy & surges
@@ -319,34 +260,12 @@ class Budget:
         return chosen
 
     def leave(self, blocks: int) -> None:
-        """Count busy blocks that were not searched.
-
-        Parameters
-        ----------
-        blocks
-            How many of them, at least 0.
-        """
+        """Count busy blocks that were not searched."""
         self.load += SearchLoad(blocks=blocks)
 
 
 class BoundedSearch:
-    """Coarse search for some headers within a budget; where it breaks off, the next one goes on.
-
-    Parameters
-    ----------
-    parameters
-        What is looked for.
-    headers
-        Those looked for, each with what it may mean.
-    budget
-        What it may cost.
-
-    Attributes
-    ----------
-    compared
-        Whether the last search found anything like enough to a header to be compared, True before the first; if not,
-        nothing is like other headers either.
-    """
+    """Coarse search for some headers within a budget; where it breaks off, the next one goes on."""
 
     def __init__(self, parameters: SearchParameters, headers: Headers, budget: Budget):
         self.parameters, self.headers, self.sides = parameters, headers, parameters.sides()
@@ -356,13 +275,7 @@ class BoundedSearch:
         self._next = list[tuple[int, int]]()
 
     def candidates(self, parts: Sequence[SearchedPart]) -> list[NDArray[np.float64]]:
-        """Best candidates of each part, (candidates, 5) as `coarse.Searched` has them.
-
-        Parameters
-        ----------
-        parts
-            What is searched; what one leaves of the work that may be done, the others have.
-        """
+        """Best candidates of each part, (candidates, 5) as `coarse.Searched` has them."""
         parameters, out, begun = self.parameters, list[NDArray[np.float64]](), self._next
         self.compared, self._next, most = False, [], self._budget.coarse
         one_sided = ANY_SIDED if self._budget.plenty else MAX_ONE_SIDED

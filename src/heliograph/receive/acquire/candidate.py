@@ -57,34 +57,12 @@ OVERLAP = 0.1
 
 
 def cell_weights(cells: NDArray[np.float64], side: int) -> Floats:
-    """Luminances of LEDs by the cells of a header.
-
-    Parameters
-    ----------
-    cells
-        (16,) values of the cells, row by row: +-1 of a header, or 0 and 1.
-    side
-        LEDs in a row, a multiple of 4.
-
-    Returns
-    -------
-    (n, n).
-    """
+    """Luminances of LEDs by the cells of a header. Returns (n, n)."""
     return np.asarray(np.kron(cells.reshape(CELLS, CELLS), np.ones((side // CELLS, side // CELLS))), np.float64)
 
 
 def followed(start: Pose, taken: Sequence[Pose], side: int) -> bool:
-    """Whether a candidate is one of the arrays that are followed, by `APART_SIDES`.
-
-    Parameters
-    ----------
-    start
-        Pose of the candidate.
-    taken
-        Poses of the arrays followed.
-    side
-        LEDs in a row.
-    """
+    """Whether a candidate is one of the arrays that are followed, by `APART_SIDES`."""
     return any(np.hypot(start.x - p.x, start.y - p.y) < APART_SIDES * side * p.pitch for p in taken)
 
 
@@ -97,29 +75,7 @@ def fit_near(
     smooth: float = 0.0,
     smear: tuple[float, float] = (0.0, 0.0),
 ) -> Fit | None:
-    """Fit a header to what alternates, near a pose.
-
-    Parameters
-    ----------
-    change
-        (rows, columns) gray levels of what alternates.
-    origin
-        (x, y) on the sensor of its first pixel.
-    start
-        Pose expected, from which the fit starts.
-    weights
-        (n, n) of the header, +-1, 0 where it is hidden.
-    tilt
-        Standard deviation of stretch and shear, `UPRIGHT_SPREAD` or `TILTED_SPREAD`.
-    smooth
-        Pitches by which the pixels are blurred before, so that single LEDs do not show.
-    smear
-        Standard deviations in px along x and y of the array's motion.
-
-    Returns
-    -------
-    The fit; None where the image does not hold all of the candidate and its surroundings.
-    """
+    """Fit a header to what alternates, near a pose."""
     side = len(weights)
     x0, y0, width, height = window_around(start, side, RING * side * start.pitch + CANDIDATE_MARGIN_PX)
     i, j = y0 - origin[1], x0 - origin[0]
@@ -142,47 +98,13 @@ def fit_near(
 def lit_cells(
     change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, weights: Floats, least: float
 ) -> Floats:
-    """Find the cells of a header that alternate as the others do.
-
-    Parameters
-    ----------
-    change
-        (rows, columns) gray levels of what alternates.
-    origin
-        (x, y) on the sensor of its first pixel.
-    pose
-        Pose of the array's image on the sensor.
-    weights
-        (n, n) of the header, +-1; 0 of cells known to be hidden.
-    least
-        Least alternation of a cell that is lit, as a fraction of the median cell's, 0 to 1.
-
-    Returns
-    -------
-    (4, 4), 1 for cells that alternate and 0 for hidden ones.
-    """
+    """Find the cells of a header that alternate as the others do."""
     light = cell_light(change, origin, pose, weights)
     return np.asarray((light > least * np.median(light[light > 0])).astype(float).reshape(CELLS, CELLS))
 
 
 def cell_light(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, weights: Floats) -> Floats:
-    """How much each cell of an array alternates, by least squares.
-
-    Parameters
-    ----------
-    change
-        (rows, columns) gray levels of what alternates.
-    origin
-        (x, y) on the sensor of its first pixel.
-    pose
-        Pose of the array's image on the sensor; a part of it lies within.
-    weights
-        (n, n) of the LEDs within their cells: +-1 of a header, 1 where it is not known, 0 where they are hidden.
-
-    Returns
-    -------
-    (16,) gray levels, row by row, by those weights.
-    """
+    """How much each cell of an array alternates, by least squares."""
     from heliograph.receive.image import kernels
 
     x0, y0, width, height = window_around(pose, len(weights), CANDIDATE_MARGIN_PX)
@@ -197,17 +119,7 @@ def cell_light(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose,
 
 
 def plausible(fit: Fit, parameters: SearchParameters, full_scale: int) -> bool:
-    """Whether brightness and tilt of a fit are those of an array looked for.
-
-    Parameters
-    ----------
-    fit
-        Fit of a candidate to its header.
-    parameters
-        What is looked for.
-    full_scale
-        Largest gray level of the camera.
-    """
+    """Whether brightness and tilt of a fit are those of an array looked for."""
     bright = parameters.min_contrast <= fit.gain / full_scale <= MOST_GAIN
     # a tilt that was given is that of an array
     given = (parameters.start.stretch, parameters.start.shear) if parameters.start is not None else (0.0, 0.0)
@@ -216,31 +128,13 @@ def plausible(fit: Fit, parameters: SearchParameters, full_scale: int) -> bool:
 
 
 def of_size(fit: Fit, parameters: SearchParameters, side: int) -> bool:
-    """Whether the size of a fit is that of an array looked for.
-
-    Parameters
-    ----------
-    fit
-        Fit of a candidate to its header.
-    parameters
-        What is looked for.
-    side
-        LEDs in a row.
-    """
+    """Whether the size of a fit is that of an array looked for."""
     smallest, largest = size_limits(parameters.min_side_px, parameters.max_side_px)
     return smallest <= side * fit.pose.pitch <= largest
 
 
 def apart(a: Pose, b: Pose, side: int) -> bool:
-    """Whether two arrays do not overlap; parts of a header look like smaller ones.
-
-    Parameters
-    ----------
-    a, b
-        Poses of the two arrays on the sensor.
-    side
-        LEDs in a row.
-    """
+    """Whether two arrays do not overlap; parts of a header look like smaller ones."""
     # |a - b| > (n p_a + n p_b) / 2, less what the poses may err by
     reach = (1 - OVERLAP) / 2 * side * (a.pitch + b.pitch)
     return bool(np.hypot(a.x - b.x, a.y - b.y) > reach)

@@ -79,55 +79,37 @@ COARSE_CONTRAST = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class SearchParameters:
-    """What the detector takes for an array.
+    """What the detector takes for an array."""
 
-    Attributes
-    ----------
-    min_side_px
-        Smallest array looked for, in px.
-    max_side_px
-        Largest array looked for, in px.
-    min_contrast
-        Least luminance of a lit cell, as a fraction of full scale, 0 to 1.
-    coarse_score
-        Least correlation with a header of a candidate worth a fit, 0 to 1; it costs time only, as `score` decides.
-    score
-        Least correlation with the fitted header of a detection, 0 to 1.
-    regularity
-        Least ratio of the weakest to the mean alternation of the header's frames, 0 to 1; clutter alternates unevenly.
-    candidates
-        Most candidates fitted per search.
-    busy_part
-        Part of a core's time that searches may take on average, by the count of `budget`.
-    impaired
-        Whether tilted and partly hidden arrays are looked for too; more clutter is taken for one of them.
-    all_on
-        Whether headers are squares that blink as a whole, without an identity.
-    blur_px
-        First guess of the blur's standard deviation in px.
-    everywhere
-        Whether every block is searched, as somebody said where the array is; else those alone in which more changes
-        than in others.
-    start
-        Pose of an array on the sensor as somebody gave it: others of its roll and tilt are looked for, and its header
-        is tried there in any case. None where nobody did.
-    rolls_deg
-        Rolls of the arrays looked for if no upright or turned one is found; each finds arrays up to 12 degrees away.
-    """
-
+    # Smallest array looked for, in px
     min_side_px: float
+    # Largest array looked for, in px
     max_side_px: float
+    # Least luminance of a lit cell, as a fraction of full scale, 0 to 1
     min_contrast: float
+    # Least correlation with a header of a candidate worth a fit, 0 to 1; it costs time only, as `score` decides
     coarse_score: float = 0.5
+    # Least correlation with the fitted header of a detection, 0 to 1
     score: float
+    # Least ratio of the weakest to the mean alternation of the header's frames, 0 to 1; clutter alternates unevenly
     regularity: float
+    # Most candidates fitted per search
     candidates: int
+    # Part of a core's time that searches may take on average, by the count of `budget`
     busy_part: float = 1e6
+    # Whether tilted and partly hidden arrays are looked for too; more clutter is taken for one of them
     impaired: bool = False
+    # Whether headers are squares that blink as a whole, without an identity
     all_on: bool = False
+    # First guess of the blur's standard deviation in px
     blur_px: float
+    # Whether every block is searched, as somebody said where the array is; else those alone in which more changes than
+    # in others
     everywhere: bool = False
+    # Pose of an array on the sensor as somebody gave it: others of its roll and tilt are looked for, and its header is
+    # tried there in any case. None where nobody did
     start: Pose | None = None
+    # Rolls of the arrays looked for if no upright or turned one is found; each finds arrays up to 12 degrees away
     rolls_deg: tuple[float, ...] = (22.5, -22.5, 45.0, -45.0, 67.5, -67.5)
 
     def sides(self) -> NDArray[np.float64]:
@@ -148,49 +130,17 @@ DIFFERENCE: FrameWeights = (0.5, -0.5, 0.5, -0.5)
 
 
 def alternation_of(frames: Sequence[Frame]) -> NDArray[np.float32]:
-    """What alternates in two or four frames.
-
-    Parameters
-    ----------
-    frames
-        Two or four frames of one size and place.
-
-    Returns
-    -------
-    (rows, columns) float32 in gray levels: of four frames their `ALTERNATION`, of two their `DIFFERENCE`.
-    """
+    """What alternates in two or four frames."""
     return combined(*_four(frames))
 
 
 def alternation_means(frames: Sequence[Frame]) -> NDArray[np.float32]:
-    """Mean magnitude of `alternation_of` over blocks.
-
-    Parameters
-    ----------
-    frames
-        Two or four frames of one size and place.
-
-    Returns
-    -------
-    (blocks down, blocks across) float32 in gray levels.
-    """
+    """Mean magnitude of `alternation_of` over blocks."""
     return combined_means(*_four(frames))
 
 
 def combined(frames: Sequence[Frame], weights: FrameWeights) -> NDArray[np.float32]:
-    """Weighted sum of four frames.
-
-    Parameters
-    ----------
-    frames
-        Four frames of one size and place.
-    weights
-        Weight of each frame in the sum.
-
-    Returns
-    -------
-    (rows, columns) float32 in gray levels.
-    """
+    """Weighted sum of four frames. Returns (rows, columns) float32 in gray levels."""
     from heliograph.receive.acquire import kernels  # Numba is slow to import
 
     f0, f1, f2, f3 = (frame.pixels for frame in frames)
@@ -200,19 +150,7 @@ def combined(frames: Sequence[Frame], weights: FrameWeights) -> NDArray[np.float
 
 
 def combined_means(frames: Sequence[Frame], weights: FrameWeights) -> NDArray[np.float32]:
-    """Mean magnitude of a weighted sum of four frames over blocks.
-
-    Parameters
-    ----------
-    frames
-        Four frames of one size and place.
-    weights
-        Weight of each frame in the sum.
-
-    Returns
-    -------
-    (blocks down, blocks across) float32 in gray levels.
-    """
+    """Mean magnitude of a weighted sum of four frames over blocks."""
     from heliograph.receive.acquire import kernels
 
     f0, f1, f2, f3 = (frame.pixels for frame in frames)
@@ -246,27 +184,7 @@ def busy_blocks(
     min_contrast: float,
     everywhere: bool = False,
 ) -> NDArray[np.bool_]:
-    """Blocks in which an array may have its centre: something alternates there, and no array is followed there.
-
-    Parameters
-    ----------
-    means
-        (blocks down, blocks across) gray levels of what alternates.
-    frame
-        The first of its frames, for place and full scale.
-    taken
-        Poses of the arrays followed.
-    side
-        LEDs in a row.
-    min_contrast
-        Least luminance of a lit cell, as a fraction of full scale, 0 to 1.
-    everywhere
-        Whether an array may be wherever none is followed, however little alternates there.
-
-    Returns
-    -------
-    (blocks down, blocks across).
-    """
+    """Blocks in which an array may have its centre: something alternates there, and no array is followed there."""
     from heliograph.receive.acquire import kernels
 
     left, least = np.empty_like(means), PART_LIT * min_contrast * frame.full_scale
@@ -284,24 +202,16 @@ def busy_blocks(
 
 
 class Searched(NamedTuple):
-    """What a coarse search found and did.
+    """What a coarse search found and did."""
 
-    Attributes
-    ----------
-    rows
-        (candidates, 5) of score (negative where the inverse comes first), x and y of the centre in px of the image,
-        side in px, identity; the best first.
-    work
-        Work done, in places looked at.
-    passed
-        Number of blocks gone through, busy or not, from the one it began with.
-    compared
-        Number of places compared with the headers; where it is 0, it is so for other headers too.
-    """
-
+    # (candidates, 5) of score (negative where the inverse comes first), x and y of the centre in px of the image, side
+    # in px, identity; the best first
     rows: NDArray[np.float64]
+    # Work done, in places looked at
     work: int
+    # Number of blocks gone through, busy or not, from the one it began with
     passed: int
+    # Number of places compared with the headers; where it is 0, it is so for other headers too
     compared: int
 
 
@@ -346,32 +256,7 @@ def coarse_search(
     limit: float = UNBOUNDED,
     one_sided: float = MAX_ONE_SIDED,
 ) -> Searched:
-    """Best candidates of a search.
-
-    Parameters
-    ----------
-    change
-        (rows, columns) gray levels of what alternates.
-    busy
-        (blocks down, blocks across), whether an array may have its centre there.
-    frame
-        The first of the frames, for place and full scale.
-    parameters
-        What is looked for.
-    cells
-        (identities, 16) cells of the headers, of `hypotheses.Headers`.
-    sides
-        (sizes,) sides of arrays in px, of `SearchParameters.sides`.
-    apart
-        Least distance of two candidates as a fraction of the larger one's side, `APART_SIDES` or `TURNED_APART_SIDES`.
-    begin
-        Number of the block searched first, counted row by row; the blocks before it come last.
-    limit
-        Work after which no further block is begun.
-    one_sided
-        Largest magnitude of the sum of what alternates in a place, by the sum of its magnitudes; of headers with as
-        many positive as negative cells alone.
-    """
+    """Best candidates of a search."""
     from heliograph.receive.acquire import kernels
 
     best = np.zeros((parameters.candidates, 5))

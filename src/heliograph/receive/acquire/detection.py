@@ -35,41 +35,27 @@ none of 155 codewords is lost.
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """An array found by its header.
+    """An array found by its header."""
 
-    Attributes
-    ----------
-    identity
-        Its number, 0 to 29.
-    start_time_s
-        Start of the header's first pattern in seconds.
-    fit
-        Pose and gain at `time_s`.
-    time_s
-        Middle of the frames fitted, in seconds.
-    score
-        Correlation with the header's image, 0 to 1.
-    regularity
-        Weakest over mean alternation of the header's frames, at most 1.
-    led_gains
-        (n, n), 1, or 0 in cells of the header that are hidden.
-    orientation
-        How the camera sees the array, as far as its header tells.
-    others
-        Other identities and orientations that have the same header, the most plausible first.
-    drift
-        Motion of its image along x and y, in px per second.
-    """
-
+    # Its number, 0 to 29
     identity: int
+    # Start of the header's first pattern in seconds
     start_time_s: float
+    # Pose and gain at `time_s`
     fit: Fit
+    # Middle of the frames fitted, in seconds
     time_s: float
+    # Correlation with the header's image, 0 to 1
     score: float
+    # Weakest over mean alternation of the header's frames, at most 1
     regularity: float
+    # (n, n), 1, or 0 in cells of the header that are hidden
     led_gains: NDArray[np.float64]
+    # How the camera sees the array, as far as its header tells
     orientation: Orientation = UPRIGHT
+    # Other identities and orientations that have the same header, the most plausible first
     others: tuple[Hypothesis, ...] = ()
+    # Motion of its image along x and y, in px per second
     drift: tuple[float, float] = (0.0, 0.0)
 
     @property
@@ -95,13 +81,7 @@ class Detection:
         return bool(self.others) or self.orientation != UPRIGHT
 
     def seen_in(self, view: View) -> "Detection":
-        """The same in a view.
-
-        Parameters
-        ----------
-        view
-            View in which the array will be read.
-        """
+        """The same in a view."""
         gains, drift = view.orientation.upright(self.led_gains), view.motion_in(self.drift)
         return replace(self, fit=view.fit_in(self.fit), led_gains=gains, drift=drift)
 
@@ -110,13 +90,7 @@ class HeaderSearch(Protocol):
     """Looks for headers in a stream of frames."""
 
     def start(self, period_s: float) -> None:
-        """Begin to search frames; it comes before the first of them.
-
-        Parameters
-        ----------
-        period_s
-            Frame period in seconds, above 0.
-        """
+        """Begin to search frames; it comes before the first of them."""
 
     @property
     def load(self) -> SearchLoad:
@@ -127,40 +101,14 @@ class HeaderSearch(Protocol):
         """The last frames, oldest first: enough to hold the header of an array just found."""
 
     def settle(self, orientation: Orientation) -> None:
-        """Look for arrays of one orientation alone from now on: a camera sees all of them alike.
-
-        Parameters
-        ----------
-        orientation
-            How the camera sees arrays.
-        """
+        """Look for arrays of one orientation alone from now on: a camera sees all of them alike."""
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
-        """Take the next frame.
-
-        Parameters
-        ----------
-        frame
-            Next frame of the camera, in the order of time.
-        taken
-            Poses of arrays already followed; no array is looked for where they are.
-
-        Returns
-        -------
-        Arrays whose header lies in the last frames.
-        """
+        """Take the next frame."""
 
 
 def distinct(detections: list[Detection], side: int) -> list[Detection]:
-    """One detection a place, the best.
-
-    Parameters
-    ----------
-    detections
-        Detections of the same frames, in any order.
-    side
-        LEDs in a row.
-    """
+    """One detection a place, the best."""
     kept: list[Detection] = []
     for one in sorted(detections, key=lambda d: -d.score):
         if all(apart(one.fit.pose, other.fit.pose, side) for other in kept):

@@ -87,17 +87,7 @@ SHORT_WORTH = 0.7
 
 
 class Detector:
-    """Looks for headers in a stream of one frame per pattern.
-
-    Parameters
-    ----------
-    parameters
-        What it takes for an array.
-    signal
-        The light's signal: side of the array and header pairs.
-    budget
-        What its searches may cost, where that is shared with others; None gives it one of its own.
-    """
+    """Looks for headers in a stream of one frame per pattern."""
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None = None):
         self._parameters, self._side = parameters, signal.side
@@ -140,15 +130,7 @@ class Detector:
         return self._frames.there
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
-        """Take the next frame; see `HeaderSearch`.
-
-        Parameters
-        ----------
-        frame
-            Next frame, one per pattern; a gap in their numbers is of frames that are missing.
-        taken
-            Poses of arrays already followed.
-        """
+        """Take the next frame; see `HeaderSearch`."""
         found = list[Detection]()
         for due in self.due(frame):
             change, known = self.change(due.slots), [*taken, *(one.fit.pose for one in found)]
@@ -160,46 +142,20 @@ class Detector:
         return found
 
     def due(self, frame: Frame) -> list[Due]:
-        """Take the next frame; give the last ones as often as they are to be searched now.
-
-        Parameters
-        ----------
-        frame
-            Next frame, one per pattern; a gap in their numbers is of frames that are missing.
-        """
+        """Take the next frame; give the last ones as often as they are to be searched now."""
         if self._earns:
             self.budget.earn()
         return self._frames.push(frame)
 
     def change(self, slots: Slots) -> NDArray[np.float32] | None:
-        """How much alternates in frames to be searched.
-
-        Parameters
-        ----------
-        slots
-            Frames of one size and place that are due.
-
-        Returns
-        -------
-        (blocks down, blocks across) gray levels; None where no array of the sizes looked for finds room.
-        """
+        """How much alternates in frames to be searched."""
         header = self._frames.header_of(slots)
         if header is None or min(header[0].pixels.shape) < self._sides[0]:
             return None
         return alternation_means(header)
 
     def busy(self, slots: Slots, change: NDArray[np.float32], taken: Sequence[Pose]) -> NDArray[np.bool_]:
-        """Where something alternates beside the arrays followed, (blocks down, blocks across).
-
-        Parameters
-        ----------
-        slots
-            Frames that are due.
-        change
-            How much alternates in them.
-        taken
-            Poses of arrays already followed.
-        """
+        """Where something alternates beside the arrays followed, (blocks down, blocks across)."""
         first = first_there(slots)
         parameters = self._parameters
         return busy_blocks(change, first, taken, self._side, parameters.min_contrast, parameters.everywhere)
@@ -207,21 +163,7 @@ class Detector:
     def worth_searching(
         self, slots: Slots, change: NDArray[np.float32], busy: NDArray[np.bool_]
     ) -> tuple[NDArray[np.bool_], bool]:
-        """Busy blocks but those that are left out to save time; to be asked once for frames.
-
-        Parameters
-        ----------
-        slots
-            Frames that are due.
-        change
-            (blocks down, blocks across) gray levels, how much alternates in them.
-        busy
-            (blocks down, blocks across), where something alternates in them beside the arrays followed.
-
-        Returns
-        -------
-        (blocks down, blocks across), and whether much more alternates than usual in one of them, or did so before.
-        """
+        """Busy blocks but those that are left out to save time; to be asked once for frames."""
         if not self.budget.bounded:
             return busy, False
         first = first_there(slots)
@@ -235,48 +177,16 @@ class Detector:
         return searched, bool((searched & strikes).any())
 
     def parts(self, turned: bool) -> int:
-        """Coarse searches of frames.
-
-        Parameters
-        ----------
-        turned
-            Whether arrays that are not upright are looked for too.
-        """
+        """Coarse searches of frames."""
         return len(self._coarse) if turned else 1
 
     def alternating(self, slots: Slots, busy: NDArray[np.bool_], around_px: float) -> list[NDArray[np.float32]]:
-        """What alternates in frames that are due, where it does.
-
-        Parameters
-        ----------
-        slots
-            Frames that are due.
-        busy
-            (blocks down, blocks across), one of them True at least.
-        around_px
-            Pixels about the busy blocks that are given too.
-
-        Returns
-        -------
-        (rows, columns) gray levels of the parts of the frames that hold it; none where too many are missing.
-        """
+        """What alternates in frames that are due, where it does."""
         header = self._frames.header_of(slots)
         return [one.change for one in searched_parts(header, busy, around_px, alternation_of)] if header else []
 
     def search(self, slots: Slots, busy: NDArray[np.bool_], taken: Sequence[Pose], turned: bool) -> list[Detection]:
-        """Look for headers in frames.
-
-        Parameters
-        ----------
-        slots
-            Frames of one size and place that are due.
-        busy
-            (blocks down, blocks across), where something alternates in them beside the arrays followed.
-        taken
-            Poses of arrays already followed.
-        turned
-            Whether arrays that are not upright are looked for too.
-        """
+        """Look for headers in frames."""
         header = self._frames.header_of(slots)
         if header is None or not busy.any():
             return []

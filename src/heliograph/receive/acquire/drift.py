@@ -45,25 +45,7 @@ DRIFT_MARGIN_PX = 3.0
 def drift_of(
     frames: Sequence[Frame], pose: Pose, time_s: float, weights: Floats, period_s: float
 ) -> tuple[float, float]:
-    """Motion of a header in px per second.
-
-    Parameters
-    ----------
-    frames
-        Frames of the header, two at least.
-    pose
-        Pose of the array.
-    time_s
-        Time of that pose in seconds.
-    weights
-        (n, n) luminances of the header less its inverse, -1 to 1.
-    period_s
-        Pattern period in seconds.
-
-    Returns
-    -------
-    Along x and y.
-    """
+    """Motion of a header in px per second."""
     # (x, y) of the error of the pose, and of the motion in px per pattern
     found, prior = np.zeros(4), np.diag(np.repeat([PLACE_PX, DRIFT_PX], 2) ** -2.0)
     times = (np.array([frame.time_s for frame in frames]) - time_s) / period_s

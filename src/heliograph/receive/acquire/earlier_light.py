@@ -17,17 +17,7 @@ Chosen: data have 0.4 to 0.6 of it, a dark array 0.02 at 50 m and 0.15 at 100 m.
 
 
 def shone_before(detection: Detection, frames: Sequence[Frame], signal: SignalSettings) -> bool:
-    """Return True if the last frame before a header shows the array with a pattern as well.
-
-    Parameters
-    ----------
-    detection
-        The array and the start of its header.
-    frames
-        Frames in the order of time, those of the header among them.
-    signal
-        The light's signal: LEDs in a row, length of a pattern and of the header.
-    """
+    """Return True if the last frame before a header shows the array with a pattern as well."""
     start_s, period_s = detection.start_time_s, signal.pattern_period_s
     end_s = start_s + 2 * signal.header_pairs * period_s
     before = [frame for frame in frames if frame.time_s < start_s - period_s / 2]

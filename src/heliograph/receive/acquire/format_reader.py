@@ -61,29 +61,20 @@ A tolerance: LEDs next to those that are known to be hidden may be hidden too, a
 
 @dataclass(frozen=True, slots=True)
 class _PairEvidence:
-    """What a header pair says of the format.
+    """What a header pair says of the format."""
 
-    Attributes
-    ----------
-    dimmed
-        Contrast and light of its dimmed cells.
-    gram, matched, offset
-        B^T B, B^T d and B^T o.
-    cross, offset_power
-        d^T o and o^T o.
-    unexplained
-        Power of d that is no light of cells, in squared gray levels.
-    pixels
-        Pixels of d.
-    """
-
+    # Contrast and light of its dimmed cells
     dimmed: tuple[float, float]
+    # gram, matched, offset: b^T B, B^T d and B^T o
     gram: Floats
     matched: Floats
     offset: Floats
+    # cross, offset_power: d^T o and o^T o
     cross: float
     offset_power: float
+    # Power of d that is no light of cells, in squared gray levels
     unexplained: float
+    # Pixels of d
     pixels: int
 
     @property
@@ -116,17 +107,11 @@ class _PairEvidence:
 
 @dataclass(frozen=True, slots=True)
 class _FramesEvidence:
-    """What frames out of step say of the format.
+    """What frames out of step say of the format."""
 
-    Attributes
-    ----------
-    frames
-        The frames of the header.
-    gram, matched
-        A^T A, and A^T r of each frame, (frames, 16).
-    """
-
+    # The frames of the header
     frames: HeaderFrames
+    # gram, matched: a^T A, and A^T r of each frame, (frames, 16)
     gram: Floats
     matched: Floats
     unexplained: ClassVar[float] = 0.0  # there the background is one of the unknowns
@@ -161,17 +146,7 @@ def _words() -> Floats:
 
 
 class FormatReader:
-    """Reads the format of one packet from its header.
-
-    Parameters
-    ----------
-    identity
-        Number of the array, 0 to 29.
-    side
-        LEDs in a row, a multiple of 4.
-    data_pairs
-        Data pairs of a packet that are expected.
-    """
+    """Reads the format of one packet from its header."""
 
     def __init__(self, identity: int, side: int, data_pairs: int):
         self._side, self._readable = side, readable(data_pairs)
@@ -183,19 +158,7 @@ class FormatReader:
         self._evidence: dict[int, _PairEvidence | _FramesEvidence] = {}
 
     def take(self, number: int, pair: FramePair, poses: tuple[Pose, Pose], led_gains: Floats) -> None:
-        """Take a header pair.
-
-        Parameters
-        ----------
-        number
-            Its number in the header; pair 0 has no dimmed cells and gives the gain.
-        pair
-            Frames of the header pair, combined or as the camera took them.
-        poses
-            The array's pose in each.
-        led_gains
-            (n, n) gains of its LEDs, at least 0, 1 for the median LED: hidden cells are not dimmed ones.
-        """
+        """Take a header pair."""
         if number == 0:
             self._first = pair, poses
             return
@@ -205,28 +168,14 @@ class FormatReader:
             self._evidence[0] = self._of_pair(1.0, *self._first, led_gains)
 
     def take_frames(self, frames: HeaderFrames, led_gains: Floats) -> None:
-        """Take a whole header out of step in place of its pairs.
-
-        Parameters
-        ----------
-        frames
-            Frames of the header, and what each shows of its cells.
-        led_gains
-            (n, n) gains of the LEDs, at least 0, 1 for the median LED.
-        """
+        """Take a whole header out of step in place of its pairs."""
         rows, cols = frames.images.shape[1:]
         a = self._images(frames.pose, led_gains, (*frames.corner, cols, rows))
         matched = frames.images.reshape(len(frames.images), -1) @ a.T
         self._evidence = {0: _FramesEvidence(frames, a @ a.T, matched)}
 
     def number(self, gain: float) -> int:
-        """Decide on the format's number, 0 to 2047; the agreed one's where no later header pair was seen.
-
-        Parameters
-        ----------
-        gain
-            Gray levels of the array with all LEDs on, above 0.
-        """
+        """Decide on the format's number, 0 to 2047; the agreed one's where no later header pair was seen."""
         if not self._evidence:
             return AGREED.number
         first = self._evidence.get(0)

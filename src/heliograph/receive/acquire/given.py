@@ -30,41 +30,18 @@ corners may be those of a later frame.
 
 
 class Candidate(NamedTuple):
-    """What may be an array.
+    """What may be an array."""
 
-    Attributes
-    ----------
-    start
-        Pose from which its fit starts, on the sensor.
-    number
-        Number of its header among those searched.
-    score
-        Correlation with its header, -1 to 1: above 0 where the header comes first, below where its inverse does.
-    """
-
+    # Pose from which its fit starts, on the sensor
     start: Pose
+    # Number of its header among those searched
     number: int
+    # Correlation with its header, -1 to 1: above 0 where the header comes first, below where its inverse does
     score: float
 
 
 def pose_of(corners: Sequence[float], side: int, blur: float) -> Pose:
-    """Pose of an array whose corners somebody gave.
-
-    Parameters
-    ----------
-    corners
-        x and y in px of the four corners of the LED area, eight numbers: one after the other around it, whichever comes
-        first and whichever way.
-    side
-        LEDs in a row.
-    blur
-        Blur in px to begin with.
-
-    Returns
-    -------
-    The affine map nearest to them, on the sensor, turned by 45 degrees at most: how the camera sees an array beyond
-    that, its header tells.
-    """
+    """Pose of an array whose corners somebody gave."""
     points = np.asarray(corners, np.float64).reshape(4, 2)
     x, y = points.mean(axis=0).tolist()
     # clockwise in the image, the first one between left and up
@@ -87,23 +64,7 @@ def pose_of(corners: Sequence[float], side: int, blur: float) -> Pose:
 def candidates_of(
     parts: Sequence[SearchedPart], coarse: BoundedSearch, side: int, roll: float = 0.0
 ) -> list[tuple[Candidate, SearchedPart]]:
-    """What may be arrays: the best of the coarse search; where a pose was given, arrays turned and tilted as that one.
-
-    Parameters
-    ----------
-    parts
-        Parts of the frames, with what alternates in them and where an array may have its centre.
-    coarse
-        The coarse search, with what is looked for.
-    side
-        LEDs in a row.
-    roll
-        Roll in rad of the arrays looked for; no other than 0 where a pose was given.
-
-    Returns
-    -------
-    Each with its part, the best first; where a pose was given, part by part, and that pose last.
-    """
+    """Candidates: the best of the coarse search or, around a given pose, arrays turned and tilted alike."""
     if coarse.parameters.start is not None:
         start = coarse.parameters.start
         return [(one, part) for part in parts for one in _given(part, coarse, start, side)]
@@ -174,17 +135,7 @@ def _within(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, si
 
 
 class GivenSearch:
-    """A search of a part of the frames: the region given, and what lies about the arrays followed last.
-
-    Parameters
-    ----------
-    search
-        What searches that part of each frame.
-    region
-        Corner (x, y) on the sensor, columns and rows of the region; an array lies within.
-    side
-        LEDs in a row.
-    """
+    """A search of a part of the frames: the region given, and what lies about the arrays followed last."""
 
     def __init__(self, search: HeaderSearch, region: Window, side: int):
         self._search, self._given, self._region, self._side = search, region, _wider(region), side
@@ -210,20 +161,7 @@ class GivenSearch:
         return [whole.get(frame.time_s, frame) for frame in self._search.recent]
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
-        """Take the next frame; see `HeaderSearch`.
-
-        Parameters
-        ----------
-        frame
-            Next frame as the camera took it, whole.
-        taken
-            Poses of arrays already followed; once they are lost, they are looked for where they were, too.
-
-        Raises
-        ------
-        HeliographError
-            The region given lies beyond the first frame.
-        """
+        """Take the next frame; see `HeaderSearch`."""
         if not self._whole and _part(frame, self._given) is None:
             (x, y), (rows, columns) = frame.origin, frame.pixels.shape
             where = f" from {x},{y} on" if frame.origin != (0, 0) else ""
@@ -242,15 +180,7 @@ class GivenSearch:
 
 
 def around(pose: Pose, side: int) -> Window:
-    """The part of the sensor about an array that is searched.
-
-    Parameters
-    ----------
-    pose
-        Pose of the array on the sensor.
-    side
-        LEDs in a row.
-    """
+    """The part of the sensor about an array that is searched."""
     return window_around(pose, side, AROUND_SIDES * side * pose.pitch)
 
 

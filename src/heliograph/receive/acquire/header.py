@@ -13,19 +13,7 @@ from heliograph.signal.header import dimmed_leds, header_levels, signalling_leve
 
 
 def header_weights(identity: int, form: int, side: int, combination: Combination | None = None) -> Floats:
-    """Luminances of a header less its inverse, (n, n): +-1, or +-1/2 where cells are dimmed.
-
-    Parameters
-    ----------
-    identity
-        Number of the array, 0 to 29.
-    form
-        Number of the format that the pair signals, 0 to 1023; 0 dims nothing.
-    side
-        LEDs in a row, a multiple of 4.
-    combination
-        How the pair was combined; combined frames show dimmed cells otherwise than a pattern and its inverse do.
-    """
+    """Luminances of a header less its inverse, (n, n): +-1, or +-1/2 where cells are dimmed."""
     if combination is None:
         # a kernel would be compiled anew for what is not writeable
         return _in_step(identity, form, side).copy()
@@ -35,19 +23,7 @@ def header_weights(identity: int, form: int, side: int, combination: Combination
 
 
 def header_score(pair: FramePair, pose: Pose, weights: Floats, gain: float) -> float:
-    """Amplitude of a header as a fraction of the array's light; about 1.
-
-    Parameters
-    ----------
-    pair
-        The header and its inverse.
-    pose
-        Pose of the array's image on the sensor.
-    weights
-        (n, n) of `header_weights`, times the LEDs' gains.
-    gain
-        Gray levels of the sum of a pair with all LEDs on.
-    """
+    """Amplitude of a header as a fraction of the array's light; about 1."""
     up, down = header_amplitudes((pair.pattern, pair.inverted), pose, weights)
     return float(up - down) / max(gain, TINY)
 

@@ -54,28 +54,7 @@ A blur of 0.5 px grows by 0.008 px from that, less than the error of a fit.
 def fit_header(
     header: Sequence[Frame], pose: Pose, weights: NDArray[np.float64], tilt: float, score: float, even: bool
 ) -> tuple[Fit | None, NDArray[np.float64], bool]:
-    """Fit a header's frames.
-
-    Parameters
-    ----------
-    header
-        Two or four frames of the header, one per pattern.
-    pose
-        Pose of the array's image on the sensor, from which the fit starts.
-    weights
-        (n, n) of the header, +-1.
-    tilt
-        Standard deviation of stretch and shear, `UPRIGHT_SPREAD` or `TILTED_SPREAD`.
-    score
-        Least correlation with the header's image of a detection, 0 to 1.
-    even
-        Whether the frames alternate so evenly that a part of the array may be hidden.
-
-    Returns
-    -------
-    The fit, None where the image does not hold the array; (n, n) gains of its LEDs, 0 in hidden cells; and whether it
-    was fitted as level, for a part is hidden.
-    """
+    """Fit a header's frames."""
     change, origin, side = alternation_of(header), header[0].origin, len(weights)
     fit, sound = fit_near(change, origin, pose, weights, tilt), np.ones(weights.shape)
     if fit is None or not HIDDEN_TRIED <= fit.score < CLEAR or not even or tilt > UPRIGHT_SPREAD:
@@ -103,25 +82,7 @@ def fit_header(
 def fit_moving(
     header: list[Frame], fit: Fit, weights: NDArray[np.float64], tilt: float, moved: tuple[float, float]
 ) -> Fit:
-    """Fit a header that moves.
-
-    Parameters
-    ----------
-    header
-        The two or four frames that were fitted, one per pattern.
-    fit
-        Their fit as if it stood still.
-    weights
-        (n, n) of the header, +-1, 0 where it is hidden.
-    tilt
-        Standard deviation of stretch and shear.
-    moved
-        Its motion in px per pattern, along x and y.
-
-    Returns
-    -------
-    The fit, its image smeared by the motion; what was given where it moves by less than `SMEARED_PX`, or fits worse.
-    """
+    """Fit a header that moves."""
     if max(np.abs(moved)) < SMEARED_PX:
         return fit
     weight = np.abs(ALTERNATION if len(header) == 4 else DIFFERENCE[:2])
@@ -140,24 +101,7 @@ def fit_moving(
 
 
 def fit_first_pair(header: list[Frame], fit: Fit, weights: NDArray[np.float64], tilt: float) -> tuple[Fit, list[Frame]]:
-    """Fit a header's first pair, as the later pairs may be dimmed unevenly by a format.
-
-    Parameters
-    ----------
-    header
-        Four frames of the header, one per pattern.
-    fit
-        Fit of all four.
-    weights
-        (n, n) of the header, +-1, 0 where it is hidden.
-    tilt
-        Standard deviation of stretch and shear.
-
-    Returns
-    -------
-    The fit of the first pair with the score of all, and its two frames; where that pair shows the header worse, what
-    was given.
-    """
+    """Fit a header's first pair, as the later pairs may be dimmed unevenly by a format."""
     first = fit_near(alternation_of(header[:2]), header[0].origin, fit.pose, weights, tilt)
     if first is None or first.score <= FIRST_SCORE * fit.score or first.gain <= FIRST_AMPLITUDE * fit.gain:
         return fit, header

@@ -22,20 +22,13 @@ Hypothesis = tuple[int, Orientation]
 
 @dataclass(frozen=True, slots=True)
 class Headers:
-    """Headers looked for.
+    """Headers looked for."""
 
-    Attributes
-    ----------
-    cells
-        (headers, 16) of +-1, as the camera sees them; no two are the same.
-    hypotheses
-        What each may mean, the most plausible first.
-    apart
-        Least distance of two candidates as a fraction of the side; see `coarse_search`.
-    """
-
+    # (headers, 16) of +-1, as the camera sees them; no two are the same
     cells: NDArray[np.float64]
+    # What each may mean, the most plausible first
     hypotheses: tuple[tuple[Hypothesis, ...], ...]
+    # Least distance of two candidates as a fraction of the side; see `coarse_search`
     apart: float = APART_SIDES
 
 
@@ -45,15 +38,7 @@ ALL_ON = Headers(np.ones((1, 16)), (((0, Orientation()),),))
 
 @lru_cache
 def headers(orientations: Sequence[Orientation], other: Sequence[Orientation] = ()) -> Headers:
-    """Headers of all identities as a camera sees them.
-
-    Parameters
-    ----------
-    orientations
-        How it may see the arrays, the most plausible first.
-    other
-        Orientations that are less plausible: their headers are left out, but are hypotheses of those that are the same.
-    """
+    """Headers of all identities as a camera sees them."""
     seen: dict[bytes, list[Hypothesis]] = defaultdict(list)
     for orientation in (*orientations, *other):
         for number in range(IDENTITIES):

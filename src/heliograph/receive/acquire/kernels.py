@@ -14,17 +14,7 @@ SINGLE = 1e-5
 
 @compiled(fastmath=True)
 def combined(f0, f1, f2, f3, weights, out):
-    """Weighted sum of four frames.
-
-    Parameters
-    ----------
-    f0, f1, f2, f3
-        (rows, columns) uint8 or uint16 gray levels.
-    weights
-        (4,) float32, one for each.
-    out
-        (rows, columns) float32, overwritten.
-    """
+    """Weighted sum of four frames."""
     w0, w1, w2, w3 = weights[0], weights[1], weights[2], weights[3]
     for i in range(out.shape[0]):
         a, b, c, d, o = f0[i], f1[i], f2[i], f3[i], out[i]
@@ -34,19 +24,7 @@ def combined(f0, f1, f2, f3, weights, out):
 
 @compiled(fastmath=True)
 def combined_means(f0, f1, f2, f3, weights, size, out):
-    """Mean magnitude over blocks of a weighted sum of four frames, which is not written down.
-
-    Parameters
-    ----------
-    f0, f1, f2, f3
-        (rows, columns) uint8 or uint16 gray levels.
-    weights
-        (4,) float32, one for each.
-    size
-        Pixels of a block's side; what a block lacks at the frames' end counts as 0.
-    out
-        (blocks down, blocks across) float32, overwritten.
-    """
+    """Mean magnitude over blocks of a weighted sum of four frames, which is not written down."""
     rows, cols = f0.shape
     w0, w1, w2, w3 = weights[0], weights[1], weights[2], weights[3]
     sums = np.empty(out.shape[1] * size, np.float32)
@@ -67,19 +45,7 @@ def combined_means(f0, f1, f2, f3, weights, size, out):
 
 @compiled()
 def integer_means(f0, f1, f2, f3, outer, inner, scale, out):
-    """`combined_means` over blocks of `BLOCK_PX` of a (f0 - f3) + b (f1 - f2) of frames of 8 bits, in 16 bits.
-
-    Parameters
-    ----------
-    f0, f1, f2, f3
-        (rows, columns) uint8 gray levels.
-    outer, inner
-        a and b, int16; a block's column of weighted sums stays below 65536.
-    scale
-        float32 that the sums are multiplied by.
-    out
-        (blocks down, blocks across) float32, overwritten.
-    """
+    """`combined_means` over blocks of `BLOCK_PX` of a (f0 - f3) + b (f1 - f2) of frames of 8 bits, in 16 bits."""
     rows, cols = f0.shape
     sums = np.empty(out.shape[1] * BLOCK_PX, np.uint16)
     for bi in range(out.shape[0]):
@@ -101,30 +67,7 @@ def integer_means(f0, f1, f2, f3, outer, inner, scale, out):
 
 @compiled()
 def middle_of_busy(means, spans, blank, busy, least, left):
-    """Blank the blocks of arrays that are followed, and tell whether the others may be busy.
-
-    Parameters
-    ----------
-    means
-        (blocks down, blocks across) float32 mean changes, at least 0.
-    spans
-        (arrays, 4) int64: first row and column of each array's blocks, and those after its last, at least 0.
-    blank
-        What stands for a blanked block, below 0.
-    busy
-        Busy is what has more than so many times the median.
-    least
-        Least change of a busy block.
-    left
-        (blocks down, blocks across) float32, overwritten: the means, those of the arrays blanked.
-
-    Returns
-    -------
-    middle
-        Number of the block, sorted by its change, that has the median of those not blanked; -1 where none can be busy.
-    quiet
-        Whether the median is so small that `least` decides which blocks are busy.
-    """
+    """Blank the blocks of arrays that are followed, and tell whether the others may be busy."""
     rows, columns = means.shape
     for i in range(rows):
         for j in range(columns):
@@ -264,54 +207,7 @@ def search(
     limit,
     best,
 ):
-    """Correlate what alternates with all headers over scale and position.
-
-    Parameters
-    ----------
-    integrals
-        (3, rows + 1, columns + 1) float64 integral images of the alternation, of its magnitude and of its square.
-    busy
-        (blocks down, blocks across) bool, blocks in which an array may have its centre.
-    block
-        Pixels of a block's side.
-    cells
-        (identities, 16) cells of the headers, +-1.
-    sides
-        (sizes,) sides of arrays looked for, in px.
-    contrast
-        Least rms alternation in gray levels.
-    threshold
-        Least correlation, 0 to 1.
-    one_sided
-        Largest magnitude of the sum of what alternates in a place over the sum of its magnitudes, 0 to 1.
-    ring_width
-        Width of the ring around a candidate that must not alternate, as a fraction of its side.
-    grid
-        Step of the places as a fraction of the side; at least a pixel.
-    apart
-        Least distance of two candidates along x or y, as a fraction of the larger one's side.
-    corner
-        (2,) x, y on the sensor of the first pixel: the grid is fixed to the sensor, whatever the window.
-    begin
-        Number of the block searched first, row by row; the blocks before it come last.
-    limit
-        Work after which no further block is begun, counted in places looked at, as `CELLS_WORK` and `HEADERS_AT_ONCE`
-        say.
-    best
-        (count, 5), overwritten: score with the sign of the correlation, x, y, side, identity; the best first, of
-        overlapping ones only the best.
-
-    Returns
-    -------
-    found
-        Number of candidates written.
-    work
-        Work done.
-    passed
-        Number of blocks gone through, busy or not.
-    compared
-        Number of places that were correlated with the headers: which places are, does not depend on the headers.
-    """
+    """Correlate what alternates with all headers over scale and position."""
     total, magnitude, square = integrals[0], integrals[1], integrals[2]
     rows, cols = total.shape[0] - 1, total.shape[1] - 1
     columns, room = (
@@ -377,16 +273,7 @@ def search(
 
 @compiled(inline="always")
 def _look(integrals, cells, columns, dots, place, least, threshold, one_sided, apart, best, found, room):
-    """Keep what lies in a square as a candidate for each header that it resembles.
-
-    Returns
-    -------
-    found
-        Candidates kept.
-    seen
-        0 where too little alternates or too little of the square does, 1 where it cannot be like a header, 2 where it
-        was compared with all.
-    """
+    """Keep what lies in a square as a candidate for each header that it resembles."""
     (total, magnitude, square), (y, x, side, ring), (corners, rows, sums) = integrals, place, room
     energy = _box(square, y - ring, x - ring, side + 2 * ring, side + 2 * ring)
     if energy < least:

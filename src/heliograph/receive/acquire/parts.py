@@ -15,20 +15,13 @@ PART_BLOCKS = 3000
 
 
 class SearchedPart(NamedTuple):
-    """A part of frames that is searched.
+    """A part of frames that is searched."""
 
-    Attributes
-    ----------
-    change
-        (rows, columns) gray levels of what alternates.
-    busy
-        (blocks down, blocks across), whether an array may have its centre there.
-    first
-        The first of the frames, for place and full scale.
-    """
-
+    # (rows, columns) gray levels of what alternates
     change: NDArray[np.float32]
+    # (blocks down, blocks across), whether an array may have its centre there
     busy: NDArray[np.bool_]
+    # The first of the frames, for place and full scale
     first: Frame
 
 
@@ -41,17 +34,6 @@ def searched_parts(
     """The parts of frames that candidates in busy blocks are seen in, from a block's first pixel on.
 
     Blocks that are far from each other have parts of their own, where these are smaller together than one for all.
-
-    Parameters
-    ----------
-    frames
-        Frames of one size and place.
-    busy
-        (blocks down, blocks across), one of them True at least.
-    largest_px
-        Side in px of the largest array looked for.
-    change_of
-        Gives what alternates in frames, (rows, columns) gray levels.
     """
     # an array and its ring about a centre in a busy block, and two blocks for where its fit moves it and tilts it
     reach = int(np.ceil((0.5 + RING) * largest_px / BLOCK_PX)) + 2

@@ -30,14 +30,9 @@ SLOW_PHASES = 4
 
 @dataclass(frozen=True, slots=True)
 class PhaseLimits:
-    """Limits of a search by phases.
+    """Limits of a search by phases."""
 
-    Attributes
-    ----------
-    max_frames
-        Most frames a pattern: all frames of a header are kept, and each phase has a search of its own.
-    """
-
+    # Most frames a pattern: all frames of a header are kept, and each phase has a search of its own
     max_frames: int = 1000
 
 
@@ -45,15 +40,7 @@ LIMITS = PhaseLimits()
 
 
 class PhasedSearch:
-    """Thins frames out to streams of one frame per pattern at several phases, each with a detector of its own.
-
-    Parameters
-    ----------
-    parameters
-        What the detectors take for an array.
-    signal
-        The light's signal: its pattern period, header pairs and side of the array.
-    """
+    """Thins frames out to streams of one frame per pattern at several phases, each with a detector of its own."""
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings):
         self._parameters, self._signal = parameters, signal
@@ -74,13 +61,7 @@ class PhasedSearch:
         return sum(streams, self._budget.load)
 
     def start(self, period_s: float) -> None:
-        """Begin to search frames of a camera as fast as the light or faster; see `HeaderSearch`.
-
-        Raises
-        ------
-        HeliographError
-            The camera is slower than the light, or faster by more than `PhaseLimits.max_frames`.
-        """
+        """Begin to search frames of a camera as fast as the light or faster; see `HeaderSearch`."""
         light_s = self._signal.pattern_period_s
         if period_s > light_s * (1 + STEP_TOLERANCE):
             raise HeliographError(
@@ -117,15 +98,7 @@ class PhasedSearch:
                 detector.settle(orientation)
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
-        """Take the next frame; see `HeaderSearch`.
-
-        Parameters
-        ----------
-        frame
-            Next frame of the camera, at any phase; `start` comes before the first.
-        taken
-            Poses of arrays already followed.
-        """
+        """Take the next frame; see `HeaderSearch`."""
         self._kept.append(frame)
         self._budget.earn()
         known, found = list(taken), list[Detection]()

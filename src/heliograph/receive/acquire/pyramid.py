@@ -51,17 +51,7 @@ LEAST_ALTERNATING_PART = 0.25
 
 
 class PyramidSearch:
-    """A detector for each level, the coarsest first; see `HeaderSearch`.
-
-    Parameters
-    ----------
-    parameters
-        What it takes for an array; sizes and blur are those on the sensor.
-    signal
-        The light's signal: side of the array and header pairs.
-    budget
-        What its searches may cost, where that is shared with others; None gives it one of its own.
-    """
+    """A detector for each level, the coarsest first; see `HeaderSearch`."""
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None = None):
         levels = level_parameters(parameters, signal.side)
@@ -90,15 +80,7 @@ class PyramidSearch:
         return self._levels[0][1].recent
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
-        """Take the next frame; see `HeaderSearch`.
-
-        Parameters
-        ----------
-        frame
-            Next frame, one per pattern; a gap in their numbers is of frames that are missing.
-        taken
-            Poses of arrays already followed.
-        """
+        """Take the next frame; see `HeaderSearch`."""
         if self._earns:
             self._budget.earn()
         found = list[Detection]()
@@ -178,15 +160,7 @@ class PyramidSearch:
 
 
 def level_parameters(parameters: SearchParameters, side: int) -> list[SearchParameters]:
-    """What is looked for on each level, the finest first, each with sizes in px of its own.
-
-    Parameters
-    ----------
-    parameters
-        What is looked for, with sizes on the sensor.
-    side
-        LEDs in a row.
-    """
+    """What is looked for on each level, the finest first, each with sizes in px of its own."""
     smallest, largest = parameters.min_side_px, parameters.max_side_px
     most = max(min(LEVEL_SIDE_PX, side * LEVEL_PITCH_PX), smallest * SIDE_STEP)
     levels = [replace(parameters, max_side_px=min(most, largest))]
@@ -203,17 +177,7 @@ def level_parameters(parameters: SearchParameters, side: int) -> list[SearchPara
 def _but_left(
     left: NDArray[np.bool_], searched: NDArray[np.bool_], slots: Slots, seen: Slots, level: int
 ) -> NDArray[np.bool_]:
-    """Blocks of a level but those that hold blocks left out and none that is searched, (blocks down, blocks across).
-
-    Parameters
-    ----------
-    left, searched
-        (blocks down, blocks across) of the frames themselves: those left out, and those searched.
-    slots, seen
-        Those frames, and as the level has them.
-    level
-        Number of the level, at least 1.
-    """
+    """Blocks of a level but those that hold blocks left out and none that is searched, (blocks down, blocks across)."""
     frame, reduced = first_there(slots), first_there(seen)
     out = np.ones([-(-size // BLOCK_PX) for size in reduced.pixels.shape], bool)
     for blocks, kept in ((left, False), (searched, True)):

@@ -17,76 +17,37 @@ ScoredSquare = tuple[float, float, float, float, int]
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """What `search` looks for and where.
+    """What `search` looks for and where."""
 
-    Attributes
-    ----------
-    sides
-        (sizes,) sides of arrays looked for, in px.
-    contrast
-        Least rms alternation in gray levels.
-    threshold
-        Least correlation, 0 to 1.
-    ring
-        Width of the ring around a candidate, as a fraction of its side.
-    step
-        Step of the places as a fraction of the side.
-    apart
-        Least distance of two candidates along x or y, as a fraction of the larger one's side.
-    count
-        Largest number of candidates that are kept.
-    """
-
+    # (sizes,) sides of arrays looked for, in px
     sides: Floats
+    # Least rms alternation in gray levels
     contrast: float
+    # Least correlation, 0 to 1
     threshold: float
+    # Width of the ring around a candidate, as a fraction of its side
     ring: float
+    # Step of the places as a fraction of the side
     step: float
+    # Least distance of two candidates along x or y, as a fraction of the larger one's side
     apart: float
+    # Largest number of candidates that are kept
     count: int
 
 
 def combined(frames: Floats, weights: Floats) -> Floats:
-    """Weighted sum of frames, (rows, columns).
-
-    Parameters
-    ----------
-    frames
-        (frames, rows, columns) gray levels.
-    weights
-        (frames,), one for each.
-    """
+    """Weighted sum of frames, (rows, columns)."""
     return np.asarray(np.tensordot(weights, frames, 1))
 
 
 def block_means(image: Floats, size: int) -> Floats:
-    """Mean magnitude of blocks, (blocks down, blocks across).
-
-    Parameters
-    ----------
-    image
-        (rows, columns), whole blocks.
-    size
-        Pixels of a block's side.
-    """
+    """Mean magnitude of blocks, (blocks down, blocks across)."""
     rows, cols = image.shape
     return np.asarray(np.abs(image).reshape(rows // size, size, cols // size, size).mean(axis=(1, 3)))
 
 
 def busy(means: Floats, free: NDArray[np.bool_], least: float, ratio: float) -> NDArray[np.bool_]:
-    """Blocks that alternate more than the others, and those around, (blocks down, blocks across).
-
-    Parameters
-    ----------
-    means
-        (blocks down, blocks across) gray levels of what alternates.
-    free
-        (blocks down, blocks across), where no array is followed.
-    least
-        Gray levels that a busy block has more than.
-    ratio
-        How many times the median free block's it has more than.
-    """
+    """Blocks that alternate more than the others, and those around, (blocks down, blocks across)."""
     if not free.any():
         return np.zeros(means.shape, bool)
     # of an even number the upper one of the two in the middle
@@ -97,21 +58,7 @@ def busy(means: Floats, free: NDArray[np.bool_], least: float, ratio: float) -> 
 
 
 def search(image: Floats, busy: NDArray[np.bool_], block: int, cells: Floats, grid: Grid) -> list[ScoredSquare]:
-    """Best candidates over scale and position, best first.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) gray levels of what alternates.
-    busy
-        (blocks down, blocks across) where a candidate may have its centre.
-    block
-        Pixels of a block's side.
-    cells
-        (identities, 16) cells of the headers, +-1.
-    grid
-        What is looked for and where.
-    """
+    """Best candidates over scale and position, best first."""
     kept: list[ScoredSquare] = []
     places = [place for side in map(float, grid.sides) for place in _places(image.shape, block, side, grid)]
     # block by block

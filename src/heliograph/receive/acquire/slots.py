@@ -37,40 +37,17 @@ Shown = TypeVar("Shown")
 
 @dataclass(frozen=True, slots=True)
 class Due:
-    """Frames that are to be searched now.
+    """Frames that are to be searched now."""
 
-    Attributes
-    ----------
-    slots
-        Frames of successive patterns, of one size and place; None stands for those that are missing.
-    turned
-        Whether turned headers are due too, in every other search: a header that one search alone sees is found by the
-        other ones a packet later.
-    """
-
+    # Frames of successive patterns, of one size and place; None stands for those that are missing
     slots: Slots
+    # Whether turned headers are due too, in every other search: a header that one search alone sees is found by the
+    # other ones a packet later
     turned: bool
 
 
 def begin_of(slots: Slots, pose: Pose, weights: NDArray[np.float64], header: int) -> tuple[int, float] | None:
-    """Where a header begins: the start at which its frames alternate most.
-
-    Parameters
-    ----------
-    slots
-        Frames that are due; None where one is missing.
-    pose
-        Where its array is, about.
-    weights
-        (n, n) header less its inverse, -1 to 1.
-    header
-        Frames of a header.
-
-    Returns
-    -------
-    Place of its first frame, and how regularly its frames alternate, 1 for all alike; None where it may begin a pair
-    later still, and a pair of data like it stand for its first: the next search has more of it.
-    """
+    """Where a header begins: the start at which its frames alternate most."""
     amplitudes = iter(header_amplitudes([frame for frame in slots if frame is not None], pose, weights).tolist())
     shown = [None if frame is None else next(amplitudes) for frame in slots]
     sign = 1 - 2 * (np.arange(header) % 2)
@@ -85,17 +62,7 @@ def begin_of(slots: Slots, pose: Pose, weights: NDArray[np.float64], header: int
 
 
 def filled(header: Sequence[Shown | None]) -> list[Shown] | None:
-    """What a header's frames show, a missing one as the nearest before or after that shows the same.
-
-    Parameters
-    ----------
-    header
-        What each frame shows, header and inverse in turn; None for those that are missing.
-
-    Returns
-    -------
-    As many; None where more than `MISSING_FRAMES` are missing, or all of a kind.
-    """
+    """What a header's frames show, a missing one as the nearest before or after that shows the same."""
     missing = [k for k, one in enumerate(header) if one is None]
     if len(missing) > MISSING_FRAMES * len(header):
         return None
@@ -107,69 +74,28 @@ def filled(header: Sequence[Shown | None]) -> list[Shown] | None:
 
 
 def in_common(slots: Slots) -> list[Frame | None]:
-    """Cut the frames that are there to the part of the sensor that all of them show.
-
-    Parameters
-    ----------
-    slots
-        Frames of one sensor; one at least is there.
-    """
+    """Cut the frames that are there to the part of the sensor that all of them show."""
     shown = iter(common([frame for frame in slots if frame is not None]))
     return [None if frame is None else next(shown) for frame in slots]
 
 
 def before(frame: Frame, count: int) -> list[Frame]:
-    """Copies of a frame with earlier, negative times and numbers.
-
-    Parameters
-    ----------
-    frame
-        First frame of a film.
-    count
-        How many copies, at least 0.
-    """
+    """Copies of a frame with earlier, negative times and numbers."""
     return [replace(frame, index=frame.index - k, time_s=frame.time_s - FAR_PAST_S * k) for k in range(count, 0, -1)]
 
 
 def alike(last: Frame, frame: Frame) -> bool:
-    """Whether two frames have the same kind of pixels.
-
-    Parameters
-    ----------
-    last, frame
-        Two frames of a film, in the order of time.
-    """
+    """Whether two frames have the same kind of pixels."""
     return last.pixels.dtype == frame.pixels.dtype and last.bits == frame.bits
 
 
 def first_there(slots: Slots) -> Frame:
-    """The first frame that is not missing.
-
-    Parameters
-    ----------
-    slots
-        Frames of successive patterns, one of them there at least.
-    """
+    """The first frame that is not missing."""
     return next(frame for frame in slots if frame is not None)
 
 
 class DueFrames:
-    """The last frames of a stream of one frame per pattern, as many as hold a header wherever it begins.
-
-    Parameters
-    ----------
-    header
-        Patterns of a header.
-    span
-        Patterns of its beginning that are combined, as many at most.
-    packet_patterns
-        Patterns of a packet.
-
-    Attributes
-    ----------
-    every
-        Patterns from one search to the next.
-    """
+    """The last frames of a stream of one frame per pattern, as many as hold a header wherever it begins."""
 
     def __init__(self, header: int, span: int, packet_patterns: int):
         self.every = 2 if header >= 4 else 1
@@ -183,13 +109,7 @@ class DueFrames:
         return [frame for frame in self._frames if frame is not None]
 
     def push(self, frame: Frame) -> list[Due]:
-        """Take the next frame; give the last ones as often as they are to be searched now.
-
-        Parameters
-        ----------
-        frame
-            Next frame, one per pattern; a gap in their numbers is of frames that are missing.
-        """
+        """Take the next frame; give the last ones as often as they are to be searched now."""
         lost = frame.index - self._next
         last = self._frames[-1] if self._frames else None
         if last is not None and not (alike(last, frame) and 0 <= lost <= self._window):
@@ -211,13 +131,7 @@ class DueFrames:
         return out
 
     def header_of(self, slots: Slots) -> list[Frame] | None:
-        """The frames that are to show a header's beginning; None where too many are missing.
-
-        Parameters
-        ----------
-        slots
-            Frames that are due.
-        """
+        """The frames that are to show a header's beginning; None where too many are missing."""
         return filled([*slots][SLACK : SLACK + self._span])
 
     def _turned(self) -> bool:

@@ -88,17 +88,7 @@ Lamps that change before and after are uneven within, and mostly dark."""
 
 
 class StraddledDetector:
-    """Looks for headers whose frames straddle two patterns each, in a stream of one frame per pattern.
-
-    Parameters
-    ----------
-    parameters
-        What it takes for an array.
-    signal
-        The light's signal: side of the array and header pairs, 2 or more.
-    budget
-        What its searches may cost, where that is shared with others; None gives it one of its own.
-    """
+    """Looks for headers whose frames straddle two patterns each, in a stream of one frame per pattern."""
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None = None):
         self._parameters, self._side = parameters, signal.side
@@ -123,15 +113,7 @@ class StraddledDetector:
             self._coarse = BoundedSearch(self._parameters, headers((orientation,)), self._budget)
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
-        """Take the next frame; see `HeaderSearch`.
-
-        Parameters
-        ----------
-        frame
-            Next frame, one per pattern; a gap in their numbers begins the search anew.
-        taken
-            Poses of arrays already followed.
-        """
+        """Take the next frame; see `HeaderSearch`."""
         if self._earns:
             self._budget.earn()
         if self._frames and not (alike(self._frames[-1], frame) and frame.index == self._frames[-1].index + 1):

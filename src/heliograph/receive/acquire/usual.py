@@ -36,37 +36,20 @@ chance."""
 
 
 class Surge(NamedTuple):
-    """What alternates about each block, in parts of what is usual there.
+    """What alternates about each block, in parts of what is usual there."""
 
-    Attributes
-    ----------
-    now
-        (blocks down, blocks across), of a search; very large where usually nothing alternates.
-    before
-        (blocks down, blocks across), of the search before; 0 where nothing alternated then, or the place was another
-        one.
-    early
-        Whether the place is so new that nothing is usual in it.
-    waits
-        (blocks down, blocks across), packets since the block was last searched.
-    """
-
+    # (blocks down, blocks across), of a search; very large where usually nothing alternates
     now: NDArray[np.float32]
+    # (blocks down, blocks across), of the search before; 0 where nothing alternated then, or the place was another one
     before: NDArray[np.float32]
+    # Whether the place is so new that nothing is usual in it
     early: bool
+    # (blocks down, blocks across), packets since the block was last searched
     waits: NDArray[np.float32]
 
 
 class Usual:
-    """How much alternates about each block, in the mean of the last searches.
-
-    Parameters
-    ----------
-    around
-        Blocks of a side about each over which its mean is taken.
-    packet_searches
-        Searches in the time of a packet.
-    """
+    """How much alternates about each block, in the mean of the last searches."""
 
     def __init__(self, around: int, packet_searches: float = 50.0):
         self._around, self._mean, self._origin = around, np.zeros((0, 0), np.float32), (0, 0)
@@ -80,15 +63,7 @@ class Usual:
         self._calm += 1
 
     def surge(self, change: NDArray[np.float32], origin: tuple[int, int]) -> Surge:
-        """Take what alternates in the frames of a search, and compare it with what usually does.
-
-        Parameters
-        ----------
-        change
-            (blocks down, blocks across) gray levels of what alternates.
-        origin
-            (x, y) on the sensor of the first block.
-        """
+        """Take what alternates in the frames of a search, and compare it with what usually does."""
         around = np.asarray(cv2.blur(change, (self._around, self._around)), np.float32)
         if (around.shape, origin) != (self._mean.shape, self._origin):
             self._mean, self._origin, self._searches = around * np.float32(self._calm == 0), origin, 0
@@ -111,13 +86,7 @@ class Usual:
 
 
 class UsualAlternation:
-    """Where as much more alternates than usual as in a header, and that soon before.
-
-    Parameters
-    ----------
-    modulation
-        That of the data, "haar" or "ook".
-    """
+    """Where as much more alternates than usual as in a header, and that soon before."""
 
     def __init__(self, modulation: str, packet_searches: float = 50.0):
         self._least, self._most = (OOK_SURGE, OOK_SURGE) if modulation == "ook" else (LEAST_SURGE, SURGE)
@@ -135,21 +104,6 @@ class UsualAlternation:
 
         A search that sees a header too late to fit it leaves it to the next one, in which it surges no more: so what
         surged by the most that is asked for, or strikes, does so for one more search.
-
-        Parameters
-        ----------
-        change
-            (blocks down, blocks across) gray levels of what alternates.
-        origin
-            (x, y) on the sensor of the first block.
-        scarcity
-            How scarce time to search is, 0 to 1: the more, the more a block has to surge.
-
-        Returns
-        -------
-        (blocks down, blocks across) three times: where it surges as much as that; where it strikes, as it surges by
-        `SURGE`; and their priority, how much they surge times the searches since they were chosen. At first all of a
-        place surges, and nothing strikes.
         """
         now, before, early, waits = self._usual.surge(change, origin)
         least = self._least + scarcity * (self._most - self._least)

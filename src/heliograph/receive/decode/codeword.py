@@ -23,61 +23,30 @@ LEAST_POWER, MOST_POWER = 1e-4, 0.999
 
 @dataclass(frozen=True, slots=True)
 class Decoding:
-    """How codewords are decoded.
+    """How codewords are decoded."""
 
-    Attributes
-    ----------
-    algorithm
-        Of the turbo code: "max-log" with scaled extrinsic values, or "log-map".
-    iterations
-        Most iterations, 1 or more.
-    """
-
+    # Of the turbo code: "max-log" with scaled extrinsic values, or "log-map"
     algorithm: Algorithm = "max-log"
+    # Most iterations, 1 or more
     iterations: int = 8
 
 
 @dataclass(frozen=True, slots=True)
 class DecodedBlock:
-    """A block as the decoder left it.
+    """A block as the decoder left it."""
 
-    Attributes
-    ----------
-    bits
-        (K,) uint8 decisions on the information bits.
-    iterations
-        Iterations that the decoder used.
-    margin
-        Mean magnitude of the LLRs of the information bits.
-    """
-
+    # (K,) uint8 decisions on the information bits
     bits: NDArray[np.uint8]
+    # Iterations that the decoder used
     iterations: int
+    # Mean magnitude of the LLRs of the information bits
     margin: float
 
 
 def decode_packet(
     luminances: Floats, seen: NDArray[np.bool_], form: PacketFormat, identity: int, options: Decoding | None = None
 ) -> dict[str, tuple[Codeword, ...]]:
-    """Decode all layers of a packet.
-
-    Parameters
-    ----------
-    luminances
-        (pairs, n, n) difference of pattern and inverse at each LED, of any scale.
-    seen
-        (pairs,) pairs in which the array was seen; the others are erased.
-    form
-        Format of the packet: its layers and their codes.
-    identity
-        Number of the array, 0 to 29; a block of another array is a mismatch.
-    options
-        Algorithm of the channel decoder, and its most iterations; None for the defaults.
-
-    Returns
-    -------
-    Codewords by layer.
-    """
+    """Decode all layers of a packet."""
     options = options or Decoding()
     soft = form.split(form.soft_data(luminances))
     llrs = {name: soft_to_llr(values, seen) for name, values in soft.items()}
@@ -90,33 +59,13 @@ def decode_packet(
 
 
 def unread(form: PacketFormat, identity: int) -> dict[str, tuple[Codeword, ...]]:
-    """Codewords by layer of a packet of which nothing was received.
-
-    Parameters
-    ----------
-    form
-        Format in which it would have been read.
-    identity
-        Number of the array, 0 to 29.
-    """
+    """Codewords by layer of a packet of which nothing was received."""
     pairs, side = form.layers["high"].pairs, form.settings.side
     return decode_packet(np.zeros((pairs, side, side)), np.zeros(pairs, bool), form, identity, Decoding(iterations=1))
 
 
 def soft_to_llr(soft: Floats, seen: NDArray[np.bool_]) -> Floats:
-    """LLR = ln P(b=0)/P(b=1) of soft values +-a with Gaussian noise, by the values' own moments.
-
-    Parameters
-    ----------
-    soft
-        (pairs, symbols) soft values of any scale, positive for bit 0.
-    seen
-        (pairs,) pairs in which the array was seen; the LLRs of the others are 0.
-
-    Returns
-    -------
-    (pairs, symbols), at most `LARGEST_LLR` in magnitude.
-    """
+    """LLR = ln P(b=0)/P(b=1) of soft values +-a with Gaussian noise, by the values' own moments."""
     known = soft[seen]
     if not known.size:
         return np.zeros_like(soft)
@@ -130,19 +79,7 @@ def soft_to_llr(soft: Floats, seen: NDArray[np.bool_]) -> Floats:
 
 
 def codeword_of(decoded: DecodedBlock, llr: Floats, identity: int, layer: str) -> Codeword:
-    """Codeword of an array and layer.
-
-    Parameters
-    ----------
-    decoded
-        Its block as the decoder left it.
-    llr
-        (E,) LLRs from which it was decoded.
-    identity
-        Number of the array, 0 to 29; a block of another array is a mismatch.
-    layer
-        Name of the layer, "high", "middle" or "low"; a block of another one is a mismatch.
-    """
+    """Codeword of an array and layer."""
     block, raw = unpack(decoded.bits), hard(llr)
     if block is None:
         return Codeword("crc_fail", None, decoded.bits, raw, decoded.iterations, decoded.margin)
@@ -152,13 +89,7 @@ def codeword_of(decoded: DecodedBlock, llr: Floats, identity: int, layer: str) -
 
 
 def hard(llr: Floats) -> NDArray[np.uint8]:
-    """Decisions on LLRs, `ERASED` where an LLR is 0.
-
-    Parameters
-    ----------
-    llr
-        LLRs ln P(b=0)/P(b=1) of any shape.
-    """
+    """Decisions on LLRs, `ERASED` where an LLR is 0."""
     return np.where(llr == 0, ERASED, llr < 0).astype(np.uint8)
 
 

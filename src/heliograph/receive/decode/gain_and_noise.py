@@ -13,32 +13,17 @@ from heliograph.receive.observe.statistics import PairStatistics
 
 @dataclass(frozen=True, slots=True)
 class GainAndNoise:
-    """Gain and noise of a packet.
+    """Gain and noise of a packet."""
 
-    Attributes
-    ----------
-    gain
-        Gray levels of the array with all LEDs on.
-    noise
-        Variance of a pixel of a difference in squared gray levels.
-    full_scale
-        Largest gain that the sensor can show, in gray levels.
-    """
-
+    # Gray levels of the array with all LEDs on
     gain: float
+    # Variance of a pixel of a difference in squared gray levels
     noise: float
+    # Largest gain that the sensor can show, in gray levels
     full_scale: float = math.inf
 
     def updated(self, moments: Floats, combined: bool) -> "GainAndNoise":
-        """Maximise the expected likelihood (a step of expectation and maximisation).
-
-        Parameters
-        ----------
-        moments
-            (4,) sums of `moments_of` over all pairs.
-        combined
-            Whether frames were combined: their sums are not even, so the noise is estimated here too.
-        """
+        """Maximise the expected likelihood (a step of expectation and maximisation)."""
         match, norm, power, pixels = moments
         # g = <d, B m + o> / E|B c + o|^2; of pairs that do not show the array it may be anything
         gain = min(match / norm, self.full_scale) if match > 0 and norm > 0 else self.gain
@@ -50,19 +35,7 @@ class GainAndNoise:
 
 
 def moments_of(pair: PairStatistics, estimate: Estimate) -> Floats:
-    """What a pair says of gain and noise.
-
-    Parameters
-    ----------
-    pair
-        Sufficient statistics of the pair for its symbols.
-    estimate
-        Its symbols as the equaliser estimated them.
-
-    Returns
-    -------
-    (4,) <d, B m + o>, E|B c + o|^2, |d|^2 and the number of pixels.
-    """
+    """What a pair says of gain and noise."""
     m = estimate.mean
     match = float(m @ pair.matched) + pair.cross
     norm = (

@@ -61,30 +61,18 @@ class EqualiseEvent:
     """An iteration of the soft receiver: its symbols are equalised, its codewords not yet decoded.
 
     Of a packet that LEDs by themselves told as a whole there is none, though one may be equalised later to learn of it.
-
-    Attributes
-    ----------
-    identity
-        Number of the array, 0 to 29.
-    iteration
-        Number of the iteration, from 0.
-    llr
-        By layer (codewords, E) LLRs of the coded bits, ln P(b=0)/P(b=1), whitening undone.
     """
 
+    # Number of the array, 0 to 29
     identity: int
+    # Number of the iteration, from 0
     iteration: int
+    # By layer (codewords, E) LLRs of the coded bits, ln P(b=0)/P(b=1), whitening undone
     llr: Mapping[str, Floats]
 
 
 def ignore(event: object, /) -> None:
-    """Observe nothing.
-
-    Parameters
-    ----------
-    event
-        Any event of a receiver; it is dropped.
-    """
+    """Observe nothing."""
 
 
 def decode_iteratively(
@@ -98,34 +86,7 @@ def decode_iteratively(
     observe: Callable[[EqualiseEvent], None] = ignore,
     known: Words | None = None,
 ) -> DecodedPacket[ObservedT]:
-    """Decode all layers of a packet.
-
-    Parameters
-    ----------
-    observed
-        The packet's pairs as they were observed.
-    channel
-        First estimate of gain and noise.
-    form
-        Format of the packet: its mode, its layers and their codes.
-    identity
-        Number of the array, 0 to 29; a block of another array is a mismatch.
-    options
-        Algorithm of the channel decoder, and its most iterations.
-    buffer
-        What was seen of this array's codewords before; None adds nothing, and nothing is kept.
-    feedback
-        What the equaliser gets back from the decoder; see `SoftSettings`. Propagation is for pairs in step.
-    observe
-        Gets an `EqualiseEvent` each iteration.
-    known
-        Its codewords by layer as another reading left them; those that it decoded are not decoded again. None if there
-        was no other.
-
-    Returns
-    -------
-    Its codewords, what was found of its symbols, and the buffer with what could not be decoded.
-    """
+    """Decode all layers of a packet."""
     packet = _Packet.begin(observed.statistics, channel, form, identity, options, feedback, known)
     observed = packet.decode(observed, buffer, observe)
     words = packet.words
@@ -144,41 +105,28 @@ def decode_iteratively(
 
 @dataclass(slots=True)
 class _Packet:
-    """A packet while it is decoded.
+    """A packet while it is decoded."""
 
-    Attributes
-    ----------
-    form, identity, options, feedback
-        See `decode_iteratively`.
-    statistics
-        Of its pairs, earlier times it was seen included.
-    channel
-        Gain and noise.
-    layers
-        What is known of its codewords.
-    mapper
-        Passes between the layers' bits and the symbols.
-    information
-        (codewords,) bit per coded bit in the LLRs of the last iteration.
-    out_of_step
-        How pairs combined of frames out of step show their symbols; None where all are in step.
-    propagation
-        Sites of the symbols; None where these are taken as Gaussian.
-    earlier
-        The same packet as seen before.
-    """
-
+    # form, identity, options, feedback: see `decode_iteratively`
     form: PacketFormat
     identity: int
     options: Decoding
     feedback: Feedback
+    # Of its pairs, earlier times it was seen included
     statistics: Sequence[PairStatistics | None]
+    # Gain and noise
     channel: GainAndNoise
+    # What is known of its codewords
     layers: dict[str, Layer]
+    # Passes between the layers' bits and the symbols
     mapper: SymbolMapper
+    # (codewords,) bit per coded bit in the LLRs of the last iteration
     information: Floats
+    # How pairs combined of frames out of step show their symbols; None where all are in step
     out_of_step: OutOfStep | None = None
+    # Sites of the symbols; None where these are taken as Gaussian
     propagation: ExpectationPropagation | None = None
+    # The same packet as seen before
     earlier: BufferedPacket | None = None
 
     @classmethod

@@ -34,61 +34,36 @@ when other layers are known (105 of 685 that began below it, at rest from 105 to
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """What is known of a layer's codewords.
+    """What is known of a layer's codewords."""
 
-    Attributes
-    ----------
-    form
-        How the layer fills its packet: code, codewords and interleaver.
-    llr
-        (codewords, E) LLRs by the last equalisation, whitening undone.
-    soft
-        (codewords, E) mean of each coded bit, 1 for 0 and -1 for 1.
-    variance
-        (codewords, E) variance of each.
-    own
-        (codewords, E) LLRs of this packet alone that tell one codeword from another: 0 but for distinguishing bits.
-    earlier_llr
-        (codewords, E) LLRs of earlier packets with the same codeword.
-    words
-        The codewords as last decoded; empty before the first decoding.
-    alone
-        (codewords,) True for codewords that another reading of this packet alone has decoded.
-    raw
-        (codewords, E) uint8 coded bits as decided by the first equalisation; None before it.
-    """
-
+    # How the layer fills its packet: code, codewords and interleaver
     form: LayerFormat
+    # (codewords, E) LLRs by the last equalisation, whitening undone
     llr: Floats
+    # (codewords, E) mean of each coded bit, 1 for 0 and -1 for 1
     soft: Floats
+    # (codewords, E) variance of each
     variance: Floats
+    # (codewords, E) LLRs of this packet alone that tell one codeword from another: 0 but for distinguishing bits
     own: Floats
+    # (codewords, E) LLRs of earlier packets with the same codeword
     earlier_llr: Floats
+    # The codewords as last decoded; empty before the first decoding
     words: tuple[Codeword, ...]
+    # (codewords,) True for codewords that another reading of this packet alone has decoded
     alone: NDArray[np.bool_]
+    # (codewords, E) uint8 coded bits as decided by the first equalisation; None before it
     raw: NDArray[np.uint8] | None = None
 
     @classmethod
     def unknown(cls, form: LayerFormat) -> "Layer":
-        """A layer of which nothing is known.
-
-        Parameters
-        ----------
-        form
-            How the layer fills its packet.
-        """
+        """A layer of which nothing is known."""
         shape = form.codewords, form.code.length
         none = np.zeros(form.codewords, bool)
         return cls(form, np.zeros(shape), np.zeros(shape), np.ones(shape), np.zeros(shape), np.zeros(shape), (), none)
 
     def with_known(self, words: tuple[Codeword, ...]) -> "Layer":
-        """The layer with codewords that another reading gave; those that it could not decode stay unknown.
-
-        Parameters
-        ----------
-        words
-            All codewords of the layer as that reading left them.
-        """
+        """The layer with codewords that another reading gave; those that it could not decode stay unknown."""
         soft, variance = self.soft.copy(), self.variance.copy()
         alone = np.array([word.status != "crc_fail" for word in words])
         for i in np.flatnonzero(alone):
@@ -112,24 +87,12 @@ class Layer:
         return bool((self.information[self.open] < HOPELESS * self.form.code.k / self.form.code.length).all())
 
     def equalised(self, sent: Floats) -> "Layer":
-        """The layer with the LLRs of a new equalisation.
-
-        Parameters
-        ----------
-        sent
-            (pairs, symbols) LLRs of the bits as they were sent, that is whitened.
-        """
+        """The layer with the LLRs of a new equalisation."""
         llr = self.form.deinterleave(np.clip(sent, -LARGEST_LLR, LARGEST_LLR))
         return replace(self, llr=llr, raw=hard(llr) if self.raw is None else self.raw)
 
     def with_earlier(self, earlier: Floats) -> "Layer":
-        """The layer with the LLRs of earlier packets of the same codewords.
-
-        Parameters
-        ----------
-        earlier
-            (codewords, E) sums of their LLRs, whitening undone; 0 where a codeword was not seen before.
-        """
+        """The layer with the LLRs of earlier packets of the same codewords."""
         return replace(self, earlier_llr=earlier)
 
     def with_own(self) -> "Layer":
@@ -145,13 +108,7 @@ class Layer:
         return replace(self, words=tuple(words), soft=soft, variance=variance)
 
     def unsure(self, number: int) -> bool:
-        """Whether a codeword is not decoded, or only with the help of earlier packets.
-
-        Parameters
-        ----------
-        number
-            Number of the codeword in the layer, from 0.
-        """
+        """Whether a codeword is not decoded, or only with the help of earlier packets."""
         return self.words[number].status == "crc_fail" or bool(self.earlier_llr[number].any())
 
     def known_llrs(self) -> list[Floats]:
@@ -176,26 +133,7 @@ class Layer:
 
 
 def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feedback: bool) -> Layer:
-    """Decode the codewords still open.
-
-    Parameters
-    ----------
-    layer
-        The layer with the LLRs of the last equalisation; it stays as it was.
-    name
-        Name of the layer: "high", "middle" or "low".
-    identity
-        Number of the array, 0 to 29; a block of another array is a mismatch.
-    options
-        Algorithm of the channel decoder, and its most iterations.
-    feedback
-        Whether soft values of failed codewords are fed back.
-
-    Returns
-    -------
-    The layer with its words, and with means and variances of their bits. LLRs of earlier packets are 0 for a codeword
-    that was decoded without them, as theirs may be another one.
-    """
+    """Decode the codewords still open."""
     code, words = layer.form.code, dict(enumerate(layer.words))
     soft, variance, earlier = layer.soft.copy(), layer.variance.copy(), layer.earlier_llr.copy()
     assert layer.raw is not None  # it is equalised
@@ -215,34 +153,19 @@ def decode_layer(layer: Layer, name: str, identity: int, options: Decoding, feed
 
 
 def coded_signs(code: Code, word: Codeword) -> Floats:
-    """Coded bits (E,) of a codeword, 1 for 0 and -1 for 1.
-
-    Parameters
-    ----------
-    code
-        Code by which it is encoded again.
-    word
-        The codeword, of which the information bits count.
-    """
+    """Coded bits (E,) of a codeword, 1 for 0 and -1 for 1."""
     return np.asarray(1.0 - 2.0 * code.encode(word.bits))
 
 
 @dataclass(frozen=True, slots=True)
 class _Attempt:
-    """What the decoder made of a codeword.
+    """What the decoder made of a codeword."""
 
-    Attributes
-    ----------
-    word
-        The codeword.
-    extrinsic
-        (E,) extrinsic LLRs of its coded bits.
-    alone
-        Whether LLRs of earlier packets were left out that there were.
-    """
-
+    # The codeword
     word: Codeword
+    # (E,) extrinsic LLRs of its coded bits
     extrinsic: Floats
+    # Whether LLRs of earlier packets were left out that there were
     alone: bool = False
 
 

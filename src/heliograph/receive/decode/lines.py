@@ -21,43 +21,25 @@ from heliograph.receive.timing.out_of_step import OutOfStep
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """Observed symbols of a packet's pairs by the open symbols u.
+    """Observed symbols of a packet's pairs by the open symbols u."""
 
-    Attributes
-    ----------
-    open
-        (pairs, squares) number of the open symbol of each square among its pair's; of a square without one any of its
-        own.
-    start
-        (pairs, symbols) observed symbols where all u of their pair are 0, and the light along their lines that is not
-        theirs.
-    slope
-        (pairs, symbols) their slopes by the pair's own u.
-    mean, variance
-        (pairs, squares) mean and variance of u.
-    leak, leak_variance
-        (pairs, squares) mean and variance of the light of the pairs around, in units of u.
-    """
-
+    # (pairs, squares) number of the open symbol of each square among its pair's; of a square without one any of its own
     open: NDArray[np.intp]
+    # (pairs, symbols) observed symbols where all u of their pair are 0, and the light along their lines that is not
+    # theirs
     start: Floats
+    # (pairs, symbols) their slopes by the pair's own u
     slope: Floats
+    # mean, variance: (pairs, squares) mean and variance of u
     mean: Floats
     variance: Floats
+    # leak, leak_variance: (pairs, squares) mean and variance of the light of the pairs around, in units of u
     leak: Floats
     leak_variance: Floats
 
     @classmethod
     def of(cls, packet: OutOfStep, mean: Floats, variance: Floats) -> "Lines | None":
-        """Lines of a packet's pairs; None where any square has more than one open symbol.
-
-        Parameters
-        ----------
-        packet
-            How its pairs show their symbols.
-        mean, variance
-            (pairs, symbols) mean of the symbols, -1 to 1, and variance of each, near 0 of those that are known.
-        """
+        """Lines of a packet's pairs; None where any square has more than one open symbol."""
         kinds = variance.reshape(len(variance), 4, -1)
         if ((kinds >= KNOWN_VARIANCE).sum(1) > 1).any():
             return None
@@ -80,22 +62,7 @@ class Lines:
         return cls(open_, start, slope, u, spread, leak, leak_variance)
 
     def equalised(self, number: int, pair: PairStatistics, channel: GainAndNoise) -> tuple[Floats, Floats]:
-        """Equalise a pair along its lines.
-
-        Parameters
-        ----------
-        number
-            Its number in the packet.
-        pair
-            Its statistics for the observed symbols.
-        channel
-            Gain and noise of the packet so far, in gray levels and their squares.
-
-        Returns
-        -------
-        Extrinsic LLRs ln P(c=+1)/P(c=-1) of its symbols, (symbols,), 0 of known ones; and what it says of gain and
-        noise, see `moments_of`.
-        """
+        """Equalise a pair along its lines."""
         along = pair.along(self.start[number], self.slope[number])
         leak, leak_variance = self.leak[number], self.leak_variance[number]
         estimate = equalise(

@@ -19,30 +19,10 @@ class Observed(Protocol):
         """Statistics of each pair, in the single mode of each pattern; None where the array was not seen."""
 
     def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Self:
-        """Return the packet with its poses refined by what is known of the symbols; itself where none moves.
-
-        Parameters
-        ----------
-        mean, variance
-            (pairs, n^2) mean, -1 to 1, and variance, 0 to 1, of each symbol; in the single mode by pattern.
-        gain
-            Gray levels of the array with all LEDs on.
-        noise
-            Variance of a pixel of a difference in squared gray levels.
-        """
+        """Return the packet with its poses refined by what is known of the symbols; itself where none moves."""
 
     def relit(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Self:
-        """Return the packet with the LEDs' brightness learnt by what is decoded; itself where it hardly changes.
-
-        Parameters
-        ----------
-        mean, variance
-            (pairs, n^2) mean, -1 to 1, and variance, 0 to 1, of each symbol; in the single mode by pattern.
-        gain
-            Gray levels of the array with all LEDs on.
-        noise
-            Variance of a pixel of a difference in squared gray levels.
-        """
+        """Return the packet with the LEDs' brightness learnt by what is decoded; itself where it hardly changes."""
 
 
 ObservedT = TypeVar("ObservedT", bound=Observed)
@@ -50,25 +30,16 @@ ObservedT = TypeVar("ObservedT", bound=Observed)
 
 @dataclass(frozen=True, slots=True)
 class DecodedPacket(Generic[ObservedT]):
-    """A packet once it is decoded.
+    """A packet once it is decoded."""
 
-    Attributes
-    ----------
-    words
-        Its codewords by layer, decoded or not.
-    observed
-        Its pairs as they were seen at last.
-    mean, variance
-        (pairs, n^2) mean, -1 to 1, and variance, 0 to 1, of each symbol; in the single mode by pattern.
-    channel
-        Gain in gray levels and noise, as they were estimated at last.
-    buffer
-        What was seen of this array's codewords, this packet included; None where none was given.
-    """
-
+    # Its codewords by layer, decoded or not
     words: Words
+    # Its pairs as they were seen at last
     observed: ObservedT
+    # mean, variance: (pairs, n^2) mean, -1 to 1, and variance, 0 to 1, of each symbol; in the single mode by pattern
     mean: Floats
     variance: Floats
+    # Gain in gray levels and noise, as they were estimated at last
     channel: GainAndNoise
+    # What was seen of this array's codewords, this packet included; None where none was given
     buffer: SoftBuffer | None

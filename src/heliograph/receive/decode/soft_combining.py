@@ -65,57 +65,30 @@ SUPPORT = 4.0
 
 @dataclass(frozen=True, slots=True)
 class BufferedPacket:
-    """A packet that was not decoded as a whole, or not by itself.
+    """A packet that was not decoded as a whole, or not by itself."""
 
-    Attributes
-    ----------
-    format
-        Its mode and code rates.
-    llrs
-        (E,) of each codeword, layer by layer; those of decoded ones are the largest there are.
-    statistics
-        Of each pair, over all times it was seen; None for a pair never seen.
-    gain
-        Gray levels of the array with all LEDs on, in whose unit the statistics are.
-    noise
-        Variance of a pixel of a difference in squared gray levels, likewise.
-    """
-
+    # Its mode and code rates
     format: Format
+    # (E,) of each codeword, layer by layer; those of decoded ones are the largest there are
     llrs: tuple[Floats, ...]
+    # Of each pair, over all times it was seen; None for a pair never seen
     statistics: tuple[PairStatistics | None, ...]
+    # Gray levels of the array with all LEDs on, in whose unit the statistics are
     gain: float = 1.0
+    # Variance of a pixel of a difference in squared gray levels, likewise
     noise: float = 1.0
 
     def joined(
         self, statistics: Sequence[PairStatistics | None], gain: float, noise: float
     ) -> list[PairStatistics | None]:
-        """Add the statistics of the packet seen again.
-
-        Parameters
-        ----------
-        statistics
-            Of each pair as seen again; None for a pair not seen.
-        gain, noise
-            Their units: gray levels of the array with all LEDs on, and variance of a pixel in squared gray levels.
-
-        Returns
-        -------
-        Sums of each pair, in the units given.
-        """
+        """Add the statistics of the packet seen again."""
         # B g_0 = (B g_0 / g) g, and weights are in units of the noise
         weight, dimmer = noise / self.noise, self.gain / gain
         kept = (None if one is None else one.scaled(weight, dimmer) for one in self.statistics)
         return [a.plus(b) if a and b else a or b for a, b in zip(statistics, kept, strict=True)]
 
     def likeness(self, llrs: Sequence[Floats]) -> float:
-        """Agreement in standard deviations with the codewords of another packet; 0 where they contradict.
-
-        Parameters
-        ----------
-        llrs
-            (E,) LLRs of each of its codewords, layer by layer, as many as of this packet.
-        """
+        """Agreement in standard deviations with the codewords of another packet; 0 where they contradict."""
         found, expected = np.array([agreement(a, b) for a, b in zip(llrs, self.llrs, strict=True)]).T
         # packets of a carousel may share a codeword that is decoded: then the others must agree
         open_ = np.array([bool((np.abs(llr) < LARGEST_LLR).any()) for llr in self.llrs])
@@ -127,47 +100,21 @@ class BufferedPacket:
 
 @dataclass(frozen=True, slots=True)
 class SoftBuffer:
-    """Codewords and packets of one array that were seen but not decoded.
+    """Codewords and packets of one array that were seen but not decoded."""
 
-    Attributes
-    ----------
-    packets
-        Packets not decoded as a whole, the oldest first; their statistics are summed over all times they were seen.
-    codewords
-        LLRs (E,) of codewords by layer and code, the oldest first; each is summed over all times it was seen.
-    """
-
+    # Packets not decoded as a whole, the oldest first; their statistics are summed over all times they were seen
     packets: tuple[BufferedPacket, ...] = ()
+    # LLRs (E,) of codewords by layer and code, the oldest first; each is summed over all times it was seen
     codewords: Mapping[Kind, tuple[Floats, ...]] = field(default_factory=dict)
 
     def same_packet(self, form: Format, llrs: Sequence[Floats]) -> BufferedPacket | None:
-        """Find the packet that is seen again.
-
-        Parameters
-        ----------
-        form
-            Format of the packet seen now.
-        llrs
-            (E,) of each of its codewords.
-
-        Returns
-        -------
-        The packet as seen earlier; None where none is the same.
-        """
+        """Find the packet that is seen again."""
         alike = [(packet.likeness(llrs), packet) for packet in self.packets if packet.format == form]
         best, found = max(alike, key=lambda one: one[0], default=(0.0, None))
         return None if best < SAME else found
 
     def same_codeword(self, kind: Kind, llr: Floats) -> Floats:
-        """Sum of the LLRs (E,) of earlier times a codeword was seen; zeros where there are none.
-
-        Parameters
-        ----------
-        kind
-            Layer and code of the codeword.
-        llr
-            (E,) its LLRs as seen now, 0 but for distinguishing bits.
-        """
+        """Sum of the LLRs (E,) of earlier times a codeword was seen; zeros where there are none."""
         kept = self.codewords.get(kind, ())
         agreements = [agreement(llr, other)[0] for other in kept]
         best = int(np.argmax(agreements)) if agreements else -1
@@ -176,37 +123,15 @@ class SoftBuffer:
         return kept[best]
 
     def without(self, packet: BufferedPacket) -> "SoftBuffer":
-        """The buffer less a packet.
-
-        Parameters
-        ----------
-        packet
-            A packet as `same_packet` gave it.
-        """
+        """The buffer less a packet."""
         return replace(self, packets=tuple(other for other in self.packets if other is not packet))
 
     def with_packet(self, packet: BufferedPacket) -> "SoftBuffer":
-        """The buffer and a packet, which takes the place of the oldest where there is no room.
-
-        Parameters
-        ----------
-        packet
-            A packet not decoded as a whole, its statistics summed over all times it was seen.
-        """
+        """The buffer and a packet, which takes the place of the oldest where there is no room."""
         return replace(self, packets=(*self.packets, packet)[-PACKETS_KEPT:])
 
     def with_codeword(self, kind: Kind, llr: Floats, earlier: Floats) -> "SoftBuffer":
-        """The buffer and a codeword that this packet alone did not give, in place of the oldest where there is no room.
-
-        Parameters
-        ----------
-        kind
-            Layer and code of the codeword.
-        llr
-            (E,) this packet's LLRs.
-        earlier
-            (E,) those of earlier times, as `same_codeword` gave them; the sum takes their place.
-        """
+        """Add a codeword that this packet did not give, in place of the oldest where there is no room."""
         rest = (other for other in self.codewords.get(kind, ()) if not np.array_equal(other, earlier))
         kept = (*rest, llr + earlier)[-CODEWORDS_KEPT:]
         return replace(self, codewords={**self.codewords, kind: kept})
@@ -219,13 +144,7 @@ class SharedBuffers:
         self._buffers: dict[Hashable, SharedBuffer] = {}
 
     def of(self, array: Hashable) -> "SharedBuffer":
-        """The buffer of an array, empty where it is new or was not asked for of late.
-
-        Parameters
-        ----------
-        array
-            What tells it from others.
-        """
+        """The buffer of an array, empty where it is new or was not asked for of late."""
         found = self._buffers.pop(array) if array in self._buffers else SharedBuffer()
         self._buffers[array] = found  # the last one asked for stands last
         while len(self._buffers) > BUFFERS_KEPT:
@@ -234,13 +153,7 @@ class SharedBuffers:
 
 
 class SharedBuffer(Shared[SoftBuffer]):
-    """Hands a buffer on from packet to packet of an array, also to those of the array lost and found again.
-
-    Parameters
-    ----------
-    name
-        What tells it from others in another process; None for a new name.
-    """
+    """Hands a buffer on from packet to packet of an array, also to those of the array lost and found again."""
 
     kept = BUFFERS_KEPT
 
@@ -249,20 +162,7 @@ class SharedBuffer(Shared[SoftBuffer]):
 
 
 def agreement(a: Floats, b: Floats) -> tuple[float, float]:
-    """Agreement of two sets of LLRs.
-
-    Parameters
-    ----------
-    a, b
-        (E,) LLRs of two codewords of one code; bits whose LLR is 0 in one do not count.
-
-    Returns
-    -------
-    found
-        In standard deviations of LLRs of different codewords.
-    expected
-        The same if they are of one codeword.
-    """
+    """Agreement of two sets of LLRs."""
     # sum of E[bit | a] E[bit | b]; its mean is 0 for bits that have nothing to do with each other
     product = np.tanh(a / 2) * np.tanh(b / 2)
     spread = float(np.sqrt((product**2).sum()))
@@ -273,13 +173,6 @@ def consistent(llr: Floats, signs: Floats) -> bool:
     """Whether LLRs agree with a codeword as far as their own codeword would.
 
     A codeword decoded with the help of earlier packets might be theirs alone, and this packet's differ in some bits.
-
-    Parameters
-    ----------
-    llr
-        (E,) LLRs of this packet alone; bits whose LLR is 0 do not count.
-    signs
-        (E,) the codeword's bits, 1 for 0 and -1 for 1.
     """
     soft = np.tanh(llr / 2)
     # E[soft * sign] = soft^2 where the LLRs are calibrated, and 0 of another codeword, with the variance sum soft^2

@@ -74,23 +74,15 @@ It is half of the ten packets that count by `BRIGHTNESS_FADE`.
 
 @dataclass(frozen=True, slots=True)
 class DecodedPair:
-    """A pair of which symbols are decoded.
+    """A pair of which symbols are decoded."""
 
-    Attributes
-    ----------
-    statistics
-        Its statistics, made with the brightness known so far.
-    symbols
-        (symbols,) +-1, and 0 for those that are not decoded.
-    slopes
-        (4, rows, columns) derivatives F of the decoded symbols' image by x, y, ln pitch and roll, times W^(1/2).
-    whitened
-        Its cut-out, divided by its noise.
-    """
-
+    # Its statistics, made with the brightness known so far
     statistics: PairStatistics
+    # (symbols,) +-1, and 0 for those that are not decoded
     symbols: Floats
+    # (4, rows, columns) derivatives F of the decoded symbols' image by x, y, ln pitch and roll, times W^(1/2)
     slopes: Floats
+    # Its cut-out, divided by its noise
     whitened: WhitenedCutout
 
     @property
@@ -99,20 +91,7 @@ class DecodedPair:
         return np.flatnonzero(self.symbols == 0)
 
     def without_nuisance(self, gain: float, noise: float) -> tuple[NDArray[np.float32], Floats]:
-        """G and B^T W (d - g o), what undecoded symbols and an error of the pose may have added marginalised.
-
-        Parameters
-        ----------
-        gain
-            Gray levels of the array with all LEDs on.
-        noise
-            Variance of a pixel of a difference in squared gray levels.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            The pair says nothing of its LEDs: its pose is too far off, or gain and noise are absurd.
-        """
+        """G and B^T W (d - g o), what undecoded symbols and an error of the pose may have added marginalised."""
         pair, whitened, unknown = self.statistics, self.whitened, self.unknown
         # N = (B_open, F): G - B^T N (N^T N + s^2 / g^2 P^-1)^-1 N^T B
         slopes = self.slopes.reshape(len(self.slopes), -1)
@@ -135,35 +114,21 @@ class DecodedPair:
 
 @dataclass(frozen=True, slots=True)
 class Brightness:
-    """Brightness of an array's LEDs, and what decoded data have shown of it.
+    """Brightness of an array's LEDs, and what decoded data have shown of it."""
 
-    Attributes
-    ----------
-    values
-        (n, n) brightness, 1 for the median LED.
-    information
-        (2, n n, n n) sums of the normal equations' matrices over each half of the pairs, ordered as by `by_squares`;
-        (2, 0, 0) before the first pair, and where the brightness alone is told.
-    score
-        (2, n n) sums of their right sides; (2, 0) likewise.
-    packets
-        Packets that were learnt from.
-    """
-
+    # (n, n) brightness, 1 for the median LED
     values: Floats
+    # (2, n n, n n) sums of the normal equations' matrices over each half of the pairs, ordered as by `by_squares`; (2,
+    # 0, 0) before the first pair, and where the brightness alone is told
     information: Floats
+    # (2, n n) sums of their right sides; (2, 0) likewise
     score: Floats
+    # Packets that were learnt from
     packets: int = 0
 
     @classmethod
     def equal(cls, side: int) -> "Brightness":
-        """LEDs of which nothing is known.
-
-        Parameters
-        ----------
-        side
-            LEDs in a row.
-        """
+        """LEDs of which nothing is known."""
         return cls(np.ones((side, side)), np.empty((2, 0, 0)), np.empty((2, 0)))
 
     @property
@@ -203,31 +168,11 @@ class Brightness:
         return replace(self, information=BRIGHTNESS_FADE * self.information, score=BRIGHTNESS_FADE * self.score)
 
     def differs(self, other: "Brightness") -> bool:
-        """Whether it is another than what was taken so far, by more than the light of equal LEDs seems to differ.
-
-        Parameters
-        ----------
-        other
-            What was taken so far.
-        """
+        """Whether it is another than what was taken so far, by more than the light of equal LEDs seems to differ."""
         return bool(np.sqrt(np.mean((self.values - other.values) ** 2)) > UNEQUAL)
 
     def learn(self, pairs: Sequence[DecodedPair], gain: float, noise: float) -> "Brightness":
-        """Learn from decoded symbols.
-
-        Parameters
-        ----------
-        pairs
-            Pairs of a packet, in each of which some symbols are decoded.
-        gain
-            Gray levels of the array with all LEDs on.
-        noise
-            Variance of a pixel of a difference in squared gray levels.
-
-        Returns
-        -------
-        The brightness with the evidence of these pairs, as it was where they say nothing; itself where there are none.
-        """
+        """Learn from decoded symbols."""
         if not pairs or gain <= 0:
             return self
         information, score = self._evidence()

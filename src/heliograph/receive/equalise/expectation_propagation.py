@@ -33,34 +33,20 @@ of a negative precision would be no Gaussian. Half and twice of it lose none of 
 
 @dataclass(slots=True)
 class ExpectationPropagation:
-    """Sites and cavities of a packet's symbols.
+    """Sites and cavities of a packet's symbols."""
 
-    Attributes
-    ----------
-    precision
-        Lambda of the sites, (patterns, symbols).
-    weighted
-        eta of the sites, (patterns, symbols).
-    cavity
-        Lambda of the cavities, (patterns, symbols); 0 for pairs that have not been equalised.
-    cavity_weighted
-        eta of the cavities, (patterns, symbols); likewise 0.
-    """
-
+    # Lambda of the sites, (patterns, symbols)
     precision: Floats
+    # Eta of the sites, (patterns, symbols)
     weighted: Floats
+    # Lambda of the cavities, (patterns, symbols); 0 for pairs that have not been equalised
     cavity: Floats
+    # Eta of the cavities, (patterns, symbols); likewise 0
     cavity_weighted: Floats
 
     @classmethod
     def begin(cls, shape: tuple[int, int]) -> "ExpectationPropagation":
-        """Sites with the mean 0 and the variance 1, before anything is equalised.
-
-        Parameters
-        ----------
-        shape
-            Pairs of the packet, in the single mode patterns, and symbols of each.
-        """
+        """Sites with the mean 0 and the variance 1, before anything is equalised."""
         return cls(np.ones(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape))
 
     def forget(self) -> None:
@@ -68,19 +54,7 @@ class ExpectationPropagation:
         self.cavity[:], self.cavity_weighted[:] = 0.0, 0.0
 
     def priors(self, mean: Floats, variance: Floats) -> tuple[Floats, Floats]:
-        """Update the sites; give the equaliser's priors.
-
-        Parameters
-        ----------
-        mean
-            (patterns, symbols) means by the turbo decoder, -1 to 1.
-        variance
-            (patterns, symbols) variances by the turbo decoder, 0 to 1; decoded symbols have 0.
-
-        Returns
-        -------
-        Mean and variance of the sites, (patterns, symbols); of decoded symbols their own.
-        """
+        """Update the sites; give the equaliser's priors."""
         # P(+1) / P(-1) = exp(L), L = 2 artanh(mean) + L_cavity
         llr = 2 * np.arctanh(np.clip(mean, KNOWN_VARIANCE - 1, 1 - KNOWN_VARIANCE))
         llr += llr_of(self.cavity, self.cavity_weighted)
@@ -95,19 +69,7 @@ class ExpectationPropagation:
         return np.where(known, mean, self.weighted / self.precision), np.where(known, variance, 1 / self.precision)
 
     def take(self, number: int, estimate: Estimate) -> Floats:
-        """Keep the cavities of a pair that was equalised with its sites.
-
-        Parameters
-        ----------
-        number
-            The pair's place in the packet, from 0.
-        estimate
-            What the equaliser found of its symbols with these sites as priors.
-
-        Returns
-        -------
-        Extrinsic LLRs of its symbols, (symbols,).
-        """
+        """Keep the cavities of a pair that was equalised with its sites."""
         first = not self.cavity[number].any()
         self.cavity[number], self.cavity_weighted[number] = estimate.extrinsic
         # at first the strongest neighbours are summed over as +-1, more exactly

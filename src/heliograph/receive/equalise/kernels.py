@@ -27,27 +27,7 @@ LEAST_REST = 0.02
 
 @compiled()
 def precision(gram, unknown, scale, inverse, floor, size):
-    """Posterior precision scale G + V^-1 of the unknown symbols; only the upper triangle is filled.
-
-    Parameters
-    ----------
-    gram
-        G, (symbols, symbols) float32; only its upper triangle is read.
-    unknown
-        (unknown,) numbers of the unknown symbols, rising; one at least.
-    scale
-        g^2 / s^2, ratio of the squared gain to the noise variance.
-    inverse
-        (unknown,) diagonal of V^-1: one over the symbols' prior variances.
-    floor
-        Small number that is added to all elements of scale G.
-    size
-        Rows of the result, as many as unknown symbols or more; those beyond are of a unit matrix.
-
-    Returns
-    -------
-    (size, size) float32.
-    """
+    """Posterior precision scale G + V^-1 of the unknown symbols; only the upper triangle is filled."""
     count, first = unknown.shape[0], unknown[0]
     together = unknown[count - 1] - first == count - 1
     out = np.empty((size, size), np.float32)
@@ -69,15 +49,7 @@ def precision(gram, unknown, scale, inverse, floor, size):
 
 @compiled()
 def mirror(upper, out):
-    """Fill a symmetric matrix from its upper triangle.
-
-    Parameters
-    ----------
-    upper
-        (m, m), m at least n; only its upper triangle is read.
-    out
-        (n, n), overwritten with the first n rows and columns of the symmetric matrix.
-    """
+    """Fill a symmetric matrix from its upper triangle."""
     for i in range(out.shape[0]):
         for j in range(i):
             out[i, j] = upper[j, i]
@@ -97,17 +69,6 @@ def extrinsic(covariance, posterior, mean, variance, out):
     of variance kappa S_ii, the symbols that weigh most are drawn from +-1 and the rest is Gaussian. With all of them
     Gaussian the LLR would be 2 chi_i / S_ii, too small where few neighbours disturb and their sum has no tails. `FEW`
     are drawn at first; where the LLR is then between `DOUBTFUL_LLR` and `DECIDED_LLR`, `MANY`.
-
-    Parameters
-    ----------
-    covariance
-        S, (n, n) float32 posterior covariance of the symbols.
-    posterior
-        m, (n,) posterior mean of each symbol.
-    mean, variance
-        c_0 and v, (n,) prior mean and variance of each symbol, the variance above 0.
-    out
-        (n,) ln P(c=+1)/P(c=-1), overwritten.
     """
     inverse = (1.0 / variance).astype(np.float32)
     states, which = np.empty((2, 1 << MANY)), np.empty(MANY, np.int64)

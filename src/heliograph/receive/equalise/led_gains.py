@@ -75,42 +75,23 @@ with 4, (1, 4) none of 192 codewords is lost.
 
 @dataclass(frozen=True)  # without slots, which leave no room for what is cached
 class LedGains:
-    """Gains of an array's LEDs, and what headers have shown of them.
+    """Gains of an array's LEDs, and what headers have shown of them."""
 
-    Attributes
-    ----------
-    sight
-        (n, n) how much of each LED is in sight by headers, 0 to 1; 0 of one that is dead, stuck or hidden.
-    brightness
-        Brightness of the LEDs by decoded data.
-    seen
-        Statistics of the headers so far, the gains times the header in place of the data; None before the first.
-    """
-
+    # (n, n) how much of each LED is in sight by headers, 0 to 1; 0 of one that is dead, stuck or hidden
     sight: Floats
+    # Brightness of the LEDs by decoded data
     brightness: Brightness
+    # Statistics of the headers so far, the gains times the header in place of the data; None before the first
     seen: PairStatistics | None = None
 
     @classmethod
     def sound(cls, side: int) -> "LedGains":
-        """Gains of an array whose LEDs all give their light.
-
-        Parameters
-        ----------
-        side
-            LEDs in a row.
-        """
+        """Gains of an array whose LEDs all give their light."""
         return cls.in_sight(np.ones((side, side)))
 
     @classmethod
     def in_sight(cls, sight: Floats) -> "LedGains":
-        """Gains of an array of which nothing but a detection is known.
-
-        Parameters
-        ----------
-        sight
-            (n, n) how much of each LED is in sight, 0 to 1.
-        """
+        """Gains of an array of which nothing but a detection is known."""
         return cls(sight, Brightness.equal(len(sight)))
 
     @cached_property
@@ -129,13 +110,7 @@ class LedGains:
         return bool((self.sight < 1).any() or (self.brightness.values < FAILED).any())
 
     def rather(self, sight: Floats) -> "LedGains":
-        """The same with other LEDs in sight.
-
-        Parameters
-        ----------
-        sight
-            (n, n) how much of each LED is in sight, 0 to 1.
-        """
+        """The same with other LEDs in sight."""
         return LedGains(sight, self.brightness, self.seen)
 
     def faded(self) -> "LedGains":
@@ -144,19 +119,7 @@ class LedGains:
         return LedGains(self.sight, self.brightness.faded(), seen)
 
     def learn(self, cutout: Cutout, header: Floats, gain: float, in_sight: Floats) -> "LearntGains":
-        """Learn from a header pair.
-
-        Parameters
-        ----------
-        cutout
-            The header and its inverse about the array.
-        header
-            (n, n) luminances of the header less its inverse, +-1.
-        gain
-            Gray levels of the array with all LEDs on, as if all had the same gain.
-        in_sight
-            (n, n) 1 for LEDs in sight, 0 for those that something hides: of these nothing is learnt.
-        """
+        """Learn from a header pair."""
         if not in_sight.any():
             return LearntGains(self, gain, False)
         side, brightness = len(self.values), self.brightness.values
@@ -184,21 +147,14 @@ class LedGains:
 
 @dataclass(frozen=True, slots=True)
 class LearntGains:
-    """What a header pair adds.
+    """What a header pair adds."""
 
-    Attributes
-    ----------
-    led_gains
-        Gains of the LEDs after this header.
-    gain
-        Gray levels of the array with all LEDs on, by the LEDs that give their light.
-    changed
-        Whether an LED's gain changed so much that the pose was found with a wrong image: the pair is then to be
-        followed and learnt from once more.
-    """
-
+    # Gains of the LEDs after this header
     led_gains: LedGains
+    # Gray levels of the array with all LEDs on, by the LEDs that give their light
     gain: float
+    # Whether an LED's gain changed so much that the pose was found with a wrong image: the pair is then to be followed
+    # and learnt from once more
     changed: bool
 
 

@@ -25,19 +25,7 @@ Of three films with posts 52 codewords were read with 0.3, 48 with 0.5 and 49 wi
 
 
 def llr_of(precision: Floats, weighted: Floats) -> Floats:
-    """LLRs ln P(c=+1)/P(c=-1) of symbols that Gaussians tell of.
-
-    Parameters
-    ----------
-    precision
-        (...,) precision of each Gaussian, 0 or more; where it is 0 nothing is known.
-    weighted
-        (...,) precision times mean of each.
-
-    Returns
-    -------
-    (...,), the prior left out.
-    """
+    """LLRs ln P(c=+1)/P(c=-1) of symbols that Gaussians tell of. Returns (...,), the prior left out."""
     # p(m|c) = (1 - epsilon) N(m; c, 1 / Lambda) + epsilon Laplace(m; c, spread)
     sure = np.maximum(precision, TINY)
     mean = weighted / sure
@@ -49,13 +37,7 @@ def llr_of(precision: Floats, weighted: Floats) -> Floats:
 
 
 def information(llr: Floats) -> Floats:
-    """Mean information in LLRs about their bits if they are calibrated, in bit per bit, (...,).
-
-    Parameters
-    ----------
-    llr
-        (..., E) LLRs, of either sign; only their magnitudes count.
-    """
+    """Mean information in LLRs about their bits if they are calibrated, in bit per bit, (...,)."""
     # I = 1 - h2(P(wrong)), P(wrong) = 1 / (1 + exp |L|)
     wrong = expit(-np.abs(llr))
     return np.asarray(1 - (entr(wrong) + entr(1 - wrong)).mean(-1) / np.log(2))

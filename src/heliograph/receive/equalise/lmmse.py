@@ -33,29 +33,19 @@ several times as long.
 
 @dataclass(frozen=True)  # without slots: what takes most of the time is found when it is asked for, and kept
 class Estimate:
-    """Symbols of a pair after equalising.
+    """Symbols of a pair after equalising."""
 
-    Attributes
-    ----------
-    prior
-        (symbols,) prior mean of each symbol.
-    variance
-        (symbols,) prior variance of each symbol.
-    mean
-        (symbols,) posterior mean of each; of known symbols the prior mean.
-    unknown
-        (unknown,) numbers of the symbols that were estimated.
-    factor
-        L of their posterior precision S^-1 = L L^T, lower triangular, (unknown, unknown) float32 and rows that pad it.
-    scale
-        g^2 / s^2, ratio of the squared gain to the noise variance.
-    """
-
+    # (symbols,) prior mean of each symbol
     prior: Floats
+    # (symbols,) prior variance of each symbol
     variance: Floats
+    # (symbols,) posterior mean of each; of known symbols the prior mean
     mean: Floats
+    # (unknown,) numbers of the symbols that were estimated
     unknown: NDArray[np.intp]
+    # L of their posterior precision S^-1 = L L^T, lower triangular, (unknown, unknown) float32 and rows that pad it
     factor: NDArray[np.float32]
+    # G^2 / s^2, ratio of the squared gain to the noise variance
     scale: float
 
     @cached_property
@@ -105,26 +95,7 @@ class Estimate:
 
 
 def equalise(pair: PairStatistics, gain: float, noise: float, mean: Floats, variance: Floats) -> Estimate:
-    """Estimate the symbols of a pair: (6) of Tuechler, Singer and Koetter 2002, in the symbols' domain.
-
-    Parameters
-    ----------
-    pair
-        Sufficient statistics of the pair for its symbols.
-    gain
-        g, gray levels of the array with all LEDs on.
-    noise
-        s^2, variance of a pixel of the difference of the two frames in squared gray levels, above 0.
-    mean
-        (symbols,) prior means: -1 to 1 of bits; sites, observed symbols and gains of LEDs may lie beyond.
-    variance
-        (symbols,) prior variances; one below `KNOWN_VARIANCE` takes the symbol for known.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The posterior precision is not positive definite: gain or noise are absurd.
-    """
+    """Estimate the symbols of a pair: (6) of Tuechler, Singer and Koetter 2002, in the symbols' domain."""
     unknown = np.flatnonzero(variance >= KNOWN_VARIANCE)
     m, ratio = mean.copy(), gain / noise
     if not unknown.size:
@@ -142,25 +113,7 @@ def equalise(pair: PairStatistics, gain: float, noise: float, mean: Floats, vari
 def products(
     whitened: WhitenedCutout, pair: PairStatistics, images: Floats, unknown: NDArray[np.intp], scale: float
 ) -> Floats:
-    """Inner products of images in the noise of a pair, to which the light of unknown symbols belongs.
-
-    Parameters
-    ----------
-    whitened
-        Cut-out of the pair, divided by its noise.
-    pair
-        Sufficient statistics of that cut-out.
-    images
-        (k, rows, columns) images A on the cut-out's pixels, times W^(1/2).
-    unknown
-        (unknown,) numbers of the unknown symbols, rising; there may be none.
-    scale
-        g^2 / s^2, ratio of the squared gain to the noise variance.
-
-    Returns
-    -------
-    (k, k) A^T (1 + g^2 / s^2 B_open B_open^T)^-1 A of the images A.
-    """
+    """Inner products of images in the noise of a pair, to which the light of unknown symbols belongs."""
     # Woodbury: A^T (1 + g^2 / s^2 B B^T)^-1 A = A^T A - A^T B (B^T B + s^2 / g^2)^-1 B^T A, a matrix of symbols
     flat = images.reshape(len(images), -1)
     whole = flat @ flat.T

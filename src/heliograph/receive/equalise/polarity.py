@@ -22,13 +22,7 @@ CERTAIN = 1e-12
 
 
 class SymbolMapper:
-    """Passes means and LLRs between the layers' bits and the symbols that the equaliser estimates.
-
-    Parameters
-    ----------
-    form
-        Format of the packet: its mode, its layers and the side of the array.
-    """
+    """Passes means and LLRs between the layers' bits and the symbols that the equaliser estimates."""
 
     def __init__(self, form: PacketFormat):
         self._single = form.single
@@ -37,19 +31,7 @@ class SymbolMapper:
         self._seen = np.zeros((form.layers["high"].pairs, self._half, self._half))
 
     def expected(self, means: Sequence[Floats], variances: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Mean and variance of each symbol.
-
-        Parameters
-        ----------
-        means
-            Means of each layer's bits, (patterns, bits) a layer, -1 to 1.
-        variances
-            Variances of each layer's bits, (patterns, bits) a layer, 0 to 1.
-
-        Returns
-        -------
-        (patterns, n n) each.
-        """
+        """Mean and variance of each symbol. Returns (patterns, n n) each."""
         if not self._single:
             return np.concatenate(means, axis=1), np.concatenate(variances, axis=1)
         data = means[0].reshape(-1, self._half, self._half - 1)
@@ -66,19 +48,7 @@ class SymbolMapper:
         return np.concatenate([high[0], *means[1:]], axis=1), np.concatenate([high[1], *variances[1:]], axis=1)
 
     def bits(self, llr: Floats, means: Sequence[Floats]) -> list[Floats]:
-        """LLRs of each layer's bits.
-
-        Parameters
-        ----------
-        llr
-            (patterns, n n) of the symbols, ln P(c=+1)/P(c=-1).
-        means
-            Means of each layer's bits, as in `expected`.
-
-        Returns
-        -------
-        (patterns, bits) a layer.
-        """
+        """LLRs of each layer's bits. Returns (patterns, bits) a layer."""
         if not self._single:
             return np.split(llr, self._edges, axis=1)
         size = self._half**2

@@ -13,61 +13,33 @@ from heliograph.base.arrays import Floats
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Symbols after linear MMSE estimation.
+    """Symbols after linear MMSE estimation."""
 
-    Attributes
-    ----------
-    mean
-        (symbols,) posterior mean of each symbol.
-    covariance
-        (symbols, symbols) posterior covariance of the symbols.
-    extrinsic
-        (symbols,) LLR = ln P(c=+1)/P(c=-1) of each without its own prior.
-    """
-
+    # (symbols,) posterior mean of each symbol
     mean: Floats
+    # (symbols, symbols) posterior covariance of the symbols
     covariance: Floats
+    # (symbols,) LLR = ln P(c=+1)/P(c=-1) of each without its own prior
     extrinsic: Floats
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """How many disturbing symbols are drawn from -1 and +1.
+    """How many disturbing symbols are drawn from -1 and +1."""
 
-    Attributes
-    ----------
-    few, many
-        In the first evaluation, and in the second.
-    doubtful, sure
-        LLRs in magnitude between which a symbol is evaluated again.
-    unmodelled, spread
-        Probability that a value is none of -1 and +1 and Gaussian noise, and its mean error then.
-    """
-
+    # few, many: in the first evaluation, and in the second
     few: int
     many: int
+    # doubtful, sure: lLRs in magnitude between which a symbol is evaluated again
     doubtful: float
     sure: float
+    # unmodelled, spread: probability that a value is none of -1 and +1 and Gaussian noise, and its mean error then
     unmodelled: float
     spread: float
 
 
 def lmmse(b: Floats, d: Floats, noise: Floats, mean: Floats, variance: Floats, drawn: Drawn) -> Posterior:
-    """Linear MMSE estimate of symbols c of d = B c + n, gain and offset within B and d.
-
-    Parameters
-    ----------
-    b
-        B, (pixels, symbols): the image of each symbol in gray levels.
-    d
-        (pixels,) difference of the two frames in gray levels, less its offset.
-    noise
-        (pixels,) variance of each in squared gray levels, above 0.
-    mean, variance
-        (symbols,) prior mean, -1 to 1, and prior variance of each symbol.
-    drawn
-        How the extrinsic LLRs are worked out.
-    """
+    """Linear MMSE estimate of symbols c of d = B c + n, gain and offset within B and d."""
     # K = B V B^T + N, m = c + V B^T K^-1 (d - B c), S = V - V B^T K^-1 B V
     k = (b * variance) @ b.T + np.diag(noise)
     gain = variance[:, None] * np.linalg.solve(k, b).T

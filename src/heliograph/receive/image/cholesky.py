@@ -12,15 +12,7 @@ from heliograph.base.compiled import compiled
 
 @compiled()
 def solve(matrix, rhs):
-    """Solve M x = b in place of b, by Cholesky.
-
-    Parameters
-    ----------
-    matrix
-        M, (n, n), positive definite.
-    rhs
-        b, (n,), overwritten with x; not finite where M is not positive definite.
-    """
+    """Solve M x = b in place of b, by Cholesky."""
     lower = np.empty(matrix.shape)
     _factor(matrix, lower)
     _substitute(lower, rhs)
@@ -28,15 +20,7 @@ def solve(matrix, rhs):
 
 @compiled()
 def invert(matrix, out):
-    """First rows and columns of an inverse, as many as `out` has.
-
-    Parameters
-    ----------
-    matrix
-        (n, n), positive definite.
-    out
-        (k, k), k at most n, overwritten; not finite where the matrix is not positive definite.
-    """
+    """First rows and columns of an inverse, as many as `out` has."""
     lower, column = np.empty(matrix.shape), np.empty(matrix.shape[0])
     _factor(matrix, lower)
     for k in range(out.shape[0]):
@@ -74,13 +58,7 @@ def _substitute(lower, rhs):
 
 @compiled()
 def mirror(matrix):
-    """Give a matrix the upper half that its lower one has.
-
-    Parameters
-    ----------
-    matrix
-        (n, n), in place.
-    """
+    """Give a matrix the upper half that its lower one has."""
     for k in range(matrix.shape[0]):
         for n in range(k):
             matrix[n, k] = matrix[k, n]

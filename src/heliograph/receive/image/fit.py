@@ -34,23 +34,15 @@ More of them add background, fewer lose its rim.
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """The array's image found in pixels.
+    """The array's image found in pixels."""
 
-    Attributes
-    ----------
-    vector
-        (x, y, ln pitch, roll, ln blur) of the pose, (5,), or with the tilt, (7,), as the prior.
-    covariance
-        Posterior covariance of what was fitted, (5, 5) or (7, 7).
-    gain
-        Gray levels of the unresolved array with all weights 1.
-    score
-        Correlation of pixels and fitted image, -1 to 1; after a small last step, of the image before that step.
-    """
-
+    # (x, y, ln pitch, roll, ln blur) of the pose, (5,), or with the tilt, (7,), as the prior
     vector: Floats
+    # Posterior covariance of what was fitted, (5, 5) or (7, 7)
     covariance: Floats
+    # Gray levels of the unresolved array with all weights 1
     gain: float
+    # Correlation of pixels and fitted image, -1 to 1; after a small last step, of the image before that step
     score: float
 
     @property
@@ -61,31 +53,18 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is expected before a fit.
+    """What is expected before a fit."""
 
-    Attributes
-    ----------
-    vector
-        Pose vector, (5,) or, with the tilt, (7,); the fit starts there.
-    covariance
-        Its covariance, (5, 5) or (7, 7); with (5, 5) the tilt is held.
-    gain
-        Expected gain in gray levels, or 0 where it is unknown.
-    """
-
+    # Pose vector, (5,) or, with the tilt, (7,); the fit starts there
     vector: Floats
+    # Its covariance, (5, 5) or (7, 7); with (5, 5) the tilt is held
     covariance: Floats
+    # Expected gain in gray levels, or 0 where it is unknown
     gain: float = 0.0
 
 
 class Drawn:
-    """Images of an array as they were last drawn, for fits of poses nearby.
-
-    Attributes
-    ----------
-    anchor, at
-        (7,) pose vectors at which the slopes and the images were drawn, overwritten by fits; NaN where none were.
-    """
+    """Images of an array as they were last drawn, for fits of poses nearby."""
 
     def __init__(self) -> None:
         self.anchor, self.at = np.full(7, np.nan), np.full(7, np.nan)
@@ -95,17 +74,7 @@ class Drawn:
         self._middle: tuple[float, float, float] | None = None
 
     def window(self, pose: Pose, side: int, margin: float) -> Window:
-        """Pixels around an array: those of a pose before, as long as they hold it, so that images need not be redrawn.
-
-        Parameters
-        ----------
-        pose
-            Pose of the array's image on the sensor.
-        side
-            LEDs in a row.
-        margin
-            Pixels more on each side, at least 0; `HELD_PX` of them may be missing.
-        """
+        """Pixels around an array: those of an earlier pose while they hold it, so that images are not redrawn."""
         x, y, half = pose.x, pose.y, 0.5 * side * pose.pitch
         middle = self._middle
         if middle is None or max(abs(x - middle[0]), abs(y - middle[1])) + abs(half - middle[2]) > HELD_PX:
@@ -115,19 +84,7 @@ class Drawn:
     def images(
         self, corner: tuple[int, int], smear: tuple[float, float], weights: Floats, shape: tuple[int, ...]
     ) -> Floats:
-        """Images for a fit: those that were drawn, or others that are still to be.
-
-        Parameters
-        ----------
-        corner
-            (x, y) on the sensor of the first pixel.
-        smear
-            Standard deviations in px of the motion while the pixels were taken.
-        weights
-            (n, n) luminance of each LED.
-        shape
-            Number of images, of each and its slopes, rows and columns.
-        """
+        """Images for a fit: those that were drawn, or others that are still to be."""
         wider = max(abs(a**2 - b**2) for a, b in zip(smear, self._smear, strict=True))
         same = self._corner == corner and self._shapes.shape == shape and _equal(weights, self._weights)
         if not same or wider > SMEAR_ALIKE:
@@ -158,44 +115,7 @@ def fit_array(
     smear: tuple[float, float] = (0.0, 0.0),
     drawn: Drawn | None = None,
 ) -> Fit:
-    """Most probable pose of LEDs of known luminances, by Gauss-Newton with robust weights.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) gray levels: gain * array(pose) + a plane of background + noise.
-    corner
-        (x, y) on the sensor of ``image[0, 0]``, in px.
-    prior
-        Pose expected, with its covariance, and the gain expected.
-    weights
-        (n, n) luminance of each LED: 1 for all on, +-1 for a header less its inverse.
-    iterations
-        Most Gauss-Newton steps, 1 or more.
-    panel
-        Whether a panel darker or brighter than the background may surround the LEDs: it does in a sum of frames, and
-        cancels in a difference.
-    start
-        Pose vector to start from, (5,) or (7,) as the prior's; None starts at the prior.
-    resolved
-        Whether LEDs may show singly. If not, the array is an even square with all LEDs on, which is faster.
-    open_pixels
-        (rows, columns) 1 for pixels that count, 0 for those that something hides; None if all count.
-    smear
-        Standard deviations in px along x and y of the array's motion while the image was taken.
-    drawn
-        Images of the same LEDs that an earlier fit has drawn, which stand for a pose nearby; overwritten. None draws
-        them anew.
-
-    Returns
-    -------
-    Pose, its covariance, gain and score.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The pixels give no pose, as numbers that are not finite do.
-    """
+    """Most probable pose of LEDs of known luminances, by Gauss-Newton with robust weights."""
     # a sum is finite where all of it is; `sum` takes a microsecond more to come to this
     if not isfinite(np.add.reduce(image, axis=None)):
         raise np.linalg.LinAlgError("the fit of an array's pose has no solution: pixels are not finite")
@@ -241,22 +161,7 @@ def _kernels_kind(values: Floats) -> Floats:
 
 
 def header_amplitudes(frames: Sequence[PlacedPixels], pose: Pose, weights: Floats) -> Floats:
-    """Amplitude with which each of some frames shows a pattern.
-
-    Parameters
-    ----------
-    frames
-        Frames in which the array is, one at least; what lies beyond them repeats their border.
-    pose
-        Pose of the array's image on the sensor, the same in all.
-    weights
-        (n, n) luminances of the pattern less its inverse, +-1 with mean 0; 0 for LEDs that are left out.
-
-    Returns
-    -------
-    (frames,) least squares amplitudes in gray levels; positive where a frame shows the pattern, negative for its
-    inverse.
-    """
+    """Amplitude with which each of some frames shows a pattern."""
     window = window_around(pose, weights.shape[0], AMPLITUDE_MARGIN_PX)
     model = image_of(weights, pose, window[:2], window[:1:-1]).ravel()
     shape = model - model.mean()
@@ -265,15 +170,5 @@ def header_amplitudes(frames: Sequence[PlacedPixels], pose: Pose, weights: Float
 
 
 def header_amplitude(frame: PlacedPixels, pose: Pose, weights: Floats) -> float:
-    """Amplitude with which one frame shows a pattern, as `header_amplitudes` has it.
-
-    Parameters
-    ----------
-    frame
-        Frame in which the array is.
-    pose
-        Pose of the array's image on the sensor.
-    weights
-        (n, n) luminances of the pattern less its inverse, +-1 with mean 0; 0 for LEDs that are left out.
-    """
+    """Amplitude with which one frame shows a pattern, as `header_amplitudes` has it."""
     return float(header_amplitudes([frame], pose, weights)[0])

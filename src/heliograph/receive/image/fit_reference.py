@@ -21,31 +21,7 @@ def fit(
     gain: float,
     steps: int,
 ) -> tuple[Floats, Floats, Floats]:
-    """Most probable pose of LEDs in pixels, by Gauss-Newton with robust weights.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) gray levels.
-    corner
-        (x, y) on the sensor of the first pixel, in px.
-    weights
-        (n, n) luminances of the LEDs.
-    margins
-        Rims in pitches of squares around the LEDs.
-    prior
-        (5,) or (7,) pose vector expected, where the fit starts.
-    precision
-        Inverse of its covariance, (5, 5) or (7, 7).
-    gain
-        Expected gain in gray levels, or 0 where it is unknown.
-    steps
-        Most Gauss-Newton steps, 1 or more.
-
-    Returns
-    -------
-    Pose vector; normal matrix of the last step; coefficients of the images and of the plane.
-    """
+    """Most probable pose of LEDs in pixels, by Gauss-Newton with robust weights."""
     vector, free = prior.copy(), len(precision)
     shapes = _shapes(vector, weights, margins, corner, image.shape)
     linear = _first(image, shapes, gain)

@@ -16,42 +16,23 @@ from heliograph.receive.image.pose import Pose
 
 
 class Footprints(NamedTuple):
-    """A blur matrix A as products: LED k gives pixel (i, j) of the window ``down[k, i'] * across[k, j']``.
+    """A blur matrix A as products: LED k gives pixel (i, j) of the window ``down[k, i'] * across[k, j']``."""
 
-    Attributes
-    ----------
-    across
-        (n n, width) light by column, from ``first[k, 0]`` on.
-    down
-        (n n, width) light by row, from ``first[k, 1]`` on.
-    first
-        (n n, 2) int64, first column and row.
-    """
-
+    # (n n, width) light by column, from ``first[k, 0]`` on
     across: Floats
+    # (n n, width) light by row, from ``first[k, 1]`` on
     down: Floats
+    # (n n, 2) int64, first column and row
     first: NDArray[np.int64]
 
     def scaled(self, led_gains: Floats | None) -> "Footprints":
-        """Footprints times the LEDs' gains.
-
-        Parameters
-        ----------
-        led_gains
-            (n, n) gains of the LEDs, at least 0, 1 for the median LED; None for 1 each.
-        """
+        """Footprints times the LEDs' gains."""
         if led_gains is None:
             return self
         return Footprints(self.across * by_squares(led_gains)[:, None], self.down, self.first)
 
     def dense(self, shape: tuple[int, int]) -> tuple[Floats, Floats]:
-        """Light by column (n n, columns) and by row (n n, rows) over a whole window.
-
-        Parameters
-        ----------
-        shape
-            Rows and columns of the window in px.
-        """
+        """Light by column (n n, columns) and by row (n n, rows) over a whole window."""
         parts = []
         for narrow, first, count in (
             (self.across, self.first[:, 0], shape[1]),
@@ -66,72 +47,30 @@ class Footprints(NamedTuple):
         return parts[0], parts[1]
 
     def all_on(self, shape: tuple[int, int]) -> Floats:
-        """A 1, the image with all LEDs on, (rows, columns).
-
-        Parameters
-        ----------
-        shape
-            Rows and columns of the window in px.
-        """
+        """A 1, the image with all LEDs on, (rows, columns)."""
         image = np.zeros(shape)
         self.add_all_on(1.0, image)
         return image
 
     def add_all_on(self, level: float, image: Floats) -> None:
-        """Add the image with all LEDs at one level to another.
-
-        Parameters
-        ----------
-        level
-            Luminance of the LEDs, 0 to 1.
-        image
-            (rows, columns), added to.
-        """
+        """Add the image with all LEDs at one level to another."""
         kernels.add_image(np.full(len(self.across), level), *self, image)
 
 
 def by_squares(grid: NDArray[Any]) -> NDArray[Any]:
-    """Put values of LEDs in the order of `footprints`, square by square of 2 x 2, (n n,).
-
-    Parameters
-    ----------
-    grid
-        (n, n) values of LEDs at their places, n even.
-    """
+    """Put values of LEDs in the order of `footprints`, square by square of 2 x 2, (n n,)."""
     half = len(grid) // 2
     return np.ascontiguousarray(grid.reshape(half, 2, half, 2).transpose(0, 2, 1, 3)).ravel()
 
 
 def to_grid(values: Floats) -> Floats:
-    """Put values of LEDs at their places, (n, n); the inverse of `by_squares`.
-
-    Parameters
-    ----------
-    values
-        (n n,) values of LEDs in the order of `footprints`, n even.
-    """
+    """Put values of LEDs at their places, (n, n); the inverse of `by_squares`."""
     half = round(len(values) ** 0.5) // 2
     return np.ascontiguousarray(values.reshape(half, half, 2, 2).transpose(0, 2, 1, 3)).reshape(2 * half, 2 * half)
 
 
 def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
-    """Image of LEDs; an unresolved array of levels 1 has the image 1.
-
-    Parameters
-    ----------
-    levels
-        (n, n) luminances of the LEDs, 0 to 1, or their gains, at least 0, 1 for the median LED.
-    pose
-        Pose of the array's image on the sensor.
-    corner
-        (x, y) on the sensor of the window's first pixel.
-    shape
-        Rows and columns of the window in px.
-
-    Returns
-    -------
-    (rows, columns).
-    """
+    """Image of LEDs; an unresolved array of levels 1 has the image 1. Returns (rows, columns)."""
     image = np.zeros(shape)
     kernels.add_image(by_squares(levels), *_footprints(pose, corner, shape, len(levels)), image)
     return image
@@ -140,27 +79,7 @@ def image_of(levels: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[i
 def images_of(
     levels: Floats, parts: NDArray[Any], count: int, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]
 ) -> Floats:
-    """Images of the parts of an array, each without the light of the others.
-
-    Parameters
-    ----------
-    levels
-        (n, n) luminances of the LEDs, 0 to 1, or their gains, at least 0, 1 for the median LED.
-    parts
-        (n, n) number of each LED's part, 0 to count - 1.
-    count
-        How many parts there are, 1 or more.
-    pose
-        Pose of the array's image on the sensor.
-    corner
-        (x, y) on the sensor of the window's first pixel.
-    shape
-        Rows and columns of the window in px.
-
-    Returns
-    -------
-    (count, rows, columns).
-    """
+    """Images of the parts of an array, each without the light of the others. Returns (count, rows, columns)."""
     images, numbers = np.zeros((count, *shape)), by_squares(parts).astype(np.int64)
     kernels.add_parts(by_squares(levels), numbers, *_footprints(pose, corner, shape, len(levels)), images)
     return images
@@ -170,25 +89,7 @@ def images_of(
 def footprints(
     pose: Pose, corner: tuple[int, int], shape: tuple[int, int], side: int, motion: tuple[float, float] = (0.0, 0.0)
 ) -> Footprints:
-    """Footprints of an array's LEDs.
-
-    Parameters
-    ----------
-    pose
-        Pose of the array's image on the sensor.
-    corner
-        (x, y) on the sensor of the window's first pixel.
-    shape
-        Its rows and columns.
-    side
-        LEDs in a row, an even number.
-    motion
-        Standard deviation in px of a motion along x and y, added to the blur's.
-
-    Returns
-    -------
-    Footprints, not writeable.
-    """
+    """Footprints of an array's LEDs."""
     return _footprints(pose, corner, shape, side, motion)
 
 

@@ -78,45 +78,7 @@ def fit(
     anchor,
     drawn,
 ):
-    """Most probable pose of LEDs in pixels, by Gauss-Newton with robust weights.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) float64 gray levels; of pixels that do not count 0.
-    plane
-        (3, rows, columns): constant and slopes of the background; of pixels that do not count 0.
-    open_pixels
-        (rows, columns) 1 for pixels that count, 0 for others; (0, 0) if all do.
-    corner
-        (2,) x, y on the sensor of the first pixel, in px.
-    weights
-        (n, n) luminance of each LED.
-    margins
-        (k,) rims in pitches of squares around the LEDs.
-    resolved
-        Whether LEDs may show singly; if not the array is an even square.
-    smear
-        (2,) standard deviations in px along x and y of a motion.
-    prior, covariance
-        (5,) or (7,) pose vector expected, and its (p, p) covariance: with p below 7 the tilt is held.
-    gain
-        Expected gain in gray levels, or 0 where it is unknown.
-    steps
-        Most Gauss-Newton steps, 1 or more.
-    vector
-        (5,) or (7,) pose vector to start from; overwritten with the pose found.
-    shapes
-        (1 + k, 1 + p, rows, columns) images of the LEDs and squares at a pose, with their slopes, overwritten; those
-        that were drawn near the pose to start from are taken on.
-    anchor, drawn
-        (7,) pose vectors at which the slopes and the images were drawn, NaN where none were; overwritten.
-
-    Returns
-    -------
-    Covariance (p, p) of the pose by the normal matrix of the last step; coefficients of the images and of the plane,
-    not finite where a step has no solution; correlation of the pixels that count with the image of the last pose.
-    """
+    """Most probable pose of LEDs in pixels, by Gauss-Newton with robust weights."""
     free = covariance.shape[0]
     precision = np.empty((free, free))
     invert(covariance, precision)
@@ -200,29 +162,7 @@ def _coefficients(image, shapes, plane, gain):
 
 @compiled(fastmath={"reassoc", "contract"})
 def normal_equations(residual, shapes, plane, linear, rough, matrix, vector):
-    """Gauss-Newton normal equations of image = linear . (shapes(pose), plane), weighted by Tukey's biweight.
-
-    Parameters
-    ----------
-    residual
-        (rows, columns) float64 residuals of the image in gray levels, as by `residuals`.
-    shapes
-        (m, 1 + p, rows, columns): m images, each with its derivatives by p parameters of the pose.
-    plane
-        (3, rows, columns): constant and slopes of the background.
-    linear
-        (m + 3,) coefficients of the images and of the plane, in gray levels.
-    rough
-        Residual in gray levels, above 0, from which on a pixel has the weight 0.
-    matrix
-        (p + m + 3, p + m + 3), overwritten: sum of w J J^T.
-    vector
-        (p + m + 3,), overwritten: sum of w J r.
-
-    Returns
-    -------
-    Sum of the weights w, and of w r^2.
-    """
+    """Gauss-Newton normal equations of image = linear . (shapes(pose), plane), weighted by Tukey's biweight."""
     rows, cols = residual.shape
     m = shapes.shape[0]
     p = shapes.shape[1] - 1
@@ -262,19 +202,7 @@ def normal_equations(residual, shapes, plane, linear, rough, matrix, vector):
 
 @compiled()
 def residuals(image, shapes, plane, linear, out):
-    """Residuals of a fit, image - linear . (shapes(pose), plane).
-
-    Parameters
-    ----------
-    image
-        (rows, columns) float64 gray levels.
-    shapes, plane
-        Images with their derivatives, and images of the background, as in `normal_equations`.
-    linear
-        (m + 3,) coefficients of the images and of the plane, in gray levels.
-    out
-        (rows, columns) float64 residuals in gray levels, overwritten.
-    """
+    """Residuals of a fit, image - linear . (shapes(pose), plane)."""
     m = shapes.shape[0]
     # image by image: a row of one is fast
     for i in range(image.shape[0]):

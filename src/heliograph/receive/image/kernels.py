@@ -47,34 +47,13 @@ def _tilt(pose):
 def render(
     pose: Floats, weights: Floats, x0: float, y0: float, out: Floats, smear_x: float = 0.0, smear_y: float = 0.0
 ) -> None:
-    """Image of LEDs and its derivatives by the pose; an unresolved array of weights 1 has the image 1.
-
-    Parameters
-    ----------
-    pose
-        (5,) or (7,) float64: x, y in px, ln pitch, roll in rad, ln blur, stretch, shear.
-    weights
-        (n, n) float64, the LEDs' luminances; of a header less its inverse +-1.
-    x0, y0
-        Column and row on the sensor of the window's first pixel, in px.
-    out
-        (6 or 8, rows, columns) float64, overwritten: the image, then its derivatives by the pose vector; with 6 those
-        by the tilt are left out.
-    smear_x, smear_y
-        Standard deviations in px of a motion while the light shone, added to the blur's.
-    """
+    """Image of LEDs and its derivatives by the pose; an unresolved array of weights 1 has the image 1."""
     draw_leds(pose, weights, x0, y0, out, smear_x, smear_y)
 
 
 @compiled()
 def draw_leds(pose, weights, x0, y0, out, smear_x, smear_y):
-    """Do the work of `render`: with arguments left out it would be compiled a second time.
-
-    Parameters
-    ----------
-    pose, weights, x0, y0, out, smear_x, smear_y
-        Pose, luminances, corner, image and smear with the shapes and units of `render`.
-    """
+    """Do the work of `render`: with arguments left out it would be compiled a second time."""
     side = weights.shape[0]
     rows, cols = out.shape[1], out.shape[2]
     out[:] = 0.0
@@ -149,32 +128,13 @@ def render_box(
 
     A pixel's box counts as its variance, 1/12; the derivatives by blur and tilt are 0. Where the smear along x and y
     differs, an edge's width changes with the roll: that is left out.
-
-    Parameters
-    ----------
-    pose
-        (5,) or (7,) as in `render`.
-    half_leds
-        Half of the square's width in pitches.
-    x0, y0
-        Column and row on the sensor of the window's first pixel, in px.
-    out
-        (6 or 8, rows, columns) as in `render`, overwritten.
-    smear_x, smear_y
-        Motion in px, as in `render`.
     """
     draw_box(pose, half_leds, x0, y0, out, smear_x, smear_y)
 
 
 @compiled()
 def draw_box(pose, half_leds, x0, y0, out, smear_x, smear_y):
-    """Do the work of `render_box`, as `draw_leds` does that of `render`.
-
-    Parameters
-    ----------
-    pose, half_leds, x0, y0, out, smear_x, smear_y
-        Pose, half width, corner, image and smear with the shapes and units of `render_box`.
-    """
+    """Do the work of `render_box`, as `draw_leds` does that of `render`."""
     rows, cols = out.shape[1], out.shape[2]
     half = half_leds * math.exp(pose[2])
     narrow = math.exp(2.0 * pose[4]) + 1.0 / 12.0
@@ -215,13 +175,7 @@ def draw_box(pose, half_leds, x0, y0, out, smear_x, smear_y):
 
 
 def footprint_width(sigma: float) -> int:
-    """Width of an LED's footprint in px, an odd number.
-
-    Parameters
-    ----------
-    sigma
-        Standard deviation of the LED's image in px, its motion included.
-    """
+    """Width of an LED's footprint in px, an odd number."""
     return 2 * math.ceil(FOOTPRINT_REACH * sigma + 0.5) + 1
 
 
@@ -230,18 +184,6 @@ def footprints(pose, rows, cols, across, down, first):
     """Light of each LED by column and by row of a window; an unresolved array with all LEDs on has the image 1.
 
     LEDs come square by square of 2 x 2, in each (0, 0), (0, 1), (1, 0), (1, 1).
-
-    Parameters
-    ----------
-    pose
-        (9,) px: x, y in the window; the steps from one LED to the next, dx along a row and along a column, dy along a
-        row and along a column; pitch; blur along x and along y.
-    rows, cols
-        Size of the window in px.
-    across, down
-        (n n, width), overwritten: light by column and by row; their product is the light on a pixel.
-    first
-        (n n, 2) int64, overwritten: first column and row of each footprint; it may lie beyond the window.
     """
     count, width = across.shape
     side = round(math.sqrt(count))
@@ -271,17 +213,7 @@ def _row_of_light(centre, sigma, first, count, scale, out):
 
 @compiled()
 def add_image(leds, across, down, first, out):
-    """Add the image of LEDs to another.
-
-    Parameters
-    ----------
-    leds
-        (n n,) luminances in the order of `footprints`.
-    across, down, first
-        Footprints of the LEDs, as of `footprints`.
-    out
-        (rows, columns) image to which the light is added.
-    """
+    """Add the image of LEDs to another."""
     width = across.shape[1]
     rows, cols = out.shape
     for n in range(leds.shape[0]):
@@ -294,19 +226,7 @@ def add_image(leds, across, down, first, out):
 
 @compiled()
 def add_parts(leds, parts, across, down, first, out):
-    """Add each LED's light to the image of its part of an array.
-
-    Parameters
-    ----------
-    leds
-        (n n,) luminances in the order of `footprints`.
-    parts
-        (n n,) int64 number of each LED's part, in the same order.
-    across, down, first
-        Footprints of the LEDs, as of `footprints`.
-    out
-        (parts, rows, columns) images to which the light is added.
-    """
+    """Add each LED's light to the image of its part of an array."""
     width = across.shape[1]
     rows, cols = out.shape[1], out.shape[2]
     for n in range(leds.shape[0]):
@@ -328,15 +248,7 @@ def _overlap(a, b, shift, width):
 
 @compiled()
 def squared_difference(across_1, down_1, first_1, across_2, down_2, first_2):
-    """Squared distance of two blur matrices, |A_1 - A_2|^2 over all LEDs and pixels.
-
-    Parameters
-    ----------
-    across_1, down_1, first_1
-        Footprints of A_1, as of `footprints`.
-    across_2, down_2, first_2
-        Footprints of A_2, as wide as those of A_1.
-    """
+    """Squared distance of two blur matrices, |A_1 - A_2|^2 over all LEDs and pixels."""
     width, total = across_1.shape[1], 0.0
     for k in range(across_1.shape[0]):
         dx, dy = first_2[k, 0] - first_1[k, 0], first_2[k, 1] - first_1[k, 1]

@@ -8,13 +8,7 @@ from heliograph.base.compiled import compiled
 
 @compiled()
 def median(values: NDArray[np.float64]) -> float:
-    """Median of numbers, as `numpy.median`, which takes ten times as long to compile.
-
-    Parameters
-    ----------
-    values
-        (n,) float64, one at least; their order is changed.
-    """
+    """Median of numbers, as `numpy.median`, which takes ten times as long to compile."""
     middle = values.shape[0] // 2
     found = smallest(values, middle)
     if values.shape[0] % 2:
@@ -28,15 +22,7 @@ def median(values: NDArray[np.float64]) -> float:
 
 @compiled()
 def smallest(values: NDArray[np.float64], middle: int) -> float:
-    """The number that stands at a place once all are sorted, by Wirth's selection.
-
-    Parameters
-    ----------
-    values
-        (n,) float64, one at least; their order is changed: none before the place is larger, and none after it smaller.
-    middle
-        The place, from 0.
-    """
+    """The number that stands at a place once all are sorted, by Wirth's selection."""
     low, high = 0, values.shape[0] - 1
     while low < high:
         pivot = values[middle]

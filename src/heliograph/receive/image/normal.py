@@ -19,17 +19,7 @@ _CDF, _PDF = ndtr(_Z), np.exp(-0.5 * _Z**2) / math.sqrt(2.0 * math.pi)
 
 @compiled(inline="always")
 def normal(z):
-    """Normal distribution by a table, in a fifth of the time of erf and exp.
-
-    Parameters
-    ----------
-    z
-        Standard deviations from the mean; beyond 8 the value at 8 stands.
-
-    Returns
-    -------
-    Phi(z) within 3e-10, and its derivative within 2e-7.
-    """
+    """Normal distribution by a table, in a fifth of the time of erf and exp."""
     z = min(max(z, -_FARTHEST), _FARTHEST)
     k = int((z + _FARTHEST) * _NODES + 0.5)
     h, at, pdf = z - _Z[k], _Z[k], _PDF[k]

@@ -9,17 +9,11 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Orientation:
-    """One of the eight ways in which a square can lie.
+    """One of the eight ways in which a square can lie."""
 
-    Attributes
-    ----------
-    turns
-        Quarter turns, clockwise in the image, 0 to 3.
-    mirrored
-        Whether left and right change places before it is turned.
-    """
-
+    # Quarter turns, clockwise in the image, 0 to 3
     turns: int = 0
+    # Whether left and right change places before it is turned
     mirrored: bool = False
 
     def __str__(self) -> str:
@@ -35,23 +29,11 @@ class Orientation:
         return np.asarray(np.linalg.matrix_power(quarter, self.turns) @ mirror)
 
     def turned(self, image: NDArray[Any]) -> NDArray[Any]:
-        """An upright image as the camera sees it.
-
-        Parameters
-        ----------
-        image
-            (rows, columns) pixels, LEDs or cells.
-        """
+        """An upright image as the camera sees it."""
         return np.ascontiguousarray(np.rot90(image[:, ::-1] if self.mirrored else image, -self.turns))
 
     def upright(self, image: NDArray[Any]) -> NDArray[Any]:
-        """What the camera sees, turned back; the inverse of `turned`.
-
-        Parameters
-        ----------
-        image
-            (rows, columns) pixels, LEDs or cells.
-        """
+        """What the camera sees, turned back; the inverse of `turned`."""
         back = np.rot90(image, self.turns)
         return np.ascontiguousarray(back[:, ::-1] if self.mirrored else back)
 

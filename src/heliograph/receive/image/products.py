@@ -11,19 +11,7 @@ TOGETHER = 4
 
 @compiled()
 def rows_for_products(count, cols):
-    """Rows of pixels for `add_products`, which takes four of them at a time: those beyond the count are 0.
-
-    Parameters
-    ----------
-    count
-        Rows that are asked for.
-    cols
-        Pixels in each of the rows.
-
-    Returns
-    -------
-    (rows, cols) float64, rows being a multiple of `TOGETHER`.
-    """
+    """Rows of pixels for `add_products`, which takes four of them at a time: those beyond the count are 0."""
     return np.zeros((-(-count // TOGETHER) * TOGETHER, cols))
 
 
@@ -32,15 +20,6 @@ def add_products(left, right, cols, out):
     """Add left right^T to `out`: its lower half.
 
     A sum alone waits for its last addition, each time; four of them do not wait for each other.
-
-    Parameters
-    ----------
-    left, right
-        (rows, cols) float64, of `rows_for_products`.
-    cols
-        Pixels of a row.
-    out
-        (size, size), size at most rows; its lower half is added to, the diagonal included.
     """
     for k in range(out.shape[0]):
         for n in range(0, k + 1, TOGETHER):
@@ -62,17 +41,7 @@ def add_products(left, right, cols, out):
 
 @compiled()
 def take_apart(products, matrix, rhs):
-    """Give normal equations by sums of products of images and, in the last row, of what they are fitted to with them.
-
-    Parameters
-    ----------
-    products
-        (size + 1, size + 1), of which the lower half counts.
-    matrix
-        (size, size), overwritten: both halves.
-    rhs
-        (size,), overwritten with the last row.
-    """
+    """Normal equations from sums of products of images and, in the last row, of the target with them."""
     size = matrix.shape[0]
     for k in range(size):
         rhs[k] = products[size, k]

@@ -16,17 +16,7 @@ blur of 0.6 px. It looks like a blur that is 1 % wider, and moves no pose.
 
 @compiled()
 def near(vector, anchor, side):
-    """Whether a pose is so near another, at which images were drawn, that their slopes give it.
-
-    Parameters
-    ----------
-    vector
-        (5,) or (7,) pose vector.
-    anchor
-        (7,) pose vector at which the images were drawn, NaN where none were.
-    side
-        LEDs in a row.
-    """
+    """Whether a pose is so near another, at which images were drawn, that their slopes give it."""
     turn = max(abs(vector[2] - anchor[2]), abs(vector[3] - anchor[3]))
     for k in range(5, vector.shape[0]):
         turn = max(turn, abs(vector[k] - anchor[k]))
@@ -37,17 +27,7 @@ def near(vector, anchor, side):
 
 @compiled()
 def shift(vector, drawn, shapes):
-    """Move images from the pose at which they were drawn to another by their slopes.
-
-    Parameters
-    ----------
-    vector
-        (p,) pose vector to move them to, p being 5 or 7.
-    drawn
-        (7,) pose vector at which they are.
-    shapes
-        (k, 1 + p, rows, columns) images, each with its slopes by the pose; the images are overwritten.
-    """
+    """Move images from the pose at which they were drawn to another by their slopes."""
     for n in range(shapes.shape[0]):
         for k in range(1, shapes.shape[1]):
             step = vector[k - 1] - drawn[k - 1]
@@ -58,32 +38,14 @@ def shift(vector, drawn, shapes):
 
 @compiled(inline="always")
 def copy_pose(vector, out):
-    """Copy a pose vector, number by number.
-
-    Parameters
-    ----------
-    vector
-        (5,) or (7,) pose vector.
-    out
-        (7,), of which as many numbers are overwritten.
-    """
+    """Copy a pose vector, number by number."""
     for k in range(vector.shape[0]):
         out[k] = vector[k]
 
 
 @compiled()
 def draw(vector, open_pixels, corner, weights, margins, resolved, smear, shapes):
-    """Draw the array and squares around it at a pose.
-
-    Parameters
-    ----------
-    vector
-        (5,) or (7,) pose vector.
-    open_pixels, corner, weights, margins, resolved, smear
-        As `gauss_newton.fit` has them.
-    shapes
-        (1 + k, 1 + p, rows, columns) images of the LEDs and of k squares with their slopes, overwritten.
-    """
+    """Draw the array and squares around it at a pose."""
     half = 0.5 * weights.shape[0]
     if resolved:
         draw_leds(vector, weights, corner[0], corner[1], shapes[0], smear[0], smear[1])

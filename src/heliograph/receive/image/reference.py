@@ -27,38 +27,14 @@ Smear = tuple[float, float]
 def render(
     vector: Floats, weights: Floats, corner: Corner, shape: tuple[int, int], smear: Smear = (0.0, 0.0)
 ) -> Floats:
-    """Image of LEDs and its derivatives by the pose.
-
-    Parameters
-    ----------
-    vector
-        Pose vector, (5,) or, with the tilt, (7,).
-    weights
-        (n, n) luminances of the LEDs; of a header less its inverse +-1.
-    corner
-        (x, y) on the sensor of the window's first pixel, in px.
-    shape
-        Its rows and columns.
-    smear
-        Motion while the light shone.
-
-    Returns
-    -------
-    (6 or 8, rows, columns).
-    """
+    """Image of LEDs and its derivatives by the pose. Returns (6 or 8, rows, columns)."""
     return _with_derivatives(lambda v: array_image(v, weights, corner, shape, smear), vector)
 
 
 def array_image(
     vector: Floats, weights: Floats, corner: Corner, shape: tuple[int, int], smear: Smear = (0.0, 0.0)
 ) -> Floats:
-    """Image of LEDs, (rows, columns).
-
-    Parameters
-    ----------
-    vector, weights, corner, shape, smear
-        Pose vector, luminances, corner and size of the window, and motion, as in `render`.
-    """
+    """Image of LEDs, (rows, columns)."""
     x, y, log_pitch, roll, log_blur = vector[:5]
     stretch, shear = vector[5:] if len(vector) == 7 else (0.0, 0.0)
     pitch, blur = np.exp(log_pitch), np.exp(log_blur)
@@ -78,15 +54,7 @@ def array_image(
 def render_box(
     vector: Floats, half_leds: float, corner: Corner, shape: tuple[int, int], smear: Smear = (0.0, 0.0)
 ) -> Floats:
-    """Image of a blurred square and its derivatives, (6 or 8, rows, columns); those by blur and tilt are left 0.
-
-    Parameters
-    ----------
-    vector, corner, shape, smear
-        Pose vector, corner and size of the window, and motion, as in `render`.
-    half_leds
-        Half of the square's width in pitches.
-    """
+    """Image of a blurred square and its derivatives, (6 or 8, rows, columns); those by blur and tilt are left 0."""
     out = _with_derivatives(lambda v: box_image(v, half_leds, corner, shape, smear), vector)
     out[5:] = 0.0
     return out
@@ -95,15 +63,7 @@ def render_box(
 def box_image(
     vector: Floats, half_leds: float, corner: Corner, shape: tuple[int, int], smear: Smear = (0.0, 0.0)
 ) -> Floats:
-    """Image of a blurred square about the array's centre, (rows, columns).
-
-    Parameters
-    ----------
-    vector, corner, shape, smear
-        Pose vector, corner and size of the window, and motion, as in `render`.
-    half_leds
-        Half of the square's width in pitches.
-    """
+    """Image of a blurred square about the array's centre, (rows, columns)."""
     half, roll = half_leds * np.exp(vector[2]), vector[3]
     # a pixel's box has the variance 1/12
     sigma = np.sqrt(np.exp(vector[4]) ** 2 + 1 / 12 + np.square(smear))
@@ -125,21 +85,7 @@ def _with_derivatives(image: Callable[[Floats], Floats], vector: Floats) -> Floa
 
 
 def pixel_light(pixels: NDArray[Any], centres: Floats, sigma: float) -> Floats:
-    """Part of a Gaussian on each pixel.
-
-    Parameters
-    ----------
-    pixels
-        (pixels,) places of the pixels' centres in px.
-    centres
-        (centres,) places of the Gaussians in px.
-    sigma
-        Standard deviation of the Gaussians in px, above 0.
-
-    Returns
-    -------
-    (centres, pixels).
-    """
+    """Part of a Gaussian on each pixel. Returns (centres, pixels)."""
     # g(t) = Phi((t + 1/2) / sigma) - Phi((t - 1/2) / sigma)
     t = pixels - centres[:, None]
     return np.asarray(ndtr((t + 0.5) / sigma) - ndtr((t - 0.5) / sigma))
@@ -148,21 +94,7 @@ def pixel_light(pixels: NDArray[Any], centres: Floats, sigma: float) -> Floats:
 def blur_matrix(
     pose: Pose, side: int, corner: tuple[int, int], shape: tuple[int, int], motion: tuple[float, float] = (0.0, 0.0)
 ) -> Floats:
-    """A, (pixels, n n LEDs row by row): each LED's Gaussian integrated over each pixel of a window.
-
-    Parameters
-    ----------
-    pose
-        Pose of the array's image on the sensor.
-    side
-        LEDs in a row.
-    corner
-        (x, y) on the sensor of the window's first pixel.
-    shape
-        Its rows and columns.
-    motion
-        Standard deviation in px along x and y added to the blur's.
-    """
+    """A, (pixels, n n LEDs row by row): each LED's Gaussian integrated over each pixel of a window."""
     points = pose.leds(side).reshape(-1, 2)
     across = pixel_light(np.arange(shape[1]) + corner[0], points[:, 0], float(np.hypot(pose.blur, motion[0])))
     down = pixel_light(np.arange(shape[0]) + corner[1], points[:, 1], float(np.hypot(pose.blur, motion[1])))

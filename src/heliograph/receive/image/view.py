@@ -52,55 +52,25 @@ LEAST_BLUR_PX = 0.2
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Where an array's receiver looks.
+    """Where an array's receiver looks."""
 
-    Attributes
-    ----------
-    level
-        Level of the pyramid, at least 0: rows and columns are fewer by 2**level.
-    orientation
-        How the camera sees the array.
-    """
-
+    # Level of the pyramid, at least 0: rows and columns are fewer by 2**level
     level: int = 0
+    # How the camera sees the array
     orientation: Orientation = UPRIGHT
 
     @staticmethod
     def of(pose: Pose, orientation: Orientation = UPRIGHT) -> "View":
-        """The view in which an array is read.
-
-        Parameters
-        ----------
-        pose
-            Pose of the array on the sensor.
-        orientation
-            How the camera sees it.
-        """
+        """The view in which an array is read."""
         return View(min(max(0, int(np.ceil(log2(pose.pitch / READ_PITCH_PX)))), MOST_LEVEL), orientation)
 
     def suits(self, pose: Pose) -> bool:
-        """Whether an array is still to be read in this view.
-
-        Parameters
-        ----------
-        pose
-            Pose of the array in the view.
-        """
+        """Whether an array is still to be read in this view."""
         least, most = KEPT_PITCH_PX
         return (self.level == MOST_LEVEL or pose.pitch <= most) and (self.level == 0 or pose.pitch >= least)
 
     def frame(self, frame: Frame, pose: Pose, side: int) -> Frame:
-        """A frame in this view; where the view is another than the camera's, its part about an array.
-
-        Parameters
-        ----------
-        frame
-            A camera frame, or a window of one.
-        pose
-            Pose of the array on the sensor.
-        side
-            LEDs in a row.
-        """
+        """A frame in this view; where the view is another than the camera's, its part about an array."""
         if self == CAMERA:
             return frame
         frame = _part(frame, window_around(pose, side, SURROUNDINGS_SIDES * side * pose.pitch), 2**self.level)
@@ -109,70 +79,34 @@ class View:
         return frame if self.orientation == UPRIGHT else _upright(frame, self.orientation)
 
     def fit_in(self, fit: Fit) -> Fit:
-        """A fit on the sensor, as it is in the view.
-
-        Parameters
-        ----------
-        fit
-            Fit with a pose on the sensor.
-        """
+        """A fit on the sensor, as it is in the view."""
         if self == CAMERA:
             return fit
         moved = _linear(self)[: len(fit.vector), : len(fit.vector)]
         return replace(fit, vector=self._vector_in(fit.vector), covariance=moved @ fit.covariance @ moved.T)
 
     def fit_out(self, fit: Fit) -> Fit:
-        """A fit in the view, as it is on the sensor; the inverse of `fit_in`.
-
-        Parameters
-        ----------
-        fit
-            Fit with a pose in the view.
-        """
+        """A fit in the view, as it is on the sensor; the inverse of `fit_in`."""
         if self == CAMERA:
             return fit
         moved = _linear(self, inverse=True)[: len(fit.vector), : len(fit.vector)]
         return replace(fit, vector=self._vector_out(fit.vector), covariance=moved @ fit.covariance @ moved.T)
 
     def pose_in(self, pose: Pose) -> Pose:
-        """A pose on the sensor, as it is in the view.
-
-        Parameters
-        ----------
-        pose
-            Pose on the sensor.
-        """
+        """A pose on the sensor, as it is in the view."""
         return pose if self == CAMERA else Pose.from_vector(self._vector_in(pose.full_vector()))
 
     def pose_out(self, pose: Pose) -> Pose:
-        """A pose in the view, as it is on the sensor; the inverse of `pose_in`.
-
-        Parameters
-        ----------
-        pose
-            Pose in the view.
-        """
+        """A pose in the view, as it is on the sensor; the inverse of `pose_in`."""
         return pose if self == CAMERA else Pose.from_vector(self._vector_out(pose.full_vector()))
 
     def motion_in(self, motion: tuple[float, float]) -> tuple[float, float]:
-        """A motion on the sensor, as it is in the view.
-
-        Parameters
-        ----------
-        motion
-            Motion along x and y in px of the sensor, in any time.
-        """
+        """A motion on the sensor, as it is in the view."""
         x, y = _linear(self)[:2, :2] @ motion
         return float(x), float(y)
 
     def motion_out(self, motion: tuple[float, float]) -> tuple[float, float]:
-        """A motion in the view, as it is on the sensor; the inverse of `motion_in`.
-
-        Parameters
-        ----------
-        motion
-            Motion along x and y in px of the view, in any time.
-        """
+        """A motion in the view, as it is on the sensor; the inverse of `motion_in`."""
         x, y = _linear(self, inverse=True)[:2, :2] @ motion
         return float(x), float(y)
 
@@ -210,13 +144,7 @@ def _linear(view: View, inverse: bool = False) -> Floats:
 
 
 def halved(frame: Frame) -> Frame:
-    """A frame on the next level of the pyramid.
-
-    Parameters
-    ----------
-    frame
-        Frame of 2 x 2 pixels at least; rows and columns begin with an even one, an odd first one is left out.
-    """
+    """A frame on the next level of the pyramid."""
     x, y = frame.origin
     pixels = frame.pixels[y % 2 :, x % 2 :]
     reduced: Pixels = cv2.pyrDown(np.ascontiguousarray(pixels))  # type: ignore[assignment]
@@ -224,15 +152,7 @@ def halved(frame: Frame) -> Frame:
 
 
 def reduced_blur(blur: float, level: int) -> float:
-    """Blur in px of a level.
-
-    Parameters
-    ----------
-    blur
-        Blur on the sensor in px, above 0.
-    level
-        Level of the pyramid, at least 0.
-    """
+    """Blur in px of a level."""
     added = (4**level - 1) / 3
     return sqrt((blur**2 + PIXEL_VARIANCE_PX2 + added) / 4**level - PIXEL_VARIANCE_PX2)
 

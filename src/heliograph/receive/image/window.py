@@ -36,21 +36,7 @@ class PlacedPixels(Protocol):
 
 
 def window_around(pose: Pose, side: int, margin: float) -> Window:
-    """Pixels around an array.
-
-    Parameters
-    ----------
-    pose
-        Pose of the array's image on the sensor.
-    side
-        LEDs in a row.
-    margin
-        Pixels more on each side, at least 0.
-
-    Returns
-    -------
-    Corner (x, y), columns and rows.
-    """
+    """Pixels around an array."""
     (a, b), (c, d) = pose.steps
     across, down = 0.5 * side * (abs(a) + abs(b)) + margin, 0.5 * side * (abs(c) + abs(d)) + margin
     x0, y0 = floor(pose.x - across), floor(pose.y - down)
@@ -58,19 +44,7 @@ def window_around(pose: Pose, side: int, margin: float) -> Window:
 
 
 def cut_out(frame: PlacedPixels, window: Window) -> Floats:
-    """Pixels of a window; what lies beyond the frame repeats its border.
-
-    Parameters
-    ----------
-    frame
-        A frame of one pixel at least.
-    window
-        Corner (x, y) on the sensor, columns and rows; it may lie anywhere.
-
-    Returns
-    -------
-    (rows, columns) float64 in gray levels.
-    """
+    """Pixels of a window; what lies beyond the frame repeats its border."""
     x0, y0, width, height = window
     x, y = x0 - frame.origin[0], y0 - frame.origin[1]
     rows, cols = frame.pixels.shape
@@ -84,21 +58,7 @@ def cut_out(frame: PlacedPixels, window: Window) -> Floats:
 def covered(
     frames: Sequence[PlacedPixels], corner: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[Floats, Floats] | None:
-    """Columns and rows of a window that all frames have.
-
-    Parameters
-    ----------
-    frames
-        Frames, each with its place on the sensor; one at least.
-    corner
-        (x, y) on the sensor of the window's first pixel.
-    shape
-        Its rows and columns.
-
-    Returns
-    -------
-    1 where all frames have the column, (columns,), and the row, (rows,), else 0; None if they have the whole window.
-    """
+    """Columns and rows of a window that all frames have."""
     (x, y), (rows, columns) = corner, shape
     if all(_holds(frame, x, y, x + columns, y + rows) for frame in frames):
         return None
@@ -118,13 +78,7 @@ def _holds(frame: PlacedPixels, left: int, top: int, right: int, low: int) -> bo
 
 
 def common(frames: Sequence[Frame]) -> list[Frame]:
-    """Cut frames to the part of the sensor that all of them show; a camera's window may follow the array.
-
-    Parameters
-    ----------
-    frames
-        Frames of one sensor, one at least.
-    """
+    """Cut frames to the part of the sensor that all of them show; a camera's window may follow the array."""
     if all(f.origin == frames[0].origin and f.pixels.shape == frames[0].pixels.shape for f in frames):
         return list(frames)
     left, top = (max(f.origin[k] for f in frames) for k in (0, 1))
@@ -139,17 +93,7 @@ def _cropped(frame: Frame, left: int, top: int, right: int, low: int) -> Frame:
 
 @lru_cache(maxsize=64)  # windows about arrays have few sizes
 def plane(rows: int, cols: int) -> Floats:
-    """Images whose combinations are an even background with a slope.
-
-    Parameters
-    ----------
-    rows, cols
-        Size of the window in px.
-
-    Returns
-    -------
-    (3, rows, columns), not writeable: a constant, and slopes in x and y from -1/2 to 1/2.
-    """
+    """Images whose combinations are an even background with a slope."""
     y = ((np.arange(rows) - (rows - 1) / 2) / rows)[:, None] + np.zeros(cols)
     x = ((np.arange(cols) - (cols - 1) / 2) / cols)[None, :] + np.zeros((rows, 1))
     out = np.stack([np.ones((rows, cols)), x, y])

@@ -31,44 +31,30 @@ ALL_SHOWN = np.ones(0)
 
 @dataclass(frozen=True, slots=True)
 class Cutout:
-    """A pair of frames about the array, a single frame of data without inverses, or what is left of a pair.
+    """A pair of frames about the array, a single frame of data without inverses, or what is left of a pair."""
 
-    Attributes
-    ----------
-    total
-        Sum of pattern and inverse in gray levels, (rows, columns); of a single frame twice what it shows above the
-        background.
-    difference
-        Pattern less inverse, (rows, columns); of a single frame the same as `total`.
-    corner
-        (x, y) on the sensor of the first pixel.
-    poses
-        Where the data's light was in each frame, at the middle of the exposure or about it; one or two.
-    mean_light_pose
-        Of a single frame, where the light of the levels' mean was, which is earlier; None of a pair.
-    combination
-        How the pair was combined; None for two frames in step.
-    covered
-        1 for columns (columns,) and rows (rows,) that all frames have, 0 for those that repeat a frame's border; None
-        if the frames have all.
-    noise
-        Variance of a pixel of the difference, in units of that of a difference of two frames; above 0.
-    in_sight
-        (n, n) 1 for LEDs in sight, 0 for those that something hides; None if all are in sight.
-    background
-        Gray levels of the sum of a pair with all LEDs on, and (n, n) gains of these, by which `steady` takes the moving
-        background off; None where that is done, or not to be done.
-    """
-
+    # Sum of pattern and inverse in gray levels, (rows, columns); of a single frame twice what it shows above the
+    # background
     total: Floats
+    # Pattern less inverse, (rows, columns); of a single frame the same as `total`
     difference: Floats
+    # (x, y) on the sensor of the first pixel
     corner: tuple[int, int]
+    # Where the data's light was in each frame, at the middle of the exposure or about it; one or two
     poses: tuple[Pose, ...]
+    # Of a single frame, where the light of the levels' mean was, which is earlier; None of a pair
     mean_light_pose: Pose | None = None
+    # How the pair was combined; None for two frames in step
     combination: Combination | None = None
+    # 1 for columns (columns,) and rows (rows,) that all frames have, 0 for those that repeat a frame's border; None if
+    # the frames have all
     covered: tuple[Floats, Floats] | None = None
+    # Variance of a pixel of the difference, in units of that of a difference of two frames; above 0
     noise: float = 1.0
+    # (n, n) 1 for LEDs in sight, 0 for those that something hides; None if all are in sight
     in_sight: Floats | None = None
+    # Gray levels of the sum of a pair with all LEDs on, and (n, n) gains of these, by which `steady` takes the moving
+    # background off; None where that is done, or not to be done
     background: tuple[float, Floats] | None = None
 
     @property
@@ -99,41 +85,17 @@ class Cutout:
         return rows, cols
 
     def shining(self, led_gains: Floats) -> Floats:
-        """Gains of LEDs (n, n), 0 where something hides them.
-
-        Parameters
-        ----------
-        led_gains
-            (n, n) gains of the LEDs, at least 0, 1 for the median LED.
-        """
+        """Gains of LEDs (n, n), 0 where something hides them."""
         return led_gains if self.in_sight is None else led_gains * self.in_sight
 
     def slopes(self, levels: Floats) -> Floats:
-        """Derivatives of the image of LEDs by x, y, ln pitch and roll, (4, rows, columns).
-
-        Parameters
-        ----------
-        levels
-            (n, n) luminances 2 x - 1 of the LEDs, -1 to 1, times their gains where these are known.
-        """
+        """Derivatives of the image of LEDs by x, y, ln pitch and roll, (4, rows, columns)."""
         image = np.empty((6, *self.shape))
         image_kernels.render(self.middle.full_vector(), levels, float(self.corner[0]), float(self.corner[1]), image)
         return image[1:5]
 
     def motion_compensated(self, gain: float, led_gains: Floats) -> "Cutout":
-        """Take off the background's light that does not cancel because it moves with the array between the frames.
-
-        Parameters
-        ----------
-        gain
-            Gray levels of the sum of a pair with all LEDs on.
-        led_gains
-            (n, n) gains of the LEDs, at least 0, 1 for the median LED.
-
-        Returns
-        -------
-        The cut-out with another difference; a single frame or a combined pair as it is.
-        """
+        """Take off the background's light that does not cancel because it moves with the array between the frames."""
         if len(self.poses) != 2 or self.combination is not None:
             return self
         first, second = self.poses
@@ -147,13 +109,7 @@ class Cutout:
         return replace(self, difference=steady)
 
     def moved(self, error: Floats) -> "Cutout":
-        """Correct its poses by an error that all of them have.
-
-        Parameters
-        ----------
-        error
-            (4,) added to each pose vector: x and y in px, ln pitch, and roll in rad.
-        """
+        """Correct its poses by an error that all of them have."""
         step = np.append(error, np.zeros(3))
         return replace(self, poses=tuple(Pose.from_vector(pose.full_vector() + step) for pose in self.poses))
 
@@ -161,23 +117,7 @@ class Cutout:
 def take_cutout(
     pair: FramePair, poses: tuple[Pose, Pose], side: int, background: tuple[float, Floats] | None = None
 ) -> Cutout:
-    """Cut a pair of frames out.
-
-    Parameters
-    ----------
-    pair
-        Frames of a pattern and its inverse, combined or in step.
-    poses
-        Where the data's light was in each.
-    side
-        LEDs in a row.
-    background
-        By what the moving background is taken off later; see `Cutout`.
-
-    Returns
-    -------
-    Cut-out of the array, its rim and a ring around it.
-    """
+    """Cut a pair of frames out."""
     frames, window = (pair.pattern, pair.inverted), window_around(Pose.midway(*poses), side, RIM_PX + RING_PX)
     up, down = (cut_out(frame, window) for frame in frames)
     corner = window[0], window[1]

@@ -19,17 +19,7 @@ def _haar(a, b, c, d):
 
 @compiled()
 def correlate(image, across, down, first, out):
-    """B^T image: correlation of an image with that of each symbol.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) image of the window.
-    across, down, first
-        Footprints of the LEDs, as of `image.kernels.footprints`.
-    out
-        (symbols,) correlations with the image, overwritten.
-    """
+    """B^T image: correlation of an image with that of each symbol."""
     squares, width = across.shape[0] // 4, across.shape[1]
     rows, cols = image.shape
     led = np.empty(4)
@@ -48,21 +38,7 @@ def correlate(image, across, down, first, out):
 
 @compiled()
 def seen_by_symbols(difference, offset, root, first, last, matched, shown):
-    """What a whitened pair shows of its symbols: B^T d and B^T o, B being the mean of two frames.
-
-    Parameters
-    ----------
-    difference, offset, root
-        (rows, columns) difference and offset of the pair times the roots of the weights, and these roots.
-    first, last
-        Footprints (across, down, first) of the two frames, times the roots of the weights; the same of a single frame.
-    matched, shown
-        (symbols,) B^T of the difference and of the offset, overwritten.
-
-    Returns
-    -------
-    d^T o, o^T o, d^T d and the number of pixels of weight above 0.
-    """
+    """What a whitened pair shows of its symbols: B^T d and B^T o, B being the mean of two frames."""
     other = np.empty_like(matched)
     for image, out in ((difference, matched), (offset, shown)):
         correlate(image, first[0], first[1], first[2], out)
@@ -80,17 +56,7 @@ def seen_by_symbols(difference, offset, root, first, last, matched, shown):
 
 @compiled()
 def correlate_all(images, across, down, first, out):
-    """`correlate` of many images at once.
-
-    Parameters
-    ----------
-    images
-        (rows, columns, k), k images of the window.
-    across, down, first
-        Footprints of the LEDs, as of `image.kernels.footprints`.
-    out
-        (symbols, k) correlations with each image, overwritten.
-    """
+    """`correlate` of many images at once."""
     squares, width = across.shape[0] // 4, across.shape[1]
     rows, cols, count = images.shape
     led, line = np.empty((4, count)), np.empty(count)
@@ -113,13 +79,7 @@ def correlate_all(images, across, down, first, out):
 
 @compiled()
 def leds_of(symbols):
-    """Levels of LEDs about their mean, (n n,): t = 1/4 H^T D H.
-
-    Parameters
-    ----------
-    symbols
-        (n n,) symbols, +-1, or their means, -1 to 1.
-    """
+    """Levels of LEDs about their mean, (n n,): t = 1/4 H^T D H."""
     squares = symbols.shape[0] // 4
     out = np.empty(4 * squares)
     for q in range(squares):
@@ -130,13 +90,7 @@ def leds_of(symbols):
 
 @compiled()
 def symbols_of(leds):
-    """Symbols of LEDs, (n n,), the inverse of `leds_of`: D = H t H^T.
-
-    Parameters
-    ----------
-    leds
-        (n n,) levels t = 2 x - 1 of the LEDs about their mean.
-    """
+    """Symbols of LEDs, (n n,), the inverse of `leds_of`: D = H t H^T."""
     squares = leds.shape[0] // 4
     out = np.empty(4 * squares)
     for q in range(squares):
@@ -147,15 +101,7 @@ def symbols_of(leds):
 
 @compiled()
 def spread(light, first, out):
-    """Write LEDs' light by column or by row at its place, LEDs of equal place in their squares together.
-
-    Parameters
-    ----------
-    light, first
-        Light of the LEDs and where it begins, as in `noise_kernels.weight_roots`.
-    out
-        (n n, pixels) float32, overwritten; row q + k n n / 4 is LED k of square q.
-    """
+    """Write LEDs' light by column or by row at its place, LEDs of equal place in their squares together."""
     squares = light.shape[0] // 4
     out[:] = 0.0
     for k in range(light.shape[0]):
@@ -166,15 +112,7 @@ def spread(light, first, out):
 
 @compiled()
 def gram(across, down, out):
-    """B^T B of the symbols: <led_i, led_j> = <across_i, across_j> <down_i, down_j>, Haar transformed on both sides.
-
-    Parameters
-    ----------
-    across, down
-        (n n, n n) float32 products of the LEDs' light by column and by row, in the order of `spread`.
-    out
-        (symbols, symbols) float32, overwritten.
-    """
+    """B^T B of the symbols: <led_i, led_j> = <across_i, across_j> <down_i, down_j>, Haar transformed on both sides."""
     squares = across.shape[0] // 4
     for i in range(across.shape[0]):
         x, y, row = across[i], down[i], out[i]
@@ -189,15 +127,7 @@ def gram(across, down, out):
 
 @compiled()
 def add_light(across, down, first, out):
-    """Add B, the light of each symbol on each pixel.
-
-    Parameters
-    ----------
-    across, down, first
-        Footprints of the LEDs, as of `image.kernels.footprints`.
-    out
-        (rows, columns, symbols) float32, added to.
-    """
+    """Add B, the light of each symbol on each pixel."""
     rows, cols, count = out.shape
     squares, width = count // 4, across.shape[1]
     for n in range(count):
@@ -215,19 +145,7 @@ def add_light(across, down, first, out):
 
 @compiled()
 def add_information(gram, levels, weight, out):
-    """Add what a pair says of its LEDs' light: weight l_i l_j <led_i, led_j>, with 16 T G T^T = <led_i, led_j>.
-
-    Parameters
-    ----------
-    gram
-        G, (symbols, symbols) float32.
-    levels
-        (n n,) levels of the LEDs about their mean, in the order of `image.kernels.footprints`.
-    weight
-        g^2 / s^2, ratio of the squared gain to the noise variance, above 0.
-    out
-        (n n, n n) in that order, added to.
-    """
+    """Add what a pair says of its LEDs' light: weight l_i l_j <led_i, led_j>, with 16 T G T^T = <led_i, led_j>."""
     squares, count = gram.shape[0] // 4, gram.shape[0]
     rows = np.empty((4, count), np.float32)
     for p in range(squares):

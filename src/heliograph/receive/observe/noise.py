@@ -41,17 +41,11 @@ ENOUGH_PIXELS = 4000
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Variance of a pixel of a difference of two frames, in squared gray levels.
+    """Variance of a pixel of a difference of two frames, in squared gray levels."""
 
-    Attributes
-    ----------
-    lit
-        Inside the array: mostly photons.
-    dark
-        Beside it: the sensor's own noise, and whatever changes in the background.
-    """
-
+    # Inside the array: mostly photons
     lit: float
+    # Beside it: the sensor's own noise, and whatever changes in the background
     dark: float
 
 
@@ -61,17 +55,6 @@ def measure_noise(cutouts: Sequence[Cutout], gain: float, side: int, led_gains: 
     Inside the array the sum of a pair is even but for noise, which is that of the difference, and for what motion
     between the two frames leaves of the data. LEDs that failed stay where they are from one sum to the next, so
     successive sums are compared. Beside the array the difference is noise and changes of the background.
-
-    Parameters
-    ----------
-    cutouts
-        Pairs of the packet, any number.
-    gain
-        Gray levels of the array with all LEDs on; 0 leaves the data that motion leaves in.
-    side
-        LEDs in a row.
-    led_gains
-        (n, n) gains of the LEDs, at least 0, 1 for the median LED; None for 1 each.
     """
     if not cutouts:
         return Noise(LEAST_NOISE, LEAST_NOISE)
@@ -90,15 +73,7 @@ def measure_noise(cutouts: Sequence[Cutout], gain: float, side: int, led_gains: 
 
 
 def noise_beside(cutouts: Sequence[Cutout], side: int) -> float:
-    """Variance of a pixel beside the array, of a difference of two frames; errors of the background's model are in it.
-
-    Parameters
-    ----------
-    cutouts
-        Cut-outs of pairs or of single frames, any number.
-    side
-        LEDs in a row.
-    """
+    """Variance of a background pixel in a difference of two frames, errors of the background model included."""
     squares, count = 0.0, 0
     for cutout in cutouts:
         light = footprints(cutout.poses[0], cutout.corner, cutout.shape, side)

@@ -17,19 +17,6 @@ def weight_roots(light, first, lit, dark, ring, out):
     """Roots of the weights of a window's columns or rows, W = lit / s^2 with s^2 = dark + (lit - dark) f.
 
     f is the light of all LEDs together, 0 to 1.
-
-    Parameters
-    ----------
-    light
-        (n n, width) light of each LED by column or by row.
-    first
-        (n n,) first column or row of each.
-    lit, dark
-        Noise variances inside and beside the array in squared gray levels, above 0.
-    ring
-        Outer pixels of the window, which weigh 0; 0 or more.
-    out
-        (pixels,) roots of the weights, overwritten.
     """
     out[:] = 0.0
     for k in range(light.shape[0]):
@@ -44,30 +31,7 @@ def weight_roots(light, first, lit, dark, ring, out):
 
 @compiled()
 def whitened(lit, dark, ring, faded, covered_x, covered_y, gains, levels, difference, middle, first, last, out):
-    """Divide a pair's pixels, and the light that LEDs give them, by the roots of their noise.
-
-    Parameters
-    ----------
-    lit, dark
-        Noise variances inside and beside the array in squared gray levels, above 0.
-    ring
-        Outer pixels of the window, which weigh 0; 0 or more.
-    faded
-        Factor on the roots of all weights: one over the root of a noise in units of that of a pair.
-    covered_x, covered_y
-        (columns,) and (rows,) part of the light that the window shows of a column and of a row; empty for all of it.
-    gains
-        (n n,) gains of the LEDs in the order of `image.kernels.footprints`; empty for 1 each.
-    levels
-        (2,) mean levels of the LEDs in the first frame and in the second.
-    difference
-        (rows, columns) difference of the frames in gray levels.
-    middle, first, last
-        Footprints (across, down, first) at the pose between the frames, in the first and in the last of them.
-    out
-        (root, difference, offset): the roots of the weights, the difference and the offset times these, (rows, columns)
-        float64, overwritten; and for each of the footprints across and down, of their shapes, overwritten.
-    """
+    """Divide a pair's pixels, and the light that LEDs give them, by the roots of their noise."""
     root, white, offset, middle_x, middle_y, first_x, first_y, last_x, last_y = out
     rows, cols = difference.shape
     columns, lines = np.empty(cols), np.empty(rows)
@@ -119,17 +83,7 @@ def _add_all_on(across, down, first, level, out):
 
 @compiled()
 def power_beside(difference, light, least):
-    """Sum of the squares of a difference beside the array, and the number of pixels there.
-
-    Parameters
-    ----------
-    difference
-        (rows, columns) difference of a pair in gray levels.
-    light
-        Footprints (across, down, first) of the LEDs.
-    least
-        Light of a pixel with all LEDs on, 0 to 1, from which on it is not beside the array.
-    """
+    """Sum of the squares of a difference beside the array, and the number of pixels there."""
     whole, power, count = np.zeros(difference.shape), 0.0, 0
     _add_all_on(light[0], light[1], light[2], 1.0, whole)
     for i in range(whole.shape[0]):
@@ -142,23 +96,7 @@ def power_beside(difference, light, least):
 
 @compiled()
 def motion_compensated(difference, total, first, last, gains, gain, x, y, out):
-    """Difference of a pair less (x, y) . grad b, b = (total - gain (A_1 + A_2) w) / 2 the background.
-
-    Parameters
-    ----------
-    difference, total
-        (rows, columns) difference and sum of the pair in gray levels.
-    first, last
-        Footprints (across, down, first) of its frames, A_1 and A_2.
-    gains
-        w, (n n,) gains of the LEDs in the order of `image.kernels.footprints`.
-    gain
-        Half of the gray levels of the array with all LEDs on: the mean light of a frame.
-    x, y
-        Motion from the first frame to the second in px.
-    out
-        (rows, columns) difference without the background's part, overwritten.
-    """
+    """Difference of a pair less (x, y) . grad b, b = (total - gain (A_1 + A_2) w) / 2 the background."""
     rows, cols = out.shape
     behind = total.copy()
     _add_leds(first, gains, -gain, behind)
@@ -173,29 +111,7 @@ def motion_compensated(difference, total, first, last, gains, gain, x, y, out):
 
 @compiled()
 def unevenness(total, first, last, gains, in_sight, covered_x, covered_y, inside, out):
-    """Residual of a pair's sum about the array's light and a plane; see `uneven`.
-
-    Parameters
-    ----------
-    total
-        (rows, columns) sum of the pair in gray levels.
-    first, last
-        Footprints (across, down, first) of its frames.
-    gains
-        (n n,) gains of the LEDs in the order of `image.kernels.footprints`.
-    in_sight
-        (n n,) how much of each LED is in sight, 0 to 1.
-    covered_x, covered_y
-        (columns,) and (rows,) part of the light that the window shows of a column and of a row; empty for all of it.
-    inside
-        Light of a pixel inside the array, at least, as a fraction of the brightest one's with all LEDs on.
-    out
-        (rows, columns) residual inside, overwritten; NaN elsewhere.
-
-    Returns
-    -------
-    Number of pixels inside.
-    """
+    """Residual of a pair's sum about the array's light and a plane; see `uneven`."""
     rows, cols = total.shape
     whole, lit, most = np.zeros((rows, cols)), np.zeros((rows, cols)), 0.0
     _add_leds(first, in_sight, 1.0, whole)
@@ -225,23 +141,7 @@ def _add_leds(light, levels, factor, out):
 
 @compiled()
 def uneven(total, lit, inside, out):
-    """Residual of a sum about the array's light and a plane, (a, 1, x, y), by least squares on the pixels inside.
-
-    Parameters
-    ----------
-    total
-        (rows, columns) sum of a pair in gray levels.
-    lit
-        (rows, columns) the array's light a with all LEDs on, 0 to 1.
-    inside
-        (rows, columns) whether a pixel lies inside the array.
-    out
-        (rows, columns) residual inside, overwritten; NaN elsewhere.
-
-    Returns
-    -------
-    Number of pixels inside.
-    """
+    """Residual of a sum about the array's light and a plane, (a, 1, x, y), by least squares on the pixels inside."""
     rows, cols = total.shape
     count = 0
     for i in range(rows):

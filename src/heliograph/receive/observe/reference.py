@@ -10,13 +10,7 @@ from heliograph.base.arrays import RCOND, Floats
 
 
 def transform(side: int) -> Floats:
-    """T, (n n LEDs row by row, n n symbols): 2 x - 1 = T c.
-
-    Parameters
-    ----------
-    side
-        LEDs in a row, an even number.
-    """
+    """T, (n n LEDs row by row, n n symbols): 2 x - 1 = T c."""
     half = side // 2
     # symbols: the quarters D11, D12, D21, D22 of the data matrix, each row by row
     quarters = np.eye(side * side).reshape(-1, 2, 2, half, half)
@@ -30,39 +24,13 @@ def transform(side: int) -> Floats:
 
 
 def pair_model(a_1: Floats, a_2: Floats, t: Floats) -> tuple[Floats, Floats]:
-    """B and o of a pair: d = g (B c + o) + n.
-
-    Parameters
-    ----------
-    a_1, a_2
-        (pixels, LEDs) blur matrices of its two frames.
-    t
-        (LEDs, symbols), the T of `transform`.
-
-    Returns
-    -------
-    (pixels, symbols) and (pixels,).
-    """
+    """B and o of a pair: d = g (B c + o) + n. Returns (pixels, symbols) and (pixels,)."""
     # g (A_1 x - A_2 (1 - x)) with x = (1 + T c) / 2
     return 0.5 * (a_1 + a_2) @ t, 0.5 * (a_1 - a_2).sum(1)
 
 
 def weights(a: Floats, pitch: float, lit: float, dark: float, ring: int, shape: tuple[int, int]) -> Floats:
-    """W, (pixels,): lit over the variance of each pixel's noise, as a product of its row and its column.
-
-    Parameters
-    ----------
-    a
-        (pixels, LEDs) blur matrix at the pair's middle.
-    pitch
-        Distance of neighbouring LEDs in px.
-    lit, dark
-        Noise variances inside and beside the array in squared gray levels, above 0.
-    ring
-        Outer pixels of the window, which weigh 0.
-    shape
-        Rows and columns of the window in px.
-    """
+    """W, (pixels,): lit over the variance of each pixel's noise, as a product of its row and its column."""
     side = round(np.sqrt(a.shape[1]))
     image = a.sum(1).reshape(shape)
     parts = []
@@ -76,17 +44,7 @@ def weights(a: Floats, pitch: float, lit: float, dark: float, ring: int, shape: 
 
 
 def uneven(total: Floats, lit: Floats, inside: NDArray[np.bool_]) -> Floats:
-    """Residual of a sum about the array's light and a plane on the pixels inside, (pixels inside,).
-
-    Parameters
-    ----------
-    total
-        (rows, columns) sum of a pair in gray levels.
-    lit
-        (rows, columns) the array's light with all LEDs on, 0 to 1.
-    inside
-        (rows, columns) whether a pixel lies inside the array.
-    """
+    """Residual of a sum about the array's light and a plane on the pixels inside, (pixels inside,)."""
     y, x = np.nonzero(inside)
     columns = np.stack([lit[inside], np.ones(len(x)), x - x.mean(), y - y.mean()], axis=1)
     fitted = columns @ np.linalg.lstsq(columns, total[inside], rcond=RCOND)[0]

@@ -29,47 +29,27 @@ from heliograph.receive.timing.combination import Combination
 
 @dataclass(frozen=True, slots=True)
 class PairStatistics:
-    """Sufficient statistics of a pair for its symbols; gain and noise stay open.
+    """Sufficient statistics of a pair for its symbols; gain and noise stay open."""
 
-    Attributes
-    ----------
-    gram
-        G = B^T W B, (symbols, symbols) float32.
-    matched
-        B^T W d, the matched filter's output, (symbols,) in gray levels.
-    offset
-        B^T W o, the offset's correlation with the symbols' images, (symbols,).
-    cross
-        d^T W o, the correlation of difference and offset, in gray levels.
-    offset_power
-        o^T W o, the offset's weighted sum of squares.
-    power
-        d^T W d, the difference's weighted sum of squares, in squared gray levels.
-    pixels
-        Number of pixels of weight above 0.
-    combination
-        How the pair was combined; None for two frames in step.
-    """
-
+    # G = B^T W B, (symbols, symbols) float32
     gram: NDArray[np.float32]
+    # B^T W d, the matched filter's output, (symbols,) in gray levels
     matched: Floats
+    # B^T W o, the offset's correlation with the symbols' images, (symbols,)
     offset: Floats
+    # D^T W o, the correlation of difference and offset, in gray levels
     cross: float
+    # O^T W o, the offset's weighted sum of squares
     offset_power: float
+    # D^T W d, the difference's weighted sum of squares, in squared gray levels
     power: float = 0.0
+    # Number of pixels of weight above 0
     pixels: int = 0
+    # How the pair was combined; None for two frames in step
     combination: Combination | None = None
 
     def scaled(self, weight: float, gain: float = 1.0) -> "PairStatistics":
-        """Statistics of the same pair in other units.
-
-        Parameters
-        ----------
-        weight
-            Factor on the pixels' weights, as if the noise variance were that much smaller.
-        gain
-            Factor on B and o, as if the light were that much dimmer in units of the gain.
-        """
+        """Statistics of the same pair in other units."""
         return PairStatistics(
             np.float32(weight * gain**2) * self.gram,
             weight * gain * self.matched,
@@ -82,19 +62,7 @@ class PairStatistics:
         )
 
     def along(self, start: Floats, slope: Floats) -> "PairStatistics":
-        """Statistics for other symbols u, one for each square of 2 x 2 LEDs: c = start + slope u.
-
-        Parameters
-        ----------
-        start
-            (symbols,) c where all u are 0.
-        slope
-            (symbols,) slopes of the symbols by the u of their square.
-
-        Returns
-        -------
-        Statistics of symbols / 4 unknowns u.
-        """
+        """Statistics for other symbols u, one for each square of 2 x 2 LEDs: c = start + slope u."""
         # B (start + D u) + o: D^T G D, D^T B^T d and D^T (B^T o + G start)
         gram, kinds = self.gram.reshape(4, len(start) // 4, 4, -1), slope.reshape(4, -1)
         narrow, lit = kinds.astype(np.float32), self.gram @ start.astype(np.float32)
@@ -110,13 +78,7 @@ class PairStatistics:
         )
 
     def plus(self, other: "PairStatistics") -> "PairStatistics":
-        """Statistics of two observations of one pattern together.
-
-        Parameters
-        ----------
-        other
-            Statistics of the other observation, in the same units.
-        """
+        """Statistics of two observations of one pattern together."""
         return PairStatistics(
             self.gram + other.gram,
             self.matched + other.matched,
@@ -131,32 +93,21 @@ class PairStatistics:
 
 @dataclass(frozen=True, slots=True)
 class WhitenedCutout:
-    """A cut-out whose pixels are divided by their noise, so that it is white with the variance inside the array.
+    """A cut-out whose pixels are divided by their noise, so that it is white with the variance inside the array."""
 
-    Attributes
-    ----------
-    root
-        W^(1/2), the roots of the pixels' weights, (rows, columns).
-    difference
-        W^(1/2) d, (rows, columns).
-    offset
-        W^(1/2) o, (rows, columns).
-    frames
-        W^(1/2) A of each frame, one or two.
-    between
-        The same at the pose between the frames, its blur wider by the motion.
-    apart
-        Whether the array moves so far from one frame to the other that this does not stand for both.
-    combination
-        How the pair was combined; None for two frames in step.
-    """
-
+    # W^(1/2), the roots of the pixels' weights, (rows, columns)
     root: Floats
+    # W^(1/2) d, (rows, columns)
     difference: Floats
+    # W^(1/2) o, (rows, columns)
     offset: Floats
+    # W^(1/2) A of each frame, one or two
     frames: tuple[Footprints, ...]
+    # The same at the pose between the frames, its blur wider by the motion
     between: Footprints
+    # Whether the array moves so far from one frame to the other that this does not stand for both
     apart: bool = False
+    # How the pair was combined; None for two frames in step
     combination: Combination | None = None
 
     def statistics(self) -> PairStatistics:
@@ -167,15 +118,7 @@ class WhitenedCutout:
         return self._statistics(self._gram(), matched, shown, powers)
 
     def without(self, slopes: Floats, precision: Floats) -> PairStatistics:
-        """Statistics where the image may also hold some of other images, whose amplitudes are marginalised.
-
-        Parameters
-        ----------
-        slopes
-            (k, rows, columns) those images, times W^(1/2).
-        precision
-            (k, k) prior precision of their amplitudes, in units of g^2 / s^2.
-        """
+        """Statistics where the image may also hold some of other images, whose amplitudes are marginalised."""
         # d = g (B c + o + F e) + n: G - C K C^T and B^T d - C K F^T d, C = B^T F, K = (F^T F + P^-1)^-1
         f, images = slopes.reshape(len(slopes), -1), [*slopes, self.difference, self.offset]
         seen = np.stack([self.difference.ravel(), self.offset.ravel()], axis=1)
@@ -191,38 +134,18 @@ class WhitenedCutout:
         return self._statistics(gram, d, o, powers)
 
     def correlated(self, image: Floats) -> Floats:
-        """B^T W^(1/2) of an image, (symbols,).
-
-        Parameters
-        ----------
-        image
-            (rows, columns) image, itself times W^(1/2).
-        """
+        """B^T W^(1/2) of an image, (symbols,)."""
         parts = np.empty((len(self.frames), len(self.frames[0].across)))
         for frame, part in zip(self.frames, parts, strict=True):
             kernels.correlate(image, *frame, part)
         return parts[0] if len(parts) == 1 else np.asarray(0.5 * (parts[0] + parts[1]))
 
     def all_correlated(self, images: Floats) -> Floats:
-        """`correlated` of many images, (symbols, k); faster where k is more than four.
-
-        Parameters
-        ----------
-        images
-            (k, rows, columns) images, themselves times W^(1/2).
-        """
+        """`correlated` of many images, (symbols, k); faster where k is more than four."""
         return _correlated(images, self.frames)
 
     def residual(self, gain: float, symbols: Floats) -> Floats:
-        """W^(1/2) (d - g (B c + o)), (rows, columns).
-
-        Parameters
-        ----------
-        gain
-            g, gray levels of the array with all LEDs on.
-        symbols
-            (symbols,) c, or their means.
-        """
+        """W^(1/2) (d - g (B c + o)), (rows, columns)."""
         light = np.zeros_like(self.difference)
         for frame in self.frames:
             image_kernels.add_image(kernels.leds_of(symbols) / len(self.frames), *frame, light)
@@ -272,17 +195,6 @@ def whiten(cutout: Cutout, noise: Noise, side: int, led_gains: Floats | None = N
 
     A pixel's noise follows its light: s^2 = dark + (lit - dark) f(x) f(y), f the array's profile from 0 to 1. W is
     taken as a product of a function of x and one of y, so that LEDs' light times its root stays such a product.
-
-    Parameters
-    ----------
-    cutout
-        The pair, or single frame.
-    noise
-        Variances inside and beside the array, in squared gray levels.
-    side
-        LEDs in a row.
-    led_gains
-        (n, n) gains of the LEDs, at least 0, 1 for the median LED; None for 1 each.
     """
     shape, corner = cutout.shape, cutout.corner
     if cutout.in_sight is not None:
@@ -335,15 +247,7 @@ def _correlated(images: Floats, light: tuple[Footprints, ...]) -> Floats:
 
 
 def gram_of(light: Footprints, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """B^T B, (symbols, symbols) float32.
-
-    Parameters
-    ----------
-    light
-        Footprints of the LEDs.
-    shape
-        Rows and columns of their window.
-    """
+    """B^T B, (symbols, symbols) float32."""
     products = []
     for axis, part in ((0, light.across), (1, light.down)):
         whole = np.empty((len(part), shape[1 - axis]), np.float32)

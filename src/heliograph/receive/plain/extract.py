@@ -18,25 +18,7 @@ def pair_luminances(
     side: int,
     equaliser: Equaliser = "none",
 ) -> NDArray[np.float64]:
-    """Normalised luminances x' = level - 2 of a data pair.
-
-    Parameters
-    ----------
-    frames
-        Frames of the pattern and of its inverse.
-    poses
-        The array's pose in each.
-    gain
-        Gray levels of the sum of the pair with all LEDs on.
-    side
-        LEDs in a row.
-    equaliser
-        "none" reads the luminance at each LED's position, "inverse" undoes the blur.
-
-    Returns
-    -------
-    (side, side) float64, about -2 to 2; the background cancels in the difference.
-    """
+    """Normalised luminances x' = level - 2 of a data pair."""
     if equaliser == "inverse":
         from heliograph.receive.plain.inverse import unblurred  # SciPy is slow to import
 
@@ -46,56 +28,18 @@ def pair_luminances(
 
 
 def normalised(change: NDArray[np.float64], gain: float) -> NDArray[np.float64]:
-    """Normalised luminances x' = level - 2 by what LEDs show of a pattern less its inverse.
-
-    Parameters
-    ----------
-    change
-        (side, side) difference of both in gray levels.
-    gain
-        Gray levels of the sum of the pair with all LEDs on.
-    """
+    """Normalised luminances x' = level - 2 by what LEDs show of a pattern less its inverse."""
     # r - r_inverted = gain (x - (1 - x)) = gain (2 x - 1) = gain x' / 2
     return 2 * change / max(gain, TINY)
 
 
 def luminances(frame: PlacedPixels, pose: Pose, side: int) -> NDArray[np.float64]:
-    """Gray level at each LED's image position, by cubic interpolation.
-
-    Parameters
-    ----------
-    frame
-        Frame in which the array is; what lies beyond it repeats its border.
-    pose
-        The array's pose in that frame.
-    side
-        LEDs in a row.
-
-    Returns
-    -------
-    (side, side) float64.
-    """
+    """Gray level at each LED's image position, by cubic interpolation. Returns (side, side) float64."""
     return at_leds(frame.pixels, frame.origin, pose, side)
 
 
 def at_leds(pixels: NDArray[Any], corner: tuple[int, int], pose: Pose, side: int) -> NDArray[np.float64]:
-    """Value of an image at each LED's position, by cubic interpolation.
-
-    Parameters
-    ----------
-    pixels
-        (rows, columns) image, of any kind and unit; what lies beyond it repeats its border.
-    corner
-        (x, y) on the sensor of its first pixel.
-    pose
-        The array's pose in it.
-    side
-        LEDs in a row.
-
-    Returns
-    -------
-    (side, side) float64, in the image's unit.
-    """
+    """Value of an image at each LED's position, by cubic interpolation."""
     from heliograph.receive.plain import kernels  # Numba is slow to import
 
     out = np.empty((side, side))

@@ -40,23 +40,6 @@ def unblurred(
         s = (M^T M + lambda I)^-1 M^T (d - (A_1 - A_2) 1 / 2)
 
     M is taken as A at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2.
-
-    Parameters
-    ----------
-    frames
-        Frames of the pattern and of its inverse.
-    poses
-        The array's pose in each.
-    gain
-        Gray levels of the sum of the pair with all LEDs on.
-    side
-        LEDs in a row.
-    loading
-        lambda, the loading of the diagonal of M^T M, a ratio above 0.
-
-    Returns
-    -------
-    (side, side) float64, -2 to 2 without noise and with a tiny lambda.
     """
     middle = Pose.midway(*poses)
     motion = 0.5 * (poses[1].x - poses[0].x), 0.5 * (poses[1].y - poses[0].y)

@@ -9,17 +9,7 @@ from heliograph.base.compiled import compiled
 
 @compiled()
 def sample_cubic(image, points, out):
-    """Image between its pixels by cubic convolution (Keys 1981, a = -1/2); the border repeats.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) float64 gray levels.
-    points
-        (n, 2) of (x, y) in px of the image.
-    out
-        (n,) gray levels at the points, overwritten.
-    """
+    """Image between its pixels by cubic convolution (Keys 1981, a = -1/2); the border repeats."""
     wx, wy = np.empty(4), np.empty(4)
     for p in range(points.shape[0]):
         out[p] = _cubic(image, points[p, 0], points[p, 1], wx, wy)
@@ -27,19 +17,7 @@ def sample_cubic(image, points, out):
 
 @compiled()
 def cubic_at_leds(image, x, y, axes, out):
-    """An image at LEDs' places, as `sample_cubic` has it.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) float64 gray levels.
-    x, y
-        Column and row of the array's centre in px.
-    axes
-        (2, 2) steps from one LED to the next along a row and along a column, in px, one per column.
-    out
-        (n, n) gray levels at the LEDs, overwritten.
-    """
+    """An image at LEDs' places, as `sample_cubic` has it."""
     side = out.shape[0]
     wx, wy = np.empty(4), np.empty(4)
     for u in range(side):

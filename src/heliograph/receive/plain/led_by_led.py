@@ -17,22 +17,6 @@ def read_led_by_led(
     """Codewords by the luminance at each LED's position alone, as the paper reads them.
 
     It knows of no blur, no neighbours and no LED that is hidden, so nothing of that can mislead it.
-
-    Parameters
-    ----------
-    cutouts
-        One per pair; None where the array was not seen.
-    form
-        Format of the packet: its mode, its layers and their codes.
-    identity
-        Number of the array, 0 to 29; a block of another array is a mismatch.
-    options
-        Algorithm of the channel decoder, and its most iterations.
-
-    Returns
-    -------
-    Codewords by layer, decoded or not; None without inverses, out of step, and where no pair was seen: it does not
-    read these.
     """
     shown = [cutout for cutout in cutouts if cutout is not None]
     if form.single or not shown or any(cutout.combination is not None for cutout in shown):

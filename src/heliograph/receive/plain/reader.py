@@ -26,23 +26,7 @@ from heliograph.signal.packet import PacketFormat
 
 
 class PlainReader:
-    """Reads a packet as the paper does; see `array.PacketReader`.
-
-    Parameters
-    ----------
-    identity
-        Number of the array, 0 to 29.
-    form
-        The agreed format of packets; the plain receiver reads no other.
-    tracker
-        Follows the array from pair to pair.
-    equaliser
-        How the LEDs are read, as in `pair_luminances`.
-    options
-        How codewords are decoded: algorithm and iterations.
-    observe
-        Gets an `ExtractEvent` each pair.
-    """
+    """Reads a packet as the paper does; see `array.PacketReader`."""
 
     def __init__(
         self,
@@ -133,41 +117,27 @@ class PlainReader:
 
 @dataclass(frozen=True, slots=True)
 class TakenLuminances:
-    """All that was taken of a packet; see `TakenPacket`.
+    """All that was taken of a packet; see `TakenPacket`."""
 
-    Attributes
-    ----------
-    identity
-        Number of the array, 0 to 29.
-    form
-        The agreed format of packets.
-    options
-        How codewords are decoded: algorithm and iterations.
-    mode
-        Number of the format that its header signals.
-    luminances
-        (pairs, n, n) difference of pattern and inverse at each LED.
-    seen
-        (pairs,) pairs that were seen.
-    lone
-        By number of the pair, frames whose other half is lost.
-    states
-        By number of the pair, where the array was.
-    sums
-        By number of the pair, (n, n) sum of pattern and inverse at each LED in gray levels.
-    sum_gain
-        Gray levels of a sum with all LEDs on.
-    """
-
+    # Number of the array, 0 to 29
     identity: int
+    # The agreed format of packets
     form: PacketFormat
+    # How codewords are decoded: algorithm and iterations
     options: Decoding
+    # Number of the format that its header signals
     mode: int
+    # (pairs, n, n) difference of pattern and inverse at each LED
     luminances: Floats
+    # (pairs,) pairs that were seen
     seen: NDArray[np.bool_]
+    # By number of the pair, frames whose other half is lost
     lone: Mapping[int, LoneFrame]
+    # By number of the pair, where the array was
     states: Mapping[int, PoseState]
+    # By number of the pair, (n, n) sum of pattern and inverse at each LED in gray levels
     sums: Mapping[int, Floats]
+    # Gray levels of a sum with all LEDs on
     sum_gain: float
 
     @property

@@ -9,15 +9,7 @@ from heliograph.base.arrays import Floats
 
 
 def sample_cubic(image: Floats, points: Floats) -> Floats:
-    """Image between its pixels by Keys' cubic convolution, (n,); the border repeats.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) gray levels of the image.
-    points
-        (n, 2) of (x, y) in px of the image.
-    """
+    """Image between its pixels by Keys' cubic convolution, (n,); the border repeats."""
     out = np.empty(len(points))
     for k, (x, y) in enumerate(points):
         j, i = int(np.floor(x)), int(np.floor(y))

@@ -64,14 +64,9 @@ AROUND = 1
 
 @dataclass(frozen=True, slots=True)
 class _Scale:
-    """Amplitude and noise of each kind of symbol.
+    """Amplitude and noise of each kind of symbol."""
 
-    Attributes
-    ----------
-    amplitude, noise
-        a and the variance of n, (symbols,), alike in all squares.
-    """
-
+    # amplitude, noise: a and the variance of n, (symbols,), alike in all squares
     amplitude: Floats
     noise: Floats
 
@@ -111,31 +106,7 @@ def read_square_by_square(
     soft: bool = True,
     glance: bool = False,
 ) -> Words | None:
-    """Codewords by the light at each LED's position alone, of frames in step or out of it.
-
-    Parameters
-    ----------
-    cutouts
-        One per pair, one at least; None where the array was not seen.
-    gain
-        Gray levels of the array with all LEDs on; it need not be exact.
-    form
-        Format of the packet: its mode, its layers and their codes.
-    identity
-        Number of the array, 0 to 29; a block of another array is a mismatch.
-    options
-        Algorithm of the channel decoder, and its most iterations.
-    known
-        Its codewords by layer as another reading left them; None if there was no other.
-    soft
-        Whether soft values of codewords that are not decoded are used in the next round.
-    glance
-        Whether it ends with the first right codeword.
-
-    Returns
-    -------
-    Codewords by layer, decoded or not; None without inverses, and where data are on or off: it does not read these.
-    """
+    """Codewords by the light at each LED's position alone, of frames in step or out of it."""
     if form.single or form.settings.modulation != "haar":
         return None
     header = form.header_pattern(identity) > SLOTS // 2

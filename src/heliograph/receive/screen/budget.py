@@ -8,20 +8,13 @@ SAMPLES_PER_S = 14e6
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """Limits of the search, in seconds of a core.
+    """Limits of the search, in seconds of a core."""
 
-    Attributes
-    ----------
-    part
-        Seconds of search for each second of the film.
-    first_s
-        Seconds that are there at first, and at most.
-    debt_s
-        Seconds beyond which an array without a header is given up.
-    """
-
+    # Seconds of search for each second of the film
     part: float = 0.2
+    # Seconds that are there at first, and at most
     first_s: float = 1.0
+    # Seconds beyond which an array without a header is given up
     debt_s: float = 0.5
 
     def for_light(self, period_s: float) -> "SearchLimits":
@@ -31,13 +24,7 @@ class SearchLimits:
 
 
 class SearchBudget:
-    """Work that the search for a screen may do. It is counted and not timed: every machine reads a film alike.
-
-    Parameters
-    ----------
-    limits
-        Limits of the search.
-    """
+    """Work that the search for a screen may do. It is counted and not timed: every machine reads a film alike."""
 
     def __init__(self, limits: SearchLimits | None = None):
         self._limits = limits or SearchLimits()

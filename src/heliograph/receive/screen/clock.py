@@ -23,58 +23,29 @@ RESPONSE_S = 0.005
 
 @dataclass(frozen=True)
 class Clock:
-    """What decides which pattern a row sees.
+    """What decides which pattern a row sees."""
 
-    Attributes
-    ----------
-    start_s
-        Time of a pair's start by the camera's clock.
-    period_s
-        Pattern period T by the camera's clock.
-    row_s
-        Time from a row of pixels to the next.
-    exposure_s
-        Exposure of each row of pixels.
-    response_s
-        Time constant of the display.
-    """
-
+    # Time of a pair's start by the camera's clock
     start_s: float
+    # Pattern period T by the camera's clock
     period_s: float
+    # Time from a row of pixels to the next
     row_s: float
+    # Exposure of each row of pixels
     exposure_s: float
+    # Time constant of the display
     response_s: float = RESPONSE_S
 
     def pair_at(self, time_s: float) -> float:
-        """Return the number of pairs from the start to a time.
-
-        Parameters
-        ----------
-        time_s
-            Time by the camera's clock.
-        """
+        """Return the number of pairs from the start to a time."""
         return (time_s - self.start_s) / (2 * self.period_s)
 
     def begins(self, pair: float) -> float:
-        """Return the time at which a pair begins.
-
-        Parameters
-        ----------
-        pair
-            Number of the pair.
-        """
+        """Return the time at which a pair begins."""
         return self.start_s + 2 * pair * self.period_s
 
     def design(self, times_s: Floats, pairs: Sequence[int]) -> Floats:
-        """Return q for exposures that begin at some times, (..., pairs).
-
-        Parameters
-        ----------
-        times_s
-            (...) starts of exposures.
-        pairs
-            Numbers of the pairs that are asked for.
-        """
+        """Return q for exposures that begin at some times, (..., pairs)."""
         t = times_s[..., None] - self.start_s - 2 * self.period_s * np.asarray(pairs)
         # q is the second difference of the integral of the step response
         edges = (t, t - self.period_s, t - 2 * self.period_s)
@@ -87,17 +58,7 @@ class Clock:
 
 
 def pairs_between(clock: Clock, first_s: float, last_s: float, late_s: float = 0.0) -> range:
-    """Return the pairs that frames between two times show anything of.
-
-    Parameters
-    ----------
-    clock
-        The light's clock, with response and exposure.
-    first_s, last_s
-        Times of the first and the last frame.
-    late_s
-        By how much the lowest row is later than the first.
-    """
+    """Return the pairs that frames between two times show anything of."""
     first = int(np.floor(clock.pair_at(first_s - 3 * clock.response_s)))
     last = int(np.floor(clock.pair_at(last_s + late_s + clock.exposure_s)))
     return range(first, last + 1)

@@ -48,19 +48,7 @@ alike."""
 
 
 class ClockSearch:
-    """Looks for the light's clock, the more rarely the longer it takes.
-
-    Parameters
-    ----------
-    period_s
-        Pattern period that is said.
-    row_s
-        Time from row to row; None to find it.
-    fixed
-        Whether the pattern period that is said is the only one.
-    budget
-        What the search for a screen may cost.
-    """
+    """Looks for the light's clock, the more rarely the longer it takes."""
 
     def __init__(self, period_s: float, row_s: float | None, fixed: bool, budget: SearchBudget):
         self._period_s, self._row_s, self._budget = period_s, row_s, budget
@@ -74,15 +62,7 @@ class ClockSearch:
         self._next_s = -np.inf
 
     def find(self, kept: Kept, final: bool = False) -> Clock | None:
-        """Return the clock, or None where none explains what is seen, or it is too early to look again.
-
-        Parameters
-        ----------
-        kept
-            What is seen; the way of reading out is set with the clock, and what is too old is dropped.
-        final
-            Whether nothing more comes.
-        """
+        """Return the clock, or None where none explains what is seen, or it is too early to look again."""
         now_s = kept.last.time_s
         length = now_s - kept.first.time_s
         if len(kept) < ENOUGH_FRAMES or ((now_s < self._next_s or not self._budget.lasts) and not final):

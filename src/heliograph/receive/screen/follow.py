@@ -40,38 +40,20 @@ smeared has up to 1.5."""
 
 @dataclass(frozen=True)
 class Sample:
-    """What a frame shows of an array.
+    """What a frame shows of an array."""
 
-    Attributes
-    ----------
-    index
-        Number of the frame.
-    time_s
-        Start of its first row's exposure by the camera's clock.
-    at
-        (n, n, 2) x and y of each cell in px.
-    seen
-        The cells' light, and their place.
-    """
-
+    # Number of the frame
     index: int
+    # Start of its first row's exposure by the camera's clock
     time_s: float
+    # (n, n, 2) x and y of each cell in px
     at: Floats
+    # The cells' light, and their place
     seen: Seen
 
 
 class Follower:
-    """Follows an array.
-
-    Parameters
-    ----------
-    look
-        Finds cells in a frame.
-    place
-        Where the array is in the first frame.
-    firm
-        Whether other places are tried where it may have slipped; False while places are tried anyway.
-    """
+    """Follows an array."""
 
     def __init__(self, look: Look, place: Place, firm: bool = True):
         self._look, self.place, self._firm = look, place, firm
@@ -90,15 +72,7 @@ class Follower:
         return self._look.blur_px
 
     def take(self, frame: Frame, steps: int = 4) -> Sample | None:
-        """Find the array in the next frame; None where it is not seen.
-
-        Parameters
-        ----------
-        frame
-            The next frame of the camera, in the order of time.
-        steps
-            Most steps of its place.
-        """
+        """Find the array in the next frame; None where it is not seen."""
         expected = self.place.moved(FORGOTTEN * self._motion)
         seen = self._seen(frame, expected, steps)
         if seen is not None and float(seen.light.mean()) < DARK * self._bright:

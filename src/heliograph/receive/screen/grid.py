@@ -61,119 +61,60 @@ hundredths of a degree a frame."""
 
 @dataclass(frozen=True)
 class Place:
-    """An array's place in a frame.
+    """An array's place in a frame."""
 
-    Attributes
-    ----------
-    homography
-        (3, 3) map of the array's square, 0 to n in cells, to px.
-    """
-
+    # (3, 3) map of the array's square, 0 to n in cells, to px
     homography: Floats
 
     @classmethod
     def of(cls, corners: Floats, side: int) -> "Place":
-        """Return the place of an array with four corners.
-
-        Parameters
-        ----------
-        corners
-            (4, 2) corners in px, clockwise from the array's first.
-        side
-            Cells in a row, n.
-        """
+        """Return the place of an array with four corners."""
         square = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32)
         found = cv2.getPerspectiveTransform(square, np.asarray(corners, np.float32))
         return cls(np.asarray(found, float))
 
     def at(self, points: Floats) -> Floats:
-        """Return points of the array in px.
-
-        Parameters
-        ----------
-        points
-            (..., 2) x and y in cells from the array's first corner.
-        """
+        """Return points of the array in px."""
         h = self.homography
         out = points @ h[:, :2].T + h[:, 2]
         return out[..., :2] / out[..., 2:]
 
     def corners(self, side: int) -> Floats:
-        """Return the corners in px, (4, 2).
-
-        Parameters
-        ----------
-        side
-            Cells in a row, n.
-        """
+        """Return the corners in px, (4, 2)."""
         return self.at(np.array([[0, 0], [side, 0], [side, side], [0, side]], float))
 
     def moved(self, by: Floats) -> "Place":
-        """Return the place shifted in the frame.
-
-        Parameters
-        ----------
-        by
-            (2,) x and y in px.
-        """
+        """Return the place shifted in the frame."""
         return Place(np.array([[1, 0, by[0]], [0, 1, by[1]], [0, 0, 1]]) @ self.homography)
 
     def scaled(self, across: float, down: float, side: int) -> "Place":
-        """Return the place of an array of another size about the same middle.
-
-        Parameters
-        ----------
-        across, down
-            Its width and height by that of this one.
-        side
-            Cells in a row, n.
-        """
+        """Return the place of an array of another size about the same middle."""
         m = side / 2
         return Place(
             self.homography @ np.array([[across, 0, m * (1 - across)], [0, down, m * (1 - down)], [0, 0, 1.0]])
         )
 
     def shifted(self, right: float, down: float) -> "Place":
-        """Return the place shifted by cells.
-
-        Parameters
-        ----------
-        right, down
-            Cells along the array's rows and columns.
-        """
+        """Return the place shifted by cells."""
         return Place(self.homography @ np.array([[1, 0, right], [0, 1, down], [0, 0, 1.0]]))
 
     def cell_px(self, side: int) -> float:
-        """Return the mean side of a cell in px.
-
-        Parameters
-        ----------
-        side
-            Cells in a row, n.
-        """
+        """Return the mean side of a cell in px."""
         c = self.corners(side)
         return float(np.linalg.norm(np.roll(c, -1, axis=0) - c, axis=1).mean() / side)
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What a frame shows of an array.
+    """What a frame shows of an array."""
 
-    Attributes
-    ----------
-    place
-        Where it was, as least squares found it.
-    cells
-        (n + 2, n + 2) light of its cells, and of the ring around, in full scales.
-    misfit
-        Rms of what the cells do not explain, as a part of the rms of the picture about its mean, or of data's.
-    saturated
-        Part of the array that is at full scale.
-    """
-
+    # Where it was, as least squares found it
     place: Place
+    # (n + 2, n + 2) light of its cells, and of the ring around, in full scales
     cells: Floats
+    # Rms of what the cells do not explain, as a part of the rms of the picture about its mean, or of data's
     misfit: float
+    # Part of the array that is at full scale
     saturated: float
 
     @property
@@ -232,17 +173,7 @@ def light_of(pixels: Pixels, light: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def inside(place: Place, side: int, shape: tuple[int, ...]) -> bool:
-    """Whether all of an array lies in a frame.
-
-    Parameters
-    ----------
-    place
-        Where the array is expected.
-    side
-        Cells in a row, n.
-    shape
-        Rows and columns of the frame.
-    """
+    """Whether all of an array lies in a frame."""
     corners = place.corners(side)
     w = np.array([[0, 0, 1], [side, 0, 1], [side, side, 1], [0, side, 1.0]]) @ place.homography[2]
     size = np.array(shape[::-1])
@@ -250,36 +181,14 @@ def inside(place: Place, side: int, shape: tuple[int, ...]) -> bool:
 
 
 class Look:
-    """Finds an array's cells and place in frames.
-
-    Parameters
-    ----------
-    side
-        Cells in a row, n.
-    blur_px
-        Standard deviation of the blur in px.
-    light
-        (levels,) float32 light in full scales of each gray level: the camera's gamma undone.
-    budget
-        What the search for a screen may cost; None counts for nobody.
-    """
+    """Finds an array's cells and place in frames."""
 
     def __init__(self, side: int, blur_px: float, light: NDArray[np.float32], budget: SearchBudget | None = None):
         self.side, self.blur_px, self.light = side, blur_px, light
         self.budget = budget or SearchBudget()
 
     def __call__(self, pixels: Pixels, place: Place, steps: int = PLACE_STEPS) -> Seen:
-        """Find the cells and the place in a frame.
-
-        Parameters
-        ----------
-        pixels
-            (rows, columns) gray levels.
-        place
-            Where the array is expected, off by less than half a cell.
-        steps
-            Most steps of the place; 0 takes it as it is.
-        """
+        """Find the cells and the place in a frame."""
         side = self.side
         part, there = self._around(pixels, place)
         # a pixel's box, bilinear samples and the lens together

@@ -19,39 +19,22 @@ TIES = 0.03
 
 @dataclass(frozen=True)
 class HeaderSeen:
-    """A header among pairs.
+    """A header among pairs."""
 
-    Attributes
-    ----------
-    place
-        Number of its first pair among those solved.
-    identity
-        Number of the array, 0 to 29.
-    orientation
-        How the camera sees it.
-    score
-        Correlation with the header, 0 to 1.
-    form
-        Number of the format, 0 to 2047; 0 where the header has one pair.
-    """
-
+    # Number of its first pair among those solved
     place: int
+    # Number of the array, 0 to 29
     identity: int
+    # How the camera sees it
     orientation: Orientation
+    # Correlation with the header, 0 to 1
     score: float
+    # Number of the format, 0 to 2047; 0 where the header has one pair
     form: int = 0
 
 
 def headers(change: Floats, pairs: int) -> list[HeaderSeen]:
-    """Find headers among pairs, the surest first.
-
-    Parameters
-    ----------
-    change
-        (pairs, n, n) differences of pattern and inverse as the camera sees the array, in any unit.
-    pairs
-        Pairs of a header, N_h.
-    """
+    """Find headers among pairs, the surest first."""
     n = change.shape[-1]
     centred = change / np.maximum(np.linalg.norm(change, axis=(1, 2), keepdims=True), TINY)
     cells = centred.reshape(-1, CELLS, n // CELLS, CELLS, n // CELLS).mean((2, 4)) * n
@@ -73,17 +56,7 @@ def headers(change: Floats, pairs: int) -> list[HeaderSeen]:
 
 
 def named_format(header: HeaderSeen, change: Floats, pairs: int) -> int:
-    """Return the number of the format that a header names, 0 to 2047.
-
-    Parameters
-    ----------
-    header
-        The header, with its place among the pairs.
-    change
-        (pairs, n, n) as for `headers`.
-    pairs
-        Pairs of a header, N_h.
-    """
+    """Return the number of the format that a header names, 0 to 2047."""
     if pairs < 2:
         return 0
     n = change.shape[-1]

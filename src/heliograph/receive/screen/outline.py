@@ -43,13 +43,7 @@ AGREES = 2.0
 
 
 def reduced(pixels: Pixels32) -> tuple[Pixels32, int]:
-    """Return a frame reduced for the search, and by what factor.
-
-    Parameters
-    ----------
-    pixels
-        (rows, columns) gray levels.
-    """
+    """Return a frame reduced for the search, and by what factor."""
     factor = max(1, -(-pixels.shape[1] // COARSE_PX))
     size = (pixels.shape[1] // factor, pixels.shape[0] // factor)
     cut = pixels[: size[1] * factor, : size[0] * factor]
@@ -57,17 +51,7 @@ def reduced(pixels: Pixels32) -> tuple[Pixels32, int]:
 
 
 def changing(frames: Sequence[Pixels32]) -> Pixels32:
-    """Return how much each pixel changes from frame to frame: an array again and again, an edge that moves but once.
-
-    Parameters
-    ----------
-    frames
-        Light of frames in full scales, (rows, columns) each, two or more.
-
-    Returns
-    -------
-    (rows, columns) mean change in thousandths of full scale, less the noise.
-    """
+    """Return how much each pixel changes from frame to frame: an array again and again, an edge that moves but once."""
     total = np.zeros_like(frames[0])
     for one, next_one in pairwise(frames):
         total += cv2.absdiff(next_one, one)
@@ -76,19 +60,7 @@ def changing(frames: Sequence[Pixels32]) -> Pixels32:
 
 
 def quadrilaterals(changes: Pixels32, factor: int) -> list[Floats]:
-    """Find areas that change, the strongest first.
-
-    Parameters
-    ----------
-    changes
-        (rows, columns) change of reduced frames, of `changing`.
-    factor
-        By what they are reduced.
-
-    Returns
-    -------
-    Corners (4, 2) in px of the frame, clockwise, the upper left one first.
-    """
+    """Find areas that change, the strongest first."""
     top = float(changes.max())
     if top < LEAST_CHANGE:
         return []
@@ -142,17 +114,7 @@ def _ordered(corners: Floats) -> Floats:
 
 
 def sharpened(changes: Pixels32, corners: Floats, factor: int) -> Floats:
-    """Return corners as the edges of an area show them where frames are not reduced.
-
-    Parameters
-    ----------
-    changes
-        (rows, columns) change of frames, of `changing`.
-    corners
-        (4, 2) corners in px, clockwise.
-    factor
-        By what the frames were reduced in which they were found.
-    """
+    """Return corners as the edges of an area show them where frames are not reduced."""
     reach = EDGE_REACH * factor + 1
     for _ in range(3):
         lines = [_edge(changes, corners[k], corners[(k + 1) % FOUR], corners.mean(0), reach) for k in range(FOUR)]

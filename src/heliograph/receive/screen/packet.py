@@ -28,33 +28,22 @@ OUTLIER = 4.0
 
 @dataclass(frozen=True)
 class ReadPacket:
-    """A packet as it was read.
+    """A packet as it was read."""
 
-    Attributes
-    ----------
-    header
-        Its header, of score 0 where it was not seen.
-    form
-        The format that it names.
-    reason
-        Why nothing was read, empty otherwise.
-    words
-        Codewords by layer, empty where nothing was read.
-    start_s, end_s
-        Times between which it was shown, by the camera's clock.
-    change
-        (pairs, n, n) differences of its data pairs, upright.
-    seen
-        (pairs,) whether a data pair was seen.
-    """
-
+    # Its header, of score 0 where it was not seen
     header: HeaderSeen
+    # The format that it names
     form: Format
+    # Why nothing was read, empty otherwise
     reason: str
+    # Codewords by layer, empty where nothing was read
     words: Words
+    # start_s, end_s: times between which it was shown, by the camera's clock
     start_s: float
     end_s: float
+    # (pairs, n, n) differences of its data pairs, upright
     change: Floats
+    # (pairs,) whether a data pair was seen
     seen: Floats
 
     @property
@@ -64,15 +53,7 @@ class ReadPacket:
 
 
 def solved_evenly(samples: Samples, clock: Clock) -> Solved:
-    """Solve pairs with the gain of each row, and without frames that do not fit.
-
-    Parameters
-    ----------
-    samples
-        What is seen, the camera's slow gain taken out.
-    clock
-        The light's clock, as `timing.refined` gives it.
-    """
+    """Solve pairs with the gain of each row, and without frames that do not fit."""
     found = solved(samples, clock)
     for _ in range(GAIN_STEPS):
         fitted = samples.light - found.left
@@ -97,27 +78,7 @@ def _contrast_gain(light: Floats, fitted: Floats) -> Floats:
 def decoded(
     header: HeaderSeen, form: Format, found: Solved, clock: Clock, signal: SignalSettings, options: Decoding
 ) -> ReadPacket:
-    """Decode a packet.
-
-    Parameters
-    ----------
-    header
-        Its header, with its place among the pairs.
-    form
-        Mode and rates that its header names.
-    found
-        Pairs of the packet and some beside, as `solved_evenly` gives them.
-    clock
-        The clock by which they were solved.
-    signal
-        The light's signal, with the packet's number of data pairs.
-    options
-        How codewords are decoded.
-
-    Returns
-    -------
-    The packet; with a reason and no codewords where its format cannot be read.
-    """
+    """Decode a packet."""
     pairs, n = signal.data_pairs, signal.side
     first = header.place + signal.header_pairs
     there = found.change[first : first + pairs] / np.maximum(found.light, 0.05)

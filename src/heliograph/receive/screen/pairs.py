@@ -11,41 +11,22 @@ from heliograph.receive.screen.samples import BINS, PAIR_LOADING, Samples
 
 @dataclass(frozen=True)
 class Solved:
-    """Pairs of patterns as least squares give them.
+    """Pairs of patterns as least squares give them."""
 
-    Attributes
-    ----------
-    pairs
-        Numbers of the pairs.
-    change
-        (pairs, n, n) d in the light's unit.
-    variance
-        (pairs, n, n) variance of d by that of one sample.
-    light
-        (n, n) mean light c of each cell.
-    left
-        (frames, n, n) what is not explained.
-    """
-
+    # Numbers of the pairs
     pairs: range
+    # (pairs, n, n) d in the light's unit
     change: Floats
+    # (pairs, n, n) variance of d by that of one sample
     variance: Floats
+    # (n, n) mean light c of each cell
     light: Floats
+    # (frames, n, n) what is not explained
     left: Floats
 
 
 def solved(samples: Samples, clock: Clock, weights: Floats | None = None) -> Solved:
-    """Solve the pairs of all cells.
-
-    Parameters
-    ----------
-    samples
-        What is seen, the camera's gain taken out.
-    clock
-        The light's clock, as `refined` gives it.
-    weights
-        (frames,) how far each frame is trusted, 0 to 1; None for all alike.
-    """
+    """Solve the pairs of all cells."""
     frames, n = len(samples.times_s), samples.light.shape[-1]
     late = clock.row_s * float(samples.rows.max())
     pairs = pairs_between(clock, float(samples.times_s[0]), float(samples.times_s[-1]), late)

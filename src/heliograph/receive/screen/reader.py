@@ -32,59 +32,28 @@ FEWEST_LOST = 2
 
 @dataclass(frozen=True)
 class Coming:
-    """The packet that is being shown.
+    """The packet that is being shown."""
 
-    Attributes
-    ----------
-    header
-        Its header, or that of the packet before where its own was not seen.
-    start_s
-        Time at which it begins.
-    period_s
-        Pattern period T by the camera's clock.
-    late_s
-        By how much the middle of the array's exposure comes after a frame's time.
-    header_pairs, data_pairs
-        How many pairs its header and its data have.
-    """
-
+    # Its header, or that of the packet before where its own was not seen
     header: HeaderSeen
+    # Time at which it begins
     start_s: float
+    # Pattern period T by the camera's clock
     period_s: float
+    # By how much the middle of the array's exposure comes after a frame's time
     late_s: float
+    # header_pairs, data_pairs: how many pairs its header and its data have
     header_pairs: int
     data_pairs: int
 
     def times_s(self, pair: int) -> tuple[float, float]:
-        """Return the times of the frames that show best the two patterns of a data pair.
-
-        Parameters
-        ----------
-        pair
-            Number of the pair, 0 for the first after the header.
-        """
+        """Return the times of the frames that show best the two patterns of a data pair."""
         first = self.start_s + 2 * (self.header_pairs + pair) * self.period_s - self.late_s
         return first + 0.5 * self.period_s, first + 1.5 * self.period_s
 
 
 class PacketReading:
-    """Reads packets from samples as they come.
-
-    Parameters
-    ----------
-    signal
-        The light's signal; its period and number of data pairs are first guesses alone.
-    options
-        How codewords are decoded.
-    frame_s
-        Frame period in s.
-    shape
-        Rows and columns of a frame.
-    screen
-        Whether the time from row to row is known, and whether other pattern rates are tried.
-    budget
-        What the search for a screen may cost.
-    """
+    """Reads packets from samples as they come."""
 
     def __init__(
         self,
@@ -129,13 +98,7 @@ class PacketReading:
         return Coming(self._begun, self._next, self._clock.period_s, late, head, data)
 
     def take(self, sample: Sample) -> Iterator[ReadPacket]:
-        """Take what the next frame shows; yield the packets that it completes.
-
-        Parameters
-        ----------
-        sample
-            What it shows; frames come in the order of time.
-        """
+        """Take what the next frame shows; yield the packets that it completes."""
         self._kept.take(sample)
         if self._clock is None:
             self._clock = self._search.find(self._kept)
@@ -148,13 +111,7 @@ class PacketReading:
         yield from self._read(self._kept.last.time_s, final=True)
 
     def shown(self, packet: ReadPacket) -> list[Sample]:
-        """Return the samples that show a packet, or the last one where none does.
-
-        Parameters
-        ----------
-        packet
-            The packet that was just yielded.
-        """
+        """Return the samples that show a packet, or the last one where none does."""
         return self._kept.between(packet.start_s, packet.end_s) or [self._kept.last]
 
     def _read(self, now_s: float, final: bool = False) -> Iterator[ReadPacket]:

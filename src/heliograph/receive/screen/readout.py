@@ -17,53 +17,23 @@ of the data: of 16 x 16 cells these differ by 0.03 rms, of 8 x 8 by 0.06."""
 
 @dataclass(frozen=True)
 class Readout:
-    """The way in which a frame is read out, as pictures that are turned upright show it.
+    """The way in which a frame is read out, as pictures that are turned upright show it."""
 
-    Attributes
-    ----------
-    axis
-        0 where columns are read one after the other, 1 where rows are.
-    back
-        Whether the last one is read first.
-    length
-        Columns or rows of a frame.
-    """
-
+    # 0 where columns are read one after the other, 1 where rows are
     axis: int
+    # Whether the last one is read first
     back: bool
+    # Columns or rows of a frame
     length: int
 
     def rows(self, at: Floats) -> Floats:
-        """Return how many rows of the sensor are read before some places.
-
-        Parameters
-        ----------
-        at
-            (..., 2) x and y in px.
-        """
+        """Return how many rows of the sensor are read before some places."""
         row = at[..., self.axis]
         return self.length - 1 - row if self.back else row
 
 
 class Kept:
-    """Samples of an array that are kept.
-
-    Parameters
-    ----------
-    shape
-        Rows and columns of a frame.
-    frame_s
-        Frame period in s.
-
-    Attributes
-    ----------
-    readout
-        The way in which frames are read out, the usual one until another is set.
-    readouts
-        All ways, the usual one first.
-    frame_s
-        Frame period in s.
-    """
+    """Samples of an array that are kept."""
 
     def __init__(self, shape: tuple[int, ...], frame_s: float):
         self.readouts = [Readout(axis, back, shape[1 - axis]) for axis in (1, 0) for back in (False, True)]
@@ -85,44 +55,20 @@ class Kept:
         return self._samples[-1]
 
     def take(self, sample: Sample) -> None:
-        """Keep a sample.
-
-        Parameters
-        ----------
-        sample
-            What the next frame shows.
-        """
+        """Keep a sample."""
         self._samples.append(sample)
 
     def drop_before(self, time_s: float) -> None:
-        """Forget samples before a time, but for the last one.
-
-        Parameters
-        ----------
-        time_s
-            The time by the camera's clock.
-        """
+        """Forget samples before a time, but for the last one."""
         while len(self._samples) > 1 and self._samples[0].time_s < time_s:
             self._samples.popleft()
 
     def between(self, start_s: float, end_s: float) -> list[Sample]:
-        """Return the samples between two times.
-
-        Parameters
-        ----------
-        start_s, end_s
-            First and last time.
-        """
+        """Return the samples between two times."""
         return [one for one in self._samples if start_s <= one.time_s <= end_s]
 
     def gathered(self, start_s: float, end_s: float) -> Samples:
-        """Return the light and the rows of cells between two times.
-
-        Parameters
-        ----------
-        start_s, end_s
-            First and last time, between which there is a sample.
-        """
+        """Return the light and the rows of cells between two times."""
         kept = self.between(start_s, end_s)
         return Samples(
             np.array([one.time_s for one in kept]),
@@ -132,15 +78,7 @@ class Kept:
         )
 
     def evened(self, start_s: float, end_s: float, clock: Clock) -> Samples:
-        """Return the same without the camera's gain, which is even over a pair.
-
-        Parameters
-        ----------
-        start_s, end_s
-            First and last time, between which there is a sample.
-        clock
-            The light's clock, of which the period counts.
-        """
+        """Return the same without the camera's gain, which is even over a pair."""
         samples = self.gathered(start_s, end_s)
         mean, t = samples.light.mean((1, 2)), samples.times_s
         near = np.clip(1.0 + 0.5 * self.frame_s / clock.period_s - np.abs(t[:, None] - t) / clock.period_s, 0, None)

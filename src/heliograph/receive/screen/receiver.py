@@ -37,22 +37,7 @@ PERIODS = 64
 
 
 def screen_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> "ScreenReceiver":
-    """Make the receiver "screen".
-
-    Parameters
-    ----------
-    signal
-        Settings of the light's signal, on which both ends agree; the pattern rate is a first guess alone.
-    settings
-        Settings of the receiver: those of the decoder, of calibration and of "screen" count.
-    observe
-        Gets the events of arrays found and lost, and of packets decoded.
-
-    Raises
-    ------
-    SettingsError
-        The light does not use the hierarchical code, or its headers have no M-sequence.
-    """
+    """Make the receiver "screen"."""
     if signal.modulation != "haar" or signal.header != "m_sequence":
         raise SettingsError('the receiver screen reads signal.modulation = "haar" with signal.header = "m_sequence"')
     return ScreenReceiver(signal, settings, observe)
@@ -60,37 +45,22 @@ def screen_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: 
 
 @dataclass(frozen=True)
 class Sight:
-    """What a receiver sees of the array that it follows, for those who ask why nothing is read.
+    """What a receiver sees of the array that it follows, for those who ask why nothing is read."""
 
-    Attributes
-    ----------
-    cell_px
-        Mean side of a cell in px.
-    blur_px
-        Standard deviation of the blur in px by which the cells fit best.
-    misfit
-        Rms of what the cells do not explain, as a part of the picture's contrast.
-    saturated
-        Part of the array that is at full scale.
-    clocked
-        Whether the light's clock is known.
-    """
-
+    # Mean side of a cell in px
     cell_px: float
+    # Standard deviation of the blur in px by which the cells fit best
     blur_px: float
+    # Rms of what the cells do not explain, as a part of the picture's contrast
     misfit: float
+    # Part of the array that is at full scale
     saturated: float
+    # Whether the light's clock is known
     clocked: bool
 
 
 class ScreenReceiver:
-    """Finds the array of a screen in a stream of frames and yields its packets; see `packets.Receiver`.
-
-    Parameters
-    ----------
-    signal, settings, observe
-        The light's signal, settings of the receiver and an observer, as of `screen_receiver`.
-    """
+    """Finds the array of a screen in a stream of frames and yields its packets; see `packets.Receiver`."""
 
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Observer):
         self._signal, self._settings, self._observe = signal, settings, observe
@@ -106,13 +76,7 @@ class ScreenReceiver:
         self._periods: deque[float] = deque(maxlen=PERIODS)
 
     def push(self, frame: Frame) -> Iterator[Packet]:
-        """Take the next frame; yield the packets it completes; see `Receiver`.
-
-        Raises
-        ------
-        HeliographError
-            It is no frame, or one of another camera than the last; or it does not follow the last one in time.
-        """
+        """Take the next frame; yield the packets it completes; see `Receiver`."""
         return in_one_thread(self._checked(frame))
 
     def finish(self) -> Iterator[Packet]:

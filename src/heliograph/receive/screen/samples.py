@@ -22,44 +22,24 @@ noise."""
 
 @dataclass(frozen=True)
 class Samples:
-    """Light of an array's cells in some frames.
+    """Light of an array's cells in some frames."""
 
-    Attributes
-    ----------
-    times_s
-        (frames,) starts of the exposures of row 0, by the camera's clock.
-    rows
-        (frames, n, n) row of pixels of each cell.
-    light
-        (frames, n, n) light in any unit, linear.
-    weights
-        (frames,) inverse variance of the light, in any unit.
-    """
-
+    # (frames,) starts of the exposures of row 0, by the camera's clock
     times_s: Floats
+    # (frames, n, n) row of pixels of each cell
     rows: Floats
+    # (frames, n, n) light in any unit, linear
     light: Floats
+    # (frames,) inverse variance of the light, in any unit
     weights: Floats
 
     def between(self, start_s: float, end_s: float) -> "Samples":
-        """Return those of frames between two times.
-
-        Parameters
-        ----------
-        start_s, end_s
-            First and last time.
-        """
+        """Return those of frames between two times."""
         kept = (self.times_s >= start_s) & (self.times_s <= end_s)
         return Samples(self.times_s[kept], self.rows[kept], self.light[kept], self.weights[kept])
 
     def evened(self, gains: Floats) -> "Samples":
-        """Return the same without the camera's gain.
-
-        Parameters
-        ----------
-        gains
-            (frames,) or (frames, n, n) gain.
-        """
+        """Return the same without the camera's gain."""
         whole = np.maximum(gains if gains.ndim == 1 else gains.mean((1, 2)), TINY)
         # what is divided by a small gain is noisy
         weights = self.weights * np.clip(whole / np.median(whole), 0, 1) ** 2
@@ -68,15 +48,7 @@ class Samples:
 
 
 class Bins:
-    """Samples by groups of rows of pixels, for the search of a clock.
-
-    Parameters
-    ----------
-    samples
-        What is seen, the camera's gain taken out.
-    budget
-        What the search for a screen may cost; None counts for nobody.
-    """
+    """Samples by groups of rows of pixels, for the search of a clock."""
 
     def __init__(self, samples: Samples, budget: SearchBudget | None = None):
         self._budget = budget or SearchBudget()
@@ -94,13 +66,7 @@ class Bins:
         self.power = float(np.trace(self.gram, axis1=1, axis2=2).sum())
 
     def unexplained(self, clock: Clock) -> float:
-        """Return the variance that a clock's pairs leave, as a part of all.
-
-        Parameters
-        ----------
-        clock
-            The clock to be judged.
-        """
+        """Return the variance that a clock's pairs leave, as a part of all."""
         frames = len(self.times_s)
         pairs = pairs_between(
             clock, float(self.times_s[0]), float(self.times_s[-1]), clock.row_s * float(self.rows.max())

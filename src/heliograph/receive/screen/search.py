@@ -63,51 +63,28 @@ SETTLING = 10
 
 @dataclass(frozen=True)
 class Taken:
-    """An array that was found.
+    """An array that was found."""
 
-    Attributes
-    ----------
-    follower
-        Follows it from the next frame on.
-    seen
-        The frames that were kept, each with what it shows, None for nothing; in the order of time.
-    """
-
+    # Follows it from the next frame on
     follower: Follower
+    # The frames that were kept, each with what it shows, None for nothing; in the order of time
     seen: list[tuple[Frame, Sample | None]]
 
 
 @dataclass(frozen=True)
 class Placed:
-    """What may be an array.
+    """What may be an array."""
 
-    Attributes
-    ----------
-    score
-        How badly its cells fit, and how much its ring changes.
-    place
-        Where it is in the latest frames but a few.
-    look
-        Finds it, by the blur that fits best.
-    """
-
+    # How badly its cells fit, and how much its ring changes
     score: float
+    # Where it is in the latest frames but a few
     place: Place
+    # Finds it, by the blur that fits best
     look: Look
 
 
 class ArraySearch:
-    """Looks for an array.
-
-    Parameters
-    ----------
-    side
-        Cells in a row, n.
-    gamma
-        Exponent of light by gray level that is undone.
-    budget
-        What the search may cost; None for one of its own.
-    """
+    """Looks for an array."""
 
     def __init__(self, side: int, gamma: float, budget: SearchBudget | None = None):
         self._side, self._gamma, self._budget = side, gamma, budget or SearchBudget()
@@ -123,13 +100,7 @@ class ArraySearch:
         self._since = 0
 
     def take(self, frame: Frame) -> Taken | None:
-        """Keep a frame; return the array if it is time to look for one, and it is found.
-
-        Parameters
-        ----------
-        frame
-            The next frame of the camera, in the order of time.
-        """
+        """Keep a frame; return the array if it is time to look for one, and it is found."""
         self._frames.append(frame)
         small, self._factor = reduced(self._linear(frame))
         self._small.append(small)
@@ -252,13 +223,7 @@ def _motion(place: Place, side: int, factor: int) -> tuple[float, float]:
 
 
 def rim_shift(cells: Floats) -> tuple[int, int]:
-    """Return by how many cells, right and down, an array lies beside where it is taken for.
-
-    Parameters
-    ----------
-    cells
-        (frames, n + 2, n + 2) light of the cells and the ring around them.
-    """
+    """Return by how many cells, right and down, an array lies beside where it is taken for."""
     change = cells.std(axis=0)
     typical = float(np.median(change[RIM_CELLS:-RIM_CELLS, RIM_CELLS:-RIM_CELLS]))
     inner = slice(RIM_CELLS, -RIM_CELLS)

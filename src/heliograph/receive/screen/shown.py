@@ -40,15 +40,7 @@ class _Shown:
 
 
 class Telling:
-    """Tells an observer of one array that is followed.
-
-    Parameters
-    ----------
-    signal
-        The light's signal, of which the cells in a row count.
-    observe
-        Gets the events of finding, following, taking pairs and losing.
-    """
+    """Tells an observer of one array that is followed."""
 
     def __init__(self, signal: SignalSettings, observe: Observer):
         self._signal, self._observe = signal, observe
@@ -60,17 +52,7 @@ class Telling:
         self._told = 0
 
     def sees(self, frame: Frame, sample: Sample | None, coming: Coming | None) -> None:
-        """Tell what a frame shows.
-
-        Parameters
-        ----------
-        frame
-            The next frame of the camera, in the order of time.
-        sample
-            What it shows of the array; None where the array is not seen.
-        coming
-            The packet that is coming, as far as it is known.
-        """
+        """Tell what a frame shows."""
         if sample is not None:
             self._keep(frame, sample)
         self._last = frame
@@ -81,15 +63,7 @@ class Telling:
             self._followed(frame, sample is not None)
 
     def named(self, header: HeaderSeen, start_s: float) -> None:
-        """Tell that a header is seen, where it is another array's than before.
-
-        Parameters
-        ----------
-        header
-            What was read of it, identity and orientation.
-        start_s
-            Time at which its first pattern began.
-        """
+        """Tell that a header is seen, where it is another array's than before."""
         if header.identity == self._identity or not self._windows or self._last is None:
             return
         self.lost(self._last.time_s)
@@ -101,13 +75,7 @@ class Telling:
         self._identity = header.identity
 
     def lost(self, time_s: float) -> None:
-        """Tell that the array is lost, if it was told of.
-
-        Parameters
-        ----------
-        time_s
-            When it was seen last.
-        """
+        """Tell that the array is lost, if it was told of."""
         if self._identity is not None:
             self._observe(LostEvent(self._identity, time_s))
         self._identity = self._track = None
@@ -155,15 +123,7 @@ class Telling:
 
 
 def pose_of(place: Place, side: int) -> Pose:
-    """Return the affine pose at an array's middle.
-
-    Parameters
-    ----------
-    place
-        Where the array is.
-    side
-        Cells in a row, n.
-    """
+    """Return the affine pose at an array's middle."""
     middle = np.array([side / 2, side / 2])
     x, y = place.at(middle)
     right, down = (place.at(middle + d) - place.at(middle - d) for d in np.eye(2) / 2)

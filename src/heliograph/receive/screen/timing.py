@@ -53,27 +53,7 @@ def searched(
     row_s: float | None,
     budget: SearchBudget | None = None,
 ) -> list[tuple[float, Clock]]:
-    """Find clocks that explain what is seen, the best first.
-
-    Parameters
-    ----------
-    samples
-        What is seen, the camera's gain taken out.
-    periods
-        Pattern periods in question in s.
-    frame_s
-        Frame period in s.
-    height
-        Rows of a frame.
-    row_s
-        Time from row to row where it is known; None to find it.
-    budget
-        What the search for a screen may cost; None counts for nobody.
-
-    Returns
-    -------
-    Some clocks with what they leave unexplained, refined; none where a film could show none of the periods.
-    """
+    """Find clocks that explain what is seen, the best first."""
     bins = Bins(samples, budget)
     readouts = [r for r in READOUTS_S if r <= LONGEST_READOUT * frame_s * 1.01] or [0.0]
     rows = [r / height for r in readouts] if row_s is None else [row_s]
@@ -124,27 +104,7 @@ def _begun(
 def refined(
     bins: Bins, clock: Clock, frame_s: float, height: int, row_s: float | None, steps: int = 120
 ) -> tuple[float, Clock]:
-    """Improve a clock by what it leaves unexplained.
-
-    Parameters
-    ----------
-    bins
-        What is seen, by groups of rows.
-    clock
-        Clock to begin with.
-    frame_s
-        Frame period in s.
-    height
-        Rows of a frame.
-    row_s
-        Time from row to row where it is known; None to find it.
-    steps
-        Most evaluations of a clock.
-
-    Returns
-    -------
-    What it leaves unexplained, and the clock.
-    """
+    """Improve a clock by what it leaves unexplained."""
     from scipy.optimize import minimize
 
     middle = float(bins.times_s.mean())

@@ -50,24 +50,13 @@ A jitter of 20 % leaves the lower quartile at 0.81 of the median; half of the me
 
 
 class FrameClock(Protocol):
-    """Passes frames on with their times.
+    """Passes frames on with their times."""
 
-    Attributes
-    ----------
-    period_s
-        Frame period in seconds; 0 until it is known.
-    """
-
+    # Frame period in seconds; 0 until it is known
     period_s: float
 
     def push(self, frame: Frame) -> Iterator[Frame]:
-        """Take the next frame; yield those whose times are known by now.
-
-        Parameters
-        ----------
-        frame
-            Next frame of the film, with the time that the camera stamped on it.
-        """
+        """Take the next frame; yield those whose times are known by now."""
 
     def flush(self) -> Iterator[Frame]:
         """Yield the frames held back, as there will be no more."""
@@ -77,16 +66,6 @@ class SteppedClock:
     """Clock of a camera that takes one frame per pattern; it passes frames on as they are and checks their rate.
 
     A frame with the very pixels of the one before is a copy and is left out.
-
-    Parameters
-    ----------
-    pattern_period_s
-        T_b, the light's pattern period, in seconds.
-
-    Attributes
-    ----------
-    period_s
-        Frame period in seconds, the light's T_b.
     """
 
     def __init__(self, pattern_period_s: float):
@@ -95,13 +74,7 @@ class SteppedClock:
         self._gaps: list[tuple[float, int]] = []
 
     def push(self, frame: Frame) -> Iterator[Frame]:
-        """Check and pass on the next frame; see `FrameClock`.
-
-        Raises
-        ------
-        HeliographError
-            The frame comes before the last one, or the camera's rate is not the light's.
-        """
+        """Check and pass on the next frame; see `FrameClock`."""
         if self._last is not None:
             if _copied(self._last, frame):
                 return
@@ -113,13 +86,7 @@ class SteppedClock:
         yield frame
 
     def flush(self) -> Iterator[Frame]:
-        """No frame is held back.
-
-        Raises
-        ------
-        HeliographError
-            The camera's rate is not the light's.
-        """
+        """No frame is held back."""
         self._check_rate()
         yield from ()
 
@@ -152,11 +119,6 @@ class CameraClock:
     Stamps are inexact readings of a clock that ticks once per frame. A Kalman filter follows time and period. Its step
     is one frame or, where a stamp is late by more than `MISSING` periods, one more for each missing frame. A frame with
     the very pixels of the one before is a copy and is left out.
-
-    Attributes
-    ----------
-    period_s
-        Frame period in seconds; 0 until it is known.
     """
 
     def __init__(self) -> None:
@@ -168,13 +130,7 @@ class CameraClock:
         self._last: Frame | None = None
 
     def push(self, frame: Frame) -> Iterator[Frame]:
-        """Take the next frame; yield those whose times are known by now; see `FrameClock`.
-
-        Raises
-        ------
-        HeliographError
-            The frame comes before the last one.
-        """
+        """Take the next frame; yield those whose times are known by now; see `FrameClock`."""
         if self._last is not None:
             if _copied(self._last, frame):
                 return
@@ -231,17 +187,7 @@ class CameraClock:
 
 
 def frame_period(gaps: NDArray[np.float64]) -> float:
-    """Frame period by the times between frames, of which up to three quarters may hold missing ones.
-
-    Parameters
-    ----------
-    gaps
-        (k,) times between successive frames in seconds, above 0; one at least.
-
-    Returns
-    -------
-    The median of those that are of one period, in seconds.
-    """
+    """Frame period by the times between frames, of which up to three quarters may hold missing ones."""
     median = float(np.median(gaps))
     short = gaps[gaps < SHORT * median]
     return float(np.median(short)) if len(short) >= len(gaps) / 4 else median

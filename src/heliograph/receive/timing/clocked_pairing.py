@@ -64,27 +64,7 @@ hard shake moves that far in five patterns (`START_RATES`). Half and twice of it
 
 
 class ClockedPairing:
-    """Pairs of a camera of any timing, by the light's own clock.
-
-    Parameters
-    ----------
-    start_s
-        When the header began, in seconds, as the detection has it.
-    time_s
-        Time of the detection's pose in seconds.
-    pose
-        Pose of the array at that time.
-    identity
-        Number of the array, 0 to 29.
-    led_gains
-        (n, n) gains of its LEDs, 0 to 1; 0 in cells that were hidden at the detection.
-    signal
-        The light's signal: side of the array, pattern period, order of slots, and patterns of a packet and its header.
-    exposure_s
-        The camera's exposure in seconds where it is known, else None.
-    drift
-        Motion of the array's image along x and y at the detection, in px per second.
-    """
+    """Pairs of a camera of any timing, by the light's own clock."""
 
     def __init__(
         self,

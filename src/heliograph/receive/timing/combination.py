@@ -61,36 +61,24 @@ _EDGES = np.arange(-PAIR, 2 * PAIR + 1) / SLOTS
 
 @dataclass(frozen=True)
 class Combination:
-    """How frames combine to a pair.
+    """How frames combine to a pair."""
 
-    Attributes
-    ----------
-    frames
-        (k,) numbers of the frames, in the order given.
-    difference
-        (k,) weights of the difference: positive ones make the pattern, negative ones its inverse; each sum to about 1.
-    total
-        (k,) weights of the sum, in which the array is lit most evenly and as brightly as with all LEDs on.
-    slots
-        (3, 4) light of each on_j in the difference: of the pair before, of this one, of the next.
-    levels
-        Mean light in the combined pattern and in its inverse for random data; 1/2 each in step.
-    sum_time
-        Mean time of the sum's light, in T_b from the start of the pair.
-    data_times
-        Mean times of the data's light in pattern and inverse, likewise.
-    dimmed
-        Of a header, what the difference shows of a cell that is dimmed to signal a format: contrast and light, 1/2 and
-        0 in step.
-    """
-
+    # (k,) numbers of the frames, in the order given
     frames: NDArray[np.intp]
+    # (k,) weights of the difference: positive ones make the pattern, negative ones its inverse; each sum to about 1
     difference: Floats
+    # (k,) weights of the sum, in which the array is lit most evenly and as brightly as with all LEDs on
     total: Floats
+    # (3, 4) light of each on_j in the difference: of the pair before, of this one, of the next
     slots: Floats
+    # Mean light in the combined pattern and in its inverse for random data; 1/2 each in step
     levels: tuple[float, float]
+    # Mean time of the sum's light, in T_b from the start of the pair
     sum_time: float
+    # Mean times of the data's light in pattern and inverse, likewise
     data_times: tuple[float, float]
+    # Of a header, what the difference shows of a cell that is dimmed to signal a format: contrast and light, 1/2 and 0
+    # in step
     dimmed: tuple[float, float] = (DIMMED, 0.0)
 
     @property
@@ -127,14 +115,9 @@ class Combination:
 
 @dataclass(frozen=True)
 class SlotLight:
-    """Light in each PWM slot of a pattern, in the order of time.
+    """Light in each PWM slot of a pattern, in the order of time."""
 
-    Attributes
-    ----------
-    order
-        Order in which the slots of a pattern are lit as the level rises.
-    """
-
+    # Order in which the slots of a pattern are lit as the level rises
     order: tuple[int, ...]
 
     @cached_property
@@ -168,21 +151,7 @@ class SlotLight:
 
 
 def combine_pair(starts: Floats, exposure: float, light: SlotLight) -> Combination | None:
-    """Combine frames for a pair of data.
-
-    Parameters
-    ----------
-    starts
-        (frames,) starts of the exposures in T_b from the start of the pair.
-    exposure
-        Their length in T_b, above 0.
-    light
-        Light in the slots of a pattern, in the order of time.
-
-    Returns
-    -------
-    Combination, or None where the frames show nothing of the pair.
-    """
+    """Combine frames for a pair of data."""
     overlap, middle = _overlaps(starts, exposure)
     shown = np.einsum("fj,jqr->fqr", overlap, light.shows)
     slope = shown[:, 1] @ partial_exposure.SLOPES
@@ -212,23 +181,7 @@ def combine_pair(starts: Floats, exposure: float, light: SlotLight) -> Combinati
 
 
 def combine_header(starts: Floats, exposure: float, shown: Floats, dimmed: tuple[Floats, Floats]) -> Combination | None:
-    """Combine frames of a header alone: their sum is free of it, their difference shows it as in step.
-
-    Parameters
-    ----------
-    starts
-        (frames,) starts of the exposures in T_b from the start of the header.
-    exposure
-        Their length in T_b, above 0.
-    shown
-        (frames,) how much of the header less its inverse each frame shows, -1 to 1.
-    dimmed
-        The same of cells that are dimmed to signal a format, and their mean light, (frames,) each.
-
-    Returns
-    -------
-    Combination, or None where the frames do not show the header.
-    """
+    """Combine frames of a header alone: their sum is free of it, their difference shows it as in step."""
     about = shown - shown.mean() if len(shown) else shown
     energy = float(about @ about)
     if energy < LEAST_HEADER**2:

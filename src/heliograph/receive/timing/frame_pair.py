@@ -23,26 +23,17 @@ PoseAt = Callable[[float], Pose]
 
 @dataclass(frozen=True, slots=True)
 class CombinedFrame:
-    """Frames combined to a pattern or to an inverse, about one array.
+    """Frames combined to a pattern or to an inverse, about one array."""
 
-    Attributes
-    ----------
-    index
-        Number of the first or the last camera frame in it.
-    time_s
-        Half a pattern before the mean time of its light, as if it were a camera frame.
-    pixels
-        (rows, columns) float32 gray levels.
-    origin
-        Place (x, y) of the first pixel on the sensor.
-    full_scale
-        Largest gray level of the camera.
-    """
-
+    # Number of the first or the last camera frame in it
     index: int
+    # Half a pattern before the mean time of its light, as if it were a camera frame
     time_s: float
+    # (rows, columns) float32 gray levels
     pixels: NDArray[np.float32]
+    # Place (x, y) of the first pixel on the sensor
     origin: tuple[int, int]
+    # Largest gray level of the camera
     full_scale: int
 
 
@@ -51,23 +42,15 @@ AnyFrame = Frame | CombinedFrame
 
 @dataclass(frozen=True, slots=True)
 class FramePair:
-    """What shows a pattern and its inverse; of data without inverses, two patterns.
+    """What shows a pattern and its inverse; of data without inverses, two patterns."""
 
-    Attributes
-    ----------
-    pattern
-        First of the two, which shows the pattern.
-    inverted
-        Second of the two, which shows the inverse, or the next pattern of data without inverses.
-    late_s
-        Seconds by which the mean light of their sum comes after the middle of the exposures.
-    combination
-        How both were combined; None for two camera frames in step.
-    """
-
+    # First of the two, which shows the pattern
     pattern: AnyFrame
+    # Second of the two, which shows the inverse, or the next pattern of data without inverses
     inverted: AnyFrame
+    # Seconds by which the mean light of their sum comes after the middle of the exposures
     late_s: float = 0.0
+    # How both were combined; None for two camera frames in step
     combination: Combination | None = None
 
     @property
@@ -78,79 +61,50 @@ class FramePair:
 
 @dataclass(frozen=True, slots=True)
 class LoneFrame:
-    """The frame that is left of a pair of data in step whose other frame is lost.
+    """The frame that is left of a pair of data in step whose other frame is lost."""
 
-    Attributes
-    ----------
-    frame
-        The camera's frame, whose time is the start of its exposure.
-    inverted
-        Whether it shows the inverse.
-    late_s
-        Seconds by which the mean light of the array comes after the middle of the exposure.
-    """
-
+    # The camera's frame, whose time is the start of its exposure
     frame: Frame
+    # Whether it shows the inverse
     inverted: bool
+    # Seconds by which the mean light of the array comes after the middle of the exposure
     late_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class HeaderFrames:
-    """Frames of a header by a camera out of step.
+    """Frames of a header by a camera out of step."""
 
-    Attributes
-    ----------
-    images
-        (frames, rows, columns) gray levels about the array.
-    corner
-        (x, y) on the sensor of the first pixel.
-    pose
-        Pose of the array in the middle of the header.
-    alternation
-        (2, frames) amplitude of the header less its inverse, -1 to 1: of whole cells, and of dimmed ones.
-    light
-        (2, frames) mean light of both, 0 to 1.
-    """
-
+    # (frames, rows, columns) gray levels about the array
     images: NDArray[np.float32]
+    # (x, y) on the sensor of the first pixel
     corner: tuple[int, int]
+    # Pose of the array in the middle of the header
     pose: Pose
+    # (2, frames) amplitude of the header less its inverse, -1 to 1: of whole cells, and of dimmed ones
     alternation: NDArray[np.float64]
+    # (2, frames) mean light of both, 0 to 1
     light: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredHeader:
-    """A whole header seen by a camera out of step.
+    """A whole header seen by a camera out of step."""
 
-    Attributes
-    ----------
-    gain
-        Gray levels of the array with all LEDs on.
-    pair
-        All its frames combined to one pair, whose sum is even; None where they do not show it.
-    frames
-        The frames themselves, for the format; None as `pair`.
-    """
-
+    # Gray levels of the array with all LEDs on
     gain: float
+    # All its frames combined to one pair, whose sum is even; None where they do not show it
     pair: FramePair | None = None
+    # The frames themselves, for the format; None as `pair`
     frames: HeaderFrames | None = None
 
 
 class Pairing(Protocol):
-    """Pairs an array's frames; pairs are counted from the header of the detection.
+    """Pairs an array's frames; pairs are counted from the header of the detection."""
 
-    Attributes
-    ----------
-    lost
-        Whether what was found cannot be a header.
-    first_gain
-        Gray levels of the array with all LEDs on by the first header, where the detection saw it too weak; else None.
-    """
-
+    # Whether what was found cannot be a header
     lost: bool
+    # Gray levels of the array with all LEDs on by the first header, where the detection saw it too weak; else None
     first_gain: float | None
 
     @property
@@ -166,13 +120,7 @@ class Pairing(Protocol):
         """Exposures in T_b between which headers put it; None where none was measured, or it makes no difference."""
 
     def push(self, frame: Frame) -> Iterator[int]:
-        """Take the next frame; yield the numbers of the pairs that can be read by now.
-
-        Parameters
-        ----------
-        frame
-            Next frame of the camera, its time by the camera's clock.
-        """
+        """Take the next frame; yield the numbers of the pairs that can be read by now."""
 
     def flush(self) -> Iterator[int]:
         """Yield the numbers of the pairs that can still be read, as there will be no more frames."""
@@ -180,52 +128,14 @@ class Pairing(Protocol):
     def header(
         self, pair: int, poses: Mapping[int, PoseAt], pose_at: PoseAt, led_gains: NDArray[np.float64]
     ) -> MeasuredHeader | None:
-        """Correct the clock by the header before a pair.
-
-        Parameters
-        ----------
-        pair
-            Number of the first pair of data after the header.
-        poses
-            The array's pose at times about each pair around the header, by its number.
-        pose_at
-            Its pose at any time in seconds.
-        led_gains
-            (n, n) gains of its LEDs, at least 0, 1 for the median LED.
-
-        Returns
-        -------
-        What a camera out of step saw of it; else None.
-        """
+        """Correct the clock by the header before a pair."""
 
     def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | LoneFrame | None:
-        """Frames of a pair.
-
-        Parameters
-        ----------
-        number
-            Number of the pair, counted from the header of the detection.
-        pose_at
-            The array's pose at any time in seconds.
-        single
-            Whether the packet's data come without inverses.
-
-        Returns
-        -------
-        The frames; of data in step the one that is there, where the other is lost; or None where there are none.
-        """
+        """Frames of a pair."""
 
 
 def is_data(number: int, signal: SignalSettings) -> bool:
-    """Whether a pair holds data.
-
-    Parameters
-    ----------
-    number
-        Number of the pair, counted from a header's first.
-    signal
-        The light's signal: patterns of a packet, and pairs of its header.
-    """
+    """Whether a pair holds data."""
     return number % (signal.packet_patterns // 2) >= signal.header_pairs
 
 
@@ -233,11 +143,6 @@ def sum_late_s(signal: SignalSettings) -> float:
     """Seconds by which the mean light of a data pair's sum comes after the middle of the exposures.
 
     PWM lights the first slots of a pattern more than the last.
-
-    Parameters
-    ----------
-    signal
-        The light's signal: its pattern period, and the order of a pattern's slots.
     """
     mean, _ = light_centroids(signal.slot_order)
     return (mean - 0.5) * signal.pattern_period_s

@@ -29,41 +29,22 @@ SURROUNDINGS_PX = 3.0
 
 @dataclass(frozen=True, slots=True)
 class HeaderAmplitudes:
-    """What the frames around a header show.
+    """What the frames around a header show."""
 
-    Attributes
-    ----------
-    times_s
-        (frames,) starts of the exposures in seconds.
-    alternation
-        (frames,) amplitude of the header in gray levels, negative for its inverse.
-    brightness
-        (frames,) light of the array in gray levels, but for a constant.
-    clipped
-        Whether pixels were at full scale; the brightness is then not used.
-    trust
-        Weight of the brightness, 0 to 1: less where the array moves.
-    """
-
+    # (frames,) starts of the exposures in seconds
     times_s: Floats
+    # (frames,) amplitude of the header in gray levels, negative for its inverse
     alternation: Floats
+    # (frames,) light of the array in gray levels, but for a constant
     brightness: Floats
+    # Whether pixels were at full scale; the brightness is then not used
     clipped: bool = False
+    # Weight of the brightness, 0 to 1: less where the array moves
     trust: float = 1.0
 
 
 def header_amplitudes(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderAmplitudes:
-    """Measure what the frames around a header show.
-
-    Parameters
-    ----------
-    frames
-        The frames, in the order of time.
-    poses
-        The array's pose in each.
-    lit
-        (n, n) the header, +-1, times the LEDs' gains, at least 0, 1 for the median LED.
-    """
+    """Measure what the frames around a header show."""
     seen = [_seen(frame, pose, lit) for frame, pose in zip(frames, poses, strict=True)]
     gram, matched = np.array([one.gram for one in seen]), np.array([one.matched for one in seen])
     # where only lit LEDs or only dark ones are left, the two images are one: the pseudo-inverse decides

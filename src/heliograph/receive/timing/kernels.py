@@ -7,19 +7,7 @@ from heliograph.base.compiled import compiled
 
 @compiled()
 def about_mean(shown, mean, about):
-    """What a frame shows about the mean of frames.
-
-    Parameters
-    ----------
-    shown, mean
-        (n,) gray levels of the frame and of the mean.
-    about
-        (n,) the first less the second, overwritten.
-
-    Returns
-    -------
-    Power of the difference, summed up, and its mean.
-    """
+    """What a frame shows about the mean of frames."""
     power, total = 0.0, 0.0
     for k in range(shown.shape[0]):
         about[k] = shown[k] - mean[k]
@@ -30,27 +18,7 @@ def about_mean(shown, mean, about):
 
 @compiled()
 def means_at_leds(image, x, y, axes, width, rim, side):
-    """Means of an image over squares about LEDs, between pixels by their distance.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) gray levels of any type; beyond it its border is repeated.
-    x, y
-        Column and row of the array's centre in px.
-    axes
-        (2, 2) steps from one LED to the next along a row and along a column, in px, one per column.
-    width
-        Pixels in a row of a square, odd.
-    rim
-        LEDs on either side of the array that are left out.
-    side
-        LEDs in a row.
-
-    Returns
-    -------
-    ((side - 2 rim)^2,) gray levels, row by row.
-    """
+    """Means of an image over squares about LEDs, between pixels by their distance."""
     inner, reach = side - 2 * rim, (width - 1) // 2
     bottom, right = image.shape[0] - 1, image.shape[1] - 1
     out = np.empty(inner * inner)

@@ -94,34 +94,7 @@ _TIMES = np.where(_ROWS == _COLS, 1.0, 2.0)
 
 
 class LightClock:
-    """The light's clock in the camera's time.
-
-    Parameters
-    ----------
-    start_s
-        When a header began in seconds, within `FIRST_REACH` patterns.
-    period_s
-        The camera's frame period in seconds.
-    signal
-        The light's signal: its pattern period, header pairs and order of slots.
-    identity
-        Number of the array, 0 to 29; it decides which words of formats are possible.
-    exposure_s
-        The camera's exposure in seconds where it is known, else None.
-
-    Attributes
-    ----------
-    start_s
-        Start in seconds of the last header that was due: as measured or, where the header was not seen, as predicted.
-    rate
-        By which fraction the pattern period is longer than the nominal one.
-    gain
-        Gray levels of the array with all LEDs on in the last header.
-    explained
-        Part of the power of the frames around the last header that the header explains, 0 to 1.
-    exposure
-        Exposure in T_b, the mean over its posterior.
-    """
+    """The light's clock in the camera's time."""
 
     def __init__(
         self, start_s: float, period_s: float, signal: SignalSettings, identity: int, exposure_s: float | None = None
@@ -168,71 +141,26 @@ class LightClock:
         return float(told[0]) - half_step, min(float(told[-1]) + half_step, self._longest)
 
     def time_s(self, pattern: float) -> float:
-        """Start of a pattern in seconds, by the camera's clock.
-
-        Parameters
-        ----------
-        pattern
-            Number of the pattern, counted from the header of the detection; a fraction is a time within it.
-        """
+        """Start of a pattern in seconds, by the camera's clock."""
         return self.start_s + (pattern - self._pattern) * self.period_s
 
     def pattern_at(self, time_s: float) -> float:
-        """Patterns from the start of the detection's header to a time.
-
-        Parameters
-        ----------
-        time_s
-            Time in seconds by the camera's clock.
-        """
+        """Patterns from the start of the detection's header to a time."""
         return self._pattern + (time_s - self.start_s) / self.period_s
 
     def patterns_at(self, times_s: Sequence[float]) -> list[float]:
-        """The same of several times, (times,).
-
-        Parameters
-        ----------
-        times_s
-            Times in seconds by the camera's clock.
-        """
+        """The same of several times, (times,)."""
         pattern, start_s, period_s = self._pattern, self.start_s, self.period_s
         return [pattern + (time_s - start_s) / period_s for time_s in times_s]
 
     def header(self, starts: Floats, dimmed: float) -> tuple[Floats, Floats]:
-        """What frames show of a header.
-
-        Parameters
-        ----------
-        starts
-            (frames,) starts of the exposures, in patterns from the header's start.
-        dimmed
-            Fraction of cells that are dimmed in all pairs but the first, 0 to 1.
-
-        Returns
-        -------
-        Amplitude of the header less its inverse, -1 to 1, and mean light, 0 to 1, (frames,) each.
-        """
+        """What frames show of a header."""
         edges, wave, bright = self._header(dimmed)
         shown, light = _mean_over(starts, self.exposure, edges, np.stack([wave, bright]))
         return shown, 0.5 + light
 
     def measure(self, amplitudes: HeaderAmplitudes, pattern: int, again: bool = False) -> bool:
-        """Correct the clock by a header.
-
-        Parameters
-        ----------
-        amplitudes
-            What the frames around it show.
-        pattern
-            Its first pattern, counted from the header of the detection.
-        again
-            Whether it is the first header once more, with better poses: the first measurement then only sets the reach
-            of the grid.
-
-        Returns
-        -------
-        Whether a header was seen; if not, the clock goes on as predicted.
-        """
+        """Correct the clock by a header."""
         self._move(pattern)
         spread, gain = self.deviation, self.gain
         reach = min(max(LATER_DEVIATIONS * spread, LEAST_REACH), MOST_REACH) if self._measured else FIRST_REACH

@@ -13,52 +13,31 @@ from heliograph.receive.timing.combination import Combination
 
 @dataclass(frozen=True, slots=True)
 class ObservedSymbols:
-    """What is expected of a packet's observed symbols.
+    """What is expected of a packet's observed symbols."""
 
-    Attributes
-    ----------
-    mean, variance
-        (pairs, symbols) of the light of each pair's own symbols.
-    leak, leak_variance
-        (pairs, symbols) of the light of the pairs before and after.
-    """
-
+    # mean, variance: (pairs, symbols) of the light of each pair's own symbols
     mean: Floats
     variance: Floats
+    # leak, leak_variance: (pairs, symbols) of the light of the pairs before and after
     leak: Floats
     leak_variance: Floats
 
 
 @dataclass(frozen=True, slots=True)
 class OutOfStep:
-    """How a packet's pairs show their symbols, and those of the pairs before and after.
+    """How a packet's pairs show their symbols, and those of the pairs before and after."""
 
-    Attributes
-    ----------
-    response
-        (pairs, 16, 4) observed symbols by the values of a pair's own; see `partial_exposure.response`.
-    before, after
-        (pairs, 16, 4) the same of the pair before and the one after; 0 where it does not show.
-    headers
-        (pairs, symbols) light of the header before the first pair, and of the one after the last.
-    """
-
+    # (pairs, 16, 4) observed symbols by the values of a pair's own; see `partial_exposure.response`
     response: Floats
+    # before, after: (pairs, 16, 4) the same of the pair before and the one after; 0 where it does not show
     before: Floats
     after: Floats
+    # (pairs, symbols) light of the header before the first pair, and of the one after the last
     headers: Floats
 
     @classmethod
     def of(cls, combinations: Sequence[Combination | None], header: NDArray[np.bool_]) -> "OutOfStep":
-        """A packet's pairs.
-
-        Parameters
-        ----------
-        combinations
-            How each was combined; None for frames in step, and where the array was not seen.
-        header
-            (n, n) LEDs lit in its header, as if none were dimmed.
-        """
+        """A packet's pairs."""
         none, last = np.zeros_like(partial_exposure.VALUES), len(combinations) - 1
         response, leaks, headers = [], list[tuple[Floats, Floats]](), np.zeros((last + 1, header.size))
         for k, combination in enumerate(combinations):
@@ -82,13 +61,7 @@ class OutOfStep:
         return not self.before.any() and not self.after.any() and bool((self.response == partial_exposure.VALUES).all())
 
     def expected(self, mean: Floats) -> ObservedSymbols:
-        """What is expected of the observed symbols.
-
-        Parameters
-        ----------
-        mean
-            (pairs, symbols) mean of the true ones, -1 to 1.
-        """
+        """What is expected of the observed symbols."""
         if self.in_step:
             return ObservedSymbols(mean, 1 - mean**2, self.headers.copy(), np.zeros_like(mean))
         own, spread = partial_exposure.moments(self.response, mean)
@@ -102,21 +75,7 @@ class OutOfStep:
         return ObservedSymbols(own, spread, leak, leak_spread)
 
     def llrs(self, found: Floats, variance: Floats, expected: ObservedSymbols, mean: Floats) -> Floats:
-        """Extrinsic LLRs of the symbols by estimates of the observed ones.
-
-        Parameters
-        ----------
-        found, variance
-            (pairs, symbols) estimates, and the variances of their errors, above 0.
-        expected
-            What is expected of the observed symbols with these means.
-        mean
-            (pairs, symbols) prior mean of the true symbols, -1 to 1.
-
-        Returns
-        -------
-        (pairs, symbols) ln P(c=+1)/P(c=-1), the symbols' own priors left out.
-        """
+        """Extrinsic LLRs of the symbols by estimates of the observed ones."""
         own, noise = found - expected.leak, variance + expected.leak_variance
         if self.in_step:
             # y = c + n: ln P(c=+1)/P(c=-1) = 2 y / s^2
@@ -126,21 +85,7 @@ class OutOfStep:
     def posterior_moments(
         self, pairs: NDArray[np.intp], found: Floats, variance: Floats, mean: Floats
     ) -> tuple[Floats, Floats]:
-        """Mean of observed symbols and of their squares, the light of other pairs left out; see `partial_exposure`.
-
-        Parameters
-        ----------
-        pairs
-            (asked,) numbers of the pairs.
-        found, variance
-            (asked, symbols) estimates of their observed symbols, and the variances of these, above 0.
-        mean
-            (asked, symbols) prior mean of the true symbols, -1 to 1.
-
-        Returns
-        -------
-        (asked, symbols) each.
-        """
+        """Mean of observed symbols and of their squares, the light of other pairs left out; see `partial_exposure`."""
         if self.in_step:
             # <c> = tanh(y / s^2 + arctanh <c>_prior), c^2 = 1
             first = np.tanh(found / variance + np.arctanh(partial_exposure.uncertain(mean)))

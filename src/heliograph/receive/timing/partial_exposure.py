@@ -42,33 +42,12 @@ def response(weights: Floats) -> Floats:
     """Observed symbols, by the 16 values of the true ones.
 
     They are the Haar transform of the light sum_j lambda_j on_j of each LED about its mean.
-
-    Parameters
-    ----------
-    weights
-        (4,) lambda_j; 1/2 each for the whole of a pattern less the whole of its inverse.
-
-    Returns
-    -------
-    (16, 4); for weights 1/2 the true symbols themselves, `VALUES`.
     """
     return np.asarray(((_LIT - MEAN_LIT) @ weights) @ SIGNS.T)
 
 
 def response_of_levels(weights: Floats, lit: NDArray[np.bool_]) -> Floats:
-    """Observed symbols of LEDs that are lit through the whole pattern or not at all.
-
-    Parameters
-    ----------
-    weights
-        (4,) lambda_j, the weight of each slot, as of `response`.
-    lit
-        (n, n) LEDs that are lit.
-
-    Returns
-    -------
-    (symbols,).
-    """
+    """Observed symbols of LEDs that are lit through the whole pattern or not at all. Returns (symbols,)."""
     light = (lit[..., None] - MEAN_LIT) @ weights
     side = len(lit)
     squares = light.reshape(side // 2, 2, side // 2, 2).transpose(0, 2, 1, 3).reshape(-1, 4)
@@ -76,41 +55,13 @@ def response_of_levels(weights: Floats, lit: NDArray[np.bool_]) -> Floats:
 
 
 def moments(table: Floats, mean: Floats) -> tuple[Floats, Floats]:
-    """Mean and variance of the observed symbols.
-
-    Parameters
-    ----------
-    table
-        (..., 16, 4) their `response`.
-    mean
-        (..., symbols) mean of the true ones, -1 to 1.
-
-    Returns
-    -------
-    (..., symbols) each.
-    """
+    """Mean and variance of the observed symbols. Returns (..., symbols) each."""
     first, second = _moments(table, _chances(mean))
     return first, np.maximum(second - first**2, 0)
 
 
 def posterior_moments(table: Floats, observed: Floats, variance: Floats, mean: Floats) -> tuple[Floats, Floats]:
-    """Mean of the observed symbols and of their squares without the errors of estimates, once these are known.
-
-    Parameters
-    ----------
-    table
-        (..., 16, 4) their `response` to all values of a square's symbols.
-    observed
-        (..., symbols) estimates of the observed symbols.
-    variance
-        (..., symbols) variances of these estimates, above 0.
-    mean
-        (..., symbols) prior mean of the true symbols, -1 to 1.
-
-    Returns
-    -------
-    (..., symbols) each.
-    """
+    """Mean of the observed symbols and of their squares without the errors of estimates, once these are known."""
     # of known symbols too: what is observed may be out of all proportion to what they give
     chance = _joint(_fit(table, observed, variance)) * _chances(uncertain(mean))
     return _moments(table, chance / chance.sum(-2, keepdims=True))
@@ -122,21 +73,6 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
     An observed symbol depends on another one by the product of three. The equaliser's errors within a square are
     correlated, and so look like such products. What others say of a symbol therefore counts only as far as the other
     three symbols are known, or as the response is made of products rather than symbols.
-
-    Parameters
-    ----------
-    table
-        (..., 16, 4) their `response` to all values of a square's symbols.
-    observed
-        (..., symbols) estimates of the observed symbols.
-    variance
-        (..., symbols) variances of these estimates, above 0.
-    mean
-        (..., symbols) prior mean of the true symbols, -1 to 1.
-
-    Returns
-    -------
-    (..., symbols).
     """
     prior, squares = uncertain(mean), _by_kind(mean)
     chance, fit = _chances(prior), _fit(table, observed, variance)
@@ -160,13 +96,7 @@ def symbol_llrs(table: Floats, observed: Floats, variance: Floats, mean: Floats)
 
 
 def uncertain(mean: Floats) -> Floats:
-    """Means of which none is certain, so that no value of a square is impossible.
-
-    Parameters
-    ----------
-    mean
-        (..., symbols) mean of symbols, -1 to 1.
-    """
+    """Means of which none is certain, so that no value of a square is impossible."""
     return np.clip(mean, TINY - 1, 1 - TINY)
 
 

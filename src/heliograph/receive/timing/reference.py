@@ -9,27 +9,7 @@ from heliograph.base.arrays import Floats
 
 
 def means_at_leds(image: Floats, x: float, y: float, axes: Floats, width: int, rim: int, side: int) -> Floats:
-    """Means of an image over squares about LEDs, between pixels by their distance.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) gray levels; beyond it its border is repeated.
-    x, y
-        Column and row of the array's centre in px.
-    axes
-        (2, 2) steps from one LED to the next along a row and along a column, in px, one per column.
-    width
-        Pixels in a row of a square, odd.
-    rim
-        LEDs on either side of the array that are left out.
-    side
-        LEDs in a row.
-
-    Returns
-    -------
-    ((side - 2 rim)^2,) gray levels, row by row.
-    """
+    """Means of an image over squares about LEDs, between pixels by their distance."""
     pad, reach = len(image), width // 2
     wide, out = np.pad(image, pad, "edge"), []
     for row in range(rim, side - rim):

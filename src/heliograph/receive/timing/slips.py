@@ -123,20 +123,7 @@ class _Pairs:
 
 
 class SlipWatch:
-    """Gives frames of one array the times they would have, had every lost frame left a gap.
-
-    Parameters
-    ----------
-    identity
-        Number of the array, 0 to 29.
-    signal
-        The light's signal: side of the array, pattern period, patterns of a packet and its header.
-
-    Attributes
-    ----------
-    lost
-        Frames lost so far without a gap, less those that came twice.
-    """
+    """Gives frames of one array the times they would have, had every lost frame left a gap."""
 
     def __init__(self, identity: int, signal: SignalSettings):
         self.lost = 0
@@ -154,19 +141,7 @@ class SlipWatch:
         self._even_before = True
 
     def push(self, frame: Frame, origin_s: float, pose_at: PoseAt, paired: bool) -> Iterator[Frame]:
-        """Take the next frame; yield those whose times are known by now.
-
-        Parameters
-        ----------
-        frame
-            Next frame of the camera.
-        origin_s
-            Start in seconds of pair 0, T_b taken as constant since, in the times that this gives.
-        pose_at
-            The array's pose at any time in seconds, likewise.
-        paired
-            Whether patterns have inverses.
-        """
+        """Take the next frame; yield those whose times are known by now."""
         period_s, last_s = self._period_s, self._last_s
         self._last_s = frame.time_s
         place = (frame.time_s + self.lost * period_s - origin_s) / period_s
@@ -264,13 +239,7 @@ class SlipWatch:
         self._headers = {k: h for k, h in self._headers.items() if k > number - length}
 
     def shows_header(self, pair: int) -> bool:
-        """Whether the frames taken for a pair of data are a header's: a pair before it was lost as a whole.
-
-        Parameters
-        ----------
-        pair
-            Number of the pair since the detection; the last one or the one before.
-        """
+        """Whether the frames taken for a pair of data are a header's: a pair before it was lost as a whole."""
         up, down = (self._headers.get(2 * pair + k, 0.0) for k in range(2))
         return up > HEADER_CORRELATION and down < -HEADER_CORRELATION
 

@@ -11,17 +11,7 @@ from heliograph.signal.settings import SignalSettings
 
 
 class SteppedPairing:
-    """Pairs of a camera in step: frame 2 k shows a pattern, frame 2 k + 1 its inverse.
-
-    Parameters
-    ----------
-    start_s
-        Start of the header's first frame in seconds.
-    time_s
-        Time of the detection's pose in seconds.
-    signal
-        The light's signal: pattern period, order of slots, and patterns of a packet and its header.
-    """
+    """Pairs of a camera in step: frame 2 k shows a pattern, frame 2 k + 1 its inverse."""
 
     def __init__(self, start_s: float, time_s: float, signal: SignalSettings):
         self.lost = False

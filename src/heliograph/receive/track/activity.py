@@ -38,22 +38,7 @@ Of what flickered and was taken for an array the blur came to 170,000 px, and no
 
 
 def check_pose(pose: Pose, side: int, shape: tuple[int, ...]) -> None:
-    """Check that what is followed may still be an array.
-
-    Parameters
-    ----------
-    pose
-        Its pose in frames.
-    side
-        LEDs in a row.
-    shape
-        Rows and columns of a frame.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        It is too blurred, or too large, or its pose is not a number.
-    """
+    """Check that what is followed may still be an array."""
     width = side * pose.pitch
     if not width <= MOST_FRAMES * max(shape):
         raise np.linalg.LinAlgError(f"a width of {width:.3g} px is none of an array in a frame of {max(shape)} px")
@@ -62,23 +47,7 @@ def check_pose(pose: Pose, side: int, shape: tuple[int, ...]) -> None:
 
 
 def is_active(change: Floats, noise: float, pose: Pose, corner: tuple[int, int], side: int, gain: float) -> bool:
-    """Whether pattern and inverse differ where the array should be: a hidden or dark array shows no change.
-
-    Parameters
-    ----------
-    change
-        (rows, columns) pattern less inverse in gray levels.
-    noise
-        Standard deviation of its noise in gray levels.
-    pose
-        Where the array should be.
-    corner
-        (x, y) on the sensor of the first pixel.
-    side
-        LEDs in a row.
-    gain
-        Gray levels of a sum with all LEDs on.
-    """
+    """Whether pattern and inverse differ where the array should be: a hidden or dark array shows no change."""
     half = max(0.5 * side * pose.pitch - INSIDE_EDGE_PX, LEAST_HALF_PX)
     power, count = kernels.power_within(change, pose.x - corner[0], pose.y - corner[1], half)
     least = ACTIVITY * contrast(pose) * gain
@@ -86,31 +55,13 @@ def is_active(change: Floats, noise: float, pose: Pose, corner: tuple[int, int],
 
 
 def noise_around(change: Floats, pose: Pose, corner: tuple[int, int], side: int) -> float:
-    """Standard deviation of a difference around the array, in gray levels; 0 where nothing is around it.
-
-    Parameters
-    ----------
-    change
-        (rows, columns) pattern less inverse in gray levels.
-    pose
-        Pose of the array.
-    corner
-        (x, y) on the sensor of the first pixel.
-    side
-        LEDs in a row.
-    """
+    """Standard deviation of a difference around the array, in gray levels; 0 where nothing is around it."""
     half = 0.5 * side * pose.pitch + BESIDE_EDGE_PX
     return float(kernels.noise_beside(change, pose.x - corner[0], pose.y - corner[1], half))
 
 
 def contrast(pose: Pose) -> float:
-    """Fraction of the contrast of squares of 2 x 2 LEDs that blur and pixels leave, 0 to 1.
-
-    Parameters
-    ----------
-    pose
-        Pose of the array, of which pitch and blur count.
-    """
+    """Fraction of the contrast of squares of 2 x 2 LEDs that blur and pixels leave, 0 to 1."""
     # along x and y alike: int (box * Gaussian)^2 / w = erf u - (1 - exp(-u^2)) / (sqrt(pi) u), u = w / 2 s
     u = pose.pitch / hypot(pose.blur, PIXEL_STD_PX)
     return erf(u) - (1 - exp(-(u**2))) / (sqrt(pi) * u)

@@ -31,73 +31,34 @@ RIM_TOLERANCE = 5e-3
 
 @dataclass(frozen=True, slots=True)
 class SeenHeader:
-    """A header pair, and the array's pose in each frame.
+    """A header pair, and the array's pose in each frame."""
 
-    Attributes
-    ----------
-    pair
-        Frames of the header and its inverse.
-    poses
-        The array's pose in each of them.
-    """
-
+    # Frames of the header and its inverse
     pair: FramePair
+    # The array's pose in each of them
     poses: tuple[Pose, Pose]
 
 
 @dataclass(frozen=True, slots=True)
 class Background:
-    """What is behind an array.
+    """What is behind an array."""
 
-    Attributes
-    ----------
-    half
-        Half of the panel's side, in pitches.
-    coefficients
-        (4,) of the square and the plane, in gray levels.
-    variance
-        Variance that the model leaves beside the array, in squared gray levels.
-    """
-
+    # Half of the panel's side, in pitches
     half: float
+    # (4,) of the square and the plane, in gray levels
     coefficients: Floats
+    # Variance that the model leaves beside the array, in squared gray levels
     variance: float
 
 
 def surroundings(frame: PlacedPixels, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:
-    """Window about an array: its corner (x, y), and its pixels (rows, columns) in gray levels.
-
-    Parameters
-    ----------
-    frame
-        Frame from which the window is cut; beyond the frame its border is repeated.
-    pose
-        Pose of the array in the frame.
-    side
-        LEDs in a row.
-    """
+    """Window about an array: its corner (x, y), and its pixels (rows, columns) in gray levels."""
     window = window_around(pose, side, RIM_PX + RING_PX)
     return (window[0], window[1]), cut_out(frame, window)
 
 
 def background_images(pose: Pose, corner: tuple[int, int], shape: tuple[int, int], half: float) -> Floats:
-    """Images of the background, with derivatives by (x, y, ln pitch, roll, ln blur).
-
-    Parameters
-    ----------
-    pose
-        Pose of the array, in which the panel has its middle.
-    corner
-        (x, y) on the sensor of the window's first pixel.
-    shape
-        Rows and columns of the window.
-    half
-        Half of the panel's side, in pitches of the LEDs.
-
-    Returns
-    -------
-    (4, 6, rows, columns).
-    """
+    """Images of the background, with derivatives by (x, y, ln pitch, roll, ln blur)."""
     out = np.zeros((IMAGE_COUNT, 6, *shape))
     kernels.render_box(pose.full_vector(), half, float(corner[0]), float(corner[1]), out[0])
     out[1:, 0] = plane(*shape)
@@ -109,15 +70,6 @@ def fit_background(headers: list[SeenHeader], gain: float, led_gains: Floats) ->
 
     The sum of a header and its inverse is the array with all LEDs on: r + r' = g (A + A') 1 / 2 + 2 b. The pose is
     known from their difference, in which the panel cancels, so the sum shows how wide the panel is.
-
-    Parameters
-    ----------
-    headers
-        Header pairs with the array's poses, one at least.
-    gain
-        g, gray levels of the array with all LEDs on.
-    led_gains
-        (n, n) gains of the LEDs, at least 0, 1 for the median LED.
     """
     views = [_behind(header, gain, led_gains) for header in headers]
 

@@ -21,13 +21,5 @@ Without it posts pull the pose: of 7389 pairs in 44 passages 931 were off by ove
 
 
 def line_distance(pose: Pose, side: int) -> float:
-    """Distance of the lines beside an array from its centre, in pitches.
-
-    Parameters
-    ----------
-    pose
-        Pose of the array, whose pitch counts.
-    side
-        LEDs in a row.
-    """
+    """Distance of the lines beside an array from its centre, in pitches."""
     return 0.5 * side + max(BESIDE_PITCHES, BESIDE_PX / pose.pitch)

@@ -65,26 +65,7 @@ BACKGROUND_WEIGHT = 0.2
 
 
 class DecisionDirectedTracker:
-    """Follows an array through the data of a packet without inverses.
-
-    Parameters
-    ----------
-    tracker
-        Predicts the array's state, and tells whether it is in sight.
-    late_s
-        Seconds by which the light of the levels' mean, and that of the data, comes after the middle of an exposure.
-    headers
-        Header pairs of the packet, at least one; they show noise and background.
-    gain
-        Gray levels of the array with all LEDs on.
-    led_gains
-        (n, n) gains of the LEDs, at least 0, 1 for the median LED.
-
-    Attributes
-    ----------
-    noise
-        Of single frames' cut-outs, as the headers show it.
-    """
+    """Follows an array through the data of a packet without inverses."""
 
     def __init__(
         self, tracker: Tracker, late_s: tuple[float, float], headers: list[SeenHeader], gain: float, led_gains: Floats
@@ -101,15 +82,7 @@ class DecisionDirectedTracker:
 
     @one_thread()
     def follow(self, track: Track, pair: FramePair) -> TrackedPair:
-        """Find the array in two frames and move the filter on; coast where it is not seen.
-
-        Parameters
-        ----------
-        track
-            The array as known before the two frames.
-        pair
-            Frames of two successive data patterns.
-        """
+        """Find the array in two frames and move the filter on; coast where it is not seen."""
         background = self._background
         # fitting the first frame too would take as long again, and as many bits are wrong with it as without
         fit, state = self._step(track, pair.inverted)

@@ -17,15 +17,7 @@ Its recent change falls by 0.75 a pair (`RECENT_PAIR_WEIGHT`), from 1 to `LEAST_
 
 
 def beside_what_hides(cutout: Cutout, in_sight: Floats) -> Cutout:
-    """A cut-out without the pixels that something hides, or may hide in part: LEDs next to hidden ones.
-
-    Parameters
-    ----------
-    cutout
-        A pair's pixels about the array.
-    in_sight
-        (n, n) 1 where an LED is seen, 0 where something hides it.
-    """
+    """A cut-out without the pixels that something hides, or may hide in part: LEDs next to hidden ones."""
     across, down = open_lines(open_pixels(in_sight, cutout.middle, cutout.corner, cutout.shape))
     if cutout.covered is not None:
         across, down = across * cutout.covered[0], down * cutout.covered[1]
@@ -33,17 +25,7 @@ def beside_what_hides(cutout: Cutout, in_sight: Floats) -> Cutout:
 
 
 def hidden_since(cutouts: Mapping[int, Cutout], place: int, in_sight: Floats) -> dict[int, Cutout]:
-    """Cut-outs of earlier pairs in which LEDs were hidden already that are noticed as hidden only now.
-
-    Parameters
-    ----------
-    cutouts
-        Of a packet's pairs, by the pair's number.
-    place
-        Number of the pair by which the LEDs were noticed; those of up to `NOTICED_PAIRS` before it are looked at.
-    in_sight
-        (n, n) 1 where an LED is seen at that pair, 0 where something hides it.
-    """
+    """Cut-outs of earlier pairs in which LEDs were hidden already that are noticed as hidden only now."""
     found = dict[int, Cutout]()
     for earlier in range(place - NOTICED_PAIRS, place):
         cutout = cutouts.get(earlier)

@@ -73,32 +73,20 @@ START_RATES = np.array([0.9, 0.9, 1.5e-4])
 
 @dataclass(frozen=True, slots=True)
 class MotionModel:
-    """How an array may move in the image.
+    """How an array may move in the image."""
 
-    Attributes
-    ----------
-    period_s
-        Pattern period T_b in seconds.
-    acceleration_px
-        Standard deviation of the image's acceleration by shake, in px per pattern squared.
-    focal_px
-        Focal length in px: what moves by so much as the camera passes it has turned by 1 rad. Of an array that only
-        ever moves with the camera's own turns it is infinite.
-    """
-
+    # Pattern period T_b in seconds
     period_s: float
+    # Standard deviation of the image's acceleration by shake, in px per pattern squared
     acceleration_px: float
+    # Focal length in px: what moves by so much as the camera passes it has turned by 1 rad. Of an array that only ever
+    # moves with the camera's own turns it is infinite
     focal_px: float = inf
 
     def process_noise(self, dt: float) -> Floats:
         """Q, (10, 10): what the motion adds to the state's covariance as time goes by.
 
         White accelerations of density q = 2 a^2 tau give q [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]].
-
-        Parameters
-        ----------
-        dt
-            Time that goes by, in seconds, at least 0.
         """
         linear, quadratic, cubic = self.noise_by_powers
         return np.asarray(dt * linear + dt**2 * quadratic + dt**3 * cubic)
@@ -109,13 +97,7 @@ class MotionModel:
         return _noise_by_powers(self)
 
     def walked(self, dt: float) -> float:
-        """A time in units of `WALK_PATTERNS`.
-
-        Parameters
-        ----------
-        dt
-            The time in seconds, at least 0.
-        """
+        """A time in units of `WALK_PATTERNS`."""
         return dt / (WALK_PATTERNS * self.period_s)
 
     @property
@@ -139,17 +121,11 @@ def _noise_by_powers(model: MotionModel) -> tuple[Floats, Floats, Floats]:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """Which part of the state a fit observes.
+    """Which part of the state a fit observes."""
 
-    Attributes
-    ----------
-    matrix
-        H, (5, 10): the state to the pose vector that the fit shows.
-    variances
-        (5,) of errors of the fit's model that differ from one fit to the next.
-    """
-
+    # H, (5, 10): the state to the pose vector that the fit shows
     matrix: Floats
+    # (5,) of errors of the fit's model that differ from one fit to the next
     variances: Floats
 
     def __post_init__(self) -> None:
@@ -159,13 +135,7 @@ class Observation:
 
 @lru_cache(maxsize=8)  # in step all sums have one lateness
 def sum_observation(late_s: float) -> Observation:
-    """What the sum of a pattern and its inverse shows.
-
-    Parameters
-    ----------
-    late_s
-        Seconds by which its mean light comes after the state's time; negative where it comes before.
-    """
+    """What the sum of a pattern and its inverse shows."""
     matrix = np.eye(POSE_SIZE, STATE_SIZE)
     matrix[:3, RATE_STATES] = late_s * np.eye(3)
     matrix[2, 8] = matrix[4, 9] = 1.0
@@ -187,31 +157,15 @@ _EYE = np.eye(2)
 
 @dataclass(frozen=True, slots=True)
 class Tilt:
-    """Stretch and shear, which change slowly and which only headers show; they stay apart from the rest of the state.
+    """Stretch and shear, which change slowly and only headers show, apart from the rest of the state."""
 
-    Attributes
-    ----------
-    mean
-        (2,) stretch and shear.
-    covariance
-        (2, 2) covariance of stretch and shear.
-    """
-
+    # (2,) stretch and shear
     mean: Floats = field(default_factory=partial(np.zeros, 2))
+    # (2, 2) covariance of stretch and shear
     covariance: Floats = field(default_factory=lambda: UNFITTED_TILT**2 * np.eye(2))
 
     def later(self, dt: float, x_rate: float, y_rate: float, model: MotionModel) -> "Tilt":
-        """The tilt at a later time.
-
-        Parameters
-        ----------
-        dt
-            Seconds from now to that time, at least 0.
-        x_rate, y_rate
-            Rates of x and y in px per second.
-        model
-            How the array may move.
-        """
+        """The tilt at a later time."""
         # a turn that goes on for a time tau adds its square, tau^2, as a walk of the variance tau dt
         turn = TURN * hypot(x_rate, y_rate) / model.focal_px
         variance = TILT_WALK**2 * model.walked(dt) + turn**2 * TURNING_PATTERNS * model.period_s * dt
@@ -220,23 +174,15 @@ class Tilt:
 
 @dataclass(frozen=True)  # without slots, which leave no room for what is cached
 class PoseState:
-    """State of the filter.
+    """State of the filter."""
 
-    Attributes
-    ----------
-    time_s
-        Its time in seconds.
-    mean
-        (10,) pose vector, rates per second of its first three, errors of ln pitch and ln blur in sums.
-    covariance
-        (10, 10) covariance of `mean`.
-    tilt
-        Stretch and shear of the image.
-    """
-
+    # Its time in seconds
     time_s: float
+    # (10,) pose vector, rates per second of its first three, errors of ln pitch and ln blur in sums
     mean: Floats
+    # (10, 10) covariance of `mean`
     covariance: Floats
+    # Stretch and shear of the image
     tilt: Tilt = field(default_factory=Tilt)
     _numbers: list[float] = field(init=False, repr=False, compare=False)
 
@@ -254,21 +200,7 @@ class PoseState:
         model: MotionModel,
         drift: tuple[float, float] = (0.0, 0.0),
     ) -> "PoseState":
-        """State of a pose just found; its pitch's rate and the sums' errors are unknown.
-
-        Parameters
-        ----------
-        time_s
-            Time of the pose in seconds.
-        vector
-            Pose vector, (5,) or, with the tilt, (7,).
-        covariance
-            Its covariance, (5, 5) or (7, 7).
-        model
-            How the array may move.
-        drift
-            Rates of x and y in px per second; they may be off by as much as unknown ones.
-        """
+        """State of a pose just found; its pitch's rate and the sums' errors are unknown."""
         mean, full = np.zeros(STATE_SIZE), np.zeros((STATE_SIZE, STATE_SIZE))
         mean[:POSE_SIZE], mean[5:7] = vector[:POSE_SIZE], drift
         full[:POSE_SIZE, :POSE_SIZE] = covariance[:POSE_SIZE, :POSE_SIZE]
@@ -278,27 +210,13 @@ class PoseState:
         return PoseState(time_s, mean, full, tilt)
 
     def predict(self, time_s: float, model: MotionModel) -> "PoseState":
-        """State at a later time: x = F x, P = F P F^T + Q.
-
-        Parameters
-        ----------
-        time_s
-            The later time in seconds.
-        model
-            How the array may move.
-        """
+        """State at a later time: x = F x, P = F P F^T + Q."""
         dt = time_s - self.time_s
         mean, covariance = kalman_kernels.predict(self.mean, self.covariance, dt, *model.noise_by_powers)
         return PoseState(time_s, mean, covariance, self.tilt.later(dt, self._numbers[5], self._numbers[6], model))
 
     def expected(self, observation: Observation) -> tuple[Floats, Floats]:
-        """Mean (5,) and covariance (5, 5) of what a fit will show: H x, H P H^T + R.
-
-        Parameters
-        ----------
-        observation
-            Which part of the state the fit observes, and its errors.
-        """
+        """Mean (5,) and covariance (5, 5) of what a fit will show: H x, H P H^T + R."""
         shown = observation.matrix, observation.variances
         mean, covariance, _ = kalman_kernels.expected(self.mean, self.covariance, *shown)
         return mean, covariance
@@ -308,15 +226,6 @@ class PoseState:
 
         The fit took `expected` as its prior, so its result is the posterior of what is observed (an iterated Kalman
         update); the state follows by regression on it.
-
-        Parameters
-        ----------
-        vector
-            (5,) the fit's pose vector.
-        covariance
-            (5, 5) its posterior covariance.
-        observation
-            Which part of the state the fit observed.
         """
         shown = observation.matrix, observation.variances, _for_kernels(vector), _for_kernels(covariance)
         mean, full = kalman_kernels.condition(self.mean, self.covariance, *shown)
@@ -328,13 +237,7 @@ class PoseState:
         return self.pose_at(self.time_s)
 
     def pose_at(self, time_s: float) -> Pose:
-        """The pose a little earlier or later, at constant rates.
-
-        Parameters
-        ----------
-        time_s
-            Time of the pose in seconds, before or after the state's own.
-        """
+        """The pose a little earlier or later, at constant rates."""
         x, y, log_pitch, roll, log_blur, x_rate, y_rate, pitch_rate, stretch, shear = self._numbers
         dt = time_s - self.time_s
         pitch = exp(log_pitch + dt * pitch_rate)

@@ -10,23 +10,7 @@ from heliograph.base.compiled import compiled
 
 @compiled()
 def predict(mean, covariance, dt, linear, quadratic, cubic):
-    """State at a later time: x = F x, P = F P F^T + Q, where F adds dt times a rate to each of the first three.
-
-    Parameters
-    ----------
-    mean
-        (10,) float64 state; its rates are numbers 5 to 7.
-    covariance
-        (10, 10) its covariance.
-    dt
-        Seconds to the later time.
-    linear, quadratic, cubic
-        (10, 10) what Q has in proportion to dt, dt^2 and dt^3.
-
-    Returns
-    -------
-    Mean (10,) and covariance (10, 10) at that time.
-    """
+    """State at a later time: x = F x, P = F P F^T + Q, where F adds dt times a rate to each of the first three."""
     x, p = mean.copy(), covariance.copy()
     size = x.shape[0]
     for k in range(3):
@@ -43,21 +27,7 @@ def predict(mean, covariance, dt, linear, quadratic, cubic):
 
 @compiled()
 def expected(mean, covariance, h, variances):
-    """What a fit will show: H x, H P H^T + R.
-
-    Parameters
-    ----------
-    mean, covariance
-        (10,) and (10, 10) state.
-    h
-        H, (5, 10): the state to what is shown.
-    variances
-        (5,) diagonal of R.
-
-    Returns
-    -------
-    Mean (5,), covariance (5, 5), and H P (5, 10).
-    """
+    """What a fit will show: H x, H P H^T + R."""
     shown, size = h.shape
     z, s, across = np.zeros(shown), np.zeros((shown, shown)), np.zeros((shown, size))
     for k in range(shown):
@@ -77,21 +47,7 @@ def expected(mean, covariance, h, variances):
 
 @compiled()
 def condition(mean, covariance, h, variances, vector, fitted):
-    """State given the posterior of what a fit shows: K = P H^T S^-1; x += K (z - H x); P += K (C - S) K^T.
-
-    Parameters
-    ----------
-    mean, covariance, h, variances
-        The state, and what the fit shows of it, as in `expected`.
-    vector
-        (5,) the fit's result z.
-    fitted
-        C, (5, 5), its posterior covariance.
-
-    Returns
-    -------
-    Mean (10,) and covariance (10, 10).
-    """
+    """State given the posterior of what a fit shows: K = P H^T S^-1; x += K (z - H x); P += K (C - S) K^T."""
     z, s, gain = expected(mean, covariance, h, variances)
     shown, size = h.shape
     less = np.empty((shown, shown))

@@ -9,49 +9,21 @@ from heliograph.base.arrays import Floats
 
 
 def predict(mean: Floats, covariance: Floats, dt: float, process_noise: Floats) -> tuple[Floats, Floats]:
-    """State at a later time: x = F x, P = F P F^T + Q.
-
-    Parameters
-    ----------
-    mean, covariance
-        (10,) and (10, 10) state; its rates are numbers 5 to 7.
-    dt
-        Seconds to the later time.
-    process_noise
-        Q, (10, 10): what the motion adds to the covariance.
-    """
+    """State at a later time: x = F x, P = F P F^T + Q."""
     f = np.eye(len(mean))
     f[:3, 5:8] = dt * np.eye(3)
     return f @ mean, f @ covariance @ f.T + process_noise
 
 
 def expected(mean: Floats, covariance: Floats, h: Floats, variances: Floats) -> tuple[Floats, Floats]:
-    """Mean (5,) and covariance (5, 5) of what a fit will show: H x, H P H^T + R.
-
-    Parameters
-    ----------
-    mean, covariance
-        (10,) and (10, 10) state.
-    h
-        H, (5, 10): the state to what is shown.
-    variances
-        (5,) diagonal of R.
-    """
+    """Mean (5,) and covariance (5, 5) of what a fit will show: H x, H P H^T + R."""
     return h @ mean, h @ covariance @ h.T + np.diag(variances)
 
 
 def condition(
     mean: Floats, covariance: Floats, h: Floats, variances: Floats, vector: Floats, fitted: Floats
 ) -> tuple[Floats, Floats]:
-    """State given the posterior of what a fit shows.
-
-    Parameters
-    ----------
-    mean, covariance, h, variances
-        The state, and what the fit shows of it, as in `expected`.
-    vector, fitted
-        (5,) the fit's result, and (5, 5) its posterior covariance.
-    """
+    """State given the posterior of what a fit shows."""
     # S = H P H^T + R, K = P H^T S^-1; x += K (z - H x); P += K (C - S) K^T
     z, s = expected(mean, covariance, h, variances)
     gain = np.linalg.solve(s, h @ covariance).T

@@ -48,37 +48,7 @@ def look(
     sight,
     clear,
 ):
-    """All that two frames of a pair show of an array before its pose is found in them.
-
-    Parameters
-    ----------
-    up, down
-        (rows, columns) float64 gray levels of pattern and inverse about the array.
-    middle, axes, away
-        Centre, steps and lines beside the array, as of `uncover`.
-    beside
-        Distance of a pixel from the centre above which it is beside the array, as of `noise_beside`.
-    before, least, width, bright, most, rate
-        Change of the LEDs in earlier pairs, and how that of this pair counts, as of `recent_change`.
-    sight_from
-        Recent change from which on an LED is in sight.
-    changed
-        Least change in gray levels of a covered line, as of `uncover`.
-    usual
-        (2, n + 2) what lines usually show, as of `uncover`; overwritten.
-    differs, total
-        (rows, columns) pattern less inverse and their sum, overwritten.
-    after
-        (n, n) recent change after the pair, overwritten.
-    sight
-        (n, n) overwritten: 1 for LEDs in sight, 0 for those that something hides.
-    clear
-        (n, n) overwritten: 0 for LEDs that something covers from a side, else 1.
-
-    Returns
-    -------
-    Standard deviation of the noise of the difference in gray levels; whether an LED is hidden; whether one is covered.
-    """
+    """All that two frames of a pair show of an array before its pose is found in them."""
     for i in range(up.shape[0]):
         for j in range(up.shape[1]):
             differs[i, j], total[i, j] = up[i, j] - down[i, j], up[i, j] + down[i, j]
@@ -98,28 +68,7 @@ def look(
 
 @compiled()
 def uncover(image, middle, axes, away, least, in_sight, usual, clear):
-    """Mark LEDs before which something came from a side, and renew what lines usually show.
-
-    Parameters
-    ----------
-    image
-        (rows, columns) float64 sum of a pair in gray levels.
-    middle
-        (2,) column and row of the array's centre in px.
-    axes
-        (2, 2) steps from one LED to the next along a row and along a column, in px, one per column.
-    away
-        Distance of the lines beside the array from its centre in pitches.
-    least
-        Least change in gray levels of a covered line.
-    in_sight
-        (n, n) 1 for LEDs in sight, 0 for those that something hides.
-    usual
-        (2, n + 2) gray levels that columns and rows usually show, the first and last of them beside the array; NaN
-        before they were seen. Overwritten.
-    clear
-        (n, n) of 1; overwritten with 0 where an LED is covered.
-    """
+    """Mark LEDs before which something came from a side, and renew what lines usually show."""
     side = in_sight.shape[0]
     levels, across, seen = np.empty(side + 2), np.empty(side), np.empty(side)
     hidden, covered = np.empty((2, side + 2), np.bool_), np.zeros((2, side + 2), np.bool_)
@@ -202,17 +151,7 @@ def _cover(levels, usual, least, hidden, covered, axis):
 
 @compiled()
 def noise_beside(change, x, y, least):
-    """Standard deviation about 0 of the pixels beside a square, by their median magnitude; 0 where there are none.
-
-    Parameters
-    ----------
-    change
-        (rows, columns) float64 gray levels.
-    x, y
-        Column and row of the square's centre in px.
-    least
-        Distance of a pixel from it, along a row or a column, above which it is beside.
-    """
+    """Standard deviation about 0 of the pixels beside a square, by their median magnitude; 0 where there are none."""
     sizes, count = np.empty(change.size), 0
     for i in range(change.shape[0]):
         for j in range(change.shape[1]):
@@ -225,17 +164,7 @@ def noise_beside(change, x, y, least):
 
 @compiled()
 def power_within(change, x, y, most):
-    """Sum of the squares of the pixels in a square, and their number.
-
-    Parameters
-    ----------
-    change
-        (rows, columns) float64 gray levels.
-    x, y
-        Column and row of the square's centre in px.
-    most
-        Distance of a pixel from it, along a row or a column, up to which it is in it.
-    """
+    """Sum of the squares of the pixels in a square, and their number."""
     power, count = 0.0, 0
     for i in range(change.shape[0]):
         for j in range(change.shape[1]):
@@ -247,29 +176,7 @@ def power_within(change, x, y, most):
 
 @compiled()
 def recent_change(before, change, noise, x, y, axes, width, least, bright, most, rate, out):
-    """Recent change of each LED, with that of one more pair; see `sight.recent_change`.
-
-    Parameters
-    ----------
-    before
-        (n, n) float64 the same before the pair.
-    change
-        (rows, columns) float64 pattern less inverse in gray levels.
-    noise
-        Standard deviation of its noise in gray levels.
-    x, y, axes, width
-        Centre, steps and square as of `power_around`.
-    least
-        Power in squared gray levels that an LED in sight has at least.
-    bright
-        Place, of all LEDs by their power, of the one that stands for those in sight.
-    most
-        Most that a pair counts for, as a multiple of that one's power.
-    rate
-        Weight of the pair.
-    out
-        (n, n) recent change after the pair, overwritten.
-    """
+    """Recent change of each LED, with that of one more pair; see `sight.recent_change`."""
     side = before.shape[0]
     around, powers = np.empty((side, side)), np.empty(side * side)
     power_around(change, noise, x, y, axes, width, around)
@@ -285,23 +192,7 @@ def recent_change(before, change, noise, x, y, axes, width, least, bright, most,
 
 @compiled()
 def power_around(change, noise, x, y, axes, width, around):
-    """Mean power of a change over the squares about LEDs, less that of its noise.
-
-    Parameters
-    ----------
-    change
-        (rows, columns) float64 pattern less inverse in gray levels; beyond it its border is repeated.
-    noise
-        Standard deviation of its noise in gray levels.
-    x, y
-        Column and row of the array's centre in px.
-    axes
-        (2, 2) steps from one LED to the next along a row and along a column, in px, one per column.
-    width
-        LEDs in a row of a square, odd; beyond the array it is mirrored.
-    around
-        (n, n) mean power of each LED in squared gray levels, overwritten; 0 where noise explains it all.
-    """
+    """Mean power of a change over the squares about LEDs, less that of its noise."""
     side, reach = around.shape[0], width // 2
     bottom, right = change.shape[0] - 1, change.shape[1] - 1
     power, rows = np.empty((side, side)), np.empty((side, side))

@@ -38,34 +38,16 @@ The mean of random data has a standard deviation of 1/32.
 
 @dataclass(frozen=True, slots=True)
 class SeenPair:
-    """A pair of data of which both frames are there.
+    """A pair of data of which both frames are there."""
 
-    Attributes
-    ----------
-    state
-        The array in it, as it was followed.
-    cutout
-        Its frames about the array.
-    """
-
+    # The array in it, as it was followed
     state: PoseState
+    # Its frames about the array
     cutout: Cutout
 
 
 def around(place: int, seen: Mapping[int, object]) -> list[int]:
-    """Places of the pairs whose sums stand for that of another, nearest first.
-
-    Parameters
-    ----------
-    place
-        Number in the packet's data of the pair that lacks a frame.
-    seen
-        What was seen of whole pairs, by their number.
-
-    Returns
-    -------
-    At most `SUMS`; none where no pair within `REACH` was seen.
-    """
+    """Places of the pairs whose sums stand for that of another, nearest first."""
     nearest = sorted(seen, key=lambda k: (abs(k - place), k))[:SUMS]
     return nearest if nearest and abs(nearest[0] - place) <= REACH else []
 
@@ -74,15 +56,6 @@ def state_between(time_s: float, states: Mapping[int, PoseState], place: int) ->
     """The array's state at a time between two at which it was seen.
 
     Poses follow the cubic that has the poses and rates of both (Hermite's).
-
-    Parameters
-    ----------
-    time_s
-        The time in seconds.
-    states
-        States of the pairs that were seen, by their number in the packet's data; one at least.
-    place
-        Number of the pair at that time, which was not seen.
     """
     before = max((k for k in states if k < place), default=None)
     after = min((k for k in states if k > place), default=None)
@@ -103,27 +76,7 @@ def state_between(time_s: float, states: Mapping[int, PoseState], place: int) ->
 def lone_cutout(
     lone: LoneFrame, place: int, seen: Mapping[int, SeenPair], late_s: float, gain: float, led_gains: Floats
 ) -> Cutout | None:
-    """What the frame left of a pair shows of it.
-
-    Parameters
-    ----------
-    lone
-        The camera's frame that is left, and which of the two it is.
-    place
-        Number of the pair in the packet's data.
-    seen
-        Whole pairs of the packet, by their number.
-    late_s
-        Seconds by which the data's light comes after the middle of an exposure.
-    gain
-        Gray levels of the sum of a pair with all LEDs on.
-    led_gains
-        (n, n) gains of the LEDs, at least 0, 1 for the median LED.
-
-    Returns
-    -------
-    Its cut-out, of one pose; None where no pair near it was seen, or something else is before the array.
-    """
+    """What the frame left of a pair shows of it."""
     chosen = around(place, seen)
     if not chosen:
         return None

@@ -29,40 +29,20 @@ Of arrays found while a post was leaving them, what it had covered was taken for
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What a pair shows of an array where it is expected.
+    """What a pair shows of an array where it is expected."""
 
-    Attributes
-    ----------
-    differs
-        (rows, columns) pattern less inverse in gray levels.
-    total
-        (rows, columns) their sum.
-    noise
-        Standard deviation of the noise of the difference in gray levels.
-    track
-        The array's track with what the pair adds to `Track.change`, `Track.lines` and `Track.clear`.
-    """
-
+    # (rows, columns) pattern less inverse in gray levels
     differs: Floats
+    # (rows, columns) their sum
     total: Floats
+    # Standard deviation of the noise of the difference in gray levels
     noise: float
+    # The array's track with what the pair adds to `Track.change`, `Track.lines` and `Track.clear`
     track: Track
 
 
 def look(track: Track, up: Floats, down: Floats, corner: tuple[int, int], pose: Pose) -> Look:
-    """Look at a pair where an array is expected.
-
-    Parameters
-    ----------
-    track
-        The array as known before the pair.
-    up, down
-        (rows, columns) float64 gray levels of pattern and inverse.
-    corner
-        (x, y) on the sensor of the first pixel.
-    pose
-        Pose that the array should have in the middle of the pair.
-    """
+    """Look at a pair where an array is expected."""
     side = len(track.change)
     differs, total = np.empty(up.shape), np.empty(up.shape)
     after, sight, clear = np.empty((side, side)), np.empty((side, side)), np.empty((side, side))

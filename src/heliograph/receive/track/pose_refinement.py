@@ -48,70 +48,40 @@ HALF_SIDE_PX = 4.0
 
 @dataclass(frozen=True, slots=True)
 class ObservedPair:
-    """A pair's cut-out and what follows from it and its poses.
+    """A pair's cut-out and what follows from it and its poses."""
 
-    Attributes
-    ----------
-    cutout
-        Pixels about the array, and the poses at which it is.
-    whitened
-        The cut-out with noise of one variance.
-    statistics
-        Sufficient statistics of its symbols.
-    error
-        (4,) corrections so far of x, y (px), ln pitch and roll (rad).
-    """
-
+    # Pixels about the array, and the poses at which it is
     cutout: Cutout
+    # The cut-out with noise of one variance
     whitened: WhitenedCutout
+    # Sufficient statistics of its symbols
     statistics: PairStatistics
+    # (4,) corrections so far of x, y (px), ln pitch and roll (rad)
     error: Floats
 
 
 @dataclass(frozen=True, slots=True)
 class ObservedPacket:
-    """A packet's pairs as they were observed, with the poses on which their statistics depend.
+    """A packet's pairs as they were observed, with the poses on which their statistics depend."""
 
-    Attributes
-    ----------
-    pairs
-        One per pair, in the single mode one per pattern; None where the array was not seen.
-    noise
-        Variances inside and beside the array in squared gray levels.
-    form
-        Format of the packet; in its single mode no pose is refined.
-    led_gains
-        Gains of the LEDs; their brightness is learnt from decoded data, but in the single mode and out of step.
-    brightness
-        Brightness of the LEDs as it was before this packet.
-    memo
-        Brightness learnt, by the number of decoded symbols: asked for again, it is not worked out again.
-    """
-
+    # One per pair, in the single mode one per pattern; None where the array was not seen
     pairs: Sequence[ObservedPair | None]
+    # Variances inside and beside the array in squared gray levels
     noise: Noise
+    # Format of the packet; in its single mode no pose is refined
     form: PacketFormat
+    # Gains of the LEDs; their brightness is learnt from decoded data, but in the single mode and out of step
     led_gains: LedGains
+    # Brightness of the LEDs as it was before this packet
     brightness: Brightness
+    # Brightness learnt, by the number of decoded symbols: asked for again, it is not worked out again
     memo: dict[int, Brightness] = field(default_factory=dict)
 
     @classmethod
     def of(
         cls, cutouts: Sequence[Cutout | None], noise: Noise, form: PacketFormat, led_gains: LedGains
     ) -> "ObservedPacket":
-        """Observe cut-outs at the poses that they have.
-
-        Parameters
-        ----------
-        cutouts
-            One per pair, in the single mode one per pattern; None where the array was not seen.
-        noise
-            Variances inside and beside the array in squared gray levels.
-        form
-            Format of the packet.
-        led_gains
-            Gains of the LEDs.
-        """
+        """Observe cut-outs at the poses that they have."""
         empty = cls([None] * len(cutouts), noise, form, led_gains, led_gains.brightness)
         seen = [None if cutout is None else empty._observe(cutout, np.zeros(4)) for cutout in cutouts]
         return replace(empty, pairs=seen)
@@ -128,21 +98,7 @@ class ObservedPacket:
         return max((_moved_px(pair.error, half * pair.cutout.middle.pitch) for pair in self.pairs if pair), default=0.0)
 
     def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "ObservedPacket":
-        """Correct the poses by what is decoded.
-
-        Parameters
-        ----------
-        mean, variance
-            (pairs, symbols) mean, -1 to 1, and variance of each symbol; those of a variance near 0 are decoded.
-        gain
-            Gray levels of the array with all LEDs on.
-        noise
-            Variance of a pixel of a difference in squared gray levels.
-
-        Returns
-        -------
-        The packet with corrected poses; itself where none moves.
-        """
+        """Correct the poses by what is decoded."""
         if self.form.single:
             # these poses come from decided data already
             return self
@@ -155,21 +111,7 @@ class ObservedPacket:
         return replace(self, pairs=pairs, memo={}) if moved else self
 
     def relit(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "ObservedPacket":
-        """Take the LEDs' brightness that decoded data show.
-
-        Parameters
-        ----------
-        mean, variance
-            (pairs, symbols) mean, -1 to 1, and variance of each symbol; those of a variance near 0 are decoded.
-        gain
-            Gray levels of the array with all LEDs on.
-        noise
-            Variance of a pixel of a difference in squared gray levels.
-
-        Returns
-        -------
-        The packet with other gains; itself where they hardly change.
-        """
+        """Take the LEDs' brightness that decoded data show."""
         learnt = self.learnt(mean, variance, gain, noise)
         if not learnt.differs(self.led_gains.brightness):
             return self
@@ -180,19 +122,7 @@ class ObservedPacket:
     def learnt(
         self, mean: Floats, variance: Floats, gain: float, noise: float, stride: int | None = None
     ) -> Brightness:
-        """Brightness of the LEDs with the evidence of this packet.
-
-        Parameters
-        ----------
-        mean, variance
-            (pairs, symbols) mean, -1 to 1, and variance of each symbol; those of a variance near 0 are decoded.
-        gain
-            Gray levels of the array with all LEDs on.
-        noise
-            Variance of a pixel of a difference in squared gray levels.
-        stride
-            One pair of so many is learnt from; None for as many as are worth it.
-        """
+        """Brightness of the LEDs with the evidence of this packet."""
         decoded = int((variance < KNOWN_VARIANCE).sum())
         if not self._learns or not decoded:
             return self.brightness
@@ -244,28 +174,16 @@ class ObservedPacket:
 
 @dataclass(frozen=True, slots=True)
 class PoseEvidence:
-    """Likelihood of a pose's error e, whose estimate is information^-1 score.
+    """Likelihood of a pose's error e, whose estimate is information^-1 score."""
 
-    Attributes
-    ----------
-    information
-        Fisher information J, (4, 4), of x, y (px), ln pitch and roll (rad).
-    score
-        q, (4,): slope of the log likelihood by these errors at e = 0.
-    """
-
+    # Fisher information J, (4, 4), of x, y (px), ln pitch and roll (rad)
     information: Floats
+    # Q, (4,): slope of the log likelihood by these errors at e = 0
     score: Floats
 
 
 def worth_moving(error: Floats) -> bool:
-    """Whether a pose's error is worth new statistics.
-
-    Parameters
-    ----------
-    error
-        (4,) error in x, y (px), ln pitch and roll (rad), of either sign.
-    """
+    """Whether a pose's error is worth new statistics."""
     return _moved_px(error, HALF_SIDE_PX) > LEAST_PX
 
 
@@ -276,19 +194,7 @@ def _moved_px(error: Floats, half_px: float) -> float:
 
 
 def smoothed_errors(evidence: dict[int, PoseEvidence], before: Floats) -> Floats:
-    """Most probable errors of a packet's poses, the sizes of the two processes being those that fit best.
-
-    Parameters
-    ----------
-    evidence
-        What some pairs say, by number of the pair; of poses already corrected by `before`.
-    before
-        (pairs, 4) corrections so far; the prior holds for the whole of an error.
-
-    Returns
-    -------
-    (pairs, 4) whole errors in x, y, ln pitch and roll.
-    """
+    """Most probable errors of a packet's poses, the sizes of the two processes being those that fit best."""
     asked = np.array(sorted(evidence))
     if not asked.size:
         return before

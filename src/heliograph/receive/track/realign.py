@@ -24,19 +24,7 @@ MOST_PX = 4
 
 
 def realigned(cutouts: Sequence[Cutout | None], led_gains: Floats) -> tuple[list[Cutout | None], float]:
-    """Move each pair to where the power of the differences about it is.
-
-    Parameters
-    ----------
-    cutouts
-        One per pair; None where the array was not seen.
-    led_gains
-        (n, n) gains of the LEDs, at least 0, 1 for the median LED.
-
-    Returns
-    -------
-    The cut-outs with their poses moved, and the largest move in px.
-    """
+    """Move each pair to where the power of the differences about it is."""
     matches = [np.zeros((2 * MOST_PX + 1,) * 2) if cutout is None else _match(cutout, led_gains) for cutout in cutouts]
     sums = np.cumsum([np.zeros_like(matches[0]), *matches], axis=0)
     moved, largest = list[Cutout | None](), 0.0

@@ -10,55 +10,19 @@ from heliograph.receive.image.robust import robust_std
 
 
 def noise_beside(change: Floats, x: float, y: float, least: float) -> float:
-    """Standard deviation about 0 of the pixels beside a square; 0 where there are none.
-
-    Parameters
-    ----------
-    change
-        (rows, columns) gray levels.
-    x, y
-        Column and row of the square's centre in px.
-    least
-        Distance of a pixel from it, along a row or a column, above which it is beside.
-    """
+    """Standard deviation about 0 of the pixels beside a square; 0 where there are none."""
     around = change[_away(change, x, y) > least]
     return robust_std(around) if around.size else 0.0
 
 
 def power_within(change: Floats, x: float, y: float, most: float) -> tuple[float, int]:
-    """Sum of the squares of the pixels in a square, and their number.
-
-    Parameters
-    ----------
-    change
-        (rows, columns) gray levels.
-    x, y
-        Column and row of the square's centre in px.
-    most
-        Distance of a pixel from it, along a row or a column, up to which it is in it.
-    """
+    """Sum of the squares of the pixels in a square, and their number."""
     inner = change[_away(change, x, y) <= most]
     return float(inner @ inner), inner.size
 
 
 def power_around(change: Floats, noise: float, x: float, y: float, axes: Floats, width: int, side: int) -> Floats:
-    """Mean power of a change over the squares about LEDs, less that of its noise, (n, n).
-
-    Parameters
-    ----------
-    change
-        (rows, columns) gray levels; beyond it its border is repeated.
-    noise
-        Standard deviation of its noise in gray levels.
-    x, y
-        Column and row of the array's centre in px.
-    axes
-        (2, 2) steps from one LED to the next along a row and along a column, in px, one per column.
-    width
-        LEDs in a row of a square, odd; beyond the array it is mirrored.
-    side
-        LEDs in a row of the array.
-    """
+    """Mean power of a change over the squares about LEDs, less that of its noise, (n, n)."""
     power = np.pad(np.maximum(change**2 - noise**2, 0.0), ((0, 1), (0, 1)), "edge")
     at_leds = np.empty((side, side))
     for u, v in np.ndindex(side, side):
@@ -72,23 +36,7 @@ def power_around(change: Floats, noise: float, x: float, y: float, axes: Floats,
 
 
 def recent_change(before: Floats, around: Floats, least: float, bright: int, most: float, rate: float) -> Floats:
-    """Recent change of each LED, with that of one more pair, (n, n).
-
-    Parameters
-    ----------
-    before
-        (n, n) the same before the pair.
-    around
-        (n, n) of `power_around`.
-    least
-        Power that an LED in sight has at least.
-    bright
-        Place, of all LEDs by their power, of the one that stands for those in sight.
-    most
-        Most that a pair counts for, as a multiple of that one's power.
-    rate
-        Weight of the pair.
-    """
+    """Recent change of each LED, with that of one more pair, (n, n)."""
     others = max(float(np.sort(around, axis=None)[bright]), least)
     return before + rate * (np.minimum(around / others, most) - before)
 

@@ -66,78 +66,28 @@ in all, one in 500 has as many dead ones about it.
 
 
 def in_sight(change: Floats) -> Floats:
-    """1 for LEDs in sight, 0 for those that something hides, (n, n).
-
-    Parameters
-    ----------
-    change
-        (n, n) of `Track.change`.
-    """
+    """1 for LEDs in sight, 0 for those that something hides, (n, n)."""
     return (change >= LEAST_CHANGE_IN_SIGHT).astype(np.float64)
 
 
 def around_leds(values: Floats, pose: Pose) -> Floats:
-    """Mean of values of LEDs over the squares about them.
-
-    Parameters
-    ----------
-    values
-        (n, n) values, one per LED.
-    pose
-        Pose of the array, whose pitch says how many LEDs a square holds.
-    """
+    """Mean of values of LEDs over the squares about them."""
     width = square_leds(pose, len(values))
     return np.asarray(cv2.blur(values, (width, width), borderType=cv2.BORDER_REFLECT), np.float64)
 
 
 def square_leds(pose: Pose, side: int) -> int:
-    """LEDs in a row of the square about one, whose change counts for it.
-
-    Parameters
-    ----------
-    pose
-        Pose of the array, whose pitch says how many LEDs a square holds.
-    side
-        LEDs in a row of the array.
-    """
+    """LEDs in a row of the square about one, whose change counts for it."""
     return min(max(SQUARE_LEDS, ceil(SQUARE_PX / pose.pitch) | 1), side - 1 | 1)
 
 
 def dark_zone(dark: NDArray[np.bool_], pose: Pose) -> NDArray[np.bool_]:
-    """LEDs that something hides, of those that a header shows dark: they lie together, and dead ones do not.
-
-    Parameters
-    ----------
-    dark
-        (n, n) whether a header shows an LED dark.
-    pose
-        Pose of the array, whose pitch says how many LEDs are about one.
-
-    Returns
-    -------
-    (n, n), True for LEDs of a zone.
-    """
+    """LEDs that something hides, of those that a header shows dark: they lie together, and dead ones do not."""
     return dark & (around_leds(dark.astype(np.float64), pose) >= LEAST_DARK_ZONE)
 
 
 def open_pixels(seen: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats:
-    """Pixels before which nothing is: those whose LED and its neighbours are in sight.
-
-    Parameters
-    ----------
-    seen
-        (n, n) 1 for LEDs in sight, else 0.
-    pose
-        Pose of the array's image on the sensor.
-    corner
-        (x, y) on the sensor of the first pixel.
-    shape
-        Rows and columns of the window in px.
-
-    Returns
-    -------
-    (rows, columns), 1 or 0; beyond the array that of the nearest LED.
-    """
+    """Pixels before which nothing is: those whose LED and its neighbours are in sight."""
     side = len(seen)
     sure = cv2.erode(seen.astype(np.float32), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
     middle, inverse = 0.5 * (side - 1), np.linalg.inv(pose.axes)
@@ -155,17 +105,7 @@ def open_pixels(seen: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[
 
 
 def open_lines(unhidden: Floats) -> tuple[Floats, Floats]:
-    """Columns or rows before which nothing is, whichever leave more pixels: what passes has an edge along one of them.
-
-    Parameters
-    ----------
-    unhidden
-        (rows, columns) of `open_pixels`.
-
-    Returns
-    -------
-    1 or 0 for each column (columns,) and each row (rows,); all 1 where they would leave less than `LEAST_OPEN`.
-    """
+    """Unoccluded columns or rows, whichever keep more pixels: passing objects have a straight edge."""
     rows, columns = unhidden.shape
     across, down = unhidden.min(0), unhidden.min(1)
     by_columns, by_rows = across.sum() * rows, down.sum() * columns

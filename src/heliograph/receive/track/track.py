@@ -14,62 +14,35 @@ from heliograph.receive.track.sight import in_sight
 
 @dataclass(frozen=True)  # without slots, which leave no room for what is cached
 class Track:
-    """What is known of an array that is followed.
+    """What is known of an array that is followed."""
 
-    Attributes
-    ----------
-    state
-        Pose and rates, with their covariance.
-    gain
-        Gray levels of a pair's sum with all LEDs on.
-    data_gain
-        The same as headers show it, where the background cancels.
-    led_gains
-        (n, n) gains of its LEDs, at least 0, 1 for the median LED.
-    last_seen_s
-        Time in seconds when it was last in sight.
-    change
-        (n, n) how much each LED changed from pattern to inverse in recent pairs, as a fraction of LEDs in sight, 0 to
-        `sight.MOST_CHANGE`.
-    score
-        Correlation of recent sums with the array's image; 1 before the first.
-    pairs
-        Pairs that were followed so far.
-    lines
-        (2, n + 2) gray levels that sums usually show along columns, from left to right, and rows, from top to
-        bottom, and beside them; NaN where nothing was seen yet; None before the first pair.
-    clear
-        (n, n) 1 for LEDs before which nothing has come from a side, else 0; None if all are.
-    drawn
-        The array with all LEDs on as it was last drawn, which saves fits of sums the drawing.
-    """
-
+    # Pose and rates, with their covariance
     state: PoseState
+    # Gray levels of a pair's sum with all LEDs on
     gain: float
+    # The same as headers show it, where the background cancels
     data_gain: float
+    # (n, n) gains of its LEDs, at least 0, 1 for the median LED
     led_gains: Floats
+    # Time in seconds when it was last in sight
     last_seen_s: float
+    # (n, n) how much each LED changed from pattern to inverse in recent pairs, as a fraction of LEDs in sight, 0 to
+    # `sight.MOST_CHANGE`
     change: Floats
+    # Correlation of recent sums with the array's image; 1 before the first
     score: float = 1.0
+    # Pairs that were followed so far
     pairs: int = 0
+    # (2, n + 2) gray levels that sums usually show along columns, from left to right, and rows, from top to bottom, and
+    # beside them; NaN where nothing was seen yet; None before the first pair
     lines: Floats | None = None
+    # (n, n) 1 for LEDs before which nothing has come from a side, else 0; None if all are
     clear: Floats | None = None
+    # The array with all LEDs on as it was last drawn, which saves fits of sums the drawing
     drawn: Drawn = field(default_factory=Drawn, compare=False, repr=False)
 
     def looked_at(self, change: Floats, in_sight: Floats | None, lines: Floats, clear: Floats | None) -> "Track":
-        """The track after one more pair was looked at.
-
-        Parameters
-        ----------
-        change
-            (n, n) of `Track.change` with the pair.
-        in_sight
-            (n, n) of `Track.in_sight` by it; None if all LEDs are in sight.
-        lines
-            (2, n + 2) of `Track.lines` with the pair.
-        clear
-            (n, n) of `Track.clear` by the pair; None if all LEDs are clear.
-        """
+        """The track after one more pair was looked at."""
         gains = self.state, self.gain, self.data_gain, self.led_gains, self.last_seen_s
         after = Track(*gains, change, self.score, self.pairs + 1, lines, clear, self.drawn)
         known = after.__dict__
@@ -80,19 +53,7 @@ class Track:
         return after
 
     def found(self, state: PoseState, gain: float, score: float, seen_s: float) -> "Track":
-        """The track after its pose was found; what is known of its LEDs need not be worked out again.
-
-        Parameters
-        ----------
-        state
-            Pose and rates of the array, with their covariance.
-        gain
-            Gray levels of a pair's sum with all LEDs on.
-        score
-            Correlation of recent sums with the array's image.
-        seen_s
-            Time in seconds when it was last in sight.
-        """
+        """The track after its pose was found; what is known of its LEDs need not be worked out again."""
         leds = self.change, score, self.pairs, self.lines, self.clear, self.drawn
         after = Track(state, gain, self.data_gain, self.led_gains, seen_s, *leds)
         for name in ("in_sight", "whole", "unhidden", "hidden", "sound", "shining"):
@@ -139,26 +100,17 @@ def _all_leds(side: int) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class TrackedPair:
-    """A pattern and its inverse with the pose found in their sum.
+    """A pattern and its inverse with the pose found in their sum."""
 
-    Attributes
-    ----------
-    before
-        The track before the pair.
-    track
-        The track after it.
-    fit
-        The fit of the sum.
-    seen
-        Whether the array was in sight.
-    cutouts
-        Of data without inverses, the two frames less their background; else none.
-    """
-
+    # The track before the pair
     before: Track
+    # The track after it
     track: Track
+    # The fit of the sum
     fit: Fit
+    # Whether the array was in sight
     seen: bool
+    # Of data without inverses, the two frames less their background; else none
     cutouts: tuple[Cutout, ...] = ()
 
     @property

@@ -81,27 +81,13 @@ looked for (`SIDE_STEP`). Roll gets 0.01 rad, ln blur 0.1. Half and twice of it 
 
 
 class Tracker:
-    """Follows arrays from pair to pair; tracks are values, and the tracker itself holds no state.
-
-    Parameters
-    ----------
-    side
-        LEDs in a row.
-    model
-        How an array may move.
-    """
+    """Follows arrays from pair to pair; tracks are values, and the tracker itself holds no state."""
 
     def __init__(self, side: int, model: MotionModel):
         self._side, self._model = side, model
 
     def start(self, detection: Detection) -> Track:
-        """Begin to follow an array that was found.
-
-        Parameters
-        ----------
-        detection
-            Where and when its header was found.
-        """
+        """Begin to follow an array that was found."""
         fit = detection.fit
         state = PoseState.start(detection.time_s, fit.vector, widened(fit.covariance), self._model, detection.drift)
         change = around_leds(detection.led_gains, fit.pose)
@@ -109,17 +95,7 @@ class Tracker:
         return Track(state, fit.gain, fit.gain, detection.led_gains, detection.time_s, change)
 
     def follow(self, track: Track, pair: FramePair, header: Floats | None = None) -> TrackedPair:
-        """Find the array in the sum of a pair and move the filter on; coast where it is not seen.
-
-        Parameters
-        ----------
-        track
-            The array as known before the pair.
-        pair
-            Frames of a pattern and its inverse.
-        header
-            (n, n) luminances of the header less its inverse, +-1, where the pair is one; None for data.
-        """
+        """Find the array in the sum of a pair and move the filter on; coast where it is not seen."""
         predicted = self.predict(track, pair.time_s)
         pose = predicted.pose
         window = track.drawn.window(pose, self._side, _margin(pose))
@@ -167,17 +143,7 @@ class Tracker:
         return TrackedPair(before, after, fit, there)
 
     def refine(self, track: Track, pair: FramePair, weights: Floats) -> Track:
-        """Refine pitch, roll, blur and tilt by a header, after its sum was followed.
-
-        Parameters
-        ----------
-        track
-            The array as `follow` found it in the header's sum.
-        pair
-            Frames of the header and its inverse.
-        weights
-            (n, n) luminances of the header less its inverse, -1 to 1, as if all LEDs were sound.
-        """
+        """Refine pitch, roll, blur and tilt by a header, after its sum was followed."""
         state, tilt = track.state, track.state.tilt
         corner, up, down = _cut(pair, window_around(state.pose, self._side, _margin(state.pose)))
         mean, covariance = state.expected(HEADER_OBSERVATION)
@@ -192,32 +158,14 @@ class Tracker:
         return replace(track, state=state, data_gain=fit.gain)
 
     def sees(self, track: Track, pair: FramePair, fit: Fit) -> bool:
-        """Whether the array is in sight where a fit has it, by two frames that show different patterns.
-
-        Parameters
-        ----------
-        track
-            The array, whose pose says which pixels are looked at, and whose gain how much must change.
-        pair
-            Frames of the two patterns.
-        fit
-            Fit whose pose says where the array should be.
-        """
+        """Whether the array is in sight where a fit has it, by two frames that show different patterns."""
         corner, up, down = _cut(pair, window_around(track.state.pose, self._side, _margin(track.state.pose)))
         noise = noise_around(up - down, track.state.pose, corner, self._side)
         pose = fit.pose
         return _inside(pose, pair.pattern) and is_active(up - down, noise, pose, corner, self._side, track.gain)
 
     def predict(self, track: Track, time_s: float) -> PoseState:
-        """State at a time; before the track's own time the state is taken as it is.
-
-        Parameters
-        ----------
-        track
-            The array as it was last known.
-        time_s
-            Time of the prediction in seconds.
-        """
+        """State at a time; before the track's own time the state is taken as it is."""
         if time_s <= track.state.time_s:
             return replace(track.state, time_s=time_s)
         return track.state.predict(time_s, self._model)
@@ -308,13 +256,7 @@ def _as_expected(track: Track, predicted: Pose, fit: Fit) -> bool:
 
 
 def widened(covariance: Floats) -> Floats:
-    """A detection's covariance with room for the motion since its middle.
-
-    Parameters
-    ----------
-    covariance
-        Covariance of the detection's pose vector, (5, 5) or, with the tilt, (7, 7).
-    """
+    """A detection's covariance with room for the motion since its middle."""
     wider = covariance.copy()
     wider[np.arange(5), np.arange(5)] += FOUND_SPREAD
     return wider
