@@ -23,7 +23,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import Packet, Receiver, make_receiver
-from heliograph.receive.image.orientation import UPRIGHT, Orientation
+from heliograph.receive.geometry.pose import UPRIGHT, Orientation
 
 PACKETS = 5
 """Packets that a film lasts for: four of them are whole."""

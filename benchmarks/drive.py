@@ -41,8 +41,9 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.media import create_film, open_film
-from heliograph.receive import Packet, assemblies, make_receiver
-from heliograph.receive.coming import ComingPacket
+from heliograph.receive import Packet, make_receiver
+from heliograph.receive import build as assemblies
+from heliograph.receive.decode.worker import ComingPacket
 
 RUNS = 3
 WARM_FRAMES = 330

@@ -19,7 +19,7 @@ from heliograph.measure.bench import block_settings, lasting, random_messages
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.receive import Packet, make_receiver
 from heliograph.receive.events import DetectEvent
-from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
+from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.signal.settings import LAYERS
 
 PX_M = 58.3 * 16

@@ -29,7 +29,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.measure.statistics import Count
 from heliograph.receive import make_receiver
-from heliograph.receive.packets import Packet
+from heliograph.receive.packet import Packet
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS
 

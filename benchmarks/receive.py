@@ -18,11 +18,11 @@ from heliograph.link.recordings import load_footage
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, default_messages, simulate
 from heliograph.receive import Packet, Pose, ReceiveSettings
-from heliograph.receive.acquire.budget import SearchLoad
-from heliograph.receive.acquire.detection import Detection, HeaderSearch
-from heliograph.receive.assemblies import plain_parts, plain_receiver, soft_receiver
+from heliograph.receive.build import plain_parts, plain_receiver, soft_receiver
+from heliograph.receive.detect.budget import SearchLoad
+from heliograph.receive.detect.detection import Detection, HeaderSearch
 from heliograph.receive.events import ignore
-from heliograph.receive.image.orientation import Orientation
+from heliograph.receive.geometry.pose import Orientation
 from heliograph.receive.receiver import StreamReceiver
 
 RUNS = 5

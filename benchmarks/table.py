@@ -35,10 +35,10 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.media import create_film, open_film
 from heliograph.receive import Pose, Receiver, make_receiver
-from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.assemblies import plain_parts
+from heliograph.receive.build import plain_parts
+from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, ignore
-from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.kalman import MotionModel
 from heliograph.receive.track.track import Track
 from heliograph.receive.track.tracker import Tracker

@@ -8,6 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from observe_oracle import transform
+from render_oracle import blur_matrix
 
 from heliograph.experiments.plots import LAYER_COLOURS, image_row
 from heliograph.link.settings import load_settings
@@ -15,10 +17,8 @@ from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive import Pose, make_receiver
 from heliograph.receive.equalise.kernels import FEW, MANY
 from heliograph.receive.events import DecodeEvent, EqualiseEvent, Event
-from heliograph.receive.image.reference import blur_matrix
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise
-from heliograph.receive.observe.reference import transform
 from heliograph.receive.observe.statistics import whiten
 from heliograph.signal.block import pack
 from heliograph.signal.settings import LAYERS

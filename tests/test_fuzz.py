@@ -67,7 +67,7 @@ def test_the_guided_fuzzer_says_that_atheris_is_missing(monkeypatch: pytest.Monk
 
 def test_the_guided_fuzzer_leaves_modules_with_kernels_alone() -> None:
     found = guided_fuzz.with_kernels()
-    assert {"heliograph.receive.image.kernels", "heliograph.signal.turbo.kernel"} <= set(found)
+    assert {"heliograph.receive.geometry.kernels", "heliograph.signal.turbo.kernel"} <= set(found)
     assert "heliograph.base.toml_text" not in found
 
 

@@ -149,7 +149,7 @@ def test_what_other_kernels_alone_call_refuses_python_and_is_kept_with_them(smal
 
 
 def test_garbage_is_collected_again_once_it_is_compiled() -> None:
-    from heliograph.receive.image.median import median
+    from heliograph.receive.geometry.kernels import median
 
     assert gc.isenabled()
     assert median(np.array([3.0, 1.0, 2.0])) == 2.0

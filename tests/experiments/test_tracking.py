@@ -16,8 +16,8 @@ from heliograph.experiments.tracking.score import TrackingScore, score, scores
 from heliograph.experiments.tracking.verdicts import BACKGROUND, OURS, findings, rate_finding, rates
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.receive import Pose
-from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.image.fit import Fit
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.geometry.fit import Fit
 
 pytestmark = pytest.mark.slow
 

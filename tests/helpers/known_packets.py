@@ -10,21 +10,21 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from observe_oracle import pair_model, transform
+from render_oracle import blur_matrix
 from scenes import SIDE, pitch_at
 from slot_light import light_about_mean, observed
 
 from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.gain_and_noise import GainAndNoise
-from heliograph.receive.decode.iterate import EqualiseEvent, decode_iteratively, ignore
-from heliograph.receive.decode.soft_combining import SharedBuffer
-from heliograph.receive.image.reference import blur_matrix
-from heliograph.receive.observe.reference import pair_model, transform
+from heliograph.receive.decode.combining import SharedBuffer
+from heliograph.receive.decode.turbo_equaliser import GainAndNoise, decode_iteratively
+from heliograph.receive.events import EqualiseEvent, ignore
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.packets import Words
+from heliograph.receive.packet import Words
 from heliograph.receive.settings import Feedback
-from heliograph.receive.timing.combination import Combination
+from heliograph.receive.sync.combine import Combination
 from heliograph.signal import haar
 from heliograph.signal.block import Block
 from heliograph.signal.packet import PacketFormat

@@ -7,8 +7,8 @@ from scipy.special import erf
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.timing.frame_pair import FramePair
-from heliograph.receive.track.background import SeenHeader
+from heliograph.receive.equalise.single_mode import SeenHeader
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal import haar
 from heliograph.signal.header import header_levels
 from heliograph.signal.polarity import balance

@@ -2,15 +2,15 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from observe_oracle import pair_model, transform, weights
+from render_oracle import blur_matrix
 from scenes import SIDE, draw, pitch_at
 
 from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
-from heliograph.receive.image.reference import blur_matrix
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.observe.noise import Noise
-from heliograph.receive.observe.reference import pair_model, transform, weights
-from heliograph.receive.timing.frame_pair import CombinedFrame, FramePair
+from heliograph.receive.sync.pairing import CombinedFrame, FramePair
 
 Floats = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from heliograph.measure.reception import Reception, receive_film
 from heliograph.media import open_film
 from heliograph.receive import Packet
 from heliograph.receive.events import LostEvent
-from heliograph.receive.packets import Status
+from heliograph.receive.packet import Status
 from heliograph.receive.receiver import StreamReceiver
 
 

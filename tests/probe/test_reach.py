@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from heliograph.probe import reach
 from heliograph.probe.reach import information_of, reaches
 from heliograph.receive.equalise.lmmse import Estimate, equalise
-from heliograph.receive.image.pose import Pose
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.noise import Noise
 from heliograph.signal.settings import SignalSettings
 

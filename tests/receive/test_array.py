@@ -14,8 +14,8 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, receive_frames
 from heliograph.receive.decode.codeword import ERASED
-from heliograph.receive.plain.reader import TakenLuminances
-from heliograph.receive.taken_pairs import TakenPairs
+from heliograph.receive.decode.packet_decoder import TakenPairs
+from heliograph.receive.plain_reader import TakenLuminances
 from heliograph.receive.track.track import TrackedPair
 from heliograph.receive.track.tracker import Tracker
 

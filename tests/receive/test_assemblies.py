@@ -16,10 +16,10 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import run_block
 from heliograph.receive import Packet, ReceiveSettings, make_receiver, receive_frames
-from heliograph.receive.decode import iterate
+from heliograph.receive.decode import turbo_equaliser as iterate
 from heliograph.receive.equalise import led_gains
+from heliograph.receive.equalise import single_mode as decision_directed
 from heliograph.receive.equalise.lmmse import Estimate, equalise
-from heliograph.receive.track import decision_directed
 from heliograph.signal.settings import SignalSettings
 
 

@@ -9,15 +9,15 @@ from known_packets import FORM
 from numpy.typing import NDArray
 from scenes import SIDE
 
-from heliograph.receive import Codeword, Pose, assumptions
-from heliograph.receive.assumptions import Assumption, ReadPacket, all_leds_sound, read_new, read_packet
-from heliograph.receive.decode.gain_and_noise import GainAndNoise
-from heliograph.receive.decode.observed import DecodedPacket
+from heliograph.receive import Codeword, Pose
+from heliograph.receive.decode import packet_decoder as assumptions
+from heliograph.receive.decode.packet_decoder import Assumption, ReadPacket, all_leds_sound, read_new, read_packet
+from heliograph.receive.decode.turbo_equaliser import DecodedPacket, GainAndNoise
 from heliograph.receive.equalise.led_gains import LedGains
+from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise
-from heliograph.receive.packets import Words
-from heliograph.receive.track.pose_refinement import ObservedPacket
+from heliograph.receive.packet import Words
 from heliograph.signal.packet import PacketFormat
 
 Floats = NDArray[np.float64]

@@ -12,10 +12,9 @@ from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import simulate
 from heliograph.measure.bench import block_settings, random_messages
 from heliograph.receive import receive_frames
-from heliograph.receive.acquire.given import GivenSearch
-from heliograph.receive.acquire.phases import PhasedSearch
-from heliograph.receive.acquire.pyramid import PyramidSearch
-from heliograph.receive.assemblies import plain_parts, soft_parts
+from heliograph.receive.build import plain_parts, soft_parts
+from heliograph.receive.detect.region import GivenSearch
+from heliograph.receive.detect.search import PhasedSearch, PyramidSearch
 
 DISTANCE_M = 40.0
 TURNED = "[78,43,96,58,81,76,63,61]"

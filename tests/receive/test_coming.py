@@ -22,14 +22,16 @@ from waiting import HANG_S
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.receive import Packet, assemblies, coming, make_receiver, receive_frames
+from heliograph.receive import Packet, make_receiver, receive_frames
+from heliograph.receive import build as assemblies
 from heliograph.receive.array import ArrayReceiver
+from heliograph.receive.decode import worker as coming
 from heliograph.receive.decode.codeword import unread
+from heliograph.receive.decode.packet_decoder import Lesson, TakenPairs
+from heliograph.receive.decode.worker import Decoded, TakenPacket
 from heliograph.receive.events import ignore
-from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
-from heliograph.receive.packet_reader import SoftReader
-from heliograph.receive.reader_protocol import Decoded, TakenPacket
-from heliograph.receive.taken_pairs import Lesson, TakenPairs
+from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
+from heliograph.receive.soft_reader import SoftReader
 
 PACKET = 100
 """Frames of a packet."""

@@ -8,12 +8,12 @@ from lamp_scenes import LampScene
 
 from heliograph.base.frames import Frame
 from heliograph.receive import make_receiver
-from heliograph.receive.acquire.budget import FILM_PART, PATIENT_WORK, WORK_PER_MS
-from heliograph.receive.acquire.coarse import SearchParameters, coarse_search
-from heliograph.receive.acquire.hypotheses import headers
-from heliograph.receive.acquire.straddled import StraddledDetector
+from heliograph.receive.detect.alternation import SearchParameters, coarse_search
+from heliograph.receive.detect.budget import FILM_PART, PATIENT_WORK, WORK_PER_MS
+from heliograph.receive.detect.detector import StraddledDetector
+from heliograph.receive.detect.header_bank import headers
 from heliograph.receive.events import DetectEvent, Event
-from heliograph.receive.image.orientation import UPRIGHT
+from heliograph.receive.geometry.pose import UPRIGHT
 from heliograph.signal.header import all_header_cells
 from heliograph.signal.settings import SignalSettings
 

@@ -14,7 +14,7 @@ from heliograph.link.simulate import simulate
 from heliograph.measure.bench import block_settings, random_messages
 from heliograph.receive import make_receiver, receive_frames
 from heliograph.receive.events import DetectEvent
-from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
+from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
 
 
 def near(distance_m: float, receiver: str, *changes: str, identity: int = 0) -> LinkSettings:

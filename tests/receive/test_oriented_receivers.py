@@ -9,8 +9,8 @@ import pytest
 
 from heliograph.base.frames import Frame
 from heliograph.receive.array import ArrayReceiver
-from heliograph.receive.image.orientation import ORIENTATIONS, UPRIGHT, Orientation
-from heliograph.receive.oriented_receivers import OrientedReceivers
+from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
+from heliograph.receive.receiver import OrientedReceivers
 
 FRAME = Frame(0, 0.0, np.zeros((4, 4), np.uint8))
 

@@ -12,13 +12,12 @@ from scenes import SIDE, drawn_film, film, link
 
 from heliograph.receive import receive_frames
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.equalise.brightness import Brightness, DecodedPair
-from heliograph.receive.equalise.led_gains import LearntGains, LedGains
+from heliograph.receive.decode.packet_decoder import Lesson, SoftReading
+from heliograph.receive.equalise.led_gains import Brightness, DecodedPair, LearntGains, LedGains
 from heliograph.receive.events import DecodeEvent, ExtractEvent, ignore
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.packet_reader import SoftParts, SoftReader
-from heliograph.receive.taken_pairs import Lesson, SoftReading
+from heliograph.receive.soft_reader import SoftParts, SoftReader
 from heliograph.receive.track.kalman import MotionModel
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.formats import AGREED

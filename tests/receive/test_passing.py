@@ -8,7 +8,7 @@ from scenes import SIDE, draw, frame_of
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import Pose, receive_frames
-from heliograph.receive.timing.header_amplitudes import header_amplitudes
+from heliograph.receive.sync.light_clock import header_amplitudes
 from heliograph.signal.header import header_levels
 
 

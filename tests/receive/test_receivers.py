@@ -12,7 +12,7 @@ from heliograph.base.config import CONFIG, from_mapping
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
 from heliograph.receive import Packet, Pose, ReceiveSettings, make_receiver, own_settings, receive_frames
-from heliograph.receive.receivers import register_receiver
+from heliograph.receive.api import register_receiver
 from heliograph.receive.registry import RECEIVERS
 from heliograph.signal.settings import SignalSettings
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import heliograph
 from heliograph.channel.motion import Drive
-from heliograph.receive.packets import Packet
+from heliograph.receive.packet import Packet
 from heliograph.signal.code import CodePlan, CODES
 
 

@@ -10,7 +10,7 @@ from heliograph.base.errors import SettingsError, shown
 from heliograph.link.information import Kind, Reach, array_images, needed, noise_share
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings
-from heliograph.receive.acquire.coarse import size_limits
+from heliograph.receive.detect.alternation import size_limits
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.signal.formats import AGREED, Format, Mode
 from heliograph.signal.packet import PacketFormat

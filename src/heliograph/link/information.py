@@ -252,7 +252,7 @@ def looks_at(channel: ChannelSettings, signal: SignalSettings, distance_m: float
     distance_m
         Distance to the array's plane in m.
     """
-    from heliograph.receive.plain.kernels import sample_cubic  # Numba is slow to import
+    from heliograph.receive.decode.kernels import sample_cubic  # Numba is slow to import
 
     side = min(signal.side, LARGEST)
     levels = symbol_levels(side, signal.modulation)

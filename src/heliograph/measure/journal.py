@@ -10,9 +10,9 @@ import numpy as np
 from heliograph.base.frames import Frame
 from heliograph.link.film import packet_row
 from heliograph.receive import Packet
-from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, LostEvent, MissedStartEvent
-from heliograph.receive.image.pose import Pose
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.road.countdown import Countdown
 from heliograph.road.read import group_words, road_values, road_words

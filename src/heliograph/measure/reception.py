@@ -12,10 +12,10 @@ from heliograph.link.simulate import Messages
 from heliograph.link.truth import FrameTruth
 from heliograph.measure.errors import ErrorCounter
 from heliograph.receive import Codeword, Packet, make_receiver
-from heliograph.receive.acquire.budget import SearchLoad
-from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.api import AnyObserver
+from heliograph.receive.detect.budget import SearchLoad
+from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, DropEvent, MissedStartEvent
-from heliograph.receive.receivers import AnyObserver
 from heliograph.signal.block import Block, payload_bytes
 from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress
 from heliograph.signal.message import Message, Reassembler

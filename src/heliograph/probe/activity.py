@@ -15,7 +15,8 @@ import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.coarse import BLOCK_PX, alternation_means
+from heliograph.receive.detect.alternation import alternation_means
+from heliograph.receive.detect.kernels import BLOCK_PX
 
 MOST_BYTES = 192 << 20
 """Most bytes of frames in a stretch: 380 frames of 1024 x 512 pixels of 8 bits. Two stretches are held at a time."""

@@ -15,10 +15,10 @@ from heliograph.probe.reach import Reach, reaches
 from heliograph.probe.reading import Asked, Reading, narrowed, read
 from heliograph.probe.regions import Region
 from heliograph.receive import Packet
-from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.detect.detection import Detection
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
-from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
+from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 
 MOST_PLACES = 20_000
 """Most packets whose places are kept, the last ones: those of half an hour of the reference link."""

@@ -16,7 +16,7 @@ from heliograph.probe.reach import Reach
 from heliograph.probe.reading import Asked
 from heliograph.probe.regions import Region
 from heliograph.probe.trials import SURE_HEADER, Found
-from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
+from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 
 Kind = Literal[
     "array", "other rate", "other side", "other packets", "too small", "too large", "too dim", "saturated",

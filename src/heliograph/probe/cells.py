@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.screen.outline import quadrilaterals, reduced, sharpened
+from heliograph.receive.screen.locate import quadrilaterals, reduced, sharpened
 
 SIDES = range(8, 33, 4)
 """Cells of a side that are told apart."""

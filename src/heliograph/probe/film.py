@@ -29,10 +29,10 @@ from heliograph.probe.trials import SURE_HEADER, is_blurred, other_packets, what
 from heliograph.probe.turned import what_reads_turned
 from heliograph.receive import Packet, ReceiveSettings, make_receiver
 from heliograph.receive.events import DetectEvent
-from heliograph.receive.image.window import Window
+from heliograph.receive.geometry.window import Window
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.settings import DetectSettings
-from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
+from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 
 LARGER = 1.5

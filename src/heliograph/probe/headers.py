@@ -14,22 +14,15 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.candidate import TILTED_SPREAD, UPRIGHT_SPREAD, cell_weights, fit_near
-from heliograph.receive.acquire.coarse import (
-    ALTERNATION,
-    BLOCK_PX,
-    RING,
-    SearchParameters,
-    alternation_of,
-    coarse_search,
-)
-from heliograph.receive.acquire.hypotheses import Hypothesis, headers
-from heliograph.receive.image import kernels
-from heliograph.receive.image.fit import Fit
-from heliograph.receive.image.orientation import ORIENTATIONS
-from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.view import View, halved, reduced_blur
-from heliograph.receive.image.window import cut_out, window_around
+from heliograph.receive.detect.alternation import ALTERNATION, RING, SearchParameters, alternation_of, coarse_search
+from heliograph.receive.detect.candidate import TILTED_SPREAD, UPRIGHT_SPREAD, cell_weights, fit_near
+from heliograph.receive.detect.header_bank import Hypothesis, headers
+from heliograph.receive.detect.kernels import BLOCK_PX
+from heliograph.receive.geometry import kernels
+from heliograph.receive.geometry.fit import Fit
+from heliograph.receive.geometry.pose import ORIENTATIONS, Pose
+from heliograph.receive.geometry.view import View, halved, reduced_blur
+from heliograph.receive.geometry.window import cut_out, window_around
 
 LEVEL_SIDE_PX = 48.0
 """Largest side in px in which a header is looked for: larger regions are looked at in reduced frames."""

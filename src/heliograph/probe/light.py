@@ -19,7 +19,7 @@ import numpy as np
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
 from heliograph.probe.regions import Region, thinned
-from heliograph.receive.timing.partial_exposure import COVARIANCE
+from heliograph.receive.sync.combine import COVARIANCE
 from heliograph.signal.pwm import SLOTS
 
 LAGS = (1, 2, 3)

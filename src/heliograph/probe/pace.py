@@ -9,7 +9,7 @@ from heliograph.base.frames import Frame
 from heliograph.probe.activity import LEAST_FRAMES, stretch_of
 from heliograph.probe.light import light_rate
 from heliograph.probe.regions import regions_of
-from heliograph.receive.timing.camera_clock import frame_period
+from heliograph.receive.sync.frame_clock import frame_period
 from heliograph.signal.pwm import SLOT_ORDER
 
 DISPLAYS_HZ = (60, 50, 72, 75, 90, 100, 120, 144, 165, 240)

@@ -14,8 +14,8 @@ from heliograph.probe.activity import Stretch
 from heliograph.probe.causes import RegionSeen
 from heliograph.probe.noise import NoiseFound
 from heliograph.probe.regions import Region
-from heliograph.receive.acquire.coarse import ALTERNATION
-from heliograph.receive.image.window import Window, cut_out
+from heliograph.receive.detect.alternation import ALTERNATION
+from heliograph.receive.geometry.window import Window, cut_out
 
 WIDE = 11.0
 """Width of a picture in inches."""

@@ -16,17 +16,17 @@ import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.threads import one_thread
-from heliograph.receive.acquire.coarse import size_limits
+from heliograph.receive.decode.per_led import at_leds
+from heliograph.receive.detect.alternation import size_limits
 from heliograph.receive.equalise.lmmse import equalise
-from heliograph.receive.image import kernels as image_kernels
-from heliograph.receive.image.footprint import to_grid
-from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import RIM_PX, window_around
+from heliograph.receive.geometry import kernels as image_kernels
+from heliograph.receive.geometry.footprint import to_grid
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.window import RIM_PX, window_around
 from heliograph.receive.observe import kernels
 from heliograph.receive.observe.cutout import RING_PX, Cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import whiten
-from heliograph.receive.plain.extract import at_leds
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
 

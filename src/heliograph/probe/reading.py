@@ -10,7 +10,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.film import is_packet
 from heliograph.receive import Packet, ReceiveSettings, make_receiver
-from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DecodeEvent, DetectEvent, TrackEvent
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.signal.settings import SignalSettings

@@ -10,7 +10,7 @@ from heliograph.probe.reading import SLACK, Asked
 from heliograph.probe.trials import SURE_HEADER, Found, is_blurred, options
 from heliograph.probe.turned import LEAST_TURN_DEG
 from heliograph.receive.settings import SMALLEST_SIDE_PX
-from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
+from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 
 LAMP = 0.05
 """Pattern part below which a region goes on and off as one, unless it shows a header: arrays have 0.06 and more."""

@@ -11,8 +11,9 @@ from heliograph.base.frames import Frame
 from heliograph.probe.activity import ALTERNATION_NOISE, ROUNDED, Stretch, blinking
 from heliograph.probe.blocks import Group, groups_of
 from heliograph.probe.levels import overexposed_part
-from heliograph.receive.acquire.coarse import ALTERNATION, BLOCK_PX
-from heliograph.receive.image.window import Window, covered, cut_out
+from heliograph.receive.detect.alternation import ALTERNATION
+from heliograph.receive.detect.kernels import BLOCK_PX
+from heliograph.receive.geometry.window import Window, covered, cut_out
 
 MOST_REGIONS = 6
 """Most regions that are looked into, those that blink most: each takes up to a second."""

@@ -17,8 +17,8 @@ from heliograph.probe.levels import Levels
 from heliograph.probe.pace import patterns_per_s
 from heliograph.probe.reading import Asked
 from heliograph.probe.regions import Region
-from heliograph.receive.screen.clock_search import ANY_RATES
-from heliograph.receive.screen.outline import changing, quadrilaterals, reduced
+from heliograph.receive.screen.clock import ANY_RATES
+from heliograph.receive.screen.locate import changing, quadrilaterals, reduced
 from heliograph.signal.settings import SignalSettings
 
 LOOKED_AT = 32

@@ -17,10 +17,10 @@ from heliograph.probe.light import LightRate
 from heliograph.probe.reach import MOST_SIDE, NEAR_PITCH_PX, layer_information
 from heliograph.probe.reading import SLACK, Asked, Reading, narrowed, read
 from heliograph.receive import ReceiveSettings
-from heliograph.receive.image.pose import Pose
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.settings import SMALLEST_SIDE_PX
-from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
+from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 
 SIDES = (8, 16, 32, 12, 24, 4, 20, 48, 64)

@@ -11,7 +11,7 @@ from heliograph.probe.clock import clock_of
 from heliograph.probe.light import LightRate
 from heliograph.probe.reading import Asked, read
 from heliograph.probe.trials import Found, receivers_tried, retimed
-from heliograph.receive.timing.camera_clock import STEP_TOLERANCE
+from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 
 EDGE = 0.5
 """Change from frame to frame at an array's edge over that within it: blur halves it there."""

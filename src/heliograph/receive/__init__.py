@@ -1,8 +1,8 @@
 """Camera frames -> packets: acquire, track, equalise, decode."""
 
-from heliograph.receive.image.pose import Pose
-from heliograph.receive.packets import Codeword, Packet, Receiver
-from heliograph.receive.receivers import make_receiver, own_settings, receive_frames, register_receiver
+from heliograph.receive.api import make_receiver, own_settings, receive_frames, register_receiver
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.packet import Codeword, Packet, Receiver
 from heliograph.receive.settings import ReceiveSettings
 
 __all__ = [

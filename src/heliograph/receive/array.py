@@ -1,40 +1,201 @@
-"""One array's receiver: its frames paired, followed, and gathered to packets."""
+"""What an array's pairs give of a packet beside its data: when and where it was seen, and how well.
+
+One array's receiver: its frames paired, followed, and gathered to packets.
+"""
 
 import logging
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.coming import (
+from heliograph.receive.decode.worker import (
     ENOUGH_SEEN,
+    HEADER_SEEN,
     ComingPacket,
     Decoders,
+    Lesson,
+    ReadHeader,
     SharedLesson,
     Study,
+    TakenPacket,
     Work,
     glanced,
 )
+from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import Observer, TrackEvent
-from heliograph.receive.gathered import Gathered
-from heliograph.receive.image.orientation import Orientation
-from heliograph.receive.image.pose import Pose, rim_distance
-from heliograph.receive.image.view import CAMERA, View
-from heliograph.receive.packets import Packet
-from heliograph.receive.reader_protocol import Lesson, PacketReader, TakenPacket
+from heliograph.receive.geometry.pose import Orientation, Pose, rim_distance
+from heliograph.receive.geometry.view import CAMERA, View
+from heliograph.receive.packet import Packet
 from heliograph.receive.settings import CalibrationSettings
-from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, Pairing, PoseAt
-from heliograph.receive.timing.light_clock import PATTERNS_AROUND
-from heliograph.receive.timing.slips import SlipWatch
-from heliograph.receive.track.activity import check_pose
-from heliograph.receive.track.lone_frames import REACH
-from heliograph.receive.track.track import TrackedPair
+from heliograph.receive.sync.light_clock import PATTERNS_AROUND
+from heliograph.receive.sync.pairing import FramePair, LoneFrame, MeasuredHeader, Pairing, PoseAt
+from heliograph.receive.sync.slips import SlipWatch
+from heliograph.receive.track.track import Track, TrackedPair, check_pose
 from heliograph.receive.track.tracker import Tracker
+from heliograph.receive.track.unpaired_frames import REACH
+from heliograph.signal.formats import Format
 from heliograph.signal.header import header_levels
 from heliograph.signal.settings import SignalSettings
+
+
+class PacketReader(Protocol):
+    """Reads one packet of an array."""
+
+    @property
+    def format(self) -> Format:
+        """The packet's format, as far as its header has shown it."""
+
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
+        """Read a header pair.
+
+        Parameters
+        ----------
+        number
+            Its number in the header, from 0.
+        pair
+            Frames of the header and its inverse.
+        tracked
+            The array in them, as their sum shows it.
+        """
+
+    def end_header(self, header: MeasuredHeader) -> None:
+        """Take a whole header that a camera out of step saw.
+
+        Parameters
+        ----------
+        header
+            The gain it showed, its frames combined to one pair, and the frames one by one.
+        """
+
+    def follow(self, pair: FramePair, track: Track) -> TrackedPair:
+        """Find the array in a pair of data.
+
+        Parameters
+        ----------
+        pair
+            Frames of a pattern and its inverse; in the single mode of two patterns.
+        track
+            The array as known before the pair.
+        """
+
+    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
+        """Take a pair of data in which the array was seen.
+
+        Parameters
+        ----------
+        place
+            Its number in the packet's data, from 0.
+        pair
+            Frames of a pattern and its inverse; in the single mode of two patterns.
+        tracked
+            The array in them, as `follow` found it.
+        """
+
+    def take_lone(self, place: int, lone: LoneFrame) -> None:
+        """Take what is left of a pair of data.
+
+        Parameters
+        ----------
+        place
+            Its number in the packet's data, from 0.
+        lone
+            The frame that is there.
+        """
+
+    def taken(self) -> TakenPacket:
+        """All that was taken, to be decoded."""
+
+    def learn(self, lesson: Any) -> None:
+        """Learn what decoding this packet has taught, before `next` is asked for; else the next one's `catch_up` is.
+
+        Parameters
+        ----------
+        lesson
+            `Lesson.told` of what `Decoded.study` of this packet has given; None for nothing.
+        """
+
+    def next(self, beyond_doubt: bool) -> "PacketReader":
+        """Give the reader of the next packet.
+
+        Parameters
+        ----------
+        beyond_doubt
+            Whether the array is there beyond doubt: this is then asked for before it is known what the packet teaches.
+        """
+
+    def catch_up(self, lesson: Any) -> None:
+        """Learn what the packet before has taught, which was decoded while this one was seen.
+
+        Parameters
+        ----------
+        lesson
+            `Lesson.told` of what `Decoded.study` of the packet before has given; None for nothing.
+        """
+
+
+@dataclass(slots=True)
+class Gathered:
+    """What has been read of the current packet."""
+
+    # (pairs,) pairs of data in which the array was seen
+    seen: NDArray[np.bool_]
+    # Numbers of its frames
+    frames: list[int] = field(default_factory=list)
+    # Correlation of each pair's sum with the array, -1 to 1
+    scores: list[float] = field(default_factory=list)
+    # The array's pose in each pair
+    poses: list[Pose] = field(default_factory=list)
+    # Score of each pair of its header
+    header: list[float] = field(default_factory=list)
+    # Whether the light's clock measured its header
+    clocked: bool = False
+
+    @classmethod
+    def nothing(cls, pairs: int) -> "Gathered":
+        """Nothing yet."""
+        return cls(np.zeros(pairs, dtype=bool))
+
+    def note(self, frames: tuple[int, int], tracked: TrackedPair) -> None:
+        """Gather what every pair gives."""
+        self.frames += frames
+        self.scores.append(tracked.fit.score)
+        self.poses.append(tracked.state.pose)
+
+    @property
+    def header_score(self) -> float:
+        """Amplitude of the header as a fraction of the array's light; 0 where no pair of it was read."""
+        return float(np.mean(self.header or [0.0]))
+
+    @property
+    def header_seen(self) -> bool:
+        """Whether the header was seen."""
+        # about half a pattern out of step none of its pairs alternates
+        return self.header_score >= HEADER_SEEN or (self.clocked and not self.header)
+
+    def packet(self, identity: int, start_time_s: float, view: View, calibration: CalibrationSettings) -> Packet:
+        """The packet gathered, without its codewords; a pair of it must have been seen."""
+        pose = view.pose_out(self.poses[len(self.poses) // 2])
+        return Packet(
+            identity=identity,
+            status="crc_fail",
+            start_time_s=start_time_s,
+            first_frame=self.frames[0],
+            last_frame=self.frames[-1],
+            pose=pose,
+            # pinhole: pitch_px = f p / (Z pixel)
+            distance_m=calibration.focal_m * calibration.pitch_m / (pose.frontal_pitch * calibration.pixel_m),
+            header_score=self.header_score,
+            track_score=float(np.mean(self.scores)),
+            pairs_seen=float(self.seen.mean()),
+            layers={},
+            orientation=view.orientation,
+        )
+
 
 LOG = logging.getLogger(__name__)
 

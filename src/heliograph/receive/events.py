@@ -1,21 +1,47 @@
 """What an observer of a receiver gets: one event per stage, as a value."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.acquire.budget import SearchLoad
-from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.decode.iterate import EqualiseEvent, ignore
-from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.view import CAMERA, View
+from heliograph.receive.detect.budget import SearchLoad
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.view import CAMERA, View
 from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.packets import Packet
-from heliograph.receive.timing.frame_pair import AnyFrame
+from heliograph.receive.packet import Packet
+from heliograph.receive.sync.pairing import AnyFrame
 from heliograph.receive.track.track import TrackedPair
+
+
+@dataclass(frozen=True, slots=True)
+class EqualiseEvent:
+    """An iteration of the soft receiver: its symbols are equalised, its codewords not yet decoded.
+
+    A packet that LEDs alone decode completely gives none, though it may be equalised later to learn the LED gains.
+
+    Attributes
+    ----------
+    identity
+        Number of the array, 0 to 29.
+    iteration
+        Number of the iteration, from 0.
+    llr
+        By layer (codewords, E) LLRs of the coded bits, ln P(b=0)/P(b=1), whitening undone.
+    """
+
+    identity: int
+    iteration: int
+    llr: Mapping[str, Floats]
+
+
+def ignore(event: object, /) -> None:
+    """Observe nothing."""
+
 
 __all__ = [
     "DecodeEvent",

@@ -31,8 +31,8 @@ RECEIVERS: Registry[Any] = Registry(
     "receiver",
     "heliograph.receivers",
     {
-        "plain": "heliograph.receive.assemblies:plain_receiver",
-        "soft": "heliograph.receive.assemblies:soft_receiver",
+        "plain": "heliograph.receive.build:plain_receiver",
+        "soft": "heliograph.receive.build:soft_receiver",
         "screen": "heliograph.receive.screen.receiver:screen_receiver",
     },
 )

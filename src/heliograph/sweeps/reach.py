@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from heliograph.link.settings import LinkSettings
-from heliograph.receive.acquire.coarse import size_limits
+from heliograph.receive.detect.alternation import size_limits
 from heliograph.receive.registry import RECEIVERS
 from heliograph.sweeps.points import Point
 

@@ -23,21 +23,21 @@ from known_packets import (
     symbols_of,
 )
 from numpy.typing import NDArray
+from observe_oracle import pair_model
+from render_oracle import blur_matrix
 from scenes import SIDE, pitch_at
 
 from heliograph.base.threads import one_thread
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import ERASED, Decoding, hard
-from heliograph.receive.decode.gain_and_noise import GainAndNoise
-from heliograph.receive.decode.iterate import EqualiseEvent, decode_iteratively
-from heliograph.receive.decode.soft_combining import SharedBuffer
+from heliograph.receive.decode.combining import SharedBuffer
+from heliograph.receive.decode.turbo_equaliser import GainAndNoise, decode_iteratively
 from heliograph.receive.equalise.lmmse import equalise
-from heliograph.receive.image.reference import blur_matrix
-from heliograph.receive.observe.reference import pair_model
+from heliograph.receive.events import EqualiseEvent
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.packets import Words
-from heliograph.receive.timing.combination import SlotLight, combine_pair
+from heliograph.receive.packet import Words
+from heliograph.receive.sync.combine import SlotLight, combine_pair
 
 Floats = NDArray[np.float64]
 

@@ -8,8 +8,7 @@ import pytest
 from known_packets import FORM, IDENTITY, random_blocks
 from numpy.typing import NDArray
 
-from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.layer import Layer, decode_layer
+from heliograph.receive.decode.codeword import Decoding, Layer, decode_layer
 from heliograph.signal.block import Block
 
 Floats = NDArray[np.float64]

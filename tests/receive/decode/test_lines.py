@@ -5,10 +5,8 @@ import pytest
 from known_packets import by_matrices
 from numpy.typing import NDArray
 
-from heliograph.receive.decode.gain_and_noise import GainAndNoise
-from heliograph.receive.decode.lines import Lines
-from heliograph.receive.timing.combination import SlotLight, combine_pair
-from heliograph.receive.timing.out_of_step import OutOfStep
+from heliograph.receive.decode.turbo_equaliser import GainAndNoise, Lines
+from heliograph.receive.sync.combine import OutOfStep, SlotLight, combine_pair
 
 Floats = NDArray[np.float64]
 SIDE, PAIRS = 8, 4

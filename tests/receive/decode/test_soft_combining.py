@@ -7,9 +7,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.threads import one_thread
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.gain_and_noise import GainAndNoise
-from heliograph.receive.decode.iterate import decode_iteratively
-from heliograph.receive.decode.soft_combining import (
+from heliograph.receive.decode.combining import (
     BUFFERS_KEPT,
     BufferedPacket,
     SharedBuffer,
@@ -17,9 +15,10 @@ from heliograph.receive.decode.soft_combining import (
     SoftBuffer,
     consistent,
 )
-from heliograph.receive.equalise.llr import LARGEST_LLR
+from heliograph.receive.decode.turbo_equaliser import GainAndNoise, decode_iteratively
+from heliograph.receive.equalise.lmmse import LARGEST_LLR
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.packets import Words
+from heliograph.receive.packet import Words
 from heliograph.signal.block import Block
 from heliograph.signal.formats import AGREED, Format
 

@@ -8,12 +8,11 @@ from scenes import SIDE, draw, film, frame_of, link, pitch_at
 
 from heliograph.base.threads import one_thread
 from heliograph.receive import Pose, receive_frames
-from heliograph.receive.equalise.brightness import LEAST_BRIGHTNESS, Brightness, DecodedPair
-from heliograph.receive.equalise.led_gains import LedGains
+from heliograph.receive.equalise.led_gains import LEAST_BRIGHTNESS, Brightness, DecodedPair, LedGains
+from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.observe.noise import Noise
-from heliograph.receive.timing.frame_pair import FramePair
-from heliograph.receive.track.pose_refinement import ObservedPacket
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal import haar
 
 Floats = NDArray[np.float64]

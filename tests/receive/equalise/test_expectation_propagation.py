@@ -7,7 +7,7 @@ import pytest
 from known_packets import by_matrices
 from numpy.typing import NDArray
 
-from heliograph.receive.equalise.expectation_propagation import ExpectationPropagation
+from heliograph.receive.equalise.ep import ExpectationPropagation
 from heliograph.receive.equalise.lmmse import Estimate, equalise
 from heliograph.receive.observe.statistics import PairStatistics
 

@@ -9,7 +9,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.equalise.led_gains import LearntGains, LedGains
 from heliograph.receive.observe.cutout import take_cutout
-from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal.header import header_levels
 
 Floats = NDArray[np.float64]

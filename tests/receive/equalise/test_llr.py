@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from heliograph.receive.equalise.llr import information, llr_of
+from heliograph.receive.equalise.lmmse import information, llr_of
 
 
 def test_information_in_llrs() -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import equalise_oracle as reference
 import numpy as np
 import pytest
 from known_packets import by_matrices
@@ -10,7 +11,6 @@ from scenes import SIDE
 from whole_pairs import GAIN, MOTIONS, SYMBOLS, WholePair, moving, pair_of, random_levels
 
 from heliograph.base.threads import one_thread
-from heliograph.receive.equalise import reference
 from heliograph.receive.equalise.lmmse import equalise, products
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import whiten

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from heliograph.receive.equalise.polarity import SymbolMapper
+from heliograph.receive.equalise.symbols import SymbolMapper
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings

@@ -12,9 +12,9 @@ from whole_pairs import moving, pair_of, random_levels
 
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.image.window import window_around
+from heliograph.receive.geometry.window import window_around
 from heliograph.receive.observe.cutout import take_cutout
-from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal import haar
 
 Floats = NDArray[np.float64]

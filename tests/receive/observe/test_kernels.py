@@ -1,16 +1,18 @@
 """The kernels of what pairs show of their symbols and of noise, against whole matrices."""
 
 import numpy as np
+import observe_oracle as reference
 import pytest
 from numpy.typing import NDArray
+from render_oracle import blur_matrix
 from scenes import SIDE, pitch_at
 from whole_pairs import CUT, SYMBOLS, T
 
 from heliograph.receive import Pose
-from heliograph.receive.image.footprint import Footprints, footprints
-from heliograph.receive.image.kernels import add_image
-from heliograph.receive.image.reference import blur_matrix
-from heliograph.receive.observe import kernels, noise_kernels, reference
+from heliograph.receive.geometry.footprint import Footprints, footprints
+from heliograph.receive.geometry.kernels import add_image
+from heliograph.receive.observe import kernels
+from heliograph.receive.observe import kernels as noise_kernels
 from heliograph.receive.observe.statistics import gram_of
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat

@@ -10,8 +10,8 @@ from whole_pairs import GAIN, SYMBOLS, T, moving, pair_of
 
 from heliograph.receive.observe.cutout import take_cutout
 from heliograph.receive.observe.noise import measure_noise, noise_beside
-from heliograph.receive.timing.combination import SlotLight, combine_pair
-from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.sync.combine import SlotLight, combine_pair
+from heliograph.receive.sync.pairing import FramePair
 
 Floats = NDArray[np.float64]
 

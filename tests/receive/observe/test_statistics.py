@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scenes import ALL_ON, SIDE
 from whole_pairs import CUT, GAIN, MOTIONS, ROLLS, SYMBOLS, WholePair, moving, pair_of, random_levels
 
-from heliograph.receive.image.footprint import image_of
+from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics, whiten
-from heliograph.receive.timing.combination import SlotLight, combine_pair
+from heliograph.receive.sync.combine import SlotLight, combine_pair
 
 Floats = NDArray[np.float64]
 

@@ -10,9 +10,8 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
 from heliograph.receive import make_receiver
 from heliograph.receive.events import Event, UnseenEvent
-from heliograph.receive.screen.budget import SAMPLES_PER_S, SearchBudget, SearchLimits
-from heliograph.receive.screen.grid import Look, Place
-from heliograph.receive.screen.search import WINDOWS, ArraySearch, Placed
+from heliograph.receive.screen.cells import SAMPLES_PER_S, Look, Place, SearchBudget, SearchLimits
+from heliograph.receive.screen.locate import WINDOWS, ArraySearch, Placed
 
 LIMITS = SearchLimits()
 
@@ -77,8 +76,8 @@ def test_a_search_that_broke_off_goes_on_with_the_next_frames(monkeypatch: pytes
 
     monkeypatch.setattr(search, "_placed", placed)
     monkeypatch.setattr(search, "_changes", lambda _count: None)
-    monkeypatch.setattr("heliograph.receive.screen.search.changing", changing)
-    monkeypatch.setattr("heliograph.receive.screen.search.quadrilaterals", lambda *_: [None])
+    monkeypatch.setattr("heliograph.receive.screen.locate.changing", changing)
+    monkeypatch.setattr("heliograph.receive.screen.locate.quadrilaterals", lambda *_: [None])
     rng = np.random.default_rng(1)
     for k in range(90):
         search.take(Frame(k, k / 30, rng.integers(0, 255, (48, 64), dtype=np.uint8)))

@@ -6,8 +6,8 @@ import pytest
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Pixels
-from heliograph.receive.screen.grid import Look, Place
-from heliograph.receive.screen.outline import changing, quadrilaterals, reduced, sharpened
+from heliograph.receive.screen.cells import Look, Place
+from heliograph.receive.screen.locate import changing, quadrilaterals, reduced, sharpened
 
 SIDE = 16
 LINEAR = (np.arange(256) / 255).astype(np.float32)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from heliograph.receive.image.orientation import ORIENTATIONS, Orientation
-from heliograph.receive.screen.headers import headers, named_format
+from heliograph.receive.geometry.pose import ORIENTATIONS, Orientation
+from heliograph.receive.screen.packets import headers, named_format
 from heliograph.signal import haar
 from heliograph.signal.header import header_levels, signalling_levels
 

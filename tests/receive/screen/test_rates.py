@@ -8,9 +8,8 @@ from screen_light import shown
 import heliograph
 from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
-from heliograph.receive.screen.follow import Follower
-from heliograph.receive.screen.grid import Look, Place
-from heliograph.receive.screen.search import BELIEVED, KEPT_FRAMES, ArraySearch, Placed
+from heliograph.receive.screen.cells import Follower, Look, Place
+from heliograph.receive.screen.locate import BELIEVED, KEPT_FRAMES, ArraySearch, Placed
 from heliograph.web.sending import sending_of
 
 

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.screen.clock import Clock
-from heliograph.receive.screen.pairs import solved
-from heliograph.receive.screen.samples import Samples
-from heliograph.receive.screen.timing import searched
+from heliograph.receive.screen.clock import Clock, Samples, searched
+from heliograph.receive.screen.packets import solved
 
 HEIGHT, FRAME_S, SIDE = 720, 1 / 30, 8
 TRUE = Clock(start_s=0.037, period_s=0.1, row_s=2.5e-5, exposure_s=0.02, response_s=0.008)

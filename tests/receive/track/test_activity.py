@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from heliograph.receive.image.pose import Pose
-from heliograph.receive.track.activity import check_pose
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.track.track import check_pose
 
 ARRAY = Pose(40.0, 40.0, 1.5, 0.0, 0.6)
 

@@ -6,7 +6,7 @@ from scenes import pitch_at
 from single_frames import GAIN, PANEL, framed, headers
 
 from heliograph.receive import Pose
-from heliograph.receive.track.background import background_images, fit_background, surroundings
+from heliograph.receive.equalise.single_mode import background_images, fit_background, surroundings
 
 SOUND = np.ones((16, 16))
 

@@ -6,13 +6,11 @@ from numpy.typing import NDArray
 from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
 
 from heliograph.receive import Pose
-from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track import kernels
-from heliograph.receive.track.beside import LEAST_CHANGED, line_distance
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.kernels import COVERED_RATE, USUAL_RATE
-from heliograph.receive.track.look import USUAL_PAIRS
-from heliograph.receive.track.track import Track
+from heliograph.receive.track.track import LEAST_CHANGED, USUAL_PAIRS, Track, line_distance
 from heliograph.receive.track.tracker import Tracker
 
 Floats = NDArray[np.float64]

@@ -9,8 +9,8 @@ from scenes import frame_of, pitch_at
 from single_frames import GAIN, framed, headers, patterns
 
 from heliograph.receive import Pose
-from heliograph.receive.timing.frame_pair import FramePair
-from heliograph.receive.track.decision_directed import DecisionDirectedTracker
+from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.track import Track
 from heliograph.receive.track.tracker import Tracker

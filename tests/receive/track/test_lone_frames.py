@@ -14,9 +14,9 @@ from scipy.interpolate import CubicHermiteSpline
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
-from heliograph.receive.timing.frame_pair import FramePair, LoneFrame
+from heliograph.receive.sync.pairing import FramePair, LoneFrame
 from heliograph.receive.track.kalman import PoseState, Tilt
-from heliograph.receive.track.lone_frames import SeenPair, around, lone_cutout, state_between
+from heliograph.receive.track.unpaired_frames import SeenPair, around, lone_cutout, state_between
 
 Floats = NDArray[np.float64]
 

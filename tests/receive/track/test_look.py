@@ -5,12 +5,16 @@ from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
 
 from heliograph.receive import Pose
 from heliograph.receive.track import kernels
-from heliograph.receive.track.activity import noise_around
-from heliograph.receive.track.beside import LEAST_CHANGED, line_distance
 from heliograph.receive.track.kalman import MotionModel, PoseState
-from heliograph.receive.track.look import USUAL_PAIRS, look
-from heliograph.receive.track.sight import in_sight
-from heliograph.receive.track.track import Track
+from heliograph.receive.track.track import (
+    LEAST_CHANGED,
+    USUAL_PAIRS,
+    Track,
+    in_sight,
+    line_distance,
+    look,
+    noise_around,
+)
 
 CORNER, SHAPE = (100, 50), (60, 64)
 

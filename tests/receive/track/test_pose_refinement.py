@@ -11,10 +11,10 @@ from scenes import SIDE, draw, frame_of, pitch_at
 from heliograph.base.threads import one_thread
 from heliograph.receive import Pose
 from heliograph.receive.equalise.led_gains import LedGains
+from heliograph.receive.equalise.pose_refinement import ObservedPacket, PoseEvidence, smoothed_errors, worth_moving
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
-from heliograph.receive.timing.frame_pair import FramePair
-from heliograph.receive.track.pose_refinement import ObservedPacket, PoseEvidence, smoothed_errors, worth_moving
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal import haar
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat

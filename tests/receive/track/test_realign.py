@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from scenes import SIDE, draw, frame_of, pitch_at
 
 from heliograph.receive import Pose
+from heliograph.receive.equalise.pose_refinement import realigned
 from heliograph.receive.observe.cutout import Cutout, take_cutout
-from heliograph.receive.timing.frame_pair import FramePair
-from heliograph.receive.track.realign import realigned
+from heliograph.receive.sync.pairing import FramePair
 
 Floats = NDArray[np.float64]
 

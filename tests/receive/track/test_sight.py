@@ -1,15 +1,16 @@
 """Which LEDs are in sight, and fits without pixels that something hides."""
 
 import numpy as np
+import occlusion_oracle as reference
 import pytest
 from numpy.typing import NDArray
 from scenes import SIDE, draw, frame_of, pitch_at
 
 from heliograph.receive import Pose
-from heliograph.receive.image.fit import Prior, fit_array
-from heliograph.receive.timing.frame_pair import FramePair
-from heliograph.receive.track import kernels, reference
-from heliograph.receive.track.sight import (
+from heliograph.receive.geometry.fit import Prior, fit_array
+from heliograph.receive.sync.pairing import FramePair
+from heliograph.receive.track import kernels
+from heliograph.receive.track.track import (
     BRIGHT_QUANTILE,
     LEAST_CHANGE_IN_SIGHT,
     MOST_CHANGE,

@@ -11,13 +11,11 @@ from scenes import ALL_ON, SIDE, draw, drawn_film, frame_of, link, pitch_at
 from scipy.ndimage import gaussian_filter1d
 
 from heliograph.receive import Pose, receive_frames
-from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.image.fit import Fit
-from heliograph.receive.timing.frame_pair import FramePair
-from heliograph.receive.track.activity import contrast
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.geometry.fit import Fit
+from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.kalman import MotionModel, PoseState
-from heliograph.receive.track.sight import around_leds
-from heliograph.receive.track.track import Track, TrackedPair
+from heliograph.receive.track.track import Track, TrackedPair, around_leds, contrast
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.header import header_levels
 

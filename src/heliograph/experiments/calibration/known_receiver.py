@@ -14,20 +14,20 @@ from heliograph.channel import ArrayTruth
 from heliograph.experiments.links import true_pose
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, Receiver
-from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.assemblies import soft_parts, soft_reader
+from heliograph.receive.array import PacketReader
+from heliograph.receive.build import soft_parts, soft_reader
 from heliograph.receive.decode.codeword import Decoding
-from heliograph.receive.decode.gain_and_noise import GainAndNoise
-from heliograph.receive.decode.iterate import decode_iteratively
+from heliograph.receive.decode.turbo_equaliser import GainAndNoise, decode_iteratively
+from heliograph.receive.decode.worker import Decoded, ReadHeader
+from heliograph.receive.detect.detection import Detection
 from heliograph.receive.equalise.led_gains import LedGains
+from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.events import DecodeEvent, Observer, ignore
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.reader_protocol import Decoded, PacketReader, ReadHeader
 from heliograph.receive.receiver import StreamReceiver
-from heliograph.receive.timing.frame_pair import FramePair, LoneFrame, MeasuredHeader
-from heliograph.receive.track.pose_refinement import ObservedPacket
+from heliograph.receive.sync.pairing import FramePair, LoneFrame, MeasuredHeader
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.formats import Format

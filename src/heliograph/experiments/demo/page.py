@@ -16,7 +16,7 @@ from heliograph.link.truth import TruthFile
 from heliograph.measure.errors import BIN_M
 from heliograph.measure.reception import Reception
 from heliograph.receive import Pose
-from heliograph.receive.image.window import PlacedPixels, cut_out
+from heliograph.receive.geometry.window import PlacedPixels, cut_out
 from heliograph.road.read import Values, road_values, road_words
 from heliograph.signal.message import Message
 from heliograph.signal.settings import LAYERS

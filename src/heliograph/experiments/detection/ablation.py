@@ -9,17 +9,12 @@ from numpy.typing import NDArray
 
 from heliograph.experiments.detection.clutter import ClutterFilm
 from heliograph.receive import Pose
-from heliograph.receive.acquire.candidate import HIDING_BLUR, UPRIGHT_SPREAD, cell_weights, fit_near, of_size, plausible
-from heliograph.receive.acquire.coarse import (
-    BLOCK_PX,
-    alternation_means,
-    alternation_of,
-    busy_blocks,
-    coarse_search,
-)
-from heliograph.receive.acquire.hypotheses import ALL_ON, headers
-from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
-from heliograph.receive.image.orientation import UPRIGHT
+from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
+from heliograph.receive.detect.alternation import alternation_means, alternation_of, busy_blocks, coarse_search
+from heliograph.receive.detect.candidate import HIDING_BLUR, UPRIGHT_SPREAD, cell_weights, fit_near, of_size, plausible
+from heliograph.receive.detect.header_bank import ALL_ON, headers
+from heliograph.receive.detect.kernels import BLOCK_PX
+from heliograph.receive.geometry.pose import UPRIGHT
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 

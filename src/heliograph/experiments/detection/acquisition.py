@@ -17,7 +17,7 @@ from heliograph.link.simulate import simulate
 from heliograph.measure.bench import random_messages, window_margin_px
 from heliograph.measure.statistics import Count
 from heliograph.receive import make_receiver
-from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, Event, TrackEvent
 from heliograph.signal.header import IDENTITIES
 

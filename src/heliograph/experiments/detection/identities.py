@@ -14,9 +14,9 @@ from heliograph.experiments.detection.lamps import Backdrop
 from heliograph.experiments.result import Context
 from heliograph.link.settings import load_settings
 from heliograph.measure.statistics import Count
-from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.acquire.detector import Detector
-from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
+from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.detect.detector import Detector
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.settings import SignalSettings

@@ -133,7 +133,7 @@ def luminance_at(frame: Frame, points: NDArray[np.float64]) -> NDArray[np.float6
     -------
     (...) luminances.
     """
-    from heliograph.receive.plain import kernels
+    from heliograph.receive.decode import kernels
 
     flat = np.ascontiguousarray((points - np.array(frame.origin)).reshape(-1, 2))
     out = np.empty(len(flat))

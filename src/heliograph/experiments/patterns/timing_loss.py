@@ -7,8 +7,8 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.experiments.result import Context, ExperimentResult, Finding, Table
-from heliograph.receive.timing import partial_exposure
-from heliograph.receive.timing.combination import Combination, SlotLight, combine_pair
+from heliograph.receive.sync import combine as partial_exposure
+from heliograph.receive.sync.combine import Combination, SlotLight, combine_pair
 
 LIGHT = SlotLight((0, 1, 2, 3))
 PAIRS = 20

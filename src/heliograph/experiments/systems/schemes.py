@@ -18,8 +18,8 @@ from heliograph.link.settings import LinkSettings
 from heliograph.measure.bench import window_margin_px
 from heliograph.measure.statistics import Clustered, Count
 from heliograph.receive import make_receiver
+from heliograph.receive.decode.per_led import pair_luminances
 from heliograph.receive.events import Event, ExtractEvent
-from heliograph.receive.plain.extract import pair_luminances
 from heliograph.signal import haar, ook
 from heliograph.signal.header import header_levels
 from heliograph.signal.packet import PacketFormat, with_inverses

@@ -5,8 +5,8 @@ from typing import Protocol
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
-from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.timing.frame_pair import FramePair, sum_late_s
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.sync.pairing import FramePair, sum_late_s
 from heliograph.receive.track.kalman import MotionModel
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.header import header_levels

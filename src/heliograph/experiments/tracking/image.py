@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Gray
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
-from heliograph.receive.acquire.detection import Detection
+from heliograph.receive.detect.detection import Detection
 
 FEATURES = 120
 KEY_PAIRS = 10

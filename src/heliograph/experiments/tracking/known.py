@@ -14,9 +14,9 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Pose
-from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.image.fit import PANEL_MARGINS
-from heliograph.receive.image.window import cut_out, window_around
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.geometry.fit import PANEL_MARGINS
+from heliograph.receive.geometry.window import cut_out, window_around
 from heliograph.receive.track.kalman import POSE, POSE_SIZE, MotionModel, PoseState
 from heliograph.receive.track.tracker import widened
 from heliograph.signal import haar
@@ -156,7 +156,7 @@ class KnownPattern:
 
     def _trust(self, image: Floats, data: Floats, corner: tuple[int, int]) -> Floats:
         """One over the variance of each pixel."""
-        from heliograph.receive.image import kernels  # Numba is slow to import
+        from heliograph.receive.geometry import kernels  # Numba is slow to import
 
         shape = np.empty((6, *image.shape))
         kernels.render(self._state.mean[:5].copy(), data, float(corner[0]), float(corner[1]), shape)
@@ -185,7 +185,7 @@ class _ArrayImages:
         self._shapes[-1, 0] = np.linspace(-0.5, 0.5, rows)[:, None]
 
     def place(self, vector: Floats, mean: Floats) -> Floats:
-        from heliograph.receive.image import kernels
+        from heliograph.receive.geometry import kernels
 
         kernels.render(vector, mean, *self._corner, self._shapes[0])
         for shape, margin in zip(self._shapes[1:-3], PANEL_MARGINS, strict=True):

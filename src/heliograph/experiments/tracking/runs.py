@@ -19,10 +19,10 @@ from heliograph.link.recordings import load_footage, load_imu
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings, default_messages, simulate
 from heliograph.receive import Pose
-from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.acquire.detector import Detector
-from heliograph.receive.assemblies import PLAIN_REGULARITY, search_parameters
-from heliograph.receive.image.window import cut_out
+from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.detect.detector import Detector
+from heliograph.receive.geometry.window import cut_out
 
 KNOWN = "known pattern"
 TRACKERS: Mapping[str, Callable[[LinkSettings], Follower]] = {

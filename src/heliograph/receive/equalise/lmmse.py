@@ -1,4 +1,7 @@
-"""Linear MMSE estimate of all symbols of a pair, with a Gaussian prior from the decoder."""
+"""Log-likelihood ratios: their bound, and how much information they hold.
+
+Linear MMSE estimate of all symbols of a pair, with a Gaussian prior from the decoder.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,10 +9,35 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
+from scipy.special import entr, expit
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.equalise import kernels
+from heliograph.receive.equalise.kernels import UNMODELLED, UNMODELLED_SPREAD
 from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout
+
+LARGEST_LLR = 50.0
+"""Largest magnitude of an LLR between equaliser and decoder: no model of the channel is right to e^-50."""
+
+
+def llr_of(precision: Floats, weighted: Floats) -> Floats:
+    """LLRs ln P(c=+1)/P(c=-1) of symbols that Gaussians tell of. Returns (...,), the prior left out."""
+    # p(m|c) = (1 - epsilon) N(m; c, 1 / Lambda) + epsilon Laplace(m; c, spread)
+    sure = np.maximum(precision, TINY)
+    mean = weighted / sure
+    other = np.log(UNMODELLED * np.sqrt(2 * np.pi / sure) / (2 * UNMODELLED_SPREAD))
+    plus, minus = (
+        np.logaddexp(-0.5 * sure * (mean - c) ** 2, other - np.abs(mean - c) / UNMODELLED_SPREAD) for c in (1, -1)
+    )
+    return np.asarray(plus - minus)
+
+
+def information(llr: Floats) -> Floats:
+    """Mean information in LLRs about their bits if they are calibrated, in bit per bit, (...,)."""
+    # I = 1 - h2(P(wrong)), P(wrong) = 1 / (1 + exp |L|)
+    wrong = expit(-np.abs(llr))
+    return np.asarray(1 - (entr(wrong) + entr(1 - wrong)).mean(-1) / np.log(2))
+
 
 KNOWN_VARIANCE = 1e-3
 """Variance of a symbol below which it counts as known: its light is subtracted with 30 dB of rest."""

@@ -6,13 +6,13 @@ from math import hypot
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.image import kernels as image_kernels
-from heliograph.receive.image.footprint import by_squares, footprints
-from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import RIM_PX, covered, cut_out, window_around
-from heliograph.receive.observe import noise_kernels
-from heliograph.receive.timing.combination import Combination
-from heliograph.receive.timing.frame_pair import FramePair
+from heliograph.receive.geometry import kernels as image_kernels
+from heliograph.receive.geometry.footprint import by_squares, footprints
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.window import RIM_PX, covered, cut_out, window_around
+from heliograph.receive.observe import kernels as noise_kernels
+from heliograph.receive.sync.combine import Combination
+from heliograph.receive.sync.pairing import FramePair
 
 RING_PX = 2.0
 """Pixels beyond the rim whose difference shows what changes in the background."""

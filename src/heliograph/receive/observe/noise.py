@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.image import kernels
-from heliograph.receive.image.footprint import by_squares, footprints
-from heliograph.receive.image.robust import robust_std
-from heliograph.receive.observe import noise_kernels
+from heliograph.receive.geometry import kernels
+from heliograph.receive.geometry.fit import robust_std
+from heliograph.receive.geometry.footprint import by_squares, footprints
+from heliograph.receive.observe import kernels as noise_kernels
 from heliograph.receive.observe.cutout import ALL_SHOWN, Cutout
 
 INSIDE = 0.8

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from scipy.linalg import blas
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.image import kernels as image_kernels
-from heliograph.receive.image.footprint import Footprints, by_squares, footprints, image_of
-from heliograph.receive.observe import kernels, noise_kernels
+from heliograph.receive.geometry import kernels as image_kernels
+from heliograph.receive.geometry.footprint import Footprints, by_squares, footprints, image_of
+from heliograph.receive.observe import kernels
+from heliograph.receive.observe import kernels as noise_kernels
 from heliograph.receive.observe.cutout import ALL_SHOWN, RING_PX, Cutout
 from heliograph.receive.observe.noise import Noise
-from heliograph.receive.timing.combination import Combination
+from heliograph.receive.sync.combine import Combination
 
 
 @dataclass(frozen=True, slots=True)

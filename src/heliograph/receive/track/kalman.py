@@ -11,8 +11,8 @@ from math import exp, hypot, inf
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.image.pose import Pose
-from heliograph.receive.track import kalman_kernels
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.track import kernels as kalman_kernels
 
 POSE_SIZE, RATE_STATES, STATE_SIZE = 5, slice(5, 8), 10
 """Parts of the state: the pose vector (x, y, ln pitch, roll, ln blur); the rates per second of its first three; and the

@@ -8,12 +8,11 @@ import cv2
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.acquire.detection import Detection
-from heliograph.receive.image.fit import Fit, Prior, fit_array
-from heliograph.receive.image.pose import Pose
-from heliograph.receive.image.window import Window, cut_out, window_around
-from heliograph.receive.timing.frame_pair import AnyFrame, FramePair
-from heliograph.receive.track.activity import is_active, noise_around
+from heliograph.receive.detect.detection import Detection
+from heliograph.receive.geometry.fit import Fit, Prior, fit_array
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.window import Window, cut_out, window_around
+from heliograph.receive.sync.pairing import AnyFrame, FramePair
 from heliograph.receive.track.kalman import (
     HEADER_OBSERVATION,
     POSE_SIZE,
@@ -23,9 +22,16 @@ from heliograph.receive.track.kalman import (
     Tilt,
     sum_observation,
 )
-from heliograph.receive.track.look import look
-from heliograph.receive.track.sight import around_leds, dark_zone, open_pixels
-from heliograph.receive.track.track import Track, TrackedPair
+from heliograph.receive.track.track import (
+    Track,
+    TrackedPair,
+    around_leds,
+    dark_zone,
+    is_active,
+    look,
+    noise_around,
+    open_pixels,
+)
 
 WINDOW_MARGIN_PITCHES, WINDOW_MARGIN_PX = 1.5, 1.5
 """Width of the surroundings that are fitted with the array: they hold its edge, the panel's and the background."""
@@ -180,7 +186,7 @@ class Tracker:
     ) -> Floats:
         """What a header and its inverse leave in their sum where the array moves between them, for a gain of 1."""
         # A_1 Y + A_2 (1 - Y) = (A_1 + A_2) / 2 + (A_1 - A_2) (Y - 1/2), Y being the header
-        from heliograph.receive.image import kernels  # Numba is slow to import
+        from heliograph.receive.geometry import kernels  # Numba is slow to import
 
         images = np.empty((2, 6, *shape))
         for frame, image in zip((pair.pattern, pair.inverted), images, strict=True):

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
+from heliograph.receive.decode.per_led import at_leds
 from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.packets import Words
-from heliograph.receive.plain.extract import at_leds
+from heliograph.receive.packet import Words
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 

@@ -1,1 +1,0 @@
-"""Which arrays are in sight, where, when their headers begin, and what format the headers signal."""

@@ -1,0 +1,200 @@
+"""The receivers "plain" and "soft": two assemblies of the same parts."""
+
+from collections.abc import Callable
+
+from heliograph.base.errors import SettingsError
+from heliograph.receive.array import ArrayReceiver, PacketReader
+from heliograph.receive.decode.codeword import Decoding
+from heliograph.receive.decode.combining import SharedBuffers
+from heliograph.receive.decode.packet_decoder import SoftReading
+from heliograph.receive.decode.worker import decoders
+from heliograph.receive.detect.alternation import SearchParameters
+from heliograph.receive.detect.budget import FILM_PART, UNBOUNDED_PART
+from heliograph.receive.detect.detection import Detection, HeaderSearch
+from heliograph.receive.detect.region import GivenSearch, around, pose_of
+from heliograph.receive.detect.search import PhasedSearch, PyramidSearch
+from heliograph.receive.events import Observer
+from heliograph.receive.geometry.view import View
+from heliograph.receive.plain_reader import PlainReader
+from heliograph.receive.receiver import Parts, StreamReceiver
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.receive.soft_reader import SoftParts, SoftReader
+from heliograph.receive.sync.frame_clock import CameraClock, SteppedClock
+from heliograph.receive.sync.pairing import ClockedPairing, Pairing, SteppedPairing
+from heliograph.receive.track.kalman import MotionModel
+from heliograph.receive.track.tracker import Tracker
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.settings import SignalSettings
+
+PLAIN_REGULARITY = 0.5
+"""Least regularity of a detection in step: the header's frames alternate evenly, clutter does not.
+
+What changes only once or twice within four frames has 0 or less. A header of two pairs, of which a format dims the
+second to a half, has the least of all, 1 / 1.5 = 0.67. Half of it loses none of 192 codewords; with twice of it, 1, all
+37 of the plain receiver are lost.
+"""
+
+SOFT_REGULARITY = 0.15
+"""The same for a camera out of step, to which a header alternates unevenly.
+
+It is low because a second test follows: what the light's clock cannot explain as a header is dropped.
+"""
+
+GIVEN_CONTRAST = 0.1
+"""Least contrast of an array where somebody sees one, as a fraction of `detect.min_contrast`.
+
+Chosen: in a part of the frame that somebody looked at there is less clutter. An array of 3 % of the reference link's
+light is read at 40 m then, of 1 % it is not found with any least contrast.
+"""
+
+MakeReader = Callable[[Detection, Tracker], PacketReader]
+"""Makes the reader of an array's first packet."""
+
+
+def plain_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
+    """Assemble the receiver "plain"."""
+    return StreamReceiver(plain_parts(signal, settings, observe), observe)
+
+
+def soft_receiver(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> StreamReceiver:
+    """Assemble the receiver "soft"."""
+    return StreamReceiver(soft_parts(signal, settings, observe), observe)
+
+
+def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> Parts:
+    """Parts of the paper's own receiver: one frame per pattern, in step with the light."""
+    form = PacketFormat(signal)
+    options = Decoding(settings.decode.algorithm or "max-log", settings.decode.iterations)
+
+    def reader(detection: Detection, tracker: Tracker) -> PacketReader:
+        return PlainReader(detection.identity, form, tracker, settings.plain.equaliser, options, observe)
+
+    def pairing(detection: Detection) -> Pairing:
+        return SteppedPairing(detection.start_time_s, detection.time_s, signal)
+
+    parameters = search_parameters(settings, signal, PLAIN_REGULARITY)
+    search = _there(PyramidSearch(parameters, signal), parameters, settings, signal.side)
+    follow = _following(signal, settings, observe, pairing, reader)
+    return Parts(SteppedClock(signal.pattern_period_s), search, follow, signal)
+
+
+def soft_parts(
+    signal: SignalSettings, settings: ReceiveSettings, observe: Observer, reader: MakeReader | None = None
+) -> Parts:
+    """Parts of the receiver at the limit of the channel: any camera of at least one frame per pattern."""
+    _check_signal(signal)
+
+    def pairing(found: Detection) -> Pairing:
+        exposure_s = settings.calibration.exposure_s
+        return ClockedPairing(
+            found.start_time_s,
+            found.time_s,
+            found.fit.pose,
+            found.identity,
+            found.led_gains,
+            signal,
+            exposure_s,
+            found.drift,
+        )
+
+    parameters = search_parameters(settings, signal, SOFT_REGULARITY, impaired=True)
+    search = _there(PhasedSearch(parameters, signal), parameters, settings, signal.side)
+    reader = reader or soft_reader(signal, settings, observe)
+    follow = _following(signal, settings, observe, pairing, reader)
+    return Parts(CameraClock(), search, follow, signal)
+
+
+def soft_reader(signal: SignalSettings, settings: ReceiveSettings, observe: Observer) -> MakeReader:
+    """Make the soft receiver's readers, which share what was seen of an array's codewords."""
+    form = PacketFormat(signal)
+    decoding = Decoding(settings.decode.algorithm or "log-map", settings.decode.iterations)
+    # by identity, not by array: one lost and found again goes on with its carousel
+    buffers = SharedBuffers()
+
+    def reader(detection: Detection, tracker: Tracker) -> PacketReader:
+        buffer = buffers.of((detection.identity, detection.orientation)) if settings.soft.combining else None
+        reading = SoftReading(buffer, decoding, settings.soft.feedback, settings.soft.led_by_led)
+        return SoftReader(detection.identity, SoftParts(form, tracker, reading, observe))
+
+    return reader
+
+
+def search_parameters(
+    settings: ReceiveSettings, signal: SignalSettings, regularity: float, impaired: bool = False
+) -> SearchParameters:
+    """What a receiver's detector looks for."""
+    detect, blur_px = settings.detect, settings.calibration.blur_px
+    given = bool(detect.corners or detect.region)
+    busy_part = FILM_PART if detect.busy_part is None else detect.busy_part
+    return SearchParameters(
+        min_side_px=settings.smallest_side_px,
+        max_side_px=detect.max_side_px,
+        min_contrast=detect.min_contrast * (GIVEN_CONTRAST if given else 1.0),
+        score=detect.score,
+        regularity=regularity,
+        candidates=detect.candidates,
+        busy_part=UNBOUNDED_PART if given else busy_part,
+        impaired=impaired,
+        all_on=signal.header == "all_on",
+        blur_px=blur_px,
+        everywhere=given,
+        start=pose_of(detect.corners, signal.side, blur_px) if detect.corners else None,
+    )
+
+
+def _there(search: HeaderSearch, parameters: SearchParameters, settings: ReceiveSettings, side: int) -> HeaderSearch:
+    """A search where somebody said an array is; of all the frames where nobody did."""
+    start, region = parameters.start, settings.detect.region
+    if start is not None:
+        size, (least, most) = side * start.pitch, (parameters.min_side_px, parameters.max_side_px)
+        if not least <= size <= most:
+            raise SettingsError(
+                f"the array at receive.detect.corners is {size:.3g} px a side, and those from {least:g} to {most:g} px "
+                f"are looked for: set receive.detect.{'min' if size < least else 'max'}_side_px"
+            )
+    if region:
+        return GivenSearch(search, region, side)
+    return search if start is None else GivenSearch(search, around(start, side), side)
+
+
+def _following(
+    signal: SignalSettings,
+    settings: ReceiveSettings,
+    observe: Observer,
+    pairing: Callable[[Detection], Pairing],
+    reader: MakeReader,
+) -> Callable[[Detection], ArrayReceiver]:
+    """Makes the receiver of an array that was found."""
+    focal_px = settings.calibration.focal_m / settings.calibration.pixel_m
+    # of all arrays, so that they share what is seen of codewords in the packets' order
+    packets = decoders(bool(settings.decode.beside))
+
+    def follow(detection: Detection) -> ArrayReceiver:
+        view = View.of(detection.fit.pose, detection.orientation)
+        # what a shake moves by is as many of the camera's pixels, however near the array
+        shake_px, view_focal_px = settings.track.acceleration_px / 2**view.level, focal_px / 2**view.level
+        model = MotionModel(signal.pattern_period_s, shake_px, view_focal_px)
+        tracker = Tracker(signal.side, model)
+        seen = detection.seen_in(view)
+        return ArrayReceiver(
+            seen,
+            pairing(seen),
+            tracker,
+            reader(seen, tracker),
+            packets,
+            signal=signal,
+            calibration=settings.calibration,
+            coast_s=settings.track.coast_patterns * signal.pattern_period_s,
+            observe=observe,
+            view=view,
+        )
+
+    return follow
+
+
+def _check_signal(signal: SignalSettings) -> None:
+    for key, found, wanted in (("modulation", signal.modulation, "haar"), ("header", signal.header, "m_sequence")):
+        if found != wanted:
+            raise SettingsError(
+                f'the soft receiver reads signal.{key} = "{wanted}", not "{found}"; set receive.receiver = "plain"'
+            )

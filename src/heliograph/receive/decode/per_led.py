@@ -1,0 +1,123 @@
+"""Inverse of the channel: the LEDs' luminances by least squares on all pixels, the blur of all LEDs known.
+
+Every LED shines on its neighbours' pixels too. With the pose and the blur known, the blur matrix A is known, and the
+difference of pattern and inverse is A (2 x - 1). Each LED's image is a product of a function of x and one of y,
+whatever the roll, so A^T A is the product of two small Gram matrices, element by element, and A itself is never made.
+
+Extraction: the luminance at each LED's image position, pattern minus inverse, or the blur undone.
+
+Cut-outs read as the plain receiver reads frames: where LEDs are resolved, this is all it takes.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from heliograph.base.arrays import TINY, Floats
+from heliograph.receive.decode.codeword import Decoding, decode_packet
+from heliograph.receive.geometry.footprint import footprints, image_of, to_grid
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.window import PlacedPixels, cut_out, window_around
+from heliograph.receive.observe.cutout import Cutout
+from heliograph.receive.packet import Words
+from heliograph.receive.settings import Equaliser
+from heliograph.signal.packet import PacketFormat
+
+ZERO_FORCING_LOADING = 1e-4
+"""lambda: loading of the diagonal of A^T A, in units in which a wide array with all LEDs on has the image 1.
+
+Zero-forcing is meant, so lambda is no more than the noise is worth: (noise / light)^2 = 2 (0.006 / 0.8)^2 = 1e-4 for
+LEDs of +-1 in the difference of two frames of the reference link. To 55 m it changes nothing. From 60 m on there are
+combinations of LEDs that hardly any pixel sees, and lambda keeps their noise out of all others.
+"""
+
+INVERSE_MARGIN_PX = 2.5
+"""Pixels beyond the array that are used: LEDs of its rim shine there."""
+
+
+def unblurred(
+    frames: tuple[PlacedPixels, PlacedPixels],
+    poses: tuple[Pose, Pose],
+    gain: float,
+    side: int,
+    loading: float = ZERO_FORCING_LOADING,
+) -> Floats:
+    """Normalised luminances x' = level - 2 of a pair, the blur undone.
+
+    With A_1 and A_2 at the poses of the two frames, the background equal in both and s = 2 x - 1:
+
+        d = (r - r_inverted) / gain = A_1 x - A_2 (1 - x) = M s + (A_1 - A_2) 1 / 2,  M = (A_1 + A_2) / 2
+        s = (M^T M + lambda I)^-1 M^T (d - (A_1 - A_2) 1 / 2)
+
+    M is taken as A at the pose between the two, its blur wider by the motion: sigma^2 + (half the motion)^2.
+    """
+    middle = Pose.midway(*poses)
+    motion = 0.5 * (poses[1].x - poses[0].x), 0.5 * (poses[1].y - poses[0].y)
+    window = window_around(middle, side, INVERSE_MARGIN_PX + max(abs(motion[0]), abs(motion[1])))
+    corner, shape = (window[0], window[1]), (window[3], window[2])
+    change = (cut_out(frames[0], window) - cut_out(frames[1], window)) / max(gain, TINY)
+    ones = np.ones((side, side))
+    change -= 0.5 * (image_of(ones, poses[0], corner, shape) - image_of(ones, poses[1], corner, shape))
+    across, down = footprints(middle, corner, shape, side, motion).dense(shape)
+    # M^T M: <led_i, led_j> = <across_i, across_j> <down_i, down_j>
+    gram = (across @ across.T) * (down @ down.T)
+    gram[np.diag_indices_from(gram)] += loading
+    light = np.einsum("kj,kj->k", down @ change, across)
+    _, s, _ = lapack.dposv(gram, light, overwrite_a=1)
+    return 2 * to_grid(s)
+
+
+def pair_luminances(
+    frames: tuple[PlacedPixels, PlacedPixels],
+    poses: tuple[Pose, Pose],
+    gain: float,
+    side: int,
+    equaliser: Equaliser = "none",
+) -> NDArray[np.float64]:
+    """Normalised luminances x' = level - 2 of a data pair."""
+    if equaliser == "inverse":
+        return unblurred(frames, poses, gain, side)
+    up, down = (luminances(frame, pose, side) for frame, pose in zip(frames, poses, strict=True))
+    return normalised(up - down, gain)
+
+
+def normalised(change: NDArray[np.float64], gain: float) -> NDArray[np.float64]:
+    """Normalised luminances x' = level - 2 by what LEDs show of a pattern less its inverse."""
+    # r - r_inverted = gain (x - (1 - x)) = gain (2 x - 1) = gain x' / 2
+    return 2 * change / max(gain, TINY)
+
+
+def luminances(frame: PlacedPixels, pose: Pose, side: int) -> NDArray[np.float64]:
+    """Gray level at each LED's image position, by cubic interpolation. Returns (side, side) float64."""
+    return at_leds(frame.pixels, frame.origin, pose, side)
+
+
+def at_leds(pixels: NDArray[Any], corner: tuple[int, int], pose: Pose, side: int) -> NDArray[np.float64]:
+    """Value of an image at each LED's position, by cubic interpolation."""
+    from heliograph.receive.decode import kernels  # Numba is slow to import
+
+    out = np.empty((side, side))
+    kernels.cubic_at_leds(pixels, pose.x - corner[0], pose.y - corner[1], pose.axes, out)
+    return out
+
+
+def read_led_by_led(
+    cutouts: Sequence[Cutout | None], form: PacketFormat, identity: int, options: Decoding
+) -> Words | None:
+    """Codewords by the luminance at each LED's position alone, as the paper reads them.
+
+    It knows of no blur, no neighbours and no LED that is hidden, so nothing of that can mislead it.
+    """
+    shown = [cutout for cutout in cutouts if cutout is not None]
+    if form.single or not shown or any(cutout.combination is not None for cutout in shown):
+        return None
+    side = form.settings.side
+    luminances = np.zeros((len(cutouts), side, side))
+    for place, cutout in enumerate(cutouts):
+        if cutout is not None:
+            luminances[place] = at_leds(cutout.difference, cutout.corner, cutout.middle, side)
+    seen = np.array([cutout is not None for cutout in cutouts])
+    return decode_packet(luminances, seen, form, identity, options)

@@ -1,0 +1,195 @@
+"""How the camera sees an array turned: upside-down, on its side, or by way of a mirror.
+
+Where the array is in the image.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Orientation:
+    """One of the eight ways in which a square can lie."""
+
+    # Quarter turns, clockwise in the image, 0 to 3
+    turns: int = 0
+    # Whether left and right change places before it is turned
+    mirrored: bool = False
+
+    def __str__(self) -> str:
+        """Its name, as packets state it: "upright", "turned 90", "mirrored", "mirrored, turned 90" and so on."""
+        turned = f"turned {90 * self.turns}" if self.turns else ""
+        return ", ".join(filter(None, ("mirrored" if self.mirrored else "", turned))) or "upright"
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """(2, 2) map of a vector (x, y) of the upright image to that of the turned one: a signed permutation."""
+        mirror = np.diag([-1.0 if self.mirrored else 1.0, 1.0])
+        quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
+        return np.asarray(np.linalg.matrix_power(quarter, self.turns) @ mirror)
+
+    def turned(self, image: NDArray[Any]) -> NDArray[Any]:
+        """An upright image as the camera sees it."""
+        return np.ascontiguousarray(np.rot90(image[:, ::-1] if self.mirrored else image, -self.turns))
+
+    def upright(self, image: NDArray[Any]) -> NDArray[Any]:
+        """What the camera sees, turned back; the inverse of `turned`."""
+        back = np.rot90(image, self.turns)
+        return np.ascontiguousarray(back[:, ::-1] if self.mirrored else back)
+
+
+UPRIGHT = Orientation()
+"""That of a camera that stands upright and looks straight at the array."""
+
+ORIENTATIONS = tuple(Orientation(turns, mirrored) for mirrored in (False, True) for turns in range(4))
+"""All eight, the upright one first."""
+
+
+TILT_NOISE = 0.004
+"""Magnitude of (stretch, shear) that a header's fit gives an array without tilt.
+
+Chosen: the fit's standard deviation of each is 0.002 to 0.003 at 60 to 80 m. Without it noise would always add to the
+pitch, and so take from the distance.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """An affine map from LED numbers to image points, and the width of the blur.
+
+    The perspective within the array is left out: at 40 degrees of yaw and 25 m it moves the corners by 0.07 px, at 50 m
+    by 0.02 px.
+
+    Attributes
+    ----------
+    x
+        Column of the array's centre on the sensor in px; an integer is a pixel's centre.
+    y
+        Row of the array's centre on the sensor in px.
+    pitch
+        Distance of neighbouring LEDs in px, above 0; of a tilted array the mean of the longest and the shortest.
+    roll
+        Rotation in rad, clockwise in the image.
+    blur
+        Standard deviation in px of one LED's image, emitter and lens together, above 0.
+    stretch
+        How much wider than high the array appears before it is rotated; 0 for an array that faces the camera.
+    shear
+        Its skew before it is rotated. A point (a, b) of the array lies at
+        pitch R(roll) [[1 + stretch, shear], [shear, 1 - stretch]] (a, b); by the polar decomposition that is any
+        affine map.
+    """
+
+    x: float
+    y: float
+    pitch: float
+    roll: float = 0.0
+    blur: float = 0.6
+    stretch: float = 0.0
+    shear: float = 0.0
+
+    def vector(self) -> NDArray[np.float64]:
+        """Pose vector (x, y, ln pitch, roll, ln blur), (5,)."""
+        return self.full_vector()[:5]
+
+    def full_vector(self) -> NDArray[np.float64]:
+        """Pose vector with the tilt, (x, y, ln pitch, roll, ln blur, stretch, shear), (7,)."""
+        return np.array(
+            [self.x, self.y, math.log(self.pitch), self.roll, math.log(self.blur), self.stretch, self.shear]
+        )
+
+    @staticmethod
+    def from_vector(vector: NDArray[np.float64]) -> "Pose":
+        """Make the pose of a vector; the inverse of `vector` and `full_vector`.
+
+        Parameters
+        ----------
+        vector
+            (5,) or (7,): x and y in px, ln pitch, roll in rad, ln blur, and stretch and shear, else 0.
+        """
+        x, y, log_pitch, roll, log_blur, *tilt = vector.tolist()
+        return Pose(x, y, math.exp(log_pitch), roll, math.exp(log_blur), *tilt)
+
+    @staticmethod
+    def midway(a: "Pose", b: "Pose") -> "Pose":
+        """Pose halfway from one to another.
+
+        Parameters
+        ----------
+        a, b
+            The two poses; pitch and blur are averaged as logarithms.
+        """
+        # number by number, for speed: the mean of two logarithms is that of the geometric mean
+        pitch, blur = math.sqrt(a.pitch * b.pitch), math.sqrt(a.blur * b.blur)
+        x, y, roll = 0.5 * (a.x + b.x), 0.5 * (a.y + b.y), 0.5 * (a.roll + b.roll)
+        return Pose(x, y, pitch, roll, blur, 0.5 * (a.stretch + b.stretch), 0.5 * (a.shear + b.shear))
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """Steps from one LED to the next along a row and along a column, (2, 2) px, one per column."""
+        return np.array(self.steps)
+
+    @property
+    def steps(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The same number by number: x of both, then y of both."""
+        # p R(roll) ((1 + stretch, shear), (shear, 1 - stretch)), written out for speed
+        c, s = self.pitch * math.cos(self.roll), self.pitch * math.sin(self.roll)
+        wide, high, shear = 1 + self.stretch, 1 - self.stretch, self.shear
+        return (c * wide - s * shear, c * shear - s * high), (s * wide + c * shear, s * shear + c * high)
+
+    @property
+    def frontal_pitch(self) -> float:
+        """Pitch in px along the axis about which the array is tilted: that of the same array facing the camera."""
+        tilt = math.hypot(self.stretch, self.shear)
+        return self.pitch * (1 + math.sqrt(max(tilt**2 - TILT_NOISE**2, 0.0)))
+
+    def leds(self, side: int) -> NDArray[np.float64]:
+        """Image points of all LEDs.
+
+        Parameters
+        ----------
+        side
+            LEDs in a row.
+
+        Returns
+        -------
+        (side, side, 2) px as (x, y); row u from top to bottom, column v from left to right.
+        """
+        return np.asarray(_grid(side) @ self.axes.T + np.array([self.x, self.y]))
+
+    def moved(self, dx: float, dy: float) -> "Pose":
+        """Shift the array in the image.
+
+        Parameters
+        ----------
+        dx, dy
+            Shift in px, to the right and down.
+        """
+        return replace(self, x=self.x + dx, y=self.y + dy)
+
+
+def rim_distance(a: Pose, b: Pose, side: int) -> float:
+    """Largest distance in px of an outer LED from itself in another pose.
+
+    Parameters
+    ----------
+    a, b
+        The two poses of the array on the sensor.
+    side
+        LEDs in a row.
+    """
+    return float(np.linalg.norm(a.leds(side) - b.leds(side), axis=-1).max())
+
+
+@lru_cache(maxsize=8)  # arrays of one film have one size
+def _grid(side: int) -> NDArray[np.float64]:
+    """Columns and rows of LEDs from the centre, (side, side, 2), not writeable."""
+    steps = np.arange(side) - (side - 1) / 2
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1)
+    grid.setflags(write=False)
+    return grid

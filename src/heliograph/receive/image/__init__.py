@@ -1,1 +1,0 @@
-"""The array in the image: its pose, the light of its LEDs on pixels, and the fit of both to what the camera saw."""

@@ -1,0 +1,193 @@
+"""The plain receiver's reader: luminances at the LEDs' image positions, FHWT, one decoding."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.base.arrays import Floats
+from heliograph.receive.decode.codeword import Decoding, decode_packet
+from heliograph.receive.decode.observations import renumbered
+from heliograph.receive.decode.per_led import luminances, normalised, pair_luminances
+from heliograph.receive.decode.worker import Decoded, ReadHeader
+from heliograph.receive.detect.header_bank import header_score, header_weights
+from heliograph.receive.detect.header_format import FormatReader
+from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
+from heliograph.receive.packet import Packet
+from heliograph.receive.settings import Equaliser
+from heliograph.receive.sync.pairing import FramePair, LoneFrame, MeasuredHeader
+from heliograph.receive.track.kalman import PoseState
+from heliograph.receive.track.track import Track, TrackedPair
+from heliograph.receive.track.tracker import Tracker
+from heliograph.receive.track.unpaired_frames import around, state_between
+from heliograph.signal.formats import AGREED, Format, check_mode
+from heliograph.signal.packet import PacketFormat
+
+
+class PlainReader:
+    """Reads a packet as the paper does; see `array.PacketReader`."""
+
+    def __init__(
+        self,
+        identity: int,
+        form: PacketFormat,
+        tracker: Tracker,
+        equaliser: Equaliser,
+        options: Decoding,
+        observe: Observer,
+    ):
+        self._identity, self._form, self._tracker = identity, form, tracker
+        self._equaliser, self._options, self._observe = equaliser, options, observe
+        pairs, side = form.settings.data_pairs, form.settings.side
+        self._luminances = np.zeros((pairs, side, side))
+        self._seen = np.zeros(pairs, dtype=bool)
+        self._format_reader = FormatReader(identity, side, pairs)
+        self._gain = 0.0
+        self._lone: dict[int, LoneFrame] = {}
+        self._states: dict[int, PoseState] = {}
+        self._sums: dict[int, Floats] = {}
+        self._sum_gain = 0.0
+
+    @property
+    def format(self) -> Format:
+        """The agreed one."""
+        return AGREED
+
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
+        """Refine the pose by a header pair; see `PacketReader`."""
+        track, side = tracked.track, self._form.settings.side
+        if tracked.seen:
+            poses = track.state.pose_at(pair.pattern.time_s), track.state.pose_at(pair.inverted.time_s)
+            self._format_reader.take(number, pair, poses, track.shining)
+            self._gain = track.data_gain
+        weights = header_weights(self._identity, AGREED.number, side)
+        score = header_score(pair, track.state.pose, weights * track.shining, track.gain)
+        return ReadHeader(self._tracker.refine(track, pair, weights) if tracked.seen else track, score)
+
+    def end_header(self, header: MeasuredHeader) -> None:
+        """Nothing is read of a header as a whole; see `PacketReader`."""
+
+    def follow(self, pair: FramePair, track: Track) -> TrackedPair:
+        """Find the array by the sum; see `PacketReader`."""
+        return self._tracker.follow(track, pair)
+
+    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
+        """Read the luminances of a pair; see `PacketReader`."""
+        frames, state = (pair.pattern, pair.inverted), tracked.state
+        poses = state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)
+        side, gain = self._form.settings.side, tracked.track.gain
+        up, down = (luminances(frame, pose, side) for frame, pose in zip(frames, poses, strict=True))
+        x = normalised(up - down, gain)
+        if self._equaliser != "none":
+            x = pair_luminances(frames, poses, gain, side, self._equaliser)
+        self._luminances[place], self._seen[place] = x, True
+        self._states[place], self._sums[place], self._sum_gain = state, up + down, gain
+        self._observe(ExtractEvent(self._identity, frames, poses, x))
+
+    def take_lone(self, place: int, lone: LoneFrame) -> None:
+        """Keep the frame that is left of a pair; see `PacketReader`."""
+        self._lone[place] = lone
+
+    def taken(self) -> "TakenLuminances":
+        """The luminances, and frames whose other half is lost; see `PacketReader`."""
+        return TakenLuminances(
+            self._identity,
+            self._form,
+            self._options,
+            self._format_reader.number(self._gain),
+            self._luminances,
+            self._seen,
+            self._lone,
+            self._states,
+            self._sums,
+            self._sum_gain,
+        )
+
+    def learn(self, lesson: None) -> None:
+        """Nothing is learnt of a packet; see `PacketReader`."""
+
+    def next(self, beyond_doubt: bool) -> "PlainReader":  # noqa: ARG002 - the protocol's
+        """The reader of the next packet; see `PacketReader`."""
+        return PlainReader(self._identity, self._form, self._tracker, self._equaliser, self._options, self._observe)
+
+    def catch_up(self, lesson: None) -> None:
+        """Nothing is learnt of a packet; see `PacketReader`."""
+
+
+@dataclass(frozen=True, slots=True)
+class TakenLuminances:
+    """All that was taken of a packet; see `TakenPacket`."""
+
+    # Number of the array, 0 to 29
+    identity: int
+    # The agreed format of packets
+    form: PacketFormat
+    # How codewords are decoded: algorithm and iterations
+    options: Decoding
+    # Number of the format that its header signals
+    mode: int
+    # (pairs, n, n) difference of pattern and inverse at each LED
+    luminances: Floats
+    # (pairs,) pairs that were seen
+    seen: NDArray[np.bool_]
+    # By number of the pair, frames whose other half is lost
+    lone: Mapping[int, LoneFrame]
+    # By number of the pair, where the array was
+    states: Mapping[int, PoseState]
+    # By number of the pair, (n, n) sum of pattern and inverse at each LED in gray levels
+    sums: Mapping[int, Floats]
+    # Gray levels of a sum with all LEDs on
+    sum_gain: float
+
+    @property
+    def format(self) -> Format:
+        """The agreed one."""
+        return AGREED
+
+    def taught(self, lesson: None) -> "TakenLuminances":  # noqa: ARG002 - the protocol's
+        """The same: packets teach nothing; see `TakenPacket`."""
+        return self
+
+    def glance(self) -> bool:
+        """Nothing is faster than to decode it; see `TakenPacket`."""
+        return False
+
+    def renumbered(self, place: int) -> "TakenLuminances":
+        """The same with the pairs from one on moved to the next number; see `TakenPacket`."""
+        pairs, luminances, seen = len(self.seen), self.luminances.copy(), self.seen.copy()
+        luminances[place + 1 :], seen[place + 1 :] = self.luminances[place:-1], self.seen[place:-1]
+        luminances[place], seen[place] = 0.0, False
+        return replace(
+            self,
+            luminances=luminances,
+            seen=seen,
+            lone=renumbered(self.lone, place, pairs),
+            states=renumbered(self.states, place, pairs),
+            sums=renumbered(self.sums, place, pairs),
+        )
+
+    def decode(self, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
+        """Codewords by layer; see `TakenPacket`."""
+        luminances, seen = self.luminances.copy(), self.seen.copy()
+        for place, lone in self.lone.items():
+            if (shown := self._read_lone(place, lone)) is not None:
+                luminances[place], seen[place] = shown, True
+        check_mode(self.mode, self.form.settings.data_pairs)
+        words = decode_packet(luminances, seen, self.form, self.identity, self.options)
+        return Decoded(words, luminances=luminances)
+
+    def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:
+        """The packet with its luminances; see `TakenPacket`."""
+        return DecodeEvent(self.identity, packet, luminances=decoded.luminances)
+
+    def _read_lone(self, place: int, lone: LoneFrame) -> Floats | None:
+        """Luminances (n, n) of a pair by one of its frames, the sum being that of the pairs around; None without."""
+        chosen = around(place, self.sums)
+        if not chosen:
+            return None
+        pose = state_between(lone.frame.time_s, self.states, place).pose
+        total = np.mean([self.sums[k] for k in chosen], axis=0)
+        # 2 r - (r + r') = r - r'
+        shown = 2 * luminances(lone.frame, pose, len(total)) - total
+        return normalised(-shown if lone.inverted else shown, self.sum_gain)

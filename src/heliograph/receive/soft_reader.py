@@ -1,0 +1,236 @@
+"""The soft receiver's reader: a packet's frames are kept until its end, equalised and decoded together."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from heliograph.base.arrays import Floats
+from heliograph.base.threads import one_thread
+from heliograph.receive.decode.observations import KeptPairs
+from heliograph.receive.decode.packet_decoder import Lesson, Light, SoftReading, TakenPairs, with_brightness
+from heliograph.receive.decode.worker import ReadHeader
+from heliograph.receive.detect.header_bank import header_score, header_weights
+from heliograph.receive.detect.header_format import FormatReader
+from heliograph.receive.equalise.led_gains import LearntGains, LedGains
+from heliograph.receive.equalise.single_mode import DecisionDirectedTracker, SeenHeader
+from heliograph.receive.events import ExtractEvent, Observer
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.observe.cutout import Cutout, take_cutout
+from heliograph.receive.sync.pairing import FramePair, LoneFrame, MeasuredHeader
+from heliograph.receive.track.track import Track, TrackedPair, beside_what_hides, dark_zone
+from heliograph.receive.track.tracker import Tracker
+from heliograph.signal.formats import AGREED, Format, known_format
+from heliograph.signal.packet import PacketFormat
+from heliograph.signal.pwm import light_centroids
+
+RELEARN = 3
+"""Most times a header pair is fitted, once more whenever it shows that an LED has failed or come back.
+
+Chosen: it bounds the time where the gain of an LED changes from fit to fit. With 2 and 6 none of 192 codewords is lost.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class SoftParts:
+    """What the readers of an array's packets share."""
+
+    # The agreed format of packets
+    form: PacketFormat
+    # Follows the array from pair to pair
+    tracker: Tracker
+    # How its packets are decoded
+    reading: SoftReading
+    # Gets an `ExtractEvent` each pair
+    observe: Observer
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    """What a packet's header has shown."""
+
+    # (n, n) gains of the LEDs in its last pair, 0 where something hides them
+    shining: Floats
+    # Its pairs, and the array's poses in them
+    pairs: tuple[SeenHeader, ...] = ()
+    # Format that it signals, as far as it was seen
+    format: Format = AGREED
+    # The header out of step, its frames combined to one pair; None in step
+    even: Cutout | None = None
+
+
+class SoftReader:
+    """Reads a packet at the limit of the channel; see `array.PacketReader`."""
+
+    def __init__(self, identity: int, parts: SoftParts, led_gains: LedGains | None = None, proven: bool = False):
+        self._identity, self._parts, self._side = identity, parts, parts.form.settings.side
+        _, data = light_centroids(parts.form.settings.slot_order)
+        # the data's light was in the middle of the exposure, or about it
+        self._late_s = (data - 0.5) * parts.form.settings.pattern_period_s
+        self._led_gains, self._proven = led_gains, proven
+        self._format_reader = FormatReader(identity, self._side, parts.form.settings.data_pairs)
+        self._decisions: DecisionDirectedTracker | None = None
+        self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), Light(), KeptPairs()
+
+    @property
+    def format(self) -> Format:
+        """The packet's format, as far as its header has shown it."""
+        return self._header.format
+
+    def read_header(self, number: int, pair: FramePair, tracked: TrackedPair) -> ReadHeader:
+        """Read the format, refine the pose and learn the LEDs' gains; see `PacketReader`."""
+        track = tracked.track
+        if tracked.seen:
+            # cells may be known to be hidden since the detection
+            self._led_gains = self._led_gains or LedGains.in_sight(track.led_gains)
+            track = replace(track, led_gains=self._led_gains.values)
+            state = track.state  # as the pairs before have refined it
+            seen = SeenHeader(pair, (state.pose_at(pair.pattern.time_s), state.pose_at(pair.inverted.time_s)))
+            self._format_reader.take(number, pair, seen.poses, track.shining)
+            self._light = replace(self._light, gain=track.data_gain)
+            self._header = replace(
+                self._header,
+                shining=track.shining,
+                pairs=(*self._header.pairs, seen),
+                format=self._shown_format(track.data_gain),
+            )
+        # the later pairs are dimmed where a format is signalled
+        signalled = self.format.number if number else 0
+        weights = header_weights(self._identity, signalled, self._side, pair.combination)
+        score = header_score(pair, tracked.state.pose, weights * track.shining, track.gain)
+        if tracked.seen:
+            track, self._led_gains = self._learn(pair, weights, tracked.before, track, self._gains())
+        return ReadHeader(track, score)
+
+    def end_header(self, header: MeasuredHeader) -> None:
+        """Take a header out of step: its even sum for the noise, its frames for the format; see `PacketReader`."""
+        if header.pair is None or header.frames is None:
+            return
+        pose = header.frames.pose
+        self._header = replace(self._header, even=take_cutout(header.pair, (pose, pose), self._side))
+        if self._header.pairs:
+            self._format_reader.take_frames(header.frames, self._header.shining)
+            self._header = replace(self._header, format=self._shown_format(self._light.gain))
+
+    def follow(self, pair: FramePair, track: Track) -> TrackedPair:
+        """Find the array by the sum, or where there are no inverses by decisions; see `PacketReader`."""
+        if self.format.mode != "single":
+            return self._parts.tracker.follow(track, pair)
+        if self._decisions is None:
+            self._decisions = self._begin_decisions(pair.late_s, track)
+        return self._decisions.follow(track, pair)
+
+    def take(self, place: int, pair: FramePair, tracked: TrackedPair) -> None:
+        """Keep a pair; see `PacketReader`."""
+        track = tracked.track
+        sum_gain = self._light.sum_gain
+        if tracked.cutouts:
+            cutouts, self._data = tracked.cutouts, self._data.with_patterns(place, tracked.cutouts)
+        else:
+            cutouts, in_step = (self._cutout(pair, track, self._gains()),), pair.combination is None
+            self._data = self._data.with_pair(place, cutouts[0], track, in_step)
+            sum_gain = track.gain if in_step else sum_gain
+        self._light = Light(track.data_gain, pair.pattern.full_scale, sum_gain)
+        poses = tuple(pose for cutout in cutouts for pose in cutout.poses)
+        self._parts.observe(ExtractEvent(self._identity, (pair.pattern, pair.inverted), poses))
+
+    def take_lone(self, place: int, lone: LoneFrame) -> None:
+        """Keep the frame that is left of a pair; see `PacketReader`."""
+        self._data = self._data.with_lone(place, lone)
+
+    def taken(self) -> TakenPairs:
+        """The cut-outs of all pairs, and what is known of the array; see `PacketReader`."""
+        return TakenPairs(
+            self._identity,
+            self._form,
+            self._parts.reading,
+            self._format_reader.number(self._light.gain),
+            self._data.to_decode,
+            self._light,
+            None if self._led_gains is None else self._led_gains.told,
+            self._late_s,
+            self._header.even,
+            None if self._decisions is None else self._decisions.noise.lit,
+        )
+
+    def learn(self, lesson: Lesson | None) -> None:
+        """Know the LEDs as the packet has shown them; see `PacketReader`."""
+        if lesson is None:
+            return
+        before, after = self._led_gains, lesson.led_gains
+        # what headers have shown stays here; with other LEDs in sight than they said, it was mistaken
+        if before is not None and after is not None and np.array_equal(after.sight, before.sight):
+            after = replace(after, seen=before.seen)
+        self._led_gains, self._proven = after, lesson.proven
+
+    def next(self, beyond_doubt: bool) -> "SoftReader":
+        """The reader of the next packet; it knows the LEDs; see `PacketReader`."""
+        led_gains = None if self._led_gains is None else self._led_gains.faded()
+        return SoftReader(self._identity, self._parts, led_gains, self._proven or beyond_doubt)
+
+    def catch_up(self, lesson: Lesson | None) -> None:
+        """Take over the LEDs' brightness; what is in sight, this packet's own header shows; see `PacketReader`."""
+        if lesson is not None:
+            self._led_gains, self._proven = with_brightness(self._led_gains, lesson.led_gains), lesson.proven
+
+    def _learn(
+        self, pair: FramePair, weights: Floats, before: Track, track: Track, led_gains: LedGains
+    ) -> tuple[Track, LedGains]:
+        """Refine the pose by a header pair, and learn the LEDs' gains; again while these change the pose."""
+        for _ in range(RELEARN):
+            track = self._parts.tracker.refine(track, pair, weights)
+            if pair.combination is not None or np.any(np.abs(weights) != 1):
+                # combined frames do not show it; dimmed cells are another pattern than those that are summed up
+                break
+            cutout = self._cutout(pair, track, led_gains).steady
+            if cutout.apart:
+                # light smears within an exposure: LEDs would seem dim, the pose be found without them, and more seem so
+                break
+            learnt = self._learn_gains(cutout, weights, track, led_gains)
+            # of LEDs that packets showed, what lies together is hidden, not dead: data will show when it is seen again
+            gone = (learnt.led_gains.sight == 0) & (led_gains.sight > 0) & self._proven
+            hidden = dark_zone(gone, track.state.pose)
+            led_gains = learnt.led_gains.rather(np.where(hidden, led_gains.sight, learnt.led_gains.sight))
+            change = np.where(hidden, 0.0, track.change)
+            track = replace(track, data_gain=learnt.gain, led_gains=led_gains.values, change=change)
+            if not learnt.changed:
+                break
+            before_it = replace(track, state=before.state, change=np.where(hidden, 0.0, before.change))
+            track = self._parts.tracker.follow(before_it, pair, weights).track
+        return track, led_gains
+
+    @one_thread()
+    def _learn_gains(self, cutout: Cutout, header: Floats, track: Track, led_gains: LedGains) -> LearntGains:
+        return led_gains.learn(cutout, header, track.data_gain, track.unhidden)
+
+    @one_thread()
+    def _begin_decisions(self, late_s: float, track: Track) -> DecisionDirectedTracker:
+        times, headers = (late_s, self._late_s), list(self._header.pairs)
+        return DecisionDirectedTracker(self._parts.tracker, times, headers, track.data_gain, track.shining)
+
+    def _cutout(self, pair: FramePair, track: Track, led_gains: LedGains) -> Cutout:
+        """Cut-out of a pair where the data's light was; the background's motion is not compensated yet."""
+        late_s, combination = (self._late_s, self._late_s), pair.combination
+        if combination is not None:
+            period_s = self._parts.form.settings.pattern_period_s
+            first, second = ((time - combination.sum_time) * period_s for time in combination.data_times)
+            late_s = first, second
+        poses = _poses_at(track, pair, late_s)
+        cutout = take_cutout(pair, poses, self._side, (track.gain, led_gains.values))
+        return cutout if track.whole else beside_what_hides(cutout, track.in_sight)
+
+    def _shown_format(self, gain: float) -> Format:
+        """The format that the header shows so far, by the light of data in gray levels."""
+        return known_format(self._format_reader.number(gain), self._parts.form.settings.data_pairs)
+
+    def _gains(self) -> LedGains:
+        return self._led_gains or LedGains.sound(self._side)
+
+    @property
+    def _form(self) -> PacketFormat:
+        return PacketFormat(self._parts.form.settings, self.format)
+
+
+def _poses_at(track: Track, pair: FramePair, late_s: tuple[float, float]) -> tuple[Pose, Pose]:
+    """Poses at times after the starts of a pair's two frames."""
+    state = track.state
+    return state.pose_at(pair.pattern.time_s + late_s[0]), state.pose_at(pair.inverted.time_s + late_s[1])

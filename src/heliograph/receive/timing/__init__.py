@@ -1,1 +1,0 @@
-"""When frames and patterns are: the camera's clock, the light's clock, and frames combined to pairs."""

@@ -1,0 +1,104 @@
+"""The format that a header signals, read from its pairs."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scenes import draw, frame_of, pitch_at
+
+from heliograph.receive import Pose
+from heliograph.receive.detect.header_format import FormatReader
+from heliograph.receive.sync.pairing import FramePair
+from heliograph.signal.formats import AGREED, ALL_MODES, SHORT_PAIRS, words
+from heliograph.signal.header import header_levels, signalling_levels
+
+SOUND = np.ones((16, 16))
+GAIN = 0.8 * 255
+
+
+def show(
+    number: int,
+    reader: FormatReader,
+    pairs: Sequence[int],
+    distance_m: float,
+    seed: int = 0,
+    led_gains: np.ndarray = SOUND,
+    known_gains: np.ndarray | None = None,
+) -> None:
+    """Show a reader header pairs of identity 7, the array on its way by a third of a pixel a frame."""
+    known = led_gains if known_gains is None else known_gains
+    rng = np.random.default_rng(seed)
+    for pair in pairs:
+        levels = signalling_levels(7, number) if pair else header_levels(7)
+        x, y = 40 + rng.uniform(-0.5, 0.5, 2)
+        poses = [Pose(x + 0.3 * k, y - 0.2 * k, pitch_at(distance_m), 0.01, 0.52) for k in (0, 1)]
+        shown = [
+            0.1 + 0.8 * draw(p, led_gains * one / 4, (0, 0), (80, 80))
+            for p, one in zip(poses, (levels, 4 - levels), strict=True)
+        ]
+        up, down = (frame_of(light, k, rng) for k, light in enumerate(shown))
+        reader.take(pair, FramePair(up, down), (poses[0], poses[1]), known)
+
+
+@pytest.mark.parametrize("distance_m", [40.0, 120.0, 200.0])
+def test_formats_are_read(distance_m: float) -> None:
+    # far away a mode that is not known must not be taken out of noise
+    last = len(words(ALL_MODES) if distance_m < 200 else words()) - 1
+    for number in (*range(1, last, 37), last):
+        reader = FormatReader(7, 16, SHORT_PAIRS)
+        show(number, reader, (0, 1), distance_m, seed=number)
+        assert reader.number(GAIN) == number
+
+
+def test_the_gain_decides_where_the_first_pair_was_not_seen() -> None:
+    reader = FormatReader(7, 16, 48)
+    show(0o765, reader, (1,), 120.0)
+    assert reader.number(GAIN) == 0o765
+    # with all cells dimmed or none, the gain decides
+    assert reader.number(GAIN) != reader.number(0.5 * GAIN)
+
+
+def test_without_a_later_pair_the_agreed_format_is_assumed() -> None:
+    reader = FormatReader(7, 16, 48)
+    assert reader.number(GAIN) == AGREED.number
+    show(0o765, reader, (0,), 80.0)
+    assert reader.number(GAIN) == AGREED.number
+
+
+def test_hidden_cells_are_not_taken_for_dimmed_ones() -> None:
+    """Words differ in four cells at least: with three of them hidden, one is left to tell formats apart."""
+    gains = SOUND.copy()
+    gains[:4, :12] = 0.0
+    for number in (0, 0o765, 0o123):
+        reader = FormatReader(7, 16, 48)
+        show(number, reader, (0, 1), 60.0, seed=number, led_gains=gains)
+        assert reader.number(GAIN) == number
+
+
+@pytest.mark.parametrize("hidden", [3, 5, 6, 7])
+@pytest.mark.parametrize("distance_m", [40.0, 80.0])
+def test_cells_that_are_hidden_in_part_are_not_taken_for_dimmed_ones(distance_m: float, hidden: int) -> None:
+    """What passes hides columns of LEDs before any is known to be hidden."""
+    gains = SOUND.copy()
+    gains[:, :hidden] = 0.0
+    # with more than a cell's width hidden no other format can be told for sure
+    for number in (0, 0o765, 0o123) if hidden < 4 else (0,):
+        reader = FormatReader(7, 16, 48)
+        show(number, reader, (0, 1), distance_m, seed=number, led_gains=gains, known_gains=SOUND)
+        assert reader.number(GAIN) == number
+
+
+@pytest.mark.parametrize("width", [2, 4, 8])
+@pytest.mark.parametrize("first", range(32, 48, 4))
+def test_light_that_no_cells_give_names_no_format(first: int, width: int) -> None:
+    """A bright bar that moves before the array by two pixels a frame."""
+    reader, rng = FormatReader(7, 16, 48), np.random.default_rng(3)
+    pose = Pose(40.2, 39.8, pitch_at(80.0), 0.01, 0.52)
+    for pair in (0, 1):
+        frames = []
+        for k, levels in enumerate((header_levels(7), 4 - header_levels(7))):
+            light, left = 0.1 + 0.5 * draw(pose, levels / 4, (0, 0), (80, 80)), first + 2 * (2 * pair + k)
+            light[:, left : left + width] += 0.4
+            frames.append(frame_of(light, k, rng))
+        reader.take(pair, FramePair(frames[0], frames[1]), (pose, pose), SOUND)
+    assert reader.number(0.5 * 255) == AGREED.number

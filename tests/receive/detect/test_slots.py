@@ -1,0 +1,74 @@
+"""Frames of a search as slots: what stands for those that are missing."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from heliograph.base.frames import Frame
+from heliograph.receive.detect.frame_window import alike, before, filled, in_common
+
+
+@pytest.mark.parametrize(
+    ("header", "want"),
+    [
+        ([1, 2, 3, 4], [1, 2, 3, 4]),
+        # by one that shows the same, every second
+        ([1, 2, None, 4], [1, 2, 1, 4]),
+        ([None, 2, 3, 4], [3, 2, 3, 4]),
+        ([1, None, 3, 4], [1, 4, 3, 4]),
+        # by the nearest, the earlier of two
+        ([1, 2, 3, 4, 5, 6, 7, None], [1, 2, 3, 4, 5, 6, 7, 6]),
+        ([1, 2, 3, 4, None, 6, 7, 8], [1, 2, 3, 4, 3, 6, 7, 8]),
+        ([1, 2, None, 4, None, 6, 7, 8], [1, 2, 1, 4, 7, 6, 7, 8]),
+        # an amplitude of 0 is there
+        ([0, 0, None, 4], [0, 0, 0, 4]),
+    ],
+)
+def test_a_missing_frame_is_filled_in(header: list[int | None], want: list[int]) -> None:
+    kept = list(header)
+    assert filled(header) == want
+    assert header == kept
+
+
+@pytest.mark.parametrize(
+    "header", [[None, 2], [None, None, 3, 4], [1, None, None, 4], [1, None, None, 4, 5, None, 7, 8]]
+)
+def test_with_too_many_missing_there_is_no_header(header: list[int | None]) -> None:
+    assert filled(header) is None
+
+
+def frame(index: int, x: int, y: int, rows: int, columns: int) -> Frame:
+    """A frame of which each pixel tells its place on the sensor."""
+    pixels = 16 * (y + np.arange(rows))[:, None] + x + np.arange(columns)
+    return Frame(index, index * 1e-3, pixels.astype(np.uint8), 8, (x, y))
+
+
+def test_frames_are_cut_to_what_all_show_and_gaps_stay() -> None:
+    slots: Sequence[Frame | None] = [None, frame(1, 0, 2, 6, 8), None, frame(3, 3, 0, 5, 9)]
+    cut = in_common(slots)
+    assert [one and one.index for one in cut] == [None, 1, None, 3]
+    for one in cut:
+        if one is not None:
+            assert np.array_equal(one.pixels, frame(0, 3, 2, 3, 5).pixels)
+            assert one.origin == (3, 2)
+
+
+def test_copies_before_a_film_are_numbered_backwards_and_long_past() -> None:
+    first = frame(5, 0, 0, 4, 4)
+    copies = before(first, 3)
+    assert [one.index for one in copies] == [2, 3, 4]
+    assert all(one.pixels is first.pixels for one in copies)
+    times = [one.time_s for one in [*copies, first]]
+    # years apart
+    assert np.diff(times).min() > 3e7
+    assert before(first, 0) == []
+
+
+def test_frames_are_alike_that_have_one_kind_of_pixels() -> None:
+    one = frame(0, 0, 0, 4, 4)
+    assert alike(one, frame(1, 3, 2, 6, 7))
+    wide = replace(one, pixels=one.pixels.astype(np.uint16), bits=10)
+    assert not alike(one, wide)
+    assert not alike(wide, replace(wide, bits=12))

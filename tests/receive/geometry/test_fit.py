@@ -1,0 +1,328 @@
+"""The fit of the array's image: right on average, as sharp as the noise allows, with a true covariance."""
+
+from dataclasses import replace
+
+import fit_oracle as fit_reference
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from properties import examples
+from scenes import ALL_ON, SIDE, draw, pitch_at
+from scipy.special import ndtr
+
+from heliograph.receive import Pose
+from heliograph.receive.geometry.fit import PANEL_MARGINS, Drawn, Fit, Prior, fit_array
+from heliograph.receive.geometry.window import window_around
+from heliograph.signal.header import header_levels
+
+Floats = NDArray[np.float64]
+
+GAIN, LEVEL = 200.0, 20.0
+HEADER = header_levels(11, SIDE) / 2.0 - 1.0
+PATTERNS = {"header": HEADER, "all on": ALL_ON}
+BROAD = np.diag([1.0, 1.0, 0.1, 0.1, 0.3]) ** 2
+
+
+def window(pose: Pose) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Corner and shape of the pixels the tracker fits."""
+    x, y, cols, rows = window_around(pose, SIDE, 1.5 * pose.pitch + 1.5)
+    return (x, y), (rows, cols)
+
+
+def pixels(pose: Pose, weights: Floats) -> Floats:
+    corner, shape = window(pose)
+    return GAIN * draw(pose, weights, corner, shape) + LEVEL + 0.3 * np.arange(shape[1])
+
+
+def start(pose: Pose, rng: np.random.Generator) -> Prior:
+    """A prior that is off by 0.3 px and a few percent, as its covariance says."""
+    return Prior(pose.vector() + rng.normal(0, [0.3, 0.3, 0.03, 0.02, 0.1]), BROAD)
+
+
+def fit(image: Floats, pose: Pose, weights: Floats, prior: Prior) -> Fit:
+    return fit_array(image, window(pose)[0], prior, weights, 8)
+
+
+def error(found: Fit, pose: Pose) -> Floats:
+    return np.asarray(found.vector - pose.vector())
+
+
+def bound(pose: Pose, weights: Floats, sigma: float) -> Floats:
+    """Cramer-Rao bound of the pose's standard deviations: gain and a plane of background unknown, the prior known."""
+    corner, shape = window(pose)
+
+    def image(v: Floats) -> Floats:
+        return GAIN * draw(Pose.from_vector(v), weights, corner, shape)
+
+    steps = 1e-4 * np.eye(5)
+    slopes = [(image(pose.vector() + h) - image(pose.vector() - h)) / 2e-4 for h in steps]
+    rows, cols = np.mgrid[: shape[0], : shape[1]].astype(float)
+    # I = J^T J / sigma^2 + P^-1
+    jacobian = np.stack([*slopes, image(pose.vector()), np.ones(shape), rows, cols]).reshape(9, -1)
+    information = jacobian @ jacobian.T / sigma**2
+    information[:5, :5] += np.linalg.inv(BROAD)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))[:5]), np.float64)
+
+
+@pytest.mark.parametrize("kind", PATTERNS)
+@pytest.mark.parametrize("distance_m", [25, 50, 80, 110, 150])
+def test_clean_image_gives_the_pose(distance_m: float, kind: str) -> None:
+    rng, pose = np.random.default_rng(3), Pose(40.37, 31.81, pitch_at(distance_m), 0.015, 0.55)
+    found = fit(pixels(pose, PATTERNS[kind]), pose, PATTERNS[kind], start(pose, rng))
+    # what is left is the light cut at 4 standard deviations and the prior's pull
+    assert np.abs(error(found, pose))[:2].max() < 1e-3
+    assert abs(error(found, pose)[2]) < 5e-3
+    assert found.score > 0.9999
+    assert found.gain == pytest.approx(GAIN, rel=0.02)
+
+
+@pytest.mark.parametrize("roll", [-0.5, 0.2, 1.2])
+def test_rolled_array(roll: float) -> None:
+    pose = Pose(40.37, 31.81, 1.2, roll, 0.6)
+    found = fit(pixels(pose, HEADER), pose, HEADER, start(pose, np.random.default_rng(0)))
+    assert np.abs(error(found, pose)).max() < 2e-3
+
+
+@pytest.mark.parametrize("kind", PATTERNS)
+@pytest.mark.parametrize("distance_m", [25, 50, 80, 150])
+@pytest.mark.slow
+def test_errors_are_near_the_bound_and_match_the_covariance(distance_m: float, kind: str) -> None:
+    weights, sigma, rng = PATTERNS[kind], 2.5, np.random.default_rng(int(distance_m))
+    errors, normed = [], []
+    for _ in range(50):
+        pose = Pose(40 + rng.random(), 31 + rng.random(), pitch_at(distance_m), 0.0, 0.55)
+        clean = pixels(pose, weights)
+        found = fit(clean + rng.normal(0, sigma, clean.shape), pose, weights, start(pose, rng))
+        e = error(found, pose)
+        errors.append(e)
+        normed.append(e[:2] @ np.linalg.solve(found.covariance[:2, :2], e[:2]))
+    rms = np.sqrt(np.mean(np.square(errors), axis=0))
+    least = bound(Pose(40.5, 31.5, pitch_at(distance_m), 0.0, 0.55), weights, sigma)
+    assert (rms[:3] < 2 * least[:3]).all()
+    # of two degrees of freedom
+    assert 1.0 < np.mean(normed) < 4.0
+
+
+@pytest.mark.parametrize("distance_m", [25, 40, 60, 80])
+@pytest.mark.parametrize("scene", ["wall", "lamp"])
+def test_bright_clutter_beside_the_panel_does_not_pull(distance_m: float, scene: str) -> None:
+    rng, pose = np.random.default_rng(5), Pose(40.37, 31.81, pitch_at(distance_m), 0.0, 0.55)
+    (x0, y0), shape = window(pose)
+    y, x = np.mgrid[: shape[0], : shape[1]] + np.array([[[y0 - pose.y]], [[x0 - pose.x]]])
+    clutter = {
+        "wall": np.full(shape, 2 * GAIN),
+        "lamp": 2 * GAIN * (np.hypot(x - 10.5 * pose.pitch, y) < 3 * pose.pitch),
+    }[scene]
+    # the dark panel, a pitch beyond the cells of the outer LEDs, hides it
+    panel = np.prod([ndtr((9 * pose.pitch - np.abs(t)) / 0.6) for t in (x, y)], axis=0)
+    light = GAIN * draw(pose, ALL_ON, (x0, y0), shape) + 5 + clutter * (1 - panel)
+    off = np.array([0.2, -0.15, 0.01, 0.0, 0.05])
+    prior = Prior(pose.vector() + off, np.diag([0.5, 0.5, 0.05, 0.02, 0.5]) ** 2, GAIN)
+    found = fit_array(light + rng.normal(0, 2.5, shape), (x0, y0), prior, ALL_ON, 5, panel=True)
+    assert np.abs(error(found, pose))[:2].max() < 0.1
+
+
+def test_a_header_shows_the_tilt() -> None:
+    rng = np.random.default_rng(2)
+    pose = Pose(40.3, 30.8, pitch_at(50.0), 0.05, 0.55, -0.06, 0.04)
+    prior = Prior(np.append(start(pose, rng).vector, [0.0, 0.0]), np.diag([1.0, 1.0, 0.1, 0.1, 0.3, 0.1, 0.1]) ** 2)
+    found = fit(pixels(pose, HEADER), pose, HEADER, prior)
+    assert found.vector == pytest.approx(pose.full_vector(), abs=2e-3)
+    # it is held where the prior has no room for it
+    held = fit(pixels(pose, HEADER), pose, HEADER, Prior(pose.full_vector() + 0.01, BROAD))
+    assert held.vector[5:] == pytest.approx(pose.full_vector()[5:] + 0.01)
+    assert len(held.covariance) == 5
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("distance_m", [30, 80])
+def test_a_light_that_is_not_as_expected_does_not_end_the_fit_early(distance_m: float, factor: float) -> None:
+    rng, pose, errors = np.random.default_rng(7), Pose(40.37, 31.81, pitch_at(distance_m), 0.0, 0.55), []
+    for _ in range(20):
+        off = rng.normal(0, [0.05, 0.05, 1e-3, 1e-3, 0.02])
+        prior = Prior(pose.vector() + off, np.diag([0.1, 0.1, 2e-3, 2e-3, 0.05]) ** 2, factor * GAIN)
+        light = pixels(pose, ALL_ON) + rng.normal(0, 2.5, window(pose)[1])
+        errors.append(error(fit_array(light, window(pose)[0], prior, ALL_ON, 3, panel=True), pose)[:2])
+    assert np.sqrt(np.mean(np.square(errors))) < 0.01
+
+
+@pytest.mark.parametrize("panel", [False, True])
+def test_with_the_gain_expected_the_first_step_comes_near(panel: bool) -> None:
+    """Beside an array that is a little off, only the expected gain tells how bright its image is."""
+    pose = Pose(40.37, 31.81, pitch_at(60), 0.0, 0.55)
+    off = np.array([0.2, -0.15, 0.005, 0.0, 0.02])
+    prior = Prior(pose.vector() + off, np.diag([0.5, 0.5, 0.02, 0.02, 0.1]) ** 2, GAIN)
+    found = fit_array(pixels(pose, ALL_ON), window(pose)[0], prior, ALL_ON, 1, panel=panel)
+    # what is left is of the second order in the step
+    assert np.abs(error(found, pose))[:2].max() < 0.1 * 0.2
+    assert found.gain == pytest.approx(GAIN, rel=0.02)
+
+
+def test_score_of_nothing_is_low() -> None:
+    rng, pose = np.random.default_rng(0), Pose(40.0, 31.0, 1.2, 0.0, 0.55)
+    noise = rng.normal(LEVEL, 2.5, window(pose)[1])
+    assert abs(fit(noise, pose, HEADER, start(pose, rng)).score) < 0.5
+
+
+def test_the_prior_holds_where_nothing_is_seen() -> None:
+    rng, pose = np.random.default_rng(0), Pose(40.0, 31.0, 1.2, 0.0, 0.55)
+    sharp = Prior(pose.vector(), 1e-6 * np.eye(5), GAIN)
+    found = fit_array(rng.normal(LEVEL, 2.5, window(pose)[1]), window(pose)[0], sharp, ALL_ON, 5)
+    assert np.abs(error(found, pose)).max() < 5e-3
+    assert np.sqrt(np.diag(found.covariance)) == pytest.approx(np.full(5, 1e-3), rel=0.2)
+
+
+POSES = st.builds(
+    Pose,
+    x=st.floats(39, 41),
+    y=st.floats(30, 32),
+    pitch=st.floats(0.5, 2.5),
+    roll=st.floats(-3, 3),
+    blur=st.floats(0.4, 1.0),
+    stretch=st.floats(-0.1, 0.1),
+    shear=st.floats(-0.1, 0.1),
+)
+
+
+@examples(60)
+@given(pose=POSES, kind=st.sampled_from(sorted(PATTERNS)), seed=st.integers(0, 99))
+def test_any_pose_is_found_within_its_covariance(pose: Pose, kind: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    # nearer than a fifth of a pitch anywhere, else LEDs that show singly are taken for their neighbours
+    spread = np.array([0.07 * pose.pitch, 0.07 * pose.pitch, 0.007, 0.007, 0.1, 0.007, 0.007])
+    prior = Prior(pose.full_vector() + rng.normal(0, spread), np.diag(spread**2))
+    clean = pixels(pose, PATTERNS[kind])
+    found = fit(clean + rng.normal(0, 2.5, clean.shape), pose, PATTERNS[kind], prior)
+    off = found.vector - pose.full_vector()
+    # of seven degrees of freedom: noise alone passes 30 once in 10000 draws
+    assert off @ np.linalg.solve(found.covariance, off) < 30
+    assert found.score > 0.9
+
+
+def test_the_covariance_is_as_true_with_few_pixels_as_with_many() -> None:
+    """Of 49 pixels nine parameters are fitted: what is left of the noise is that of 40."""
+    rng, pose, sigma = np.random.default_rng(9), Pose(40.1, 30.9, pitch_at(150), 0.0, 0.55), 2.5
+    ratios = []
+    for corner, shape in (((37, 28), (7, 7)), ((25, 16), (30, 31))):
+        clean = GAIN * draw(pose, HEADER, corner, shape) + LEVEL
+        prior = Prior(pose.vector(), np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4]) ** 2)
+        found = [fit_array(clean + rng.normal(0, sigma, shape), corner, prior, HEADER, 2) for _ in range(200)]
+        stated = np.mean([1 / one.covariance[0, 0] for one in found])
+        # information on x and y of pixels of the noise sigma, gain and a plane unknown
+        steps = [draw(pose.moved(*d), HEADER, corner, shape) for d in ((1e-4, 0), (-1e-4, 0), (0, 1e-4), (0, -1e-4))]
+        slopes = [GAIN * (steps[0] - steps[1]) / 2e-4, GAIN * (steps[2] - steps[3]) / 2e-4]
+        rows, cols = np.mgrid[: shape[0], : shape[1]].astype(float)
+        columns = np.stack([*slopes, clean, np.ones(shape), rows, cols]).reshape(6, -1)
+        ratios.append(stated * np.linalg.inv(columns @ columns.T / sigma**2)[0, 0])
+    assert ratios[0] == pytest.approx(ratios[1], rel=0.1)
+    # robust weights and rounding cost a little
+    assert ratios[1] == pytest.approx(1, abs=0.25)
+
+
+def posterior_gain(light: Floats, columns: Floats, mean: float, spread: float) -> tuple[float, float]:
+    """The gain that pixels and an expected one give by inverse variances, and that of the pixels alone.
+
+    The pixels' own is their least squares gain, residuals weighed by Tukey's biweight of 95 % efficiency.
+    """
+    linear = np.linalg.lstsq(columns.T, light, rcond=None)[0]
+    for _ in range(30):
+        residual = light - linear @ columns
+        # the median of |x| is 0.6745 standard deviations
+        far = residual / (4.685 * np.median(np.abs(residual)) / 0.6745)
+        weighed = columns * np.where(np.abs(far) < 1, (1 - far**2) ** 2, 0)
+        weight = weighed[1] / columns[1]
+        # gain, plane and five of the pose are fitted
+        noise = weight @ residual**2 / (weight.sum() - 9)
+        spreads = np.linalg.inv(weighed @ columns.T)
+        own = spreads @ (weighed @ light)
+        information = 1 / (noise * spreads[0, 0])
+        gain = (information * own[0] + mean / spread**2) / (information + 1 / spread**2)
+        plane = np.linalg.solve(weighed[1:] @ columns[1:].T, weighed[1:] @ (light - gain * columns[0]))
+        linear = np.append(gain, plane)
+    return float(gain), float(own[0])
+
+
+def test_an_expected_gain_and_the_pixels_are_weighed_by_their_variances() -> None:
+    """Of a far array in strong noise the gain is hardly seen, and the pose is known.
+
+    What the pixels say is 145 gray levels off from draw to draw, so each draw has its own gain to be compared with.
+    """
+    rng, pose, sigma = np.random.default_rng(6), Pose(40.37, 31.81, pitch_at(150), 0.0, 0.55), 660.0
+    corner, shape = window(pose)
+    rows, cols = np.mgrid[: shape[0], : shape[1]].astype(float)
+    columns = np.stack([draw(pose, ALL_ON, corner, shape), np.ones(shape), rows, cols]).reshape(4, -1)
+    expected, shares = 1.6 * GAIN, []
+    prior = Prior(pose.vector(), 1e-8 * np.eye(5), expected)
+    for _ in range(20):
+        light = pixels(pose, ALL_ON) + rng.normal(0, sigma, shape)
+        # half of the expected gain is its standard deviation
+        want, own = posterior_gain(light.ravel(), columns, expected, 0.5 * expected)
+        assert fit_array(light, corner, prior, ALL_ON, 12).gain == pytest.approx(want, rel=0.005)
+        shares.append((want - expected) / (own - expected))
+    # both count
+    assert 0.4 < np.mean(shares) < 0.7
+
+
+def test_pixels_without_a_number_give_no_pose() -> None:
+    prior = Prior(np.array([20.0, 20.0, 0.2, 0.0, -0.5]), np.diag([1.0, 1.0, 0.01, 0.01, 0.1]))
+    with pytest.raises(np.linalg.LinAlgError, match="no solution"):
+        fit_array(np.full((40, 40), np.nan), (0, 0), prior, np.ones((16, 16)), 3)
+
+
+@pytest.mark.parametrize("gain", [0.0, GAIN])
+@pytest.mark.parametrize("tilted", [False, True])
+@pytest.mark.parametrize("panel", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_machine_code_fits_as_the_reference(seed: int, panel: bool, tilted: bool, gain: float) -> None:
+    rng = np.random.default_rng(seed)
+    pose = Pose(20.0, 22.0, float(rng.uniform(0.6, 1.4)), float(rng.uniform(-0.2, 0.2)), 0.6)
+    corner, shape = window(pose)
+    weights = ALL_ON if panel else HEADER
+    image = GAIN * draw(pose, weights, corner, shape) + LEVEL + rng.normal(0, 2, shape)
+    image[3:6, 4:9] += 60  # something that stands before it
+    spread = BROAD if not tilted else np.diag([*np.diag(BROAD), 0.05**2, 0.05**2])
+    prior = pose.full_vector()[: 7 if tilted else 5] + rng.normal(0, [0.3, 0.3, 0.03, 0.02, 0.1, 0, 0])[: len(spread)]
+    margins = list(PANEL_MARGINS) if panel else []
+    vector, matrix, linear = fit_reference.fit(
+        image, corner, weights, margins, prior, np.linalg.inv(spread), gain, steps := 4
+    )
+    got = fit_array(image, corner, Prior(prior, spread, gain), weights, steps, panel)
+    # the machine code leaves out light beyond 4 standard deviations
+    assert got.vector == pytest.approx(vector, abs=2e-3)
+    assert got.gain == pytest.approx(linear[0], rel=2e-3)
+    assert got.covariance == pytest.approx(np.linalg.inv(matrix)[: len(spread), : len(spread)], rel=0.05, abs=1e-7)
+
+
+def test_images_drawn_near_a_pose_stand_for_it() -> None:
+    """An array drifts by a twentieth of a pixel a pair; its images are drawn once in a while, and poses stay right."""
+    rng, drawn, spread = np.random.default_rng(9), Drawn(), np.diag([0.01, 0.01, 4e-4, 4e-4, 0.01]) ** 2
+    first, off, redrawn = Pose(30.2, 28.7, 1.6, 0.015, 0.55), [], 0
+    for k in range(24):
+        pose = replace(first, x=first.x + 0.05 * k, y=first.y + 0.03 * k, pitch=first.pitch * (1 + 2e-4 * k))
+        x, y, cols, rows = drawn.window(pose, SIDE, 4.0)
+        anchor = drawn.anchor.copy()
+        prior = Prior(pose.vector() + np.append(rng.normal(0, 0.005, 2), np.zeros(3)), spread, GAIN)
+        light = GAIN * draw(pose, ALL_ON, (x, y), (rows, cols)) + LEVEL + rng.normal(0, 1.5, (rows, cols))
+        near, exact = (fit_array(light, (x, y), prior, ALL_ON, 3, panel=True, drawn=one) for one in (drawn, None))
+        redrawn += not np.array_equal(anchor[:5], drawn.anchor[:5])
+        off.append(near.vector - exact.vector)
+        assert near.gain == pytest.approx(exact.gain, rel=5e-3)
+        assert near.score == pytest.approx(exact.score, abs=1e-3)
+    assert 8 <= redrawn <= 18
+    away = np.abs(off).max(0)
+    assert away[:2].max() < 4e-3
+    assert away[2:4].max() < 2e-4
+    assert away[4] < 0.02
+
+
+def test_images_of_other_leds_or_places_are_drawn_anew() -> None:
+    drawn, pose, dim = Drawn(), Pose(30.2, 28.7, 1.6, 0.015, 0.55), ALL_ON.copy()
+    dim[:, :3] = 0.0
+    (x, y), shape = window(pose)
+    prior = Prior(pose.vector(), 1e-4 * np.eye(5), GAIN)
+    for weights, corner in ((ALL_ON, (x, y)), (dim, (x, y)), (dim, (x + 3, y)), (ALL_ON, (x, y))):
+        light = GAIN * draw(pose, weights, corner, shape) + LEVEL
+        got, exact = (fit_array(light, corner, prior, weights, 2, drawn=one) for one in (drawn, None))
+        assert got.vector == pytest.approx(exact.vector, abs=1e-9)

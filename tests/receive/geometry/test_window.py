@@ -1,0 +1,109 @@
+"""Windows about an array: they hold it, and what is cut out is what the frame has there."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples, poses
+from scenes import SIDE
+
+from heliograph.base.frames import Frame
+from heliograph.receive import Pose
+from heliograph.receive.geometry.window import common, covered, cut_out, plane, window_around
+
+SENSOR = np.random.default_rng(0).integers(0, 256, (60, 70)).astype(np.uint8)
+"""The pixels of which frames are windows."""
+
+
+@st.composite
+def frames(draw: st.DrawFn) -> Frame:
+    """A window of the sensor, 3 pixels wide and high at least."""
+    left, top = draw(st.integers(0, 40)), draw(st.integers(0, 40))
+    right, low = draw(st.integers(left + 3, 70)), draw(st.integers(top + 3, 60))
+    return Frame(0, 0.0, SENSOR[top:low, left:right], 8, (left, top))
+
+
+WINDOWS = st.tuples(st.integers(-20, 80), st.integers(-20, 70), st.integers(1, 30), st.integers(1, 30))
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.4, -2.5])
+def test_window_holds_the_array(roll: float) -> None:
+    pose = Pose(40.4, 31.3, 1.7, roll, 0.5)
+    x, y, cols, rows = window_around(pose, SIDE, 2.0)
+    leds = pose.leds(SIDE).reshape(-1, 2)
+    assert (leds.min(0) - 1.99 >= (x, y)).all()
+    assert (leds.max(0) + 1.99 <= (x + cols - 1, y + rows - 1)).all()
+
+
+@examples(200)
+@given(pose=poses(), side=st.sampled_from([4, 8, 16]), margin=st.floats(0, 9))
+def test_window_holds_all_leds_and_the_margin_and_no_more(pose: Pose, side: int, margin: float) -> None:
+    x, y, cols, rows = window_around(pose, side, margin)
+    # the squares of the outer LEDs, half a step beyond their centres
+    corners = pose.leds(side)[[0, 0, -1, -1], [0, -1, 0, -1]] - (pose.x, pose.y)
+    corners = corners * side / (side - 1) + (pose.x, pose.y)
+    least, most = corners.min(0) - margin, corners.max(0) + margin
+    assert (np.array([x, y]) <= least + 1e-9).all()
+    assert (np.array([x + cols - 1, y + rows - 1]) >= most - 1e-9).all()
+    assert (np.array([x, y]) > least - 1 - 1e-9).all()
+    assert (np.array([x + cols - 1, y + rows - 1]) < most + 1 + 1e-9).all()
+
+
+@examples(200)
+@given(frame=frames(), window=WINDOWS)
+def test_cut_out_is_a_slice_whose_border_repeats(frame: Frame, window: tuple[int, int, int, int]) -> None:
+    x, y, cols, rows = window
+    got = cut_out(frame, window)
+    assert got.shape == (rows, cols)
+    assert got.dtype == np.float64
+    (left, top), (height, width) = frame.origin, frame.pixels.shape
+    right, low = left + width - 1, top + height - 1
+    for i, j in ((0, 0), (rows - 1, cols - 1), (rows // 2, cols // 3), (0, cols - 1)):
+        assert got[i, j] == SENSOR[min(max(y + i, top), low), min(max(x + j, left), right)]
+    if x >= left and y >= top and x + cols <= left + width and y + rows <= top + height:
+        assert np.array_equal(got, SENSOR[y : y + rows, x : x + cols])
+        # a copy: a receiver that writes to it leaves the frame as it is
+        assert not np.shares_memory(got, frame.pixels)
+
+
+@examples(200)
+@given(several=st.lists(frames(), min_size=1, max_size=3), window=WINDOWS)
+def test_covered_pixels_are_those_that_all_frames_have(several: list[Frame], window: tuple[int, int, int, int]) -> None:
+    x, y, cols, rows = window
+    there = np.ones((rows, cols), bool)
+    for frame in several:
+        (left, top), (height, width) = frame.origin, frame.pixels.shape
+        v, u = np.arange(x, x + cols), np.arange(y, y + rows)
+        there &= ((u >= top) & (u < top + height))[:, None] & ((v >= left) & (v < left + width))
+    found = covered(several, (x, y), (rows, cols))
+    if found is None:
+        assert there.all()
+    else:
+        assert not there.all()
+        assert np.array_equal(np.outer(found[1], found[0]) > 0, there)
+
+
+@examples(200)
+@given(several=st.lists(frames(), min_size=1, max_size=4))
+def test_common_parts_show_the_same_of_the_sensor(several: list[Frame]) -> None:
+    cut = common(several)
+    left, top = (max(f.origin[k] for f in several) for k in (0, 1))
+    right = min(f.origin[0] + f.pixels.shape[1] for f in several)
+    low = min(f.origin[1] + f.pixels.shape[0] for f in several)
+    assert {f.origin for f in cut} == {(left, top)}
+    for one in cut:
+        assert one.pixels.shape == (max(low - top, 0), max(right - left, 0))
+        if one.pixels.size:
+            assert np.array_equal(one.pixels, SENSOR[top:low, left:right])
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (5, 8), (30, 26)])
+def test_the_plane_is_a_constant_and_two_slopes(shape: tuple[int, int]) -> None:
+    constant, x, y = plane(*shape)
+    assert (constant == 1).all()
+    for slope, axis in ((x, 1), (y, 0)):
+        assert slope.mean() == pytest.approx(0)
+        assert np.allclose(np.diff(slope, axis=axis), 1 / shape[axis])
+        assert np.ptp(slope, axis=1 - axis) == pytest.approx(0)
+    with pytest.raises(ValueError, match="read-only"):
+        constant[0, 0] = 2.0

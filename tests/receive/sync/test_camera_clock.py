@@ -1,0 +1,175 @@
+"""The camera's clock by its stamps."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+
+from heliograph.base.errors import HeliographError
+from heliograph.base.frames import Frame
+from heliograph.receive.sync.frame_clock import CameraClock, FrameClock, SteppedClock
+
+FIRST = 16
+"""Frames that are held back until the camera's rate is known."""
+
+
+def stamped(times_s: Sequence[float], indices: Sequence[int] | None = None) -> list[Frame]:
+    """Frames of noise with stamps."""
+    rng = np.random.default_rng(1)
+    numbers = indices or range(len(times_s))
+    return [
+        Frame(k, float(t), rng.integers(0, 255, (8, 8)).astype(np.uint8)) for k, t in zip(numbers, times_s, strict=True)
+    ]
+
+
+def timed(frames: Sequence[Frame], clock: FrameClock | None = None) -> list[Frame]:
+    clock = clock or CameraClock()
+    return [out for frame in frames for out in clock.push(frame)]
+
+
+@pytest.mark.parametrize("fps", [1000.0, 2700.0, 4000.0])
+def test_jitter_is_smoothed(fps: float) -> None:
+    rng = np.random.default_rng(4)
+    true = np.arange(2000) / (fps * (1 + 150e-6))
+    out = timed(stamped(list(true + np.clip(rng.normal(0, 5e-5, 2000), -0.45 / fps, 0.45 / fps))))
+    error = np.array([f.time_s for f in out]) - true
+    assert np.sqrt(np.mean(error[300:] ** 2)) < 1.2e-5
+
+
+def test_even_stamps_stay() -> None:
+    true = np.arange(200) * 1e-3 + 0.3
+    assert [f.time_s for f in timed(stamped(list(true)))] == pytest.approx(list(true), abs=1e-9)
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_dropped_frames_leave_a_gap_in_time(numbered: bool) -> None:
+    kept = [k for k in range(400) if k not in (8, 50, 51, 120, 300)]
+    frames = stamped([k / 1500 for k in kept], kept if numbered else None)
+    assert [f.time_s for f in timed(frames)] == pytest.approx([k / 1500 for k in kept], abs=1e-6)
+
+
+@examples(60)
+@given(
+    period_s=st.floats(1e-4, 0.05),
+    jitter=st.floats(0, 0.15),
+    gaps=st.lists(st.integers(1, 6), min_size=40, max_size=150),
+    seed=st.integers(0, 99),
+)
+@pytest.mark.slow
+def test_whatever_is_dropped_times_rise_and_the_period_is_right(
+    period_s: float, jitter: float, gaps: list[int], seed: int
+) -> None:
+    """Of three frames two are dropped on average, stamps are off by up to 15 % of a period; the first 16 are whole."""
+    steps = np.concatenate([np.ones(FIRST, int), gaps])
+    number = np.cumsum(steps)
+    stamps = period_s * (number + np.random.default_rng(seed).uniform(-jitter, jitter, len(number)))
+    clock = CameraClock()
+    out = timed(stamped(list(stamps)), clock)
+    # none is lost, and each goes on with the pixels that it had
+    assert [f.index for f in out] == list(range(len(number)))
+    times = np.array([f.time_s for f in out])
+    assert (np.diff(times) > 0).all()
+    # steps are whole numbers of periods
+    assert np.diff(times) / period_s == pytest.approx(steps[1:], abs=0.25)
+    assert clock.period_s == pytest.approx(period_s, rel=0.03)
+
+
+def test_copies_are_left_out() -> None:
+    frames = stamped([k * 1e-3 for k in range(60)])
+    for k in (5, 30, 31):
+        frames[k] = replace(frames[k], pixels=frames[k - 1].pixels.copy())
+    # and one that came twice with the same stamp
+    frames.insert(41, frames[40])
+    out = timed(frames)
+    assert [f.index for f in out] == [k for k in range(60) if k not in (5, 30, 31)]
+    assert [f.time_s for f in out] == pytest.approx([f.index * 1e-3 for f in out], abs=1e-9)
+
+
+def test_frames_without_noise_are_no_copies() -> None:
+    """A dark or a saturated frame may well look like the one before."""
+    even = [replace(f, pixels=np.full((8, 8), 255, np.uint8)) for f in stamped([k * 1e-3 for k in range(30)])]
+    assert [f.index for f in timed(even)] == list(range(30))
+
+
+def test_frames_are_held_until_the_rate_is_known() -> None:
+    clock, frames = CameraClock(), stamped([k * 1e-3 for k in range(FIRST)])
+    assert timed(frames[:-1], clock) == []
+    assert clock.period_s == 0
+    assert len(timed(frames[-1:], clock)) == FIRST
+    assert clock.period_s == pytest.approx(1e-3)
+    short = CameraClock()
+    timed(frames[:5], short)
+    assert [f.index for f in short.flush()] == list(range(5))
+    assert short.period_s == pytest.approx(1e-3)
+    single = CameraClock()
+    timed(frames[:1], single)
+    assert list(single.flush()) == []
+
+
+def test_frames_that_go_back_are_refused() -> None:
+    clock, frames = CameraClock(), stamped([0.0, 1e-3, 0.5e-3, 2e-3])
+    assert list(clock.push(frames[0])) + list(clock.push(frames[1])) == []
+    with pytest.raises(HeliographError, match="must follow in time") as error:
+        list(clock.push(frames[2]))
+    assert "\n" not in str(error.value)
+    assert list(clock.push(frames[3])) == []
+
+
+@pytest.mark.parametrize(("fps", "message"), [(979.0, "979.0 frames/s"), (1021.0, "1021.0 frames/s")])
+def test_a_camera_out_of_step_is_refused_by_the_plain_receivers_clock(fps: float, message: str) -> None:
+    clock = SteppedClock(1e-3)
+    with pytest.raises(HeliographError, match=message):
+        timed(stamped([k / fps for k in range(40)]), clock)
+
+
+@pytest.mark.parametrize("late_s", [0.4e-3, -0.4e-3, 1e-3, 5e-3])
+def test_one_stamp_is_no_rate(late_s: float) -> None:
+    """It is late or early, or frames before it are missing though their numbers run on."""
+    clock, times = SteppedClock(1e-3), 1e-3 * np.arange(40)
+    times[20:] += late_s if late_s >= 1e-3 else 0
+    times[20] += late_s if late_s < 1e-3 else 0
+    frames = stamped(times.tolist())
+    assert timed(frames, clock) == frames
+
+
+def test_a_number_that_was_rounded_the_other_way_is_no_rate() -> None:
+    """Frames at 0.5, 1.5, 2.5 ms ... have the numbers 0, 2, 3 ... once 0.5 was rounded down."""
+    frames = stamped([(k + 0.5) * 1e-3 for k in range(20)], [0, *range(2, 21)])
+    assert timed(frames, SteppedClock(1e-3)) == frames
+
+
+def test_a_short_film_is_judged_at_its_end() -> None:
+    clock = SteppedClock(1e-3)
+    timed(stamped([0.0, 2e-3, 4e-3]), clock)
+    with pytest.raises(HeliographError, match=r"500\.0 frames/s"):
+        list(clock.flush())
+
+
+@pytest.mark.parametrize("fps", [981.0, 1019.0])
+def test_frames_in_step_pass_as_they_are(fps: float) -> None:
+    clock, numbers = SteppedClock(1e-3), [0, 1, 2, 7, 8]
+    frames = stamped([k / fps for k in numbers], numbers)
+    assert timed(frames, clock) == frames
+    assert list(clock.flush()) == []
+
+
+@pytest.mark.parametrize("pause", [3.5, 10.5, 7000.4])
+@pytest.mark.parametrize("at", [3, 8, 20, 200])
+def test_a_camera_may_go_on_at_any_phase_after_a_pause(pause: float, at: int) -> None:
+    stamps = 1e-3 * (np.arange(300) + pause * (np.arange(300) >= at))
+    clock = CameraClock()
+    out = timed(stamped(list(stamps)), clock)
+    assert [f.time_s for f in out] == pytest.approx(list(stamps), abs=0.05e-3)
+    assert clock.period_s == pytest.approx(1e-3, rel=1e-4)
+    frames = stamped(list(stamps))
+    assert timed(frames, SteppedClock(1e-3)) == frames
+
+
+def test_pauses_between_all_of_the_first_frames_leave_a_period() -> None:
+    clock = CameraClock()
+    timed(stamped(list(np.cumsum([0.01 * 3.0**k for k in range(FIRST)]))), clock)
+    assert clock.period_s > 0

@@ -1,0 +1,178 @@
+"""Pairs of a camera of any timing: each number once and in order, whatever is dropped, and its frames in time."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+from scenes import film, link, pitch_at
+
+from heliograph.base.frames import Frame
+from heliograph.receive import Pose
+from heliograph.receive.geometry.fit import header_amplitude
+from heliograph.receive.sync.pairing import ClockedPairing, CombinedFrame, FramePair, LoneFrame
+from heliograph.signal.header import header_levels
+
+SETTINGS = link("signal.data_pairs=5")
+SIGNAL = SETTINGS.signal
+POSE = Pose(79.5, 59.5, pitch_at(50.0), 0.0, 0.52)
+
+RATES = [(1000.0, 2.0e-3), (1000.0, 2.3e-3), (1500.0, 2.2e-3), (2500.0, 2.7e-3)]
+"""Frames a second, and when the light starts; only the first are in step."""
+
+
+@cache
+def filmed(fps: float, start_s: float, exposure_s: float | None = None) -> tuple[Frame, ...]:
+    """A film of three packets in 50 ms; frames are exposed for their whole period, or as long as is said."""
+    channel = SETTINGS.channel
+    camera = replace(channel.camera, fps=fps, exposure_s=exposure_s or 1 / fps)
+    arrays = (replace(channel.arrays[0], start_s=start_s),)
+    return tuple(film(replace(SETTINGS, channel=replace(channel, camera=camera, arrays=arrays)), 50, roi_margin_px=12))
+
+
+def pairing_of(start_s: float, exposure_s: float | None = None) -> ClockedPairing:
+    """As a detection would begin it, a quarter of a pattern off."""
+    return ClockedPairing(start_s + 2.5e-4, start_s + 2e-3, POSE, 0, np.ones((16, 16)), SIGNAL, exposure_s)
+
+
+def paired(
+    pairing: ClockedPairing, frames: list[Frame], single: bool = False
+) -> list[tuple[int, FramePair | LoneFrame | None]]:
+    """Numbers of pairs with their frames, as a receiver asks for them."""
+    pushed = (number for frame in frames for number in pairing.push(frame))
+    got = [(number, pairing.pair(number, lambda _: POSE, single)) for number in pushed]
+    return got + [(number, pairing.pair(number, lambda _: POSE, single)) for number in pairing.flush()]
+
+
+@examples(40)
+@given(rate=st.sampled_from(RATES), dropped=st.sets(st.integers(0, 124), max_size=40))
+@pytest.mark.slow
+def test_each_pair_comes_once_in_order_with_frames_of_its_time(rate: tuple[float, float], dropped: set[int]) -> None:
+    fps, start_s = rate
+    pairing = pairing_of(start_s)
+    frames = [frame for frame in filmed(fps, start_s) if frame.index not in dropped]
+    got = paired(pairing, frames)
+    assert [number for number, _ in got] == list(range(len(got)))
+    if pairing.lost:
+        assert not got
+        return
+    # without a frame of the first header the clock is not sure of the phase, and takes frames to be in step
+    near = 3.5e-4 if dropped & set(range(20)) else 1.5e-4
+    for number, pair in got:
+        first = start_s + 2 * number * 1e-3
+        if isinstance(pair, LoneFrame):
+            assert pair.frame.time_s == pytest.approx(first + 1e-3 * pair.inverted, abs=near)
+            continue
+        if pair is None:
+            continue
+        assert pair.pattern.index <= pair.inverted.index
+        if pair.combination is None:
+            # two camera frames, the second of them a pattern later
+            assert not {pair.pattern.index, pair.inverted.index} & dropped
+            assert pair.pattern.time_s == pytest.approx(first, abs=near)
+            assert pair.inverted.time_s == pytest.approx(first + 1e-3, abs=near)
+        else:
+            assert first - 1e-3 < pair.time_s < first + 2e-3
+
+
+@pytest.mark.parametrize(("fps", "start_s"), RATES)
+def test_whole_films_give_every_pair(fps: float, start_s: float) -> None:
+    pairing = pairing_of(start_s)
+    got = paired(pairing, list(filmed(fps, start_s)))
+    assert not pairing.lost
+    assert [number for number, _ in got] == list(range(int((50 - 1e3 * start_s) / 2)))
+    pairs = [pair for _, pair in got]
+    assert all(pair is not None for pair in pairs)
+    in_step = (fps, start_s) == RATES[0]
+    assert {isinstance(pair.pattern, CombinedFrame) for pair in pairs if isinstance(pair, FramePair)} == {not in_step}
+    # out of step the detection saw the header too weak
+    assert (pairing.first_gain is None) == in_step
+    assert pairing.first_gain is None or pairing.first_gain == pytest.approx(0.8 * 255, rel=0.1)
+    signs = header_levels(0) / 2.0 - 1.0
+    for number, pair in got:
+        assert isinstance(pair, FramePair)
+        if number % 7 < 2:
+            up, down = (header_amplitude(frame, POSE, signs) for frame in (pair.pattern, pair.inverted))
+            # the difference is the header's, as in step: half of the light of +-1 in either direction
+            assert up - down == pytest.approx(0.8 * 255, rel=0.1)
+        if pair.combination is not None:
+            # half a pattern before the mean of the light, which counts from the pair, or from its header
+            place = 2 * (number if number % 7 >= 2 else number - number % 7) + pair.combination.sum_time - 0.5
+            assert pair.time_s == pytest.approx(start_s + 1e-3 * place, abs=3e-5)
+    # one header gives the start of a camera in step to a tenth of a pattern, of any other more exactly
+    assert pairing.origin_s == pytest.approx(start_s, abs=1e-4 if in_step else 2e-5)
+
+
+def test_before_the_header_is_over_no_pair_is_read() -> None:
+    pairing, frames = pairing_of(2.0e-3), filmed(1000.0, 2.0e-3)
+    assert (pairing.now_s, pairing.origin_s) == pytest.approx((4.0e-3, 2.25e-3))
+    counts = [len(list(pairing.push(frame))) for frame in frames[:16]]
+    # the header's four patterns by the detection's start, and three more; then a pair every other frame
+    assert counts == [0] * 10 + [3, 1, 0, 1, 0, 1]
+    # the middle of the last of six pairs
+    assert pairing.now_s == pytest.approx(13e-3, abs=1e-4)
+
+
+def test_a_header_from_before_the_film_is_lost() -> None:
+    start_s = 2.0e-3
+    pairing = pairing_of(start_s)
+    late = [frame for frame in filmed(1000.0, start_s) if frame.time_s > start_s + 3e-3]
+    assert paired(pairing, late) == []
+    assert pairing.lost
+
+
+def test_what_is_no_header_is_lost() -> None:
+    rng, start_s = np.random.default_rng(0), 2.0e-3
+    noise = [
+        replace(frame, pixels=rng.integers(0, 255, frame.pixels.shape).astype(np.uint8))
+        for frame in filmed(1000.0, start_s)
+    ]
+    pairing = pairing_of(start_s)
+    assert paired(pairing, noise) == []
+    assert pairing.lost
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_data_without_inverses_are_read_frame_by_frame(single: bool) -> None:
+    """Of an exposure of 0.7 T_b pairs are combined, though each frame shows one pattern alone."""
+    frames = list(filmed(1000.0, 2.0e-3, 0.7e-3))
+    got = paired(pairing_of(2.0e-3, 0.7e-3), frames, single)
+    assert len(got) == 23
+    for number, pair in got:
+        assert isinstance(pair, FramePair)
+        assert isinstance(pair.pattern, Frame) == (single and number % 7 >= 2)
+
+
+def test_a_whole_header_gives_the_gain_and_an_even_sum() -> None:
+    fps, start_s = RATES[2]
+    pairing, measured = pairing_of(start_s), []
+    for frame in filmed(fps, start_s):
+        for number in pairing.push(frame):
+            if number % 7 == 2:
+                poses = {number - 2: lambda _: POSE, number - 1: lambda _: POSE}
+                measured.append(pairing.header(number, poses, lambda _: POSE, np.ones((16, 16))))
+    assert len(measured) == 3
+    for header in measured:
+        assert header is not None
+        assert header.gain == pytest.approx(0.8 * 255, rel=0.05)
+        assert header.pair is not None
+        assert header.frames is not None
+        # at 1.5 frames a pattern four or five frames lie within a header of four patterns
+        assert len(header.frames.images) in (4, 5)
+        assert header.frames.alternation.shape == header.frames.light.shape == (2, len(header.frames.images))
+        total = header.pair.pattern.pixels + header.pair.inverted.pixels
+        middle = tuple(slice(size // 2 - 4, size // 2 + 4) for size in total.shape)
+        assert np.std(total[middle]) < 0.05 * np.mean(total[middle])
+
+
+def test_a_header_in_step_gives_no_more() -> None:
+    fps, start_s = RATES[0]
+    pairing = pairing_of(start_s)
+    for frame in filmed(fps, start_s):
+        for number in pairing.push(frame):
+            if number in (2, 9):
+                poses = {number - 2: lambda _: POSE, number - 1: lambda _: POSE}
+                assert pairing.header(number, poses, lambda _: POSE, np.ones((16, 16))) is None

@@ -1,0 +1,234 @@
+"""The light's clock by headers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from properties import examples
+
+from heliograph.receive.sync.light_clock import HeaderAmplitudes, LightClock
+from heliograph.signal.formats import words
+from heliograph.signal.header import header_cells
+from heliograph.signal.settings import SignalSettings
+
+Floats = NDArray[np.float64]
+SIGNAL = SignalSettings()
+IDENTITY = 29
+FINE = 2000
+SLOTS = np.array([15, 11, 5, 1]) / 16
+
+
+def header_view(start: float, exposure: float, period: float, seed: int = 0, form: int = 0) -> HeaderAmplitudes:
+    """What frames `period` patterns apart show of a header that begins `start` patterns late, by fine sums.
+
+    Its second pair signals a format: dimmed cells have the levels 3 and 1.
+    """
+    rng = np.random.default_rng(seed)
+    times: Floats = np.arange(-2, 6 + 1e-9, period)
+    steps = np.arange(-6 * FINE, 10 * FINE) / FINE
+    pattern, slot = np.floor(steps), np.floor(4 * (steps % 1)).astype(int)
+    cells, dimmed = header_cells(IDENTITY).ravel().astype(float), words()[form] > 0
+    wave = rng.normal(0, 0.03, 16)[(pattern + 6).astype(int)]
+    bright = SLOTS[slot]
+    for k in range(4):
+        sign = -1 if k % 2 else 1
+        levels = np.where(dimmed & (k >= 2), 2 + sign * cells, 2 + 2 * sign * cells)
+        lit = (levels > np.arange(4)[:, None]).astype(float)
+        here = pattern == k
+        wave[here], bright[here] = (2 * lit @ cells / 16)[slot[here]], lit.mean(1)[slot[here]]
+    shown = []
+    for t in times:
+        part = (steps >= t - start) & (steps < t - start + exposure)
+        shown.append((100 * wave[part].mean(), 200 * bright[part].mean() + 31))
+    alternation, brightness = (np.array(column, np.float64) for column in zip(*shown, strict=True))
+    return HeaderAmplitudes(1e-3 * times, alternation, brightness)
+
+
+@pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37), (0.25, 0.25)])
+@pytest.mark.parametrize("start", [0.3, -0.37, 0.12])
+def test_one_header_gives_start_and_exposure(start: float, exposure: float, period: float) -> None:
+    clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY)
+    clock.measure(header_view(start, exposure, period), 0)
+    assert clock.start_s == pytest.approx(start * 1e-3, abs=2e-5)
+    assert clock.exposure == pytest.approx(exposure, abs=0.04)
+    assert clock.gain == pytest.approx(200, rel=0.04)
+    assert clock.explained > 0.95
+
+
+@pytest.mark.parametrize("period", [0.37, 2 / 3])
+def test_a_later_header_gives_starts_between_those_of_its_grid(period: float) -> None:
+    late, found = np.linspace(-0.02, 0.02, 17), []
+    for start in late:
+        clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY)
+        clock.measure(header_view(0.0, period, period), 0)
+        view = header_view(float(start), period, period)
+        # the same header 100 patterns later
+        clock.measure(replace(view, times_s=view.times_s + 0.1), 100)
+        found.append((clock.start_s - 0.1) * 1e3)
+    # the filter goes part of the way, the same part wherever the start lies
+    slope, zero = np.polyfit(late, found, 1)
+    assert slope == pytest.approx(1, abs=0.05)
+    assert np.array(found) == pytest.approx(slope * late + zero, abs=1e-3)
+
+
+def test_brightness_that_is_not_trusted_counts_less() -> None:
+    view, other = header_view(0.3, 1.0, 1.0), header_view(-0.1, 1.0, 1.0)
+    wrong, off = replace(view, brightness=other.brightness), []
+    for trust in (1.0, 0.1):
+        clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
+        clock.measure(replace(wrong, trust=trust), 0)
+        off.append(abs(clock.start_s * 1e3 - 0.3))
+    assert off[1] < 0.5 * off[0]
+
+
+def test_the_brightness_of_a_clipped_array_is_not_used() -> None:
+    """At 25 m single LEDs are at full scale; the clock was then off by 0.3 T_b."""
+    view, other = header_view(0.3, 1.0, 1.0), header_view(-0.4, 1.0, 1.0)
+    wrong, starts = replace(view, brightness=3 * other.brightness), []
+    for clipped in (True, False):
+        clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
+        clock.measure(replace(wrong, clipped=clipped), 0)
+        starts.append(clock.start_s * 1e3)
+    assert starts[0] == pytest.approx(0.3, abs=0.01)
+    # not clipped it would count
+    assert starts[1] < 0.2
+
+
+def distinct_formats() -> list[int]:
+    """Formats that dim most lit cells, most dark ones, all cells, and as many of both."""
+    cells, dimmed = header_cells(IDENTITY).ravel(), words().astype(int)
+    lit, count = dimmed @ cells, dimmed.sum(1)
+    return [int(np.argmax(lit)), int(np.argmin(lit)), int(np.argmax(count)), int(np.argmax((lit == 0) & (count == 8)))]
+
+
+@pytest.mark.parametrize("form", distinct_formats())
+@pytest.mark.parametrize(("exposure", "period"), [(1.0, 1.0), (2 / 3, 2 / 3), (0.37, 0.37)])
+@pytest.mark.parametrize("start", [0.0, 0.3, -0.37])
+def test_dimmed_cells_do_not_mislead_the_clock(start: float, exposure: float, period: float, form: int) -> None:
+    clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY)
+    clock.measure(header_view(start, exposure, period, form=form), 0)
+    assert clock.start_s == pytest.approx(start * 1e-3, abs=2e-5)
+    assert clock.exposure == pytest.approx(exposure, abs=0.04)
+    assert clock.gain == pytest.approx(200, rel=0.05)
+    assert clock.explained > 0.95
+
+
+@pytest.mark.parametrize(("exposure", "period"), [(0.9, 1.0), (0.5, 1.0), (0.3, 2 / 3)])
+@pytest.mark.parametrize("start", [0.3, -0.37, 0.12])
+def test_with_a_short_exposure_known_one_header_gives_the_start(start: float, exposure: float, period: float) -> None:
+    clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY, exposure * 1e-3)
+    clock.measure(header_view(start, exposure, period), 0)
+    assert clock.start_s == pytest.approx(start * 1e-3, abs=5e-5)
+
+
+def test_of_exposures_that_look_alike_the_longest_is_taken() -> None:
+    # six tenths about the middle of each pattern, and the whole of it
+    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
+    clock.measure(header_view(-0.2, 0.6, 1.0), 0)
+    assert clock.exposure == pytest.approx(1, abs=0.05)
+
+
+def test_an_exposure_that_is_given_is_not_estimated() -> None:
+    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY, 0.45e-3)
+    clock.measure(header_view(0.2, 0.45, 1.0), 0)
+    assert clock.exposure == pytest.approx(0.45)
+
+
+def test_what_is_no_header_is_not_explained() -> None:
+    rng = np.random.default_rng(3)
+    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
+    alternation, brightness = (rng.normal(0, 50, 9) for _ in range(2))
+    clock.measure(HeaderAmplitudes(np.linspace(-2e-3, 6e-3, 9), alternation, brightness), 0)
+    assert clock.explained < 0.7
+
+
+def test_the_rate_is_learnt_from_header_to_header() -> None:
+    clock, rate = LightClock(0.0, 0.66e-3, SIGNAL, IDENTITY), -400e-6
+    for packet in range(12):
+        first = packet * 0.1 * (1 + rate)
+        # frames fall where they do
+        view = header_view(first / 1e-3 % 0.66, 0.66, 0.66, packet)
+        frames_s = first - first / 1e-3 % 0.66 * 1e-3
+        clock.measure(replace(view, times_s=view.times_s + frames_s), 100 * packet)
+    assert clock.rate == pytest.approx(rate, abs=2e-5)
+    assert clock.time_s(1150) == pytest.approx(1.15 * (1 + rate), abs=3e-5)
+    assert clock.pattern_at(clock.time_s(1234.5)) == pytest.approx(1234.5)
+
+
+def normed_error(
+    start: float, period: float, seed: int, *, exposure: float | None = None, clipped: bool = False, again: bool = False
+) -> float:
+    """Error of a header's start in noise, in units of the deviation stated; None exposes through the frame period."""
+    rng, known_s = np.random.default_rng([seed, 3]), None if exposure is None else exposure * 1e-3
+    clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY, known_s)
+    view = replace(header_view(start, exposure or period, period, seed), clipped=clipped)
+    noisy = replace(view, alternation=view.alternation + rng.normal(0, 4, len(view.times_s)))
+    assert clock.measure(noisy, 0)
+    if again:
+        assert clock.measure(noisy, 0, again=True)
+    return (clock.time_s(0) * 1e3 - start) / clock.deviation
+
+
+@pytest.mark.parametrize("again", [False, True])
+@pytest.mark.parametrize("period", [1.0, 0.5])
+@pytest.mark.parametrize("clipped", [False, True])
+@pytest.mark.slow
+def test_a_header_is_as_sure_as_it_says(period: float, clipped: bool, again: bool) -> None:
+    """Errors of the start are those stated, the first header measured once more or not."""
+    errors = [normed_error(0.3, period, seed, clipped=clipped, again=again) for seed in range(60)]
+    assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+@examples(80)
+@given(
+    start=st.floats(-0.9, 0.9),
+    period=st.floats(0.25, 1.0),
+    part=st.none() | st.floats(0.3, 1.0),
+    seed=st.integers(0, 99),
+)
+@pytest.mark.slow
+def test_a_header_at_any_phase_starts_within_the_deviation_stated(
+    start: float, period: float, part: float | None, seed: int
+) -> None:
+    """Exposed through the whole frame period, or for a part of it that is known."""
+    exposure = None if part is None else part * period
+    assert abs(normed_error(start, period, seed, exposure=exposure)) < 5
+
+
+def test_a_header_that_is_not_seen_leaves_the_clock_alone() -> None:
+    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
+    assert clock.measure(header_view(0.2, 1.0, 1.0), 0)
+    before = clock.time_s(50), clock.gain, clock.exposure
+    rng = np.random.default_rng(0)
+    times = (50.0 + np.arange(-2, 7)) * np.float64(1e-3)
+    assert not clock.measure(HeaderAmplitudes(times, rng.normal(0, 3, 9), rng.normal(0, 3, 9)), 50)
+    assert (clock.time_s(50), clock.gain, clock.exposure) == pytest.approx(before)
+
+
+def unseen(pattern: int) -> HeaderAmplitudes:
+    """Frames around a header that is dark."""
+    return HeaderAmplitudes(1e-3 * (pattern + np.arange(-2.0, 7.0)), np.full(9, 1e-3), np.zeros(9))
+
+
+def test_a_rate_well_known_wanders_as_quartz_does() -> None:
+    """It walks by 6.3e-8 a root of a pattern, so many headers do not make it better known than 3.5e-6."""
+    clock, view = LightClock(0.0, 1e-3, SIGNAL, IDENTITY), header_view(0.2, 1.0, 1.0)
+    for packet in range(60):
+        assert clock.measure(replace(view, times_s=view.times_s + 0.1 * packet), 100 * packet)
+    assert clock.deviation < 0.01
+    for pattern in (16_000, 36_000):
+        assert not clock.measure(unseen(pattern), pattern)
+    # the rate's own deviation through 30000 patterns, and its walk of the first 10000 through the last 20000
+    walk = 6.3e-8 * 10_000**0.5 * 20_000
+    assert clock.deviation == pytest.approx(np.hypot(3.5e-6 * 30_000, walk), rel=0.1)
+
+
+def test_without_headers_the_start_grows_uncertain() -> None:
+    """The rate is known to 250 ppm at first: after 4000 patterns that is a pattern."""
+    clock = LightClock(0.0, 1e-3, SIGNAL, IDENTITY)
+    assert clock.measure(header_view(0.2, 1.0, 1.0), 0)
+    assert not clock.measure(unseen(4000), 4000)
+    assert clock.deviation == pytest.approx(1.0, rel=0.05)

@@ -1,0 +1,98 @@
+"""Slips: what frames show of their numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import slips_oracle as reference
+from scenes import ALL_ON, SIDE, draw, frame_of
+
+from heliograph.base.frames import Frame
+from heliograph.receive import Pose
+from heliograph.receive.sync import kernels
+from heliograph.receive.sync.slips import SlipWatch
+from heliograph.signal.header import header_levels
+from heliograph.signal.settings import SignalSettings
+
+POSE, SIGNAL = Pose(30.2, 29.7, 0.61, 0.0, 0.5), SignalSettings(data_pairs=16)
+
+
+def before_a_sky(count: int, seed: int) -> list[Frame]:
+    """Frames of packets on a dark panel before a bright sky, 95 m away."""
+    rng, header = np.random.default_rng(seed), header_levels(3, SIDE) / 2.0 - 1.0
+    panel = 0.78 * (1 - draw(replace(POSE, pitch=0.61 * 17 / 16), ALL_ON, (0, 0), (60, 60)))
+    frames, levels = [], header
+    for k in range(count):
+        if k % 2 == 0:
+            data = rng.choice([-1.0, -0.5, 0.0, 0.5, 1.0], (SIDE, SIDE), p=np.array([1, 4, 6, 4, 1]) / 16)
+            levels = header if k % SIGNAL.packet_patterns < 2 * SIGNAL.header_pairs else data
+        lit = 0.5 + 0.5 * (-1) ** k * levels
+        frames.append(replace(frame_of(panel + 0.8 * draw(POSE, lit, (0, 0), (60, 60)), k, rng), time_s=k * 1e-3))
+    return frames
+
+
+def numbers(frames: list[Frame], watch: SlipWatch, off_px: float) -> list[int]:
+    """Numbers of the patterns that frames are taken for, poses being off by so much, along x and y in turn."""
+    released: list[Frame] = []
+    for k, frame in enumerate(frames):
+        wrong = POSE.moved(off_px * np.sin(k / 5), off_px * np.cos(k / 7))
+        released += watch.push(frame, 0.0, lambda _, pose=wrong: pose, True)  # type: ignore[misc]
+    return [round(frame.time_s * 1e3) for frame in [*released, *watch.flush()]]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_poses_that_are_off_before_a_bright_sky_are_no_slips(seed: int) -> None:
+    watch = SlipWatch(3, SIGNAL)
+    assert numbers(before_a_sky(120, seed), watch, 0.5) == list(range(120))
+    assert watch.lost == 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_poses_wrong_for_two_pairs_are_no_slips(seed: int) -> None:
+    watch = SlipWatch(3, SIGNAL)
+    found: list[Frame] = []
+    for k, frame in enumerate(before_a_sky(80, seed)):
+        # as where the array passes fast and its motion is not known yet
+        wrong = POSE.moved(1.8 * (-1) ** k, 1.2) if 24 <= k < 28 else POSE
+        found += watch.push(frame, 0.0, lambda _, pose=wrong: pose, True)  # type: ignore[misc]
+    assert [round(frame.time_s * 1e3) for frame in [*found, *watch.flush()]] == list(range(80))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pose_that_comes_back_at_once_is_no_slip(seed: int) -> None:
+    watch = SlipWatch(3, SIGNAL)
+    found: list[Frame] = []
+    for k, frame in enumerate(before_a_sky(80, seed)):
+        # as after a post: the pose has drifted off, and is found again between the two frames of a pair
+        at = POSE.moved(1.8, -1.2) if 28 <= k <= 40 else POSE
+        found += watch.push(frame, 0.0, lambda _, pose=at: pose, True)  # type: ignore[misc]
+    assert [round(frame.time_s * 1e3) for frame in [*found, *watch.flush()]] == list(range(80))
+
+
+@pytest.mark.parametrize("gone", [41, 50, 63])
+def test_a_frame_lost_without_a_gap_is_missed_at_once(gone: int) -> None:
+    frames = before_a_sky(120, 1)
+    shifted = [*frames[:gone], *(replace(frame, time_s=frame.time_s - 1e-3) for frame in frames[gone + 1 :])]
+    # its other half is left out too
+    other = gone ^ 1
+    assert numbers(shifted, SlipWatch(3, SIGNAL), 0.0) == [k for k in range(120) if k not in (gone, other)]
+
+
+def test_a_header_that_comes_late_undoes_a_slip_that_was_none() -> None:
+    watch = SlipWatch(3, SIGNAL)
+    watch.lost = 2
+    found = numbers(before_a_sky(120, 2), watch, 0.0)
+    assert watch.lost == 0
+    assert found[-40:] == list(range(80, 120))
+
+
+@pytest.mark.parametrize("width", [1, 3, 5])
+def test_the_kernel_does_what_the_reference_does(width: int) -> None:
+    rng = np.random.default_rng(width)
+    # parts of the array lie beyond the image
+    image, pose = rng.uniform(0, 255, (25, 24)), Pose(11.3, 12.9, 1.7, 0.06, 0.5, 0.03, -0.02)
+    for rim in (0, 2):
+        where = pose.x, pose.y, pose.axes, width, rim, SIDE
+        for pixels in (image, image.astype(np.uint8)):
+            got = kernels.means_at_leds(pixels, *where)
+            assert got == pytest.approx(reference.means_at_leds(pixels.astype(np.float64), *where), rel=1e-9)
