@@ -74,7 +74,7 @@ def read(link: LinkSettings, receiver: str, frames: Sequence[Frame]) -> tuple[in
     settings = replace(link.receive, receiver=receiver)
     bounded, unbounded = (
         sum(_read(packet, link) for packet in _packets(make_receiver(link.signal, one), frames))
-        for one in (settings.in_time(), settings)
+        for one in (settings.with_live_limits(), settings)
     )
     return bounded, unbounded
 

@@ -43,7 +43,7 @@ from heliograph.link.simulate import default_messages, simulate
 from heliograph.media import create_film, open_film
 from heliograph.receive import Packet, make_receiver
 from heliograph.receive import build as assemblies
-from heliograph.receive.decode.worker import ComingPacket
+from heliograph.receive.decode.worker import PendingPacket
 
 RUNS = 3
 WARM_FRAMES = 330
@@ -64,7 +64,7 @@ def film(path: Path, settings: LinkSettings, seconds: float) -> list[Frame]:
 
 
 def link(settings: LinkSettings, receiver: str, beside: bool) -> LinkSettings:
-    decode = replace(settings.receive.decode, beside=beside)
+    decode = replace(settings.receive.decode, in_background=beside)
     return replace(settings, receive=replace(settings.receive, receiver=receiver, decode=decode))
 
 
@@ -113,7 +113,7 @@ def on_one_core(frames: Sequence[Frame], base: LinkSettings) -> None:
 def as_they_come(frames: Sequence[Frame], settings: LinkSettings, rate_hz: float) -> None:
     receiver, processes = (
         settings.receive.receiver,
-        "two processes" if settings.receive.decode.beside else "one process",
+        "two processes" if settings.receive.decode.in_background else "one process",
     )
     read(settings, frames[:WARM_FRAMES])
     one, delays, waits = make_receiver(settings.signal, settings.receive), list[float](), list[float]()
@@ -186,16 +186,16 @@ class Stopwatch:
         self.steps.append(Step("wait", number))
 
     def read(self, frames: Sequence[Frame], settings: LinkSettings) -> None:
-        made = ComingPacket.__init__
+        made = PendingPacket.__init__
 
-        def noted(packet: ComingPacket, seen: Packet, taken: Any, work: Result, *others: Any) -> None:
+        def noted(packet: PendingPacket, seen: Packet, taken: Any, work: Result, *others: Any) -> None:
             self.last_frames[work.number] = seen.last_frame
             made(packet, seen, taken, work, *others)
 
         gc.collect()
         with (
             mock.patch.object(assemblies, "decoders", return_value=self),
-            mock.patch.object(ComingPacket, "__init__", noted),
+            mock.patch.object(PendingPacket, "__init__", noted),
         ):
             one = make_receiver(settings.signal, settings.receive)
             for frame in frames:
@@ -306,7 +306,7 @@ def main() -> None:
     settings = load_settings(asked.preset, None, asked.changes)
     frames = film(asked.film, settings, asked.seconds)
     for begin in [int(text) for text in asked.begin.split(",") if text]:
-        live = replace(settings, receive=settings.receive.in_time())
+        live = replace(settings, receive=settings.receive.with_live_limits())
         for receiver in ("soft", "plain"):
             print(f"from frame {begin}:", end=" ")
             on_two_cores(frames[begin:], link(live, receiver, False), asked.rate)

@@ -138,7 +138,7 @@ def receive(scene: Scene, receiver: str) -> tuple[int, float, float]:
     receiver
         Name of the receiver.
     """
-    settings = replace(scene.lit.receive, receiver=receiver).in_time()
+    settings = replace(scene.lit.receive, receiver=receiver).with_live_limits()
     made, spent = make_receiver(scene.lit.signal, settings), 0.0
     late, waits, whole, count = 0.0, 0.0, 0, 0
     for frame in scene.frames():

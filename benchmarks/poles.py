@@ -176,7 +176,7 @@ def receive(passage: Passage, frames: Sequence[Frame], receiver: str, live: bool
         Whether its searches have the bound of a live camera.
     """
     settings = replace(passage.settings.receive, receiver=receiver)
-    made = make_receiver(passage.settings.signal, settings.in_time() if live else settings)
+    made = make_receiver(passage.settings.signal, settings.with_live_limits() if live else settings)
     return [packet for frame in frames for packet in made.push(frame)] + list(made.finish())
 
 

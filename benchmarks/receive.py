@@ -49,7 +49,7 @@ def empty(background: str = "footage", clip: Path | None = None) -> list[Frame]:
 
 def plain(live: bool = False) -> StreamReceiver:
     """The plain receiver of the reference link; its searches have the bound of a live camera or none."""
-    settings = ReceiveSettings().in_time() if live else ReceiveSettings()
+    settings = ReceiveSettings().with_live_limits() if live else ReceiveSettings()
     return plain_receiver(load_settings().signal, settings, ignore)
 
 
@@ -170,7 +170,7 @@ def main() -> None:
         per_s = following_rate(frames)
         print(f"{name + ', no search':36} {1e3 / per_s:8.3f} ms {per_s:7.0f} frames/s")
     for name, make in (("plain", plain_receiver), ("soft", soft_receiver)):
-        receiver = make(load_settings().signal, ReceiveSettings().in_time(), ignore)
+        receiver = make(load_settings().signal, ReceiveSettings().with_live_limits(), ignore)
         first, then = flickering(receiver)
         told = f"{first:.2f} ms a frame of 500, {then:.2f} ms from 2000 on; {receiver.load}"
         print(f"searching what flickers all over, {name}: {told}")

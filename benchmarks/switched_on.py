@@ -101,7 +101,7 @@ def main() -> None:
     distances, took = list[float](), {name: list[drive.TwoCores]() for name in names}
     for k in range(given.films):
         sent = draw(np.random.default_rng((given.seed, k)), given.near, given.far)
-        live = replace(sent, receive=sent.receive.in_time())
+        live = replace(sent, receive=sent.receive.with_live_limits())
         frames = [frame for frame, _ in simulate(sent, default_messages(sent), given.seed)]
         distances.append(sent.channel.distance_m)
         for name in names:

@@ -67,15 +67,15 @@ def test_bits_come_in_order_and_slots_in_time(simulate: ModuleType, program: Any
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("dma_cycles", "in_time"), [(1, True), (90, True), (110, False)])
+@pytest.mark.parametrize(("dma_cycles", "with_live_limits"), [(1, True), (90, True), (110, False)])
 def test_a_slow_dma_shifts_slots_but_no_bits(
-    simulate: ModuleType, program: Any, dma_cycles: int, in_time: bool
+    simulate: ModuleType, program: Any, dma_cycles: int, with_live_limits: bool
 ) -> None:
     """A slot's 32 bytes have 3125 cycles, 97 each: where DMA takes longer slots come late."""
     light = slots(12)
     shown = simulate.shown_by(simulate.run(program, sent(light), dma_cycles))
     assert np.array_equal([led[::-1] for led in shown.slots], light.reshape(len(light), -1))
-    assert (set(np.diff(shown.began)) == {CYCLES}) == in_time
+    assert (set(np.diff(shown.began)) == {CYCLES}) == with_live_limits
 
 
 @pytest.mark.slow

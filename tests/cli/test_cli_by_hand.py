@@ -51,7 +51,7 @@ def test_a_turned_array_is_read_by_its_corners(turned: Path, call: Call) -> None
 def test_what_a_search_leaves_out_of_a_busy_scene_is_said(call: Call) -> None:
     levels = np.random.default_rng(0).integers(0, 256, (130, 8, 10), np.uint8)
     np.save("busy.npy", np.kron(levels, np.ones((1, 8, 8), np.uint8)))
-    read = ("receive", "busy.npy", "--fps", "1000", "--preset", "static", "--set", "receive.detect.busy_part=0.01")
+    read = ("receive", "busy.npy", "--fps", "1000", "--preset", "static", "--set", "receive.detect.cpu_share=0.01")
     report, said = json.loads(call(*read, "--json").stdout), call(*read).stdout
     assert report["dropped_blocks"] > 0
     assert f"{report['dropped_candidates']} candidates and {report['dropped_blocks']} blocks were left out" in said

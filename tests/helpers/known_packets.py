@@ -141,7 +141,7 @@ class KnownPoses:
         self.channels.append(GainAndNoise(gain, noise))
         return copy(self) if len(self.known) <= self._moves else self
 
-    def relit(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "KnownPoses":  # noqa: ARG002 - the protocol's
+    def with_led_brightness(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "KnownPoses":  # noqa: ARG002 - the protocol's
         """All LEDs are equal; see `decode.observed.Observed`."""
         return self
 

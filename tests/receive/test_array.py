@@ -14,8 +14,8 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
 from heliograph.receive import Packet, receive_frames
 from heliograph.receive.decode.codeword import ERASED
-from heliograph.receive.decode.packet_decoder import TakenPairs
-from heliograph.receive.plain_reader import TakenLuminances
+from heliograph.receive.decode.packet_decoder import PacketObservations
+from heliograph.receive.plain_reader import LuminanceObservations
 from heliograph.receive.track.track import TrackedPair
 from heliograph.receive.track.tracker import Tracker
 
@@ -123,7 +123,9 @@ def test_a_packet_whose_equations_have_no_solution_is_lost_alone(
     receiver: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     settings, calls = link(f"receive.receiver={receiver}"), itertools.count()
-    taken: type[TakenLuminances | TakenPairs] = TakenLuminances if receiver == "plain" else TakenPairs
+    taken: type[LuminanceObservations | PacketObservations] = (
+        LuminanceObservations if receiver == "plain" else PacketObservations
+    )
     decode = taken.decode
 
     def failing(self: Any, observe: Any) -> Any:

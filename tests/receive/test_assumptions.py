@@ -11,7 +11,13 @@ from scenes import SIDE
 
 from heliograph.receive import Codeword, Pose
 from heliograph.receive.decode import packet_decoder as assumptions
-from heliograph.receive.decode.packet_decoder import Assumption, ReadPacket, all_leds_sound, read_new, read_packet
+from heliograph.receive.decode.packet_decoder import (
+    Assumption,
+    ReadPacket,
+    all_leds_sound,
+    read_packet,
+    verify_first_packet,
+)
 from heliograph.receive.decode.turbo_equaliser import DecodedPacket, GainAndNoise
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.pose_refinement import ObservedPacket
@@ -54,7 +60,7 @@ def moved(cutouts: Sequence[Cutout | None], led_gains: Floats) -> tuple[list[Cut
 def test_a_packet_is_read_until_nothing_is_open(
     results: list[str], open_: int, best: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(assumptions, "realigned", moved)
+    monkeypatch.setattr(assumptions, "align_by_power", moved)
     packets, tried = [decoded(result) for result in results], list[Assumption]()
 
     def decode(assumed: Assumption) -> DecodedPacket[ObservedPacket]:
@@ -131,14 +137,14 @@ def test_the_equaliser_shows_that_the_pose_of_a_new_array_is_right(
         return ReadPacket(first, decoded("-"), result)
 
     first = Assumption(SEEMS_DEAD, [CUTOUT])
-    reading, wrong = read_new(first, None if by_leds is None else layers(by_leds), read)
+    reading, wrong = verify_first_packet(first, None if by_leds is None else layers(by_leds), read)
     assert calls == asked
     assert wrong == misled
     assert shown(reading.words) == (alone or with_known)
 
 
-@pytest.mark.parametrize(("moved_px", "realigned", "asked"), [(0.4, False, 1), (0.6, False, 2), (0.0, True, 2)])
-def test_what_is_read_at_other_poses_proves_nothing(moved_px: float, realigned: bool, asked: int) -> None:
+@pytest.mark.parametrize(("moved_px", "align_by_power", "asked"), [(0.4, False, 1), (0.6, False, 2), (0.0, True, 2)])
+def test_what_is_read_at_other_poses_proves_nothing(moved_px: float, align_by_power: bool, asked: int) -> None:
     """Found behind the edge of a post, an array 7 % too narrow was read with its poses corrected by 1.3 px."""
     calls, first = list[Words | None](), Assumption(SEEMS_DEAD, [CUTOUT])
     whole, pair = decoded("x"), ObservedPacket.of([CUTOUT], Noise(1.0, 1.0), FORM, SEEMS_DEAD).pairs[0]
@@ -148,7 +154,7 @@ def test_what_is_read_at_other_poses_proves_nothing(moved_px: float, realigned: 
 
     def read(known: Words | None) -> ReadPacket:
         calls.append(known)
-        return ReadPacket(Assumption(SEEMS_DEAD, [CUTOUT]) if realigned else first, there, layers("xxxx"))
+        return ReadPacket(Assumption(SEEMS_DEAD, [CUTOUT]) if align_by_power else first, there, layers("xxxx"))
 
-    assert not read_new(first, layers("x---"), read)[1]
+    assert not verify_first_packet(first, layers("x---"), read)[1]
     assert len(calls) == asked

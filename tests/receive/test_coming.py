@@ -27,8 +27,8 @@ from heliograph.receive import build as assemblies
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.decode import worker as coming
 from heliograph.receive.decode.codeword import unread
-from heliograph.receive.decode.packet_decoder import Lesson, TakenPairs
-from heliograph.receive.decode.worker import Decoded, TakenPacket
+from heliograph.receive.decode.packet_decoder import Lesson, PacketObservations
+from heliograph.receive.decode.worker import Decoded, UndecodedPacket
 from heliograph.receive.events import ignore
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.soft_reader import SoftReader
@@ -41,7 +41,7 @@ def settings_of(receiver: str, beside: bool) -> LinkSettings:
     arrays: list[dict[str, Any]] = [{"x_m": -0.45, "y_m": 0.0}, {"x_m": 0.45, "y_m": 0.0}]
     changes = (
         f"receive.receiver={receiver}",
-        f"receive.decode.beside={str(beside).lower()}",
+        f"receive.decode.in_background={str(beside).lower()}",
         "transmit.identities=[3, 7]",
     )
     return link(*changes, arrays=arrays, distance_m=60.0)
@@ -83,7 +83,7 @@ def test_what_is_handed_over_is_pixels_and_little_else(frames: list[Frame], monk
     """What has shown the LEDs stays where it was learnt: of 256 LEDs it takes a megabyte."""
     handed = list[coming.Work]()
 
-    class Noted(coming.AtOnce):
+    class Noted(coming.InlineExecutor):
         def submit(self, work: Callable[[], Any], /) -> Future[Any]:
             if isinstance(work, coming.Work):
                 handed.append(work)
@@ -94,7 +94,7 @@ def test_what_is_handed_over_is_pixels_and_little_else(frames: list[Frame], monk
     packets = list(receive_frames(frames, settings.signal, settings.receive))
     assert {packet.status for packet in packets} == {"ok"}
     for work in handed:
-        cutouts = cast(TakenPairs, work.taken).data.cutouts.values()
+        cutouts = cast(PacketObservations, work.taken).data.cutouts.values()
         pixels = sum(one.total.nbytes + one.difference.nbytes for one in cutouts)
         assert len(pickle.dumps(work)) < 1.3 * pixels + 50_000
 
@@ -122,18 +122,18 @@ def test_nothing_is_left_to_do_when_a_film_is_over(frames: list[Frame], monkeypa
 
 def in_a_thread(monkeypatch: pytest.MonkeyPatch, before: Callable[[int], None]) -> None:
     """Packets are decoded in a thread, and a function is called with the number of each before."""
-    decode, calls = TakenPairs.decode, itertools.count(1)
+    decode, calls = PacketObservations.decode, itertools.count(1)
 
-    def late(self: TakenPairs, observe: Any, /) -> Any:
+    def late(self: PacketObservations, observe: Any, /) -> Any:
         before(next(calls))
         return decode(self, observe)
 
-    monkeypatch.setattr(TakenPairs, "decode", late)
+    monkeypatch.setattr(PacketObservations, "decode", late)
     monkeypatch.setattr(assemblies, "decoders", lambda _: ThreadPoolExecutor(1))
 
 
 def one_array() -> LinkSettings:
-    return link("receive.receiver=soft", "receive.decode.beside=true", distance_m=60.0)
+    return link("receive.receiver=soft", "receive.decode.in_background=true", distance_m=60.0)
 
 
 def pushed(frames: Sequence[Frame], settings: LinkSettings) -> tuple[Any, list[Packet]]:
@@ -225,15 +225,15 @@ def test_half_a_pattern_out_of_step_following_waits_for_the_first_packet_alone(m
 
 def test_what_a_packet_teaches_reaches_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where following does not know it yet: the next packet is not read as that of an array just found."""
-    decode, seen = TakenPairs.decode, list[tuple[bool, int]]()
+    decode, seen = PacketObservations.decode, list[tuple[bool, int]]()
 
-    def noted(self: TakenPairs, observe: Any, /) -> Any:
+    def noted(self: PacketObservations, observe: Any, /) -> Any:
         seen.append((self.proven, self._gains().brightness.packets))
         return decode(self, observe)
 
     settings, demand = link("receive.receiver=soft", distance_m=60.0), OnDemand()
     frames = film(settings, 2 * PACKET + 80)
-    monkeypatch.setattr(TakenPairs, "decode", noted)
+    monkeypatch.setattr(PacketObservations, "decode", noted)
     monkeypatch.setattr(assemblies, "decoders", lambda _: demand)
     list(receive_frames(frames, settings.signal, settings.receive))
     assert seen[:2] == [(False, 0), (True, 1)]
@@ -244,9 +244,9 @@ def test_what_a_packet_teaches_reaches_the_next_one(monkeypatch: pytest.MonkeyPa
 def test_an_array_that_was_not_what_it_seemed_is_doubted_a_packet_later(
     beside: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    decode, calls, arrays = TakenPairs.decode, itertools.count(), list[ArrayReceiver]()
+    decode, calls, arrays = PacketObservations.decode, itertools.count(), list[ArrayReceiver]()
 
-    def misled(self: TakenPairs, observe: Any, /) -> Decoded:
+    def misled(self: PacketObservations, observe: Any, /) -> Decoded:
         words = unread(self.form, self.identity)
         lesson = Lesson(None, proven=False, misled=True)
         return Decoded(words, study=lambda: lesson) if next(calls) < 2 else decode(self, observe)
@@ -258,9 +258,9 @@ def test_an_array_that_was_not_what_it_seemed_is_doubted_a_packet_later(
 
     settings = one_array()
     frames = film(settings, 3 * PACKET + 10)
-    monkeypatch.setattr(TakenPairs, "decode", misled)
+    monkeypatch.setattr(PacketObservations, "decode", misled)
     monkeypatch.setattr(assemblies, "ArrayReceiver", Noted)
-    monkeypatch.setattr(assemblies, "decoders", lambda _: ThreadPoolExecutor(1) if beside else coming.AtOnce())
+    monkeypatch.setattr(assemblies, "decoders", lambda _: ThreadPoolExecutor(1) if beside else coming.InlineExecutor())
     receiver, sure = make_receiver(settings.signal, settings.receive), list[bool]()
     packets = list[Packet]()
     for frame in frames:
@@ -278,9 +278,9 @@ def test_an_array_that_was_not_what_it_seemed_is_doubted_a_packet_later(
 def test_an_array_whose_packets_are_whole_is_doubted_until_one_shows_that_it_is_followed_rightly(
     beside: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    decode, calls, arrays = TakenPairs.decode, itertools.count(), list[ArrayReceiver]()
+    decode, calls, arrays = PacketObservations.decode, itertools.count(), list[ArrayReceiver]()
 
-    def misled(self: TakenPairs, observe: Any, /) -> Decoded:
+    def misled(self: PacketObservations, observe: Any, /) -> Decoded:
         decoded, number = decode(self, observe), next(calls)
         lesson = Lesson(None, proven=False, misled=True)
         return replace(decoded, study=lambda: lesson) if number < 2 else decoded
@@ -291,9 +291,9 @@ def test_an_array_whose_packets_are_whole_is_doubted_until_one_shows_that_it_is_
             arrays.append(self)
 
     settings = one_array()
-    monkeypatch.setattr(TakenPairs, "decode", misled)
+    monkeypatch.setattr(PacketObservations, "decode", misled)
     monkeypatch.setattr(assemblies, "ArrayReceiver", Noted)
-    monkeypatch.setattr(assemblies, "decoders", lambda _: ThreadPoolExecutor(1) if beside else coming.AtOnce())
+    monkeypatch.setattr(assemblies, "decoders", lambda _: ThreadPoolExecutor(1) if beside else coming.InlineExecutor())
     receiver, sure, packets = make_receiver(settings.signal, settings.receive), list[bool](), list[Packet]()
     for frame in film(settings, 4 * PACKET + 10):
         packets += receiver.push(frame)
@@ -314,7 +314,7 @@ def test_a_process_that_ends_at_a_glance_is_told_of_in_one_line() -> None:
             return future
 
     with pytest.raises(HeliographError, match="the process that decodes packets has ended"):
-        coming.glanced(Ended(), cast(TakenPacket, None))
+        coming.glanced(Ended(), cast(UndecodedPacket, None))
 
 
 class Long(NamedTuple):
@@ -392,8 +392,8 @@ def test_a_process_that_dies_is_told_in_a_line_and_begun_anew() -> None:
     settings = one_array()
     frames = film(settings, PACKET + 10)
     (packet,) = receive_frames(frames, settings.signal, settings.receive)
-    dying: Any = coming.Beside().submit(partial(os._exit, 1))
-    lost = coming.ComingPacket(packet, cast(Any, None), dying, dying, ignore, None)
+    dying: Any = coming.ProcessExecutor().submit(partial(os._exit, 1))
+    lost = coming.PendingPacket(packet, cast(Any, None), dying, dying, ignore, None)
     with pytest.raises(HeliographError, match=r"^the process that decodes packets has ended.*beside = false"):
         lost.packet()
     assert [one.status for one in receive_frames(frames, settings.signal, settings.receive)] == ["ok"]
@@ -403,7 +403,11 @@ def test_what_another_process_has_seen_before_stays_there() -> None:
     """Soft values of a packet too dim to be read are added to those of the next one, as in one process."""
     read = []
     for beside in (False, True):
-        changes = (f"receive.decode.beside={str(beside).lower()}", "receive.receiver=soft", "receive.detect.score=0.5")
+        changes = (
+            f"receive.decode.in_background={str(beside).lower()}",
+            "receive.receiver=soft",
+            "receive.detect.score=0.5",
+        )
         settings = link(*changes, distance_m=170.0, arrays=[{"x_m": 0.0, "y_m": 0.0}])
         packets = list(receive_frames(film(settings, 4 * PACKET + 10), settings.signal, settings.receive))
         read.append([known(packet) for packet in packets])

@@ -38,7 +38,7 @@ def screens_film() -> tuple[LinkSettings, list[Frame]]:
 
 def received(settings: LinkSettings, receiver: str, frames: Sequence[Frame]) -> list[Packet]:
     """Packets, each frame pushed as a live camera's are."""
-    live = make_receiver(settings.signal, replace(settings.receive, receiver=receiver).in_time())
+    live = make_receiver(settings.signal, replace(settings.receive, receiver=receiver).with_live_limits())
     return [packet for frame in frames for packet in live.push(frame)] + list(live.finish())
 
 

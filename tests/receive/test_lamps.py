@@ -10,7 +10,7 @@ from heliograph.base.frames import Frame
 from heliograph.receive import make_receiver
 from heliograph.receive.detect.alternation import SearchParameters, coarse_search
 from heliograph.receive.detect.budget import FILM_PART, PATIENT_WORK, WORK_PER_MS
-from heliograph.receive.detect.detector import StraddledDetector
+from heliograph.receive.detect.detector import HalfPeriodDetector
 from heliograph.receive.detect.header_bank import headers
 from heliograph.receive.events import DetectEvent, Event
 from heliograph.receive.geometry.pose import UPRIGHT
@@ -70,7 +70,7 @@ def test_lamps_smaller_than_half_an_array_are_not_compared_with_headers() -> Non
 def test_half_a_pattern_out_of_step_the_array_is_lit_within_its_header(within: float, count: int) -> None:
     """Lamps that shine before and after, and are dark between, are no array."""
     header, found = np.kron(all_header_cells()[4], np.ones((8, 8))), 0
-    detector = StraddledDetector(PARAMETERS, SignalSettings())
+    detector = HalfPeriodDetector(PARAMETERS, SignalSettings())
     for k, light in enumerate([0.5 + 0.5 * header, *[np.full_like(header, within)] * 3, 0.5 - 0.5 * header]):
         pixels = np.full((96, 128), 20, np.uint8)
         # half of the header, and half of even data

@@ -10,7 +10,7 @@ import pytest
 from heliograph.base.frames import Frame
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
-from heliograph.receive.receiver import OrientedReceivers
+from heliograph.receive.receiver import HeaderHypotheses
 
 FRAME = Frame(0, 0.0, np.zeros((4, 4), np.uint8))
 
@@ -38,11 +38,11 @@ class Scripted:
         yield f"{self.name} {'over' if over else 'at the end'}"
 
 
-def array_of(*receivers: Scripted, settled: bool = False) -> OrientedReceivers:
-    return OrientedReceivers([cast(ArrayReceiver, one) for one in receivers], settled)
+def array_of(*receivers: Scripted, settled: bool = False) -> HeaderHypotheses:
+    return HeaderHypotheses([cast(ArrayReceiver, one) for one in receivers], settled)
 
 
-def pushed(array: OrientedReceivers) -> list[Any]:
+def pushed(array: HeaderHypotheses) -> list[Any]:
     return list(array.push(FRAME))
 
 

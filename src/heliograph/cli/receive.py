@@ -178,18 +178,18 @@ def _on_all_cores(settings: "LinkSettings", source: "FilmReader") -> "LinkSettin
     from heliograph.receive.registry import RECEIVERS
 
     receive = settings.receive
-    asked = receive.decode.beside is not None or not RECEIVERS.is_built_in(receive.receiver)
+    asked = receive.decode.in_background is not None or not RECEIVERS.is_built_in(receive.receiver)
     long = live_of(source) is not None or (source.frame_count or 0) >= LONG_FRAMES
     if asked or not long or (os.cpu_count() or 1) < 2:
         return settings
-    return replace(settings, receive=replace(receive, decode=replace(receive.decode, beside=True)))
+    return replace(settings, receive=replace(receive, decode=replace(receive.decode, in_background=True)))
 
 
 def _in_time(settings: "LinkSettings", source: "FilmReader") -> "LinkSettings":
     """Settings by which a search has a bound where a live camera does not wait for it."""
     from heliograph.media.live.reader import live_of
 
-    return settings if live_of(source) is None else replace(settings, receive=settings.receive.in_time())
+    return settings if live_of(source) is None else replace(settings, receive=settings.receive.with_live_limits())
 
 
 def ended(ending: BaseException) -> str:
@@ -280,7 +280,7 @@ def _show(report: dict[str, Any], reception: "Reception", folder: Folder, unseen
         left = f"{counted(report['dropped_candidates'], 'candidate')} and {counted(report['dropped_blocks'], 'block')}"
         console.say_prose(
             f"more alternates in these frames than searching may cost: {left} were left out; say by --region where the "
-            f"array is, or raise receive.detect.busy_part"
+            f"array is, or raise receive.detect.cpu_share"
         )
     if not report["arrays"]:
         found = report["detections"]

@@ -16,13 +16,13 @@ from heliograph.base.frames import Frame
 from heliograph.receive.decode.worker import (
     ENOUGH_SEEN,
     HEADER_SEEN,
-    ComingPacket,
     Decoders,
     Lesson,
+    PendingPacket,
     ReadHeader,
     SharedLesson,
     Study,
-    TakenPacket,
+    UndecodedPacket,
     Work,
     glanced,
 )
@@ -33,7 +33,7 @@ from heliograph.receive.geometry.view import CAMERA, View
 from heliograph.receive.packet import Packet
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.sync.light_clock import PATTERNS_AROUND
-from heliograph.receive.sync.pairing import FramePair, LoneFrame, MeasuredHeader, Pairing, PoseAt
+from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, Pairing, PoseAt, UnpairedFrame
 from heliograph.receive.sync.slips import SlipWatch
 from heliograph.receive.track.track import Track, TrackedPair, check_pose
 from heliograph.receive.track.tracker import Tracker
@@ -96,7 +96,7 @@ class PacketReader(Protocol):
             The array in them, as `follow` found it.
         """
 
-    def take_lone(self, place: int, lone: LoneFrame) -> None:
+    def add_unpaired(self, place: int, lone: UnpairedFrame) -> None:
         """Take what is left of a pair of data.
 
         Parameters
@@ -107,7 +107,7 @@ class PacketReader(Protocol):
             The frame that is there.
         """
 
-    def taken(self) -> TakenPacket:
+    def taken(self) -> UndecodedPacket:
         """All that was taken, to be decoded."""
 
     def learn(self, lesson: Any) -> None:
@@ -139,7 +139,7 @@ class PacketReader(Protocol):
 
 
 @dataclass(slots=True)
-class Gathered:
+class PacketRecord:
     """What has been read of the current packet."""
 
     # (pairs,) pairs of data in which the array was seen
@@ -156,7 +156,7 @@ class Gathered:
     clocked: bool = False
 
     @classmethod
-    def nothing(cls, pairs: int) -> "Gathered":
+    def nothing(cls, pairs: int) -> "PacketRecord":
         """Nothing yet."""
         return cls(np.zeros(pairs, dtype=bool))
 
@@ -234,7 +234,7 @@ class ArrayReceiver:
         self._start_lost = 0
         self._poses: dict[int, PoseAt] = {}
         self._read: bool | None = None
-        self._beside: ComingPacket | None = None
+        self._beside: PendingPacket | None = None
         self._taught = SharedLesson()
         self._proven = self._misled = self._failed = self._outgrown = self._over = False
 
@@ -304,7 +304,7 @@ class ArrayReceiver:
         off = rim_distance(there, detection.fit.pose, self._signal.side)
         return detection.clear and bool((detection.led_gains == 1).all()) and off > ASTRAY * there.pitch
 
-    def push(self, frame: Frame) -> Iterator[ComingPacket]:
+    def push(self, frame: Frame) -> Iterator[PendingPacket]:
         """Take the next frame; yield the packet it completes."""
         # no pair is due before the first header
         before_s = min(max(self._last_s, self._pairing.origin_s), self._track.last_seen_s)
@@ -321,7 +321,7 @@ class ArrayReceiver:
         for one in self._slips.push(seen, self._pairing.origin_s, self._pose_at, paired):
             yield from self._take_all(self._pairing.push(one))
 
-    def flush(self, over: bool = False) -> Iterator[ComingPacket]:
+    def flush(self, over: bool = False) -> Iterator[PendingPacket]:
         """Yield the packet in progress."""
         for one in self._slips.flush():
             yield from self._take_all(self._pairing.push(one))
@@ -336,7 +336,7 @@ class ArrayReceiver:
     def _pairs(self) -> int:
         return self._signal.packet_patterns // 2
 
-    def _take_all(self, numbers: Iterator[int]) -> Iterator[ComingPacket]:
+    def _take_all(self, numbers: Iterator[int]) -> Iterator[PendingPacket]:
         """Read pairs; an array whose pixels give no solution is given up, and found again by its next header."""
         try:
             for number in () if self._failed else numbers:
@@ -345,7 +345,7 @@ class ArrayReceiver:
             self._failed = True
             LOG.warning("array %d is given up at %.4f s: %s", self.identity, self._pairing.now_s, error)
 
-    def _take(self, number: int) -> Iterator[ComingPacket]:
+    def _take(self, number: int) -> Iterator[PendingPacket]:
         """Read a pair; yield the packet it completes."""
         self._number, in_packet = number, number % self._pairs
         place = in_packet - self._signal.header_pairs
@@ -358,7 +358,7 @@ class ArrayReceiver:
             self._end_header()
         single = place >= 0 and self._reader.format.mode == "single"
         pair = self._pairing.pair(number, self._track.state.pose_at, single)
-        if isinstance(pair, LoneFrame):
+        if isinstance(pair, UnpairedFrame):
             self._read_lone(place, pair)
         elif pair is not None:
             if place < 0:
@@ -405,11 +405,11 @@ class ArrayReceiver:
             self._reader.take(place, pair, tracked)
             self._gathered.seen[place] = True
 
-    def _read_lone(self, place: int, lone: LoneFrame) -> None:
+    def _read_lone(self, place: int, lone: UnpairedFrame) -> None:
         """Keep the frame that is left of a pair where the array was in sight not long before."""
         self._gathered.frames.append(lone.frame.index)
         if lone.frame.time_s - self._track.last_seen_s < 2 * REACH * self._signal.pattern_period_s:
-            self._reader.take_lone(place, lone)
+            self._reader.add_unpaired(place, lone)
             self._gathered.seen[place] = True
 
     def _note(self, pair: FramePair, tracked: TrackedPair) -> None:
@@ -418,7 +418,7 @@ class ArrayReceiver:
         self._gathered.note((pair.pattern.index, pair.inverted.index), tracked)
         self._observe(TrackEvent(self.identity, pair.pattern.index, tracked, self._view))
 
-    def _finish(self) -> ComingPacket:
+    def _finish(self) -> PendingPacket:
         """Have decoded what was gathered, and begin the next packet."""
         self._take_over()
         gathered, self._gathered = self._gathered, self._empty()
@@ -452,7 +452,7 @@ class ArrayReceiver:
         """Whether no LED seems hidden or dark."""
         return bool((self._track.shining == 1).all())
 
-    def _expected(self, seen: Packet, taken: TakenPacket) -> bool:
+    def _expected(self, seen: Packet, taken: UndecodedPacket) -> bool:
         """Whether an array is followed on, whatever comes of decoding its packet: that it is there, is beyond doubt."""
         if seen.pairs_seen < ENOUGH_SEEN or not self._in_sight or self._misled:
             return False
@@ -463,10 +463,10 @@ class ArrayReceiver:
         self._proven |= glanced(self._decoders, taken)
         return self._proven
 
-    def _coming(self, seen: Packet, taken: TakenPacket, lacks_pair: bool) -> ComingPacket:
+    def _coming(self, seen: Packet, taken: UndecodedPacket, lacks_pair: bool) -> PendingPacket:
         work = self._decoders.submit(Work(taken, self.identity, self._signal, lacks_pair, self._taught))
         lesson = self._decoders.submit(Study(self._taught))
-        return ComingPacket(seen, taken, work, lesson, self._observe, self._pairing.exposure_range)
+        return PendingPacket(seen, taken, work, lesson, self._observe, self._pairing.exposure_range)
 
     def _take_over(self) -> None:
         """Take over what the packet before has taught, if it was decoded while this one was seen."""
@@ -475,7 +475,7 @@ class ArrayReceiver:
             self._reader.catch_up(self._lesson(self._beside))
             self._beside = None
 
-    def _conclude(self, coming: ComingPacket) -> None:
+    def _conclude(self, coming: PendingPacket) -> None:
         """Know from a packet how the array is followed."""
         packet = coming.packet()
         # neither header nor a right codeword: no array, or out of step; it is found again by its next header
@@ -484,12 +484,12 @@ class ArrayReceiver:
         self._proven |= packet.status in ("ok", "partial")
         self._failed = packet.status in ("no_header", "no_array")
 
-    def _lesson(self, coming: ComingPacket) -> Lesson | None:
+    def _lesson(self, coming: PendingPacket) -> Lesson | None:
         """What a packet teaches; it may be that the array is not quite as it is followed."""
         lesson = coming.lesson
         if lesson is not None:
             self._misled = lesson.misled
         return lesson
 
-    def _empty(self) -> Gathered:
-        return Gathered.nothing(self._signal.data_pairs)
+    def _empty(self) -> PacketRecord:
+        return PacketRecord.nothing(self._signal.data_pairs)

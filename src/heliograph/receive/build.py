@@ -11,7 +11,7 @@ from heliograph.receive.decode.worker import decoders
 from heliograph.receive.detect.alternation import SearchParameters
 from heliograph.receive.detect.budget import FILM_PART, UNBOUNDED_PART
 from heliograph.receive.detect.detection import Detection, HeaderSearch
-from heliograph.receive.detect.region import GivenSearch, around, pose_of
+from heliograph.receive.detect.region import RegionSearch, around, pose_of
 from heliograph.receive.detect.search import PhasedSearch, PyramidSearch
 from heliograph.receive.events import Observer
 from heliograph.receive.geometry.view import View
@@ -20,7 +20,7 @@ from heliograph.receive.receiver import Parts, StreamReceiver
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.soft_reader import SoftParts, SoftReader
 from heliograph.receive.sync.frame_clock import CameraClock, SteppedClock
-from heliograph.receive.sync.pairing import ClockedPairing, Pairing, SteppedPairing
+from heliograph.receive.sync.pairing import AsynchronousPairing, Pairing, SynchronousPairing
 from heliograph.receive.track.kalman import MotionModel
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.packet import PacketFormat
@@ -70,7 +70,7 @@ def plain_parts(signal: SignalSettings, settings: ReceiveSettings, observe: Obse
         return PlainReader(detection.identity, form, tracker, settings.plain.equaliser, options, observe)
 
     def pairing(detection: Detection) -> Pairing:
-        return SteppedPairing(detection.start_time_s, detection.time_s, signal)
+        return SynchronousPairing(detection.start_time_s, detection.time_s, signal)
 
     parameters = search_parameters(settings, signal, PLAIN_REGULARITY)
     search = _there(PyramidSearch(parameters, signal), parameters, settings, signal.side)
@@ -86,7 +86,7 @@ def soft_parts(
 
     def pairing(found: Detection) -> Pairing:
         exposure_s = settings.calibration.exposure_s
-        return ClockedPairing(
+        return AsynchronousPairing(
             found.start_time_s,
             found.time_s,
             found.fit.pose,
@@ -125,7 +125,7 @@ def search_parameters(
     """What a receiver's detector looks for."""
     detect, blur_px = settings.detect, settings.calibration.blur_px
     given = bool(detect.corners or detect.region)
-    busy_part = FILM_PART if detect.busy_part is None else detect.busy_part
+    cpu_share = FILM_PART if detect.cpu_share is None else detect.cpu_share
     return SearchParameters(
         min_side_px=settings.smallest_side_px,
         max_side_px=detect.max_side_px,
@@ -133,7 +133,7 @@ def search_parameters(
         score=detect.score,
         regularity=regularity,
         candidates=detect.candidates,
-        busy_part=UNBOUNDED_PART if given else busy_part,
+        cpu_share=UNBOUNDED_PART if given else cpu_share,
         impaired=impaired,
         all_on=signal.header == "all_on",
         blur_px=blur_px,
@@ -153,8 +153,8 @@ def _there(search: HeaderSearch, parameters: SearchParameters, settings: Receive
                 f"are looked for: set receive.detect.{'min' if size < least else 'max'}_side_px"
             )
     if region:
-        return GivenSearch(search, region, side)
-    return search if start is None else GivenSearch(search, around(start, side), side)
+        return RegionSearch(search, region, side)
+    return search if start is None else RegionSearch(search, around(start, side), side)
 
 
 def _following(
@@ -167,7 +167,7 @@ def _following(
     """Makes the receiver of an array that was found."""
     focal_px = settings.calibration.focal_m / settings.calibration.pixel_m
     # of all arrays, so that they share what is seen of codewords in the packets' order
-    packets = decoders(bool(settings.decode.beside))
+    packets = decoders(bool(settings.decode.in_background))
 
     def follow(detection: Detection) -> ArrayReceiver:
         view = View.of(detection.fit.pose, detection.orientation)

@@ -16,7 +16,7 @@ from heliograph.receive.detect.header_format import FormatReader
 from heliograph.receive.events import DecodeEvent, ExtractEvent, Observer
 from heliograph.receive.packet import Packet
 from heliograph.receive.settings import Equaliser
-from heliograph.receive.sync.pairing import FramePair, LoneFrame, MeasuredHeader
+from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, UnpairedFrame
 from heliograph.receive.track.kalman import PoseState
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
@@ -44,7 +44,7 @@ class PlainReader:
         self._seen = np.zeros(pairs, dtype=bool)
         self._format_reader = FormatReader(identity, side, pairs)
         self._gain = 0.0
-        self._lone: dict[int, LoneFrame] = {}
+        self._lone: dict[int, UnpairedFrame] = {}
         self._states: dict[int, PoseState] = {}
         self._sums: dict[int, Floats] = {}
         self._sum_gain = 0.0
@@ -85,13 +85,13 @@ class PlainReader:
         self._states[place], self._sums[place], self._sum_gain = state, up + down, gain
         self._observe(ExtractEvent(self._identity, frames, poses, x))
 
-    def take_lone(self, place: int, lone: LoneFrame) -> None:
+    def add_unpaired(self, place: int, lone: UnpairedFrame) -> None:
         """Keep the frame that is left of a pair; see `PacketReader`."""
         self._lone[place] = lone
 
-    def taken(self) -> "TakenLuminances":
+    def taken(self) -> "LuminanceObservations":
         """The luminances, and frames whose other half is lost; see `PacketReader`."""
-        return TakenLuminances(
+        return LuminanceObservations(
             self._identity,
             self._form,
             self._options,
@@ -116,8 +116,8 @@ class PlainReader:
 
 
 @dataclass(frozen=True, slots=True)
-class TakenLuminances:
-    """All that was taken of a packet; see `TakenPacket`."""
+class LuminanceObservations:
+    """All that was taken of a packet; see `UndecodedPacket`."""
 
     # Number of the array, 0 to 29
     identity: int
@@ -132,7 +132,7 @@ class TakenLuminances:
     # (pairs,) pairs that were seen
     seen: NDArray[np.bool_]
     # By number of the pair, frames whose other half is lost
-    lone: Mapping[int, LoneFrame]
+    lone: Mapping[int, UnpairedFrame]
     # By number of the pair, where the array was
     states: Mapping[int, PoseState]
     # By number of the pair, (n, n) sum of pattern and inverse at each LED in gray levels
@@ -145,16 +145,16 @@ class TakenLuminances:
         """The agreed one."""
         return AGREED
 
-    def taught(self, lesson: None) -> "TakenLuminances":  # noqa: ARG002 - the protocol's
-        """The same: packets teach nothing; see `TakenPacket`."""
+    def taught(self, lesson: None) -> "LuminanceObservations":  # noqa: ARG002 - the protocol's
+        """The same: packets teach nothing; see `UndecodedPacket`."""
         return self
 
     def glance(self) -> bool:
-        """Nothing is faster than to decode it; see `TakenPacket`."""
+        """Nothing is faster than to decode it; see `UndecodedPacket`."""
         return False
 
-    def renumbered(self, place: int) -> "TakenLuminances":
-        """The same with the pairs from one on moved to the next number; see `TakenPacket`."""
+    def renumbered(self, place: int) -> "LuminanceObservations":
+        """The same with the pairs from one on moved to the next number; see `UndecodedPacket`."""
         pairs, luminances, seen = len(self.seen), self.luminances.copy(), self.seen.copy()
         luminances[place + 1 :], seen[place + 1 :] = self.luminances[place:-1], self.seen[place:-1]
         luminances[place], seen[place] = 0.0, False
@@ -168,7 +168,7 @@ class TakenLuminances:
         )
 
     def decode(self, observe: Observer, /) -> Decoded:  # noqa: ARG002 - the protocol's
-        """Codewords by layer; see `TakenPacket`."""
+        """Codewords by layer; see `UndecodedPacket`."""
         luminances, seen = self.luminances.copy(), self.seen.copy()
         for place, lone in self.lone.items():
             if (shown := self._read_lone(place, lone)) is not None:
@@ -178,10 +178,10 @@ class TakenLuminances:
         return Decoded(words, luminances=luminances)
 
     def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:
-        """The packet with its luminances; see `TakenPacket`."""
+        """The packet with its luminances; see `UndecodedPacket`."""
         return DecodeEvent(self.identity, packet, luminances=decoded.luminances)
 
-    def _read_lone(self, place: int, lone: LoneFrame) -> Floats | None:
+    def _read_lone(self, place: int, lone: UnpairedFrame) -> Floats | None:
         """Luminances (n, n) of a pair by one of its frames, the sum being that of the pairs around; None without."""
         chosen = around(place, self.sums)
         if not chosen:

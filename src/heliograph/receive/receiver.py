@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from heliograph.base.frames import Frame, check_next
 from heliograph.base.threads import in_one_thread
 from heliograph.receive.array import ArrayReceiver
-from heliograph.receive.decode.worker import ComingPacket
+from heliograph.receive.decode.worker import PendingPacket
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.candidate import apart
 from heliograph.receive.detect.detection import Detection, HeaderSearch, shone_before
@@ -27,7 +27,7 @@ HELD_BYTES = 128e6
 """Bytes of frames that are kept for the others at most: 244 frames of 1024 x 512. Beyond it they read along."""
 
 
-class OrientedReceivers:
+class HeaderHypotheses:
     """An array that is followed, its identity and orientation taken to be any of several until a codeword is right."""
 
     def __init__(self, receivers: Sequence[ArrayReceiver], settled: bool):
@@ -55,9 +55,9 @@ class OrientedReceivers:
         """Whether it is followed no longer."""
         return not self._receivers or self.leading.done
 
-    def push(self, frame: Frame) -> Iterator[ComingPacket]:
+    def push(self, frame: Frame) -> Iterator[PendingPacket]:
         """Take the next frame; yield the packet it completes."""
-        read, wait = list[tuple[ArrayReceiver, list[ComingPacket]]](), False
+        read, wait = list[tuple[ArrayReceiver, list[PendingPacket]]](), False
         for one in self._receivers:
             packets = [packet for each in (*self._missed(one), frame) for packet in one.push(each)]
             read.append((one, packets))
@@ -72,9 +72,9 @@ class OrientedReceivers:
             self._alone, self._held = False, []
         yield from self._believed(read)
 
-    def flush(self, over: bool = False) -> Iterator[ComingPacket]:
+    def flush(self, over: bool = False) -> Iterator[PendingPacket]:
         """Yield the packet in progress; see `ArrayReceiver`."""
-        read = list[tuple[ArrayReceiver, list[ComingPacket]]]()
+        read = list[tuple[ArrayReceiver, list[PendingPacket]]]()
         for one in self._receivers:
             late = [packet for each in self._missed(one) for packet in one.push(each)]
             read.append((one, [*late, *one.flush(over)]))
@@ -96,7 +96,7 @@ class OrientedReceivers:
         """Frames that a receiver has not had."""
         return [] if one is self._first else self._held
 
-    def _believed(self, read: list[tuple[ArrayReceiver, list[ComingPacket]]]) -> Iterator[ComingPacket]:
+    def _believed(self, read: list[tuple[ArrayReceiver, list[PendingPacket]]]) -> Iterator[PendingPacket]:
         """Packets of the receiver of which a codeword was right, else of the upright one."""
         proven = next((one for one, _ in read if one.proven), None)
         if proven is not None:
@@ -128,13 +128,13 @@ class StreamReceiver:
 
     def __init__(self, parts: Parts, observe: Observer):
         self._parts, self._observe = parts, observe
-        self._arrays: list[OrientedReceivers] = []
+        self._arrays: list[HeaderHypotheses] = []
         self._orientation: Orientation | None = None
         self._began_s: float | None = None
         self._read, self._missed = set[int](), dict[int, float]()
         self._last: Frame | None = None
-        self._coming: deque[ComingPacket | LostEvent] = deque()
-        self._newest: ComingPacket | None = None
+        self._coming: deque[PendingPacket | LostEvent] = deque()
+        self._newest: PendingPacket | None = None
 
     @property
     def load(self) -> SearchLoad:
@@ -169,7 +169,7 @@ class StreamReceiver:
             # this process may end now; what the one that decodes sends it then, Python prints an error of
             self._newest.settle()
 
-    def _await(self, packets: Iterator[ComingPacket]) -> None:
+    def _await(self, packets: Iterator[PendingPacket]) -> None:
         """Keep packets that were seen, each in its place among the losses of arrays."""
         for packet in packets:
             self._coming.append(packet)
@@ -190,7 +190,7 @@ class StreamReceiver:
             else:
                 return
 
-    def _take(self, frame: Frame) -> Iterator[ComingPacket]:
+    def _take(self, frame: Frame) -> Iterator[PendingPacket]:
         """Take a frame whose time is known."""
         if self._began_s is None:
             self._parts.search.start(self._parts.clock.period_s)
@@ -207,7 +207,7 @@ class StreamReceiver:
         if self.load.left_out != before.left_out:
             self._observe(DropEvent(frame.time_s, self.load - before))
 
-    def _weigh(self, detection: Detection) -> Iterator[ComingPacket]:
+    def _weigh(self, detection: Detection) -> Iterator[PendingPacket]:
         """Follow what was found unless it lies where a better array is followed."""
         rivals = [a for a in self._arrays if not apart(a.leading.pose, detection.fit.pose, self._parts.signal.side)]
         if any(self._stands(rival, detection) for rival in rivals):
@@ -218,14 +218,14 @@ class StreamReceiver:
             self._forget(rival)
         yield from self._take_up(detection)
 
-    def _stands(self, rival: OrientedReceivers, detection: Detection) -> bool:
+    def _stands(self, rival: HeaderHypotheses, detection: Detection) -> bool:
         """Whether an array is followed on where a header was found; what was taken for one may stand in its way."""
         upright = detection.orientation in (UPRIGHT, self._orientation)
         if upright != rival.credible:
             return rival.credible
         return not rival.leading.yields(detection)
 
-    def _take_up(self, detection: Detection) -> Iterator[ComingPacket]:
+    def _take_up(self, detection: Detection) -> Iterator[PendingPacket]:
         """Begin to follow an array, its header's frames first."""
         recent = tuple(self._parts.search.recent)
         self._tell_losses()
@@ -236,7 +236,7 @@ class StreamReceiver:
             if missed and one.identity not in self._read:
                 self._missed[one.identity] = detection.start_time_s
         settled = self._orientation is not None
-        array = OrientedReceivers([self._parts.follow(one) for one in detection.hypotheses], settled)
+        array = HeaderHypotheses([self._parts.follow(one) for one in detection.hypotheses], settled)
         self._arrays.append(array)
         for frame in recent:
             yield from self._push(array, frame)
@@ -256,7 +256,7 @@ class StreamReceiver:
         filmed = [frame for frame in recent if frame.time_s > began_s - signal.pattern_period_s / 2]
         return detection.start_time_s - began_s < 2.5 * signal.packet_s and shone_before(detection, filmed, signal)
 
-    def _push(self, array: OrientedReceivers, frame: Frame) -> Iterator[ComingPacket]:
+    def _push(self, array: HeaderHypotheses, frame: Frame) -> Iterator[PendingPacket]:
         """Hand a frame to an array; the first right codeword tells how the camera sees all of them."""
         packets = list(array.push(frame))
         if self._orientation is None and array.leading.proven:
@@ -270,7 +270,7 @@ class StreamReceiver:
         for array in [a for a in self._arrays if not a.settle(orientation)]:
             self._forget(array)
 
-    def _forget(self, array: OrientedReceivers) -> None:
+    def _forget(self, array: HeaderHypotheses) -> None:
         self._coming.append(LostEvent(array.leading.identity, array.leading.time_s))
         self._arrays.remove(array)
 

@@ -87,7 +87,7 @@ class DetectSettings:
     candidates
         Most candidates examined per search, 1 to 64. More finds arrays among more clutter, and more of many arrays that
         come into sight at once, and takes longer.
-    busy_part
+    cpu_share
         Share of one core, in the camera's time, that the search for arrays takes on average where much alternates, 0.01
         to 1000. If it is left out, 2 for films and 0.3 for live cameras. The search counts work, not time, so every
         machine reads a film alike. Skipped work is reported. Where corners or a region say where an array is, the
@@ -106,7 +106,7 @@ class DetectSettings:
     min_contrast: Fraction = 0.03
     score: Fraction = 0.9
     candidates: Annotated[int, Field(ge=1, le=64)] = 6
-    busy_part: Annotated[float, Field(ge=0.01, le=1000)] | None = None
+    cpu_share: Annotated[float, Field(ge=0.01, le=1000)] | None = None
     corners: Corners | tuple[()] = ()
     region: Region | tuple[()] = ()
 
@@ -150,7 +150,7 @@ class DecodeSettings:
         takes longer. If it is left out, "max-log" for "plain" and "log-map" for "soft".
     iterations
         Most iterations, 1 to 64; a codeword is finished as soon as its CRC is right.
-    beside
+    in_background
         Whether packets are decoded in a process of their own, while the next frames are searched and followed on
         another core. The packets are the same; a receiver hands each out with the first frame after it is decoded. If
         it is left out, the command ``receive`` does so for live cameras and long films, and nothing else does.
@@ -158,7 +158,7 @@ class DecodeSettings:
 
     algorithm: Literal["max-log", "log-map"] | None = None
     iterations: Annotated[int, Field(ge=1, le=64)] = 8
-    beside: bool | None = None
+    in_background: bool | None = None
 
 
 @clear_errors
@@ -265,11 +265,11 @@ class ReceiveSettings:
             return self.detect.min_side_px
         return SMALLEST_SIDE_PX.get(self.receiver, min(SMALLEST_SIDE_PX.values()))
 
-    def in_time(self) -> "ReceiveSettings":
+    def with_live_limits(self) -> "ReceiveSettings":
         """The same for a live camera, which does not wait: with the bound of a live search."""
-        if self.detect.busy_part is not None or not RECEIVERS.is_built_in(self.receiver):
+        if self.detect.cpu_share is not None or not RECEIVERS.is_built_in(self.receiver):
             return self
-        return replace(self, detect=replace(self.detect, busy_part=LIVE_BUSY_PART))
+        return replace(self, detect=replace(self.detect, cpu_share=LIVE_BUSY_PART))
 
     @model_validator(mode="after")
     def _consistent(self) -> "ReceiveSettings":

@@ -6,8 +6,8 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.threads import one_thread
-from heliograph.receive.decode.observations import KeptPairs
-from heliograph.receive.decode.packet_decoder import Lesson, Light, SoftReading, TakenPairs, with_brightness
+from heliograph.receive.decode.observations import PacketBuffer
+from heliograph.receive.decode.packet_decoder import Lesson, Light, PacketObservations, SoftReading, with_brightness
 from heliograph.receive.decode.worker import ReadHeader
 from heliograph.receive.detect.header_bank import header_score, header_weights
 from heliograph.receive.detect.header_format import FormatReader
@@ -16,7 +16,7 @@ from heliograph.receive.equalise.single_mode import DecisionDirectedTracker, See
 from heliograph.receive.events import ExtractEvent, Observer
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
-from heliograph.receive.sync.pairing import FramePair, LoneFrame, MeasuredHeader
+from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, UnpairedFrame
 from heliograph.receive.track.track import Track, TrackedPair, beside_what_hides, dark_zone
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.formats import AGREED, Format, known_format
@@ -69,7 +69,7 @@ class SoftReader:
         self._led_gains, self._proven = led_gains, proven
         self._format_reader = FormatReader(identity, self._side, parts.form.settings.data_pairs)
         self._decisions: DecisionDirectedTracker | None = None
-        self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), Light(), KeptPairs()
+        self._header, self._light, self._data = _Header(np.ones((self._side, self._side))), Light(), PacketBuffer()
 
     @property
     def format(self) -> Format:
@@ -133,13 +133,13 @@ class SoftReader:
         poses = tuple(pose for cutout in cutouts for pose in cutout.poses)
         self._parts.observe(ExtractEvent(self._identity, (pair.pattern, pair.inverted), poses))
 
-    def take_lone(self, place: int, lone: LoneFrame) -> None:
+    def add_unpaired(self, place: int, lone: UnpairedFrame) -> None:
         """Keep the frame that is left of a pair; see `PacketReader`."""
         self._data = self._data.with_lone(place, lone)
 
-    def taken(self) -> TakenPairs:
+    def taken(self) -> PacketObservations:
         """The cut-outs of all pairs, and what is known of the array; see `PacketReader`."""
-        return TakenPairs(
+        return PacketObservations(
             self._identity,
             self._form,
             self._parts.reading,

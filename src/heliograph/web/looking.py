@@ -124,13 +124,13 @@ def _tried(frames: list[Frame], settings: LinkSettings, hurry: Hurry) -> tuple[b
         if isinstance(event, DetectEvent):
             found.append(event)
 
-    def in_time() -> Iterator[Frame]:
+    def with_live_limits() -> Iterator[Frame]:
         for frame in frames:
             if hurry():
                 return
             yield frame
 
     receiver = make_receiver(settings.signal, settings.receive, observe)
-    packets = chain(chain.from_iterable(map(receiver.push, in_time())), receiver.finish())
+    packets = chain(chain.from_iterable(map(receiver.push, with_live_limits())), receiver.finish())
     read = any(word.block for packet in packets for words in packet.layers.values() for word in words)
     return bool(found), read

@@ -10,7 +10,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import ReceiveSettings, make_receiver
 from heliograph.receive.detect import budget as budgets
-from heliograph.receive.detect.alternation import SearchedPart, SearchParameters
+from heliograph.receive.detect.alternation import SearchParameters, SearchRegion
 from heliograph.receive.detect.budget import (
     AMPLE_PART,
     FIRST_SHORT_MS,
@@ -22,8 +22,8 @@ from heliograph.receive.detect.budget import (
     SAVED_S,
     SEARCH_PART,
     WORK_PER_MS,
-    BoundedSearch,
     Budget,
+    BudgetedSearch,
     SearchLoad,
 )
 from heliograph.receive.detect.detector import Detector
@@ -41,9 +41,9 @@ PARAMETERS = SearchParameters(
 SOUGHT = headers((UPRIGHT,))
 
 
-def first_part(busy_part: float) -> float:
+def first_part(cpu_share: float) -> float:
     """Part of what is kept that is there at first."""
-    return 1 - FIRST_SHORT_MS / (1e3 * SAVED_S * busy_part)
+    return 1 - FIRST_SHORT_MS / (1e3 * SAVED_S * cpu_share)
 
 
 def flicker(count: int, seed: int, shape: tuple[int, int] = (96, 128)) -> list[Frame]:
@@ -83,15 +83,15 @@ def test_blocks_of_greatest_novelty_are_searched_when_work_is_scarce() -> None:
     novelty, waits = np.full(busy.shape, 1.5, np.float32), np.full(busy.shape, 2.0, np.float32)
     novelty[4:9, 10:15] = 3.0
     most = 1e3 * SAVED_S * 0.5 * WORK_PER_MS
-    surges = novelty > 1.2
-    surges[12:] = False
+    novel_blocks = novelty > 1.2
+    novel_blocks[12:] = False
     # a tenth is used up: what does not surge is left out, and not counted
-    assert np.array_equal(budget.choose(busy, surges, novelty, waits), busy & surges)
+    assert np.array_equal(budget.choose(busy, novel_blocks, novelty, waits), busy & novel_blocks)
     assert budget.load.blocks == 0
     budget.spend((first_part(0.5) - 0.4) * most)
     count = budget.blocks()
-    assert 1 < count < np.count_nonzero(busy & surges)
-    chosen = budget.choose(busy, surges, novelty, waits)
+    assert 1 < count < np.count_nonzero(busy & novel_blocks)
+    chosen = budget.choose(busy, novel_blocks, novelty, waits)
     assert np.count_nonzero(chosen) == count
     assert budget.load.blocks == np.count_nonzero(busy) - count
     # the middle of the area first
@@ -99,7 +99,7 @@ def test_blocks_of_greatest_novelty_are_searched_when_work_is_scarce() -> None:
     # those searched lately are left out, and those of before are not
     waits[:8] = 0.5 * budgets.RESEARCH_PACKETS
     assert budget.short
-    chosen = budget.choose(busy, surges, novelty, waits)
+    chosen = budget.choose(busy, novel_blocks, novelty, waits)
     assert not chosen[:8].any()
     assert chosen[8, 12]
 
@@ -118,7 +118,7 @@ def test_the_dearer_blocks_were_the_fewer_are_searched() -> None:
 @pytest.mark.parametrize("kind", ["plain", "soft"])
 def test_an_array_beside_what_flickers_for_long_is_found(kind: str, dark: int) -> None:
     """It comes into sight after the patterns of a packet that were dark, and shows data until its next header."""
-    settings = ReceiveSettings(receiver=kind, detect=DetectSettings(busy_part=0.3))
+    settings = ReceiveSettings(receiver=kind, detect=DetectSettings(cpu_share=0.3))
     receiver, found = make_receiver(SignalSettings(), settings, lambda event: found.append(event)), list[Event]()
     header, rng = np.kron(all_header_cells()[4] > 0, np.ones((8, 8))), np.random.default_rng(6)
     for frame in flicker(720, 3, (64, 64)):
@@ -144,7 +144,10 @@ def test_an_array_alone_is_found_with_a_bound_too(modulation: str, turned: bool,
     """It comes into sight amid a packet, 25 m away, and all blocks that alternate are its own."""
     content = {"distance_m": 25.0, "duration_s": 0.26, "arrays": [{"x_m": 0.0, "y_m": 0.0, "start_s": start_s}]}
     link = load_settings("static", {"signal": {"modulation": modulation}, "channel": content})
-    receiver, found = make_receiver(link.signal, link.receive.in_time(), lambda e: found.append(e)), list[Event]()
+    receiver, found = (
+        make_receiver(link.signal, link.receive.with_live_limits(), lambda e: found.append(e)),
+        list[Event](),
+    )
     way = -1 if turned else 1
     for k, (frame, _) in enumerate(simulate(link, default_messages(link), 1)):
         pixels = np.ascontiguousarray(frame.pixels[::way, ::way]).astype(np.uint8)
@@ -154,7 +157,7 @@ def test_an_array_alone_is_found_with_a_bound_too(modulation: str, turned: bool,
 
 def test_small_things_that_flicker_far_apart_hide_no_array() -> None:
     """A frame of 1920 x 1080 px costs more to sum up than a search may take; four squares and an array cost little."""
-    search = PyramidSearch(replace(PARAMETERS, busy_part=0.3), SignalSettings())
+    search = PyramidSearch(replace(PARAMETERS, cpu_share=0.3), SignalSettings())
     search._budget.spend(0.6 * 1e3 * SAVED_S * 0.3 * WORK_PER_MS)
     header, rng, found = np.kron(all_header_cells()[4] > 0, np.ones((8, 8))), np.random.default_rng(1), list[float]()
     for k in range(400):
@@ -178,8 +181,8 @@ def test_small_things_that_flicker_far_apart_hide_no_array() -> None:
     [
         (AMPLE_PART + 0.01, "header", True, False),
         (AMPLE_PART - 0.01, "header", False, False),
-        (AMPLE_PART - 0.01, "calm", True, False),
-        (PLENTY_PART - 0.01, "calm", False, True),
+        (AMPLE_PART - 0.01, "record_quiet", True, False),
+        (PLENTY_PART - 0.01, "record_quiet", False, True),
     ],
     ids=["ample", "nothing strikes", "strikes", "scarce"],
 )
@@ -196,9 +199,9 @@ def test_what_is_little_like_a_header_is_fitted_by_what_is_left(
     for least in (budgets.LITTLE_SCORE, 1.1):
         monkeypatch.setattr(budgets, "LITTLE_SCORE", least)
         budget = Budget(0.3, 1e-3)
-        search = made(replace(PARAMETERS, busy_part=0.3), SignalSettings(), budget)
+        search = made(replace(PARAMETERS, cpu_share=0.3), SignalSettings(), budget)
         budget.spend((first_part(0.3) - left) * 1e3 * SAVED_S * 0.3 * WORK_PER_MS)
-        first = 4 if before == "calm" else 0
+        first = 4 if before == "record_quiet" else 0
         for k in range(first + 8):
             pixels = np.full((96, 128), 40, np.uint8)
             if first <= k < first + 4:
@@ -219,7 +222,7 @@ def test_a_camera_switched_on_amid_a_packet_does_not_wait_for_its_data(
 ) -> None:
     """Data surge little: nearly all is left out until the first header comes, and nothing is told of that."""
     link, events = alone(0.088, distance_m=distance_m, start_s=-0.0105), list[Event]()
-    receiver = make_receiver(link.signal, replace(link.receive, receiver=kind).in_time(), events.append)
+    receiver = make_receiver(link.signal, replace(link.receive, receiver=kind).with_live_limits(), events.append)
     for frame, _ in simulate(link, default_messages(link), 1):
         list(receiver.push(frame))
     assert receiver.load.work / WORK_PER_MS < most_ms  # type: ignore[attr-defined]  # of those that search
@@ -253,47 +256,47 @@ def test_near_arrays_alone_are_found_with_a_bound_too(
     """Each block shows few of their LEDs, so that data surge by chance; a header may not do so in its last search."""
     place = {"distance_m": distance_m, "yaw_deg": yaw_deg, "roll_deg": roll_deg, "start_s": start_s}
     link, read = alone(0.32, modulation, **place), 0
-    receiver = make_receiver(link.signal, replace(link.receive, receiver=kind).in_time())
+    receiver = make_receiver(link.signal, replace(link.receive, receiver=kind).with_live_limits())
     for frame, _ in simulate(link, default_messages(link), 1):
         read += sum(packet.status == "ok" for packet in receiver.push(frame))
     assert read > 0
 
 
 def test_where_hardly_anything_is_used_up_all_is_searched() -> None:
-    search = Detector(replace(PARAMETERS, busy_part=1000.0), SignalSettings())
+    search = Detector(replace(PARAMETERS, cpu_share=1000.0), SignalSettings())
     change, slots = np.ones((12, 16), np.float32), [Frame(0, 0.0, np.zeros((96, 128), np.uint8))]
     busy = np.ones(change.shape, bool)
     for _ in range(10):
-        assert search.worth_searching(slots, change, busy)[0].all()
+        assert search.select_blocks(slots, change, busy)[0].all()
 
 
 def test_what_strikes_is_asked_of_what_is_searched_alone() -> None:
-    search = Detector(replace(PARAMETERS, busy_part=0.3), SignalSettings())
+    search = Detector(replace(PARAMETERS, cpu_share=0.3), SignalSettings())
     change, slots = np.ones((12, 16), np.float32), [Frame(0, 0.0, np.zeros((96, 128), np.uint8))]
     busy = np.zeros(change.shape, bool)
     busy[:, 12:] = True
     for _ in range(6):
-        assert not search.worth_searching(slots, change, busy)[0].all()
+        assert not search.select_blocks(slots, change, busy)[0].all()
     change[:, :4] = 3
-    searched, strikes = search.worth_searching(slots, change, busy)
+    searched, strikes = search.select_blocks(slots, change, busy)
     assert not searched.any()
     assert not strikes
     change[:, 12:] = 3
-    searched, strikes = search.worth_searching(slots, change, busy)
+    searched, strikes = search.select_blocks(slots, change, busy)
     assert np.array_equal(searched, busy)
     assert strikes
 
 
-@pytest.mark.parametrize("busy_part", [0.01, 0.3, 1000.0])
-def test_a_tenth_at_most_is_not_there_at_first(busy_part: float) -> None:
+@pytest.mark.parametrize("cpu_share", [0.01, 0.3, 1000.0])
+def test_a_tenth_at_most_is_not_there_at_first(cpu_share: float) -> None:
     """With more than a live camera's part all is searched from the beginning, or nearly."""
-    budget, kept_s = Budget(busy_part, 1e-3), SAVED_S if busy_part < PATIENT_PART else PATIENT_S
-    most = 1e3 * kept_s * busy_part * WORK_PER_MS
+    budget, kept_s = Budget(cpu_share, 1e-3), SAVED_S if cpu_share < PATIENT_PART else PATIENT_S
+    most = 1e3 * kept_s * cpu_share * WORK_PER_MS
     assert budget.ample == ((1 - AMPLE_PART) * most > FIRST_SHORT_MS * WORK_PER_MS)
     budget.spend(0.1499 * most)
     assert budget.plenty
     budget.spend(0.1 * most)
-    assert budget.plenty == (busy_part > 1)
+    assert budget.plenty == (cpu_share > 1)
 
 
 def test_a_search_that_breaks_off_is_gone_on_with() -> None:
@@ -302,13 +305,13 @@ def test_a_search_that_breaks_off_is_gone_on_with() -> None:
     # what is searched last
     change[96:128, 96:128] += 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
     budget, left, rows = Budget(1e-3, 1e-3), list[int](), np.empty((0, 5))
-    search = BoundedSearch(PARAMETERS, SOUGHT, budget)
+    search = BudgetedSearch(PARAMETERS, SOUGHT, budget)
     while not rows.size and len(left) < 100:
         shift, before = 8 * (len(left) % 2), budget.load.blocks
         frame = Frame(0, 0.0, np.zeros((136, 136 - shift), np.uint8), origin=(shift, 0))
         # enough for some blocks
         budget.spend(2 * (budget.coarse - 1e5))
-        part = SearchedPart(change[:, shift:].copy(), np.ones((17, 17 - shift // 8), bool), frame)
+        part = SearchRegion(change[:, shift:].copy(), np.ones((17, 17 - shift // 8), bool), frame)
         [rows] = search.candidates([part])
         left.append(budget.load.blocks - before)
     assert len(left) > 3
@@ -321,14 +324,14 @@ def test_a_search_that_breaks_off_is_gone_on_with() -> None:
 def test_parts_that_break_off_are_all_gone_on_with() -> None:
     """Three of noise, and little to spend: the last blocks of each are searched too, and no part takes all."""
     rng, budget = np.random.default_rng(0), Budget(1e-3, 1e-3)
-    search, found = BoundedSearch(PARAMETERS, SOUGHT, budget), list[set[float]]([set(), set(), set()])
+    search, found = BudgetedSearch(PARAMETERS, SOUGHT, budget), list[set[float]]([set(), set(), set()])
     header = 90 * np.kron(all_header_cells()[4], np.ones((8, 8), np.float32))
     parts, spent = [], list[float]()
     for k in range(3):
         change = rng.normal(0, 30, (136, 136)).astype(np.float32)
         change[96:128, 96:128] += header
         frame = Frame(0, 0.0, np.zeros((136, 136), np.uint8), origin=(400 * k, 8 * k))
-        parts.append(SearchedPart(change, np.ones((17, 17), bool), frame))
+        parts.append(SearchRegion(change, np.ones((17, 17), bool), frame))
     for _ in range(60):
         # enough for some blocks of each
         budget.spend(2 * (budget.coarse - 3e5))
@@ -343,7 +346,7 @@ def test_parts_that_break_off_are_all_gone_on_with() -> None:
 
 def test_a_busy_scene_costs_what_it_may() -> None:
     frames = flicker(400, 1)
-    search = PyramidSearch(replace(PARAMETERS, busy_part=0.01), SignalSettings())
+    search = PyramidSearch(replace(PARAMETERS, cpu_share=0.01), SignalSettings())
     for frame in frames:
         search.push(frame)
     # what was there, what came, and what the last search may overdraw: a block of places, and a fit begun
@@ -354,7 +357,7 @@ def test_a_busy_scene_costs_what_it_may() -> None:
 @pytest.mark.parametrize("kind", ["plain", "soft"])
 def test_what_is_left_out_is_told(kind: str) -> None:
     events = list[Event]()
-    settings = ReceiveSettings(receiver=kind, detect=DetectSettings(busy_part=0.01))
+    settings = ReceiveSettings(receiver=kind, detect=DetectSettings(cpu_share=0.01))
     receiver = make_receiver(SignalSettings(), settings, events.append)
     for frame in flicker(120, 2):
         list(receiver.push(frame))
@@ -368,7 +371,7 @@ def test_what_is_left_out_is_told(kind: str) -> None:
 def test_an_array_costs_less_than_it_may() -> None:
     """The default leaves nothing out where hardly anything else alternates."""
     events = list[Event]()
-    receiver = make_receiver(SignalSettings(), ReceiveSettings(receiver="soft").in_time(), events.append)
+    receiver = make_receiver(SignalSettings(), ReceiveSettings(receiver="soft").with_live_limits(), events.append)
     cells = np.kron(all_header_cells()[3], np.ones((8, 8)))
     rng = np.random.default_rng(4)
     for k in range(60):
@@ -383,7 +386,9 @@ def test_an_array_costs_less_than_it_may() -> None:
 @pytest.mark.parametrize("place", ["region=[40, 20, 80, 80]", "corners=[60, 40, 92, 40, 92, 72, 60, 72]"])
 def test_where_somebody_says_where_an_array_is_there_is_no_bound(kind: str, place: str) -> None:
     """All of such a place counts as busy, and a search of noise would use up any bound before an array comes."""
-    settings = load_settings("static", None, [f"receive.receiver={kind}", f"receive.detect.{place}"]).receive.in_time()
+    settings = load_settings(
+        "static", None, [f"receive.receiver={kind}", f"receive.detect.{place}"]
+    ).receive.with_live_limits()
     search, rng = make_receiver(SignalSettings(), settings), np.random.default_rng(5)
     for k in range(100):
         list(search.push(Frame(k, 1e-3 * k, rng.integers(20, 60, (128, 160), np.uint8))))
@@ -391,6 +396,6 @@ def test_where_somebody_says_where_an_array_is_there_is_no_bound(kind: str, plac
 
 
 def test_a_film_can_wait_and_a_live_camera_cannot() -> None:
-    assert ReceiveSettings().detect.busy_part is None
-    assert ReceiveSettings().in_time().detect.busy_part == 0.3
-    assert ReceiveSettings(detect=DetectSettings(busy_part=2.0)).in_time().detect.busy_part == 2.0
+    assert ReceiveSettings().detect.cpu_share is None
+    assert ReceiveSettings().with_live_limits().detect.cpu_share == 0.3
+    assert ReceiveSettings(detect=DetectSettings(cpu_share=2.0)).with_live_limits().detect.cpu_share == 2.0

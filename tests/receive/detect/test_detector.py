@@ -23,7 +23,7 @@ Light = Callable[[int, np.random.Generator], NDArray[np.float64]]
 
 PLAIN = SearchParameters(
     min_side_px=8.0, max_side_px=64.0, min_contrast=0.03, score=0.9, regularity=0.5, candidates=6, blur_px=0.55,
-    busy_part=100.0,
+    cpu_share=100.0,
 )  # fmt: skip
 """As the plain receiver searches, but not told what is followed for long, and so with more to do."""
 

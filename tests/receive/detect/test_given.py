@@ -14,7 +14,7 @@ from heliograph.receive import Pose
 from heliograph.receive.detect.alternation import SearchParameters
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.detect.region import AROUND_SIDES, GivenSearch, pose_of
+from heliograph.receive.detect.region import AROUND_SIDES, RegionSearch, pose_of
 from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.geometry.pose import Orientation
 from heliograph.signal.header import header_levels
@@ -87,7 +87,7 @@ def frames(count: int, origin: tuple[int, int] = (0, 0)) -> list[Frame]:
 
 def test_the_region_alone_is_searched_and_whole_frames_are_handed_on() -> None:
     told, seen = Told(), frames(5, (10, 20))
-    search = GivenSearch(told, (90, 70, 20, 16), SIDE)
+    search = RegionSearch(told, (90, 70, 20, 16), SIDE)
     for frame in seen:
         assert search.push(frame) == []
     for part, frame in zip(told.shown, seen, strict=True):
@@ -103,7 +103,7 @@ def test_the_region_alone_is_searched_and_whole_frames_are_handed_on() -> None:
 
 def test_an_array_that_is_followed_is_looked_for_where_it_went() -> None:
     told = Told()
-    search = GivenSearch(told, (20, 20, 20, 20), SIDE)
+    search = RegionSearch(told, (20, 20, 20, 20), SIDE)
     first, second, third = frames(3)
     search.push(first)
     search.push(second, [Pose(150.0, 60.0, 2.0)])
@@ -116,14 +116,14 @@ def test_an_array_that_is_followed_is_looked_for_where_it_went() -> None:
 
 
 def test_a_region_beyond_the_frames_is_refused() -> None:
-    search = GivenSearch(Told(), (300, 20, 20, 20), SIDE)
+    search = RegionSearch(Told(), (300, 20, 20, 20), SIDE)
     with pytest.raises(HeliographError, match=r"the region 300,20,20,20 .* beyond the frames, which are 200x100$"):
         search.push(frames(1)[0])
 
 
 def test_a_cameras_window_may_leave_the_region() -> None:
     told = Told()
-    search, (here, there, again) = GivenSearch(told, (20, 20, 20, 20), SIDE), frames(3)
+    search, (here, there, again) = RegionSearch(told, (20, 20, 20, 20), SIDE), frames(3)
     for frame in (here, replace(there, origin=(500, 0)), again):
         search.push(frame)
     assert [part.index for part in told.shown] == [0, 2]

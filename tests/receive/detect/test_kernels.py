@@ -63,7 +63,7 @@ def test_the_part_searched_holds_what_it_should(place: tuple[int, int]) -> None:
     frames = [Frame(k, k * 1e-3, rng.integers(0, 256, (77, 101), np.uint8), origin=(5, 7)) for k in range(4)]
     busy = np.zeros((10, 13), bool)
     busy[place] = True
-    [(change, blocks, first)] = parts.searched_parts(frames, busy, 16.0, last_pixels)
+    [(change, blocks, first)] = parts.search_regions(frames, busy, 16.0, last_pixels)
     x, y = first.origin[0] - 5, first.origin[1] - 7
     assert x % 8 == 0
     assert y % 8 == 0
@@ -82,7 +82,7 @@ def test_the_part_searched_holds_what_it_should(place: tuple[int, int]) -> None:
 def test_blocks_far_from_each_other_are_searched_in_parts_of_their_own() -> None:
     frame, busy = Frame(0, 0.0, np.zeros((512, 1024), np.uint8), origin=(3, 1)), np.zeros((64, 128), bool)
     busy[2, 3] = busy[4, 4] = busy[40, 120] = busy[60, 60] = True
-    found_parts = parts.searched_parts([frame], busy, 32.0, last_pixels)
+    found_parts = parts.search_regions([frame], busy, 32.0, last_pixels)
     assert sorted(int(part.busy.sum()) for part in found_parts) == [1, 1, 2]
     found = np.zeros((64, 128), int)
     for part in found_parts:
@@ -94,7 +94,7 @@ def test_blocks_far_from_each_other_are_searched_in_parts_of_their_own() -> None
     assert sum(part.change.size for part in found_parts) < 0.1 * frame.pixels.size
     # where they are everywhere, parts would take no less than all
     busy[::6, ::6] = True
-    assert len(parts.searched_parts([frame], busy, 32.0, last_pixels)) == 1
+    assert len(parts.search_regions([frame], busy, 32.0, last_pixels)) == 1
 
 
 def headers(seed: int, pixels: int) -> NDArray[np.float32]:

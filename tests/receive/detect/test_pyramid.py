@@ -15,7 +15,7 @@ from heliograph.receive.detect import search as pyramid
 from heliograph.receive.detect.alternation import SearchParameters
 from heliograph.receive.detect.budget import SAVED_S, UNBOUNDED_PART, WORK_PER_MS, Budget, SearchLoad
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.detect.frame_window import first_there
+from heliograph.receive.detect.frame_window import first_present
 from heliograph.receive.detect.search import PyramidSearch, level_parameters
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT
 from heliograph.receive.geometry.view import View, halved
@@ -259,7 +259,7 @@ def test_no_level_searches_what_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
 
 def blocks_of(slots: Sequence[Frame | None]) -> tuple[int, int]:
     """Blocks down and across of frames."""
-    rows, columns = first_there(slots).pixels.shape
+    rows, columns = first_present(slots).pixels.shape
     return -(-rows // 8), -(-columns // 8)
 
 
@@ -267,7 +267,7 @@ def blocks_of(slots: Sequence[Frame | None]) -> tuple[int, int]:
 @pytest.mark.parametrize("rows", range(8, 14))
 def test_frames_that_are_low_are_searched(rows: int, origin: tuple[int, int]) -> None:
     """A reduced frame begins with an even row: of some a level has nothing left."""
-    search, rng = PyramidSearch(replace(SEARCH, busy_part=UNBOUNDED_PART), SignalSettings()), np.random.default_rng(0)
+    search, rng = PyramidSearch(replace(SEARCH, cpu_share=UNBOUNDED_PART), SignalSettings()), np.random.default_rng(0)
     for k in range(12):
         pixels = rng.integers(0, 256, (rows, 300)).astype(np.uint8)
         assert not search.push(Frame(k, 1e-3 * k, pixels, origin=origin))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
-from heliograph.receive.detect.frame_window import alike, before, filled, in_common
+from heliograph.receive.detect.frame_window import alike, before, crop_to_common, filled
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def frame(index: int, x: int, y: int, rows: int, columns: int) -> Frame:
 
 def test_frames_are_cut_to_what_all_show_and_gaps_stay() -> None:
     slots: Sequence[Frame | None] = [None, frame(1, 0, 2, 6, 8), None, frame(3, 3, 0, 5, 9)]
-    cut = in_common(slots)
+    cut = crop_to_common(slots)
     assert [one and one.index for one in cut] == [None, 1, None, 3]
     for one in cut:
         if one is not None:

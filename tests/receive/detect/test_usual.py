@@ -7,34 +7,41 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from heliograph.receive.detect.budget import EARLY_SEARCHES, LEAST_SURGE, OOK_SURGE, SURGE, Usual, UsualAlternation
+from heliograph.receive.detect.budget import (
+    EARLY_SEARCHES,
+    LEAST_SURGE,
+    OOK_SURGE,
+    SURGE,
+    NoveltyFilter,
+    RunningBaseline,
+)
 
 Bools = NDArray[np.bool_]
 
 
-def surges(usual: UsualAlternation, change: NDArray[np.float32], origin: tuple[int, int], scarcity: float) -> Bools:
-    return usual.surges(change, origin, scarcity)[0]
+def novel_blocks(usual: NoveltyFilter, change: NDArray[np.float32], origin: tuple[int, int], scarcity: float) -> Bools:
+    return usual.novel_blocks(change, origin, scarcity)[0]
 
 
 def test_a_header_surges_over_its_data_and_flicker_of_even_strength_does_not() -> None:
-    usual, change = UsualAlternation("haar"), np.ones((10, 12), np.float32)
+    usual, change = NoveltyFilter("haar"), np.ones((10, 12), np.float32)
     for _ in range(EARLY_SEARCHES):
-        assert surges(usual, change, (0, 0), 1.0).all()
+        assert novel_blocks(usual, change, (0, 0), 1.0).all()
     for _ in range(5):
-        assert not surges(usual, change, (0, 0), 1.0).any()
+        assert not novel_blocks(usual, change, (0, 0), 1.0).any()
     change[:4, :4] = 2.5
-    header = surges(usual, change, (0, 0), 1.0)
+    header = novel_blocks(usual, change, (0, 0), 1.0)
     assert header[:3, :3].all()
     assert not header[7:].any()
     # what stays is usual soon
     for _ in range(20):
-        surges(usual, change, (0, 0), 1.0)
-    assert not surges(usual, change, (0, 0), 1.0).any()
+        novel_blocks(usual, change, (0, 0), 1.0)
+    assert not novel_blocks(usual, change, (0, 0), 1.0).any()
     # the scarcer time is, the more is asked
-    assert surges(usual, np.float32(1.01 * SURGE) * change, (0, 0), 1.0).all()
-    surges(usual, change, (0, 0), 1.0)
-    assert not surges(usual, np.float32(1.1 * LEAST_SURGE) * change, (0, 0), 1.0).any()
-    assert surges(usual, np.float32(1.1 * LEAST_SURGE) * change, (0, 0), 0.0).all()
+    assert novel_blocks(usual, np.float32(1.01 * SURGE) * change, (0, 0), 1.0).all()
+    novel_blocks(usual, change, (0, 0), 1.0)
+    assert not novel_blocks(usual, np.float32(1.1 * LEAST_SURGE) * change, (0, 0), 1.0).any()
+    assert novel_blocks(usual, np.float32(1.1 * LEAST_SURGE) * change, (0, 0), 0.0).all()
 
 
 @pytest.mark.parametrize(
@@ -48,64 +55,64 @@ def test_a_header_surges_over_its_data_and_flicker_of_even_strength_does_not() -
 )
 def test_what_surges_does_so_for_one_more_search(modulation: str, factor: float, strikes: bool, lasts: bool) -> None:
     """A search that sees a header too late leaves it to the next, in which it surges no more."""
-    usual, change = UsualAlternation(modulation), np.ones((6, 8), np.float32)
+    usual, change = NoveltyFilter(modulation), np.ones((6, 8), np.float32)
     for _ in range(5):
-        told, strong, *_ = usual.surges(change, (0, 0), 0.0)
+        told, strong, *_ = usual.novel_blocks(change, (0, 0), 0.0)
         assert not strong.any()
     assert not told.any()
-    told, strong, *_ = usual.surges(np.float32(factor) * change, (0, 0), 0.0)
+    told, strong, *_ = usual.novel_blocks(np.float32(factor) * change, (0, 0), 0.0)
     assert told.all()
     assert strong.all() == strong.any() == strikes
-    told, strong, *_ = usual.surges(change, (0, 0), 1.0)
+    told, strong, *_ = usual.novel_blocks(change, (0, 0), 1.0)
     assert told.all() == told.any() == lasts
     assert strong.all() == strong.any() == strikes
-    told, strong, *_ = usual.surges(change, (0, 0), 1.0)
+    told, strong, *_ = usual.novel_blocks(change, (0, 0), 1.0)
     assert not told.any()
     assert not strong.any()
 
 
 def test_what_is_there_anew_is_usual_at_once() -> None:
     """Of an array that comes into sight two searches strike, the second as it may be its header."""
-    usual, change = UsualAlternation("haar"), np.full((6, 8), 0.1, np.float32)
+    usual, change = NoveltyFilter("haar"), np.full((6, 8), 0.1, np.float32)
     for _ in range(5):
-        usual.surges(change, (0, 0), 0.0)
+        usual.novel_blocks(change, (0, 0), 0.0)
     change *= np.float32(10)
-    told = [usual.surges(change, (0, 0), 0.0) for _ in range(3)]
+    told = [usual.novel_blocks(change, (0, 0), 0.0) for _ in range(3)]
     assert [bool(one.all()) for two in told for one in two[:2]] == [True, True, True, True, False, False]
 
 
 @pytest.mark.parametrize("before", [0, 20])
 def test_where_it_was_calm_all_strikes(before: int) -> None:
-    usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
+    usual, change = NoveltyFilter("haar"), np.ones((6, 8), np.float32)
     for _ in range(before):
-        told, strong, *_ = usual.surges(change, (0, 0), 1.0)
+        told, strong, *_ = usual.novel_blocks(change, (0, 0), 1.0)
     for _ in range(20):
-        usual.calm()
-    told, strong, *_ = usual.surges(change, (0, 0), 1.0)
+        usual.record_quiet()
+    told, strong, *_ = usual.novel_blocks(change, (0, 0), 1.0)
     assert told.all()
     assert strong.all()
     # it was a place seen first, or one that was calm
-    assert usual.surges(change, (0, 0), 1.0)[1].all()
-    assert not usual.surges(change, (0, 0), 1.0)[0].any()
+    assert usual.novel_blocks(change, (0, 0), 1.0)[1].all()
+    assert not usual.novel_blocks(change, (0, 0), 1.0)[0].any()
 
 
 def test_one_calm_search_is_nothing_unusual() -> None:
-    usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
+    usual, change = NoveltyFilter("haar"), np.ones((6, 8), np.float32)
     for _ in range(20):
-        usual.surges(change, (0, 0), 1.0)
-    usual.calm()
-    assert not usual.surges(change, (0, 0), 0.0)[0].any()
+        usual.novel_blocks(change, (0, 0), 1.0)
+    usual.record_quiet()
+    assert not usual.novel_blocks(change, (0, 0), 0.0)[0].any()
 
 
 def test_what_is_seen_first_may_be_a_header() -> None:
-    usual, change = UsualAlternation("haar"), np.ones((6, 8), np.float32)
+    usual, change = NoveltyFilter("haar"), np.ones((6, 8), np.float32)
     for _ in range(EARLY_SEARCHES):
-        surges(usual, change, (0, 0), 1.0)
-    assert not surges(usual, change, (0, 0), 1.0).any()
+        novel_blocks(usual, change, (0, 0), 1.0)
+    assert not novel_blocks(usual, change, (0, 0), 1.0).any()
     for _ in range(EARLY_SEARCHES):
-        assert surges(usual, change, (8, 0), 1.0).all()
-    assert not surges(usual, change, (8, 0), 1.0).any()
-    assert surges(usual, change[:5], (8, 0), 1.0).all()
+        assert novel_blocks(usual, change, (8, 0), 1.0).all()
+    assert not novel_blocks(usual, change, (8, 0), 1.0).any()
+    assert novel_blocks(usual, change[:5], (8, 0), 1.0).all()
 
 
 @pytest.mark.parametrize("levels", [(0, 0.25, 0.5, 0.75, 1), (0, 1)], ids=["haar", "ook"])
@@ -114,7 +121,7 @@ def test_what_is_seen_first_may_be_a_header() -> None:
 def test_headers_surge_over_data_whatever_a_search_begins_with(
     levels: Sequence[float], first: int, phase: float
 ) -> None:
-    usual, rng = UsualAlternation("haar" if len(levels) > 2 else "ook"), np.random.default_rng(2)
+    usual, rng = NoveltyFilter("haar" if len(levels) > 2 else "ook"), np.random.default_rng(2)
     header, told = rng.integers(0, 2, (6, 6, 16)).astype(float), list[bool]()
     before = False
     patterns = [
@@ -127,7 +134,7 @@ def test_headers_surge_over_data_whatever_a_search_begins_with(
     for k in range(first, len(frames) - 3, 2):
         a, b, c, d = frames[k : k + 4]
         # each block the mean size of its LEDs' change
-        seen = surges(usual, np.abs(a - 3 * b + 3 * c - d).mean(axis=2).astype(np.float32), (0, 0), 1.0)
+        seen = novel_blocks(usual, np.abs(a - 3 * b + 3 * c - d).mean(axis=2).astype(np.float32), (0, 0), 1.0)
         surging = bool(seen[1:-1, 1:-1].all())
         if k > 200 and k % 100 == first:
             # amid a header that begins with its inverse, two searches see most of it
@@ -139,17 +146,17 @@ def test_headers_surge_over_data_whatever_a_search_begins_with(
 
 def test_blocks_wait_from_their_second_search_on() -> None:
     """The first search may see a part of a header alone."""
-    usual, change, waits = Usual(3, packet_searches=10), np.ones((2, 3), np.float32), list[float]()
+    usual, change, waits = RunningBaseline(3, packet_searches=10), np.ones((2, 3), np.float32), list[float]()
     first = np.zeros((2, 3), bool)
     first[0, 0] = True
     for k in range(6):
-        surge = usual.surge(change, (0, 0))
-        waits.append(float(surge.waits[0, 0]))
-        assert np.isinf(surge.waits[1]).all()
+        novelty_of = usual.novelty_of(change, (0, 0))
+        waits.append(float(novelty_of.waits[0, 0]))
+        assert np.isinf(novelty_of.waits[1]).all()
         usual.searched(first if k < 2 else ~first & False)
     assert waits == pytest.approx([np.inf, np.inf, 0.1, 0.1, 0.2, 0.3])
     for _ in range(5):
-        usual.calm()
-    assert usual.surge(change, (0, 0)).waits[0, 0] == pytest.approx(0.9)
+        usual.record_quiet()
+    assert usual.novelty_of(change, (0, 0)).waits[0, 0] == pytest.approx(0.9)
     # another part of the sensor is new
-    assert np.isinf(usual.surge(change, (8, 0)).waits).all()
+    assert np.isinf(usual.novelty_of(change, (8, 0)).waits).all()

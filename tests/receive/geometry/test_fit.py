@@ -13,7 +13,7 @@ from scenes import ALL_ON, SIDE, draw, pitch_at
 from scipy.special import ndtr
 
 from heliograph.receive import Pose
-from heliograph.receive.geometry.fit import PANEL_MARGINS, Drawn, Fit, Prior, fit_array
+from heliograph.receive.geometry.fit import PANEL_MARGINS, Fit, Prior, RenderCache, fit_array
 from heliograph.receive.geometry.window import window_around
 from heliograph.signal.header import header_levels
 
@@ -297,7 +297,7 @@ def test_machine_code_fits_as_the_reference(seed: int, panel: bool, tilted: bool
 
 def test_images_drawn_near_a_pose_stand_for_it() -> None:
     """An array drifts by a twentieth of a pixel a pair; its images are drawn once in a while, and poses stay right."""
-    rng, drawn, spread = np.random.default_rng(9), Drawn(), np.diag([0.01, 0.01, 4e-4, 4e-4, 0.01]) ** 2
+    rng, drawn, spread = np.random.default_rng(9), RenderCache(), np.diag([0.01, 0.01, 4e-4, 4e-4, 0.01]) ** 2
     first, off, redrawn = Pose(30.2, 28.7, 1.6, 0.015, 0.55), [], 0
     for k in range(24):
         pose = replace(first, x=first.x + 0.05 * k, y=first.y + 0.03 * k, pitch=first.pitch * (1 + 2e-4 * k))
@@ -318,7 +318,7 @@ def test_images_drawn_near_a_pose_stand_for_it() -> None:
 
 
 def test_images_of_other_leds_or_places_are_drawn_anew() -> None:
-    drawn, pose, dim = Drawn(), Pose(30.2, 28.7, 1.6, 0.015, 0.55), ALL_ON.copy()
+    drawn, pose, dim = RenderCache(), Pose(30.2, 28.7, 1.6, 0.015, 0.55), ALL_ON.copy()
     dim[:, :3] = 0.0
     (x, y), shape = window(pose)
     prior = Prior(pose.vector(), 1e-4 * np.eye(5), GAIN)

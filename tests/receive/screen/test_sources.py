@@ -25,13 +25,13 @@ SMALL = (
 )
 
 
-class Drawn(Webcam):
+class RenderCache(Webcam):
     """FFmpeg's device "lavfi": a chain of filters that gives pictures as a webcam does, in real time."""
 
     device = "lavfi"
 
 
-register_camera("screen-drawn", Drawn)
+register_camera("screen-drawn", RenderCache)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from scenes import film, link, pitch_at
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.geometry.fit import header_amplitude
-from heliograph.receive.sync.pairing import ClockedPairing, CombinedFrame, FramePair, LoneFrame
+from heliograph.receive.sync.pairing import AsynchronousPairing, CombinedFrame, FramePair, UnpairedFrame
 from heliograph.signal.header import header_levels
 
 SETTINGS = link("signal.data_pairs=5")
@@ -33,14 +33,14 @@ def filmed(fps: float, start_s: float, exposure_s: float | None = None) -> tuple
     return tuple(film(replace(SETTINGS, channel=replace(channel, camera=camera, arrays=arrays)), 50, roi_margin_px=12))
 
 
-def pairing_of(start_s: float, exposure_s: float | None = None) -> ClockedPairing:
+def pairing_of(start_s: float, exposure_s: float | None = None) -> AsynchronousPairing:
     """As a detection would begin it, a quarter of a pattern off."""
-    return ClockedPairing(start_s + 2.5e-4, start_s + 2e-3, POSE, 0, np.ones((16, 16)), SIGNAL, exposure_s)
+    return AsynchronousPairing(start_s + 2.5e-4, start_s + 2e-3, POSE, 0, np.ones((16, 16)), SIGNAL, exposure_s)
 
 
 def paired(
-    pairing: ClockedPairing, frames: list[Frame], single: bool = False
-) -> list[tuple[int, FramePair | LoneFrame | None]]:
+    pairing: AsynchronousPairing, frames: list[Frame], single: bool = False
+) -> list[tuple[int, FramePair | UnpairedFrame | None]]:
     """Numbers of pairs with their frames, as a receiver asks for them."""
     pushed = (number for frame in frames for number in pairing.push(frame))
     got = [(number, pairing.pair(number, lambda _: POSE, single)) for number in pushed]
@@ -63,7 +63,7 @@ def test_each_pair_comes_once_in_order_with_frames_of_its_time(rate: tuple[float
     near = 3.5e-4 if dropped & set(range(20)) else 1.5e-4
     for number, pair in got:
         first = start_s + 2 * number * 1e-3
-        if isinstance(pair, LoneFrame):
+        if isinstance(pair, UnpairedFrame):
             assert pair.frame.time_s == pytest.approx(first + 1e-3 * pair.inverted, abs=near)
             continue
         if pair is None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from slot_light import light_about_mean, observed, symbols_of
 
 from heliograph.receive.sync import combine as partial_exposure
-from heliograph.receive.sync.combine import Combination, OutOfStep, SlotLight, combine_pair
+from heliograph.receive.sync.combine import Combination, SlotLight, UnsynchronisedPacket, combine_pair
 from heliograph.signal import haar
 
 Floats = NDArray[np.float64]
@@ -23,7 +23,7 @@ def combination_at(phase: float) -> Combination:
     return found
 
 
-def packet(phase: float, seed: int = 0) -> tuple[Combination, OutOfStep, Floats, Floats]:
+def packet(phase: float, seed: int = 0) -> tuple[Combination, UnsynchronisedPacket, Floats, Floats]:
     """A packet's combination, its pairs, their symbols, and what is observed of them: slot by slot, without noise."""
     rng = np.random.default_rng(seed)
     combination, header = combination_at(phase), rng.random((SIDE, SIDE)) > 0.5
@@ -39,7 +39,12 @@ def packet(phase: float, seed: int = 0) -> tuple[Combination, OutOfStep, Floats,
         )
         for k in range(PAIRS)
     ]
-    return combination, OutOfStep.of([combination] * PAIRS, header), np.stack([*map(symbols_of, data)]), np.stack(shown)
+    return (
+        combination,
+        UnsynchronisedPacket.of([combination] * PAIRS, header),
+        np.stack([*map(symbols_of, data)]),
+        np.stack(shown),
+    )
 
 
 @pytest.mark.parametrize("phase", PHASES)
@@ -76,7 +81,7 @@ def test_symbols_follow_from_exact_estimates(phase: float) -> None:
 
 def test_a_pair_in_step_shows_its_own_symbols_alone() -> None:
     combination, _, symbols, _ = packet(0.5)
-    pairs = OutOfStep.of([combination, None, combination], np.ones((SIDE, SIDE), bool))
+    pairs = UnsynchronisedPacket.of([combination, None, combination], np.ones((SIDE, SIDE), bool))
     expected = pairs.expected(symbols[:3])
     assert expected.mean[1] == pytest.approx(symbols[1])
     assert not expected.leak[1].any()
@@ -86,7 +91,7 @@ def test_a_pair_in_step_shows_its_own_symbols_alone() -> None:
 def test_of_pairs_in_step_the_short_way_gives_what_the_table_of_all_values_gives() -> None:
     rng = np.random.default_rng(3)
     symbols = SIDE**2
-    pairs = OutOfStep.of([None] * PAIRS, rng.random((SIDE, SIDE)) > 0.5)
+    pairs = UnsynchronisedPacket.of([None] * PAIRS, rng.random((SIDE, SIDE)) > 0.5)
     mean, found = rng.uniform(-0.9, 0.9, (PAIRS, symbols)), rng.normal(0, 1.2, (PAIRS, symbols))
     mean[:, : symbols // 2] = np.sign(mean[:, : symbols // 2])
     variance = rng.uniform(0.1, 2.0, symbols)
@@ -108,9 +113,9 @@ def test_of_pairs_in_step_the_short_way_gives_what_the_table_of_all_values_gives
 
 
 def test_a_packet_partly_in_step_or_with_light_of_others_is_not_in_step() -> None:
-    combination, whole = combination_at(0.37), OutOfStep.of([None] * PAIRS, np.ones((SIDE, SIDE), bool))
+    combination, whole = combination_at(0.37), UnsynchronisedPacket.of([None] * PAIRS, np.ones((SIDE, SIDE), bool))
     assert whole.in_step
-    assert not OutOfStep.of([combination, None], np.ones((SIDE, SIDE), bool)).in_step
+    assert not UnsynchronisedPacket.of([combination, None], np.ones((SIDE, SIDE), bool)).in_step
     for side in ("before", "after"):
         leak = getattr(whole, side).copy()
         leak[1] = 0.2 * partial_exposure.VALUES
@@ -119,7 +124,7 @@ def test_a_packet_partly_in_step_or_with_light_of_others_is_not_in_step() -> Non
 
 def test_light_of_headers_counts_in_step_too() -> None:
     rng = np.random.default_rng(4)
-    pairs = OutOfStep.of([None] * PAIRS, rng.random((SIDE, SIDE)) > 0.5)
+    pairs = UnsynchronisedPacket.of([None] * PAIRS, rng.random((SIDE, SIDE)) > 0.5)
     pairs = replace(pairs, headers=rng.normal(0, 0.2, pairs.headers.shape))
     mean, found, variance = np.zeros((PAIRS, SIDE**2)), rng.normal(0, 1, (PAIRS, SIDE**2)), np.ones(SIDE**2)
     expected = pairs.expected(mean)

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 from heliograph.base.frames import Frame
 from heliograph.receive import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
-from heliograph.receive.sync.pairing import FramePair, LoneFrame
+from heliograph.receive.sync.pairing import FramePair, UnpairedFrame
 from heliograph.receive.track.kalman import PoseState, Tilt
 from heliograph.receive.track.unpaired_frames import SeenPair, around, lone_cutout, state_between
 
@@ -141,8 +141,8 @@ class Film:
         pose = self.pose(k, self.late_s)
         return take_cutout(FramePair(self.frame(k, False), self.frame(k, True)), (pose, pose), SIDE)
 
-    def left(self, inverted: bool) -> LoneFrame:
-        return LoneFrame(self.frame(self.lone, inverted), inverted, self.mean_late_s)
+    def left(self, inverted: bool) -> UnpairedFrame:
+        return UnpairedFrame(self.frame(self.lone, inverted), inverted, self.mean_late_s)
 
 
 @pytest.mark.parametrize("inverted", [False, True])
@@ -183,4 +183,4 @@ def test_without_a_pair_near_it_nothing_is_said() -> None:
 def test_something_before_the_array_is_not_taken_for_data(level: int) -> None:
     film = Film((0.0, 0.0), 4)
     covered = Frame(8, 0.008, np.full((70, 70), level, np.uint8))
-    assert lone_cutout(LoneFrame(covered, False, 0.0), 4, film.seen, 0.0, GAIN, ALL_ON) is None
+    assert lone_cutout(UnpairedFrame(covered, False, 0.0), 4, film.seen, 0.0, GAIN, ALL_ON) is None

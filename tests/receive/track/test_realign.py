@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scenes import SIDE, draw, frame_of, pitch_at
 
 from heliograph.receive import Pose
-from heliograph.receive.equalise.pose_refinement import realigned
+from heliograph.receive.equalise.pose_refinement import align_by_power
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.sync.pairing import FramePair
 
@@ -41,7 +41,7 @@ def test_poses_that_are_off_go_to_where_the_differences_have_their_power(distanc
         up, down = (frame_of(0.1 + 0.8 * draw(pose, x, (0, 0), SHAPE), 0, rng) for x in (levels, 1 - levels))
         cutouts.append(take_cutout(FramePair(up, down), (wrong, wrong), SIDE))
     cutouts[5] = None
-    moved, largest = realigned(cutouts, ALL)
+    moved, largest = align_by_power(cutouts, ALL)
     assert largest == pytest.approx(np.hypot(1.3, 0.7), abs=0.4)
     assert moved[5] is None
     assert np.abs(errors(moved, pose)).max() < 0.4
@@ -50,14 +50,14 @@ def test_poses_that_are_off_go_to_where_the_differences_have_their_power(distanc
 @pytest.mark.parametrize("off", [(0.4, 0.0), (0.0, -0.4), (-1.4, 2.3), (3.3, -0.6), (0.0, 0.0)])
 def test_errors_are_found_between_pixels(off: tuple[float, float]) -> None:
     pose = pose_at(95.0)
-    moved, largest = realigned([even(pose, pose.moved(*off))], ALL)
+    moved, largest = align_by_power([even(pose, pose.moved(*off))], ALL)
     assert errors(moved, pose)[0] == pytest.approx((0, 0), abs=0.08)
     assert largest == pytest.approx(np.hypot(*off), abs=0.1)
 
 
 def test_an_error_beyond_reach_goes_as_far_as_is_looked() -> None:
     pose = pose_at(95.0)
-    moved, _ = realigned([even(pose, pose.moved(6.0, 0.0))], ALL)
+    moved, _ = align_by_power([even(pose, pose.moved(6.0, 0.0))], ALL)
     # four px, and one by the parabola at most
     assert 1.0 <= errors(moved, pose)[0, 0] <= 2.5
 
@@ -66,7 +66,7 @@ def test_each_pair_goes_by_those_about_it() -> None:
     """Eight before it and eight after it."""
     pose = pose_at(95.0)
     off = [pose.moved(2.0, 0.0)] * 20 + [pose.moved(-2.0, 0.0)] * 20
-    moved, _ = realigned([even(pose, taken) for taken in off], ALL)
+    moved, _ = align_by_power([even(pose, taken) for taken in off], ALL)
     found = errors(moved, pose)[:, 0]
     # pairs of which all within reach have the same error
     assert found[:12] == pytest.approx(np.zeros(12), abs=0.08)
@@ -81,16 +81,18 @@ def test_hidden_leds_have_no_power() -> None:
     pose, right = pose_at(50.0), ALL.copy()
     right[:, :8] = 0
     cutout = even(pose, pose, right)
-    burnt, _ = realigned([cutout], right)
+    burnt, _ = align_by_power([cutout], right)
     assert errors(burnt, pose)[0] == pytest.approx((0, 0), abs=0.08)
-    hidden, _ = realigned([Cutout(cutout.total, cutout.difference, cutout.corner, cutout.poses, in_sight=right)], ALL)
+    hidden, _ = align_by_power(
+        [Cutout(cutout.total, cutout.difference, cutout.corner, cutout.poses, in_sight=right)], ALL
+    )
     assert errors(hidden, pose)[0] == pytest.approx((0, 0), abs=0.08)
 
 
 def test_pairs_that_were_not_seen_weigh_nothing() -> None:
     pose = pose_at(95.0)
     seen = even(pose, pose.moved(0.0, 1.0))
-    moved, largest = realigned([None, seen, None, None], ALL)
+    moved, largest = align_by_power([None, seen, None, None], ALL)
     assert [one is None for one in moved] == [True, False, True, True]
     assert largest == pytest.approx(1.0, abs=0.08)
-    assert realigned([None, None], ALL) == ([None, None], 0.0)
+    assert align_by_power([None, None], ALL) == ([None, None], 0.0)

@@ -27,7 +27,7 @@ from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.observe.noise import Noise
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.receiver import StreamReceiver
-from heliograph.receive.sync.pairing import FramePair, LoneFrame, MeasuredHeader
+from heliograph.receive.sync.pairing import FramePair, MeasuredHeader, UnpairedFrame
 from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.formats import Format
@@ -113,7 +113,7 @@ class KnownReader:
         self._cutouts[place] = take_cutout(pair, poses, self._link.signal.side)
         self._gain = true_gain(first, self._link)
 
-    def take_lone(self, place: int, lone: LoneFrame) -> None:
+    def add_unpaired(self, place: int, lone: UnpairedFrame) -> None:
         """Leave a pair out of which one frame is lost; see `PacketReader`.
 
         Parameters
@@ -159,7 +159,7 @@ class KnownReader:
 
 @dataclass(frozen=True, slots=True)
 class KnownPairs:
-    """What was taken of a packet whose channel is known; see `reader_protocol.TakenPacket`.
+    """What was taken of a packet whose channel is known; see `reader_protocol.UndecodedPacket`.
 
     Attributes
     ----------
@@ -184,7 +184,7 @@ class KnownPairs:
         return self.form.format
 
     def taught(self, lesson: None) -> "KnownPairs":  # noqa: ARG002 - all is known
-        """The same: nothing is learnt; see `TakenPacket`.
+        """The same: nothing is learnt; see `UndecodedPacket`.
 
         Parameters
         ----------
@@ -194,11 +194,11 @@ class KnownPairs:
         return self
 
     def glance(self) -> bool:
-        """Nothing is faster than to decode it; see `TakenPacket`."""
+        """Nothing is faster than to decode it; see `UndecodedPacket`."""
         return False
 
     def renumbered(self, place: int) -> "KnownPairs":  # noqa: ARG002 - no frame is lost
-        """The same: no frame is lost of which the truth is known; see `TakenPacket`.
+        """The same: no frame is lost of which the truth is known; see `UndecodedPacket`.
 
         Parameters
         ----------
@@ -248,7 +248,7 @@ class _FixedPoses:
     def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "_FixedPoses":  # noqa: ARG002 - the protocol's
         return self
 
-    def relit(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "_FixedPoses":  # noqa: ARG002 - the protocol's
+    def with_led_brightness(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "_FixedPoses":  # noqa: ARG002 - the protocol's
         return self
 
 

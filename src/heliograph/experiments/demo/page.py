@@ -16,7 +16,7 @@ from heliograph.link.truth import TruthFile
 from heliograph.measure.errors import BIN_M
 from heliograph.measure.reception import Reception
 from heliograph.receive import Pose
-from heliograph.receive.geometry.window import PlacedPixels, cut_out
+from heliograph.receive.geometry.window import ImagePatch, cut_out
 from heliograph.road.read import Values, road_values, road_words
 from heliograph.signal.message import Message
 from heliograph.signal.settings import LAYERS
@@ -171,7 +171,7 @@ def _show_cuts(page: Report, recorder: TrackRecorder) -> None:
         page.figure(plots.image_row(images, names, largest=largest), f"Pattern plus inverse, cut out {title}.")
 
 
-def _sum_at(pose: Pose, up: PlacedPixels, down: PlacedPixels) -> NDArray[np.float64]:
+def _sum_at(pose: Pose, up: ImagePatch, down: ImagePatch) -> NDArray[np.float64]:
     window = round(pose.x) - CUT_PX // 2, round(pose.y) - CUT_PX // 2, CUT_PX, CUT_PX
     return cut_out(up, window) + cut_out(down, window)
 

@@ -11,7 +11,14 @@ from heliograph.experiments.detection.clutter import ClutterFilm
 from heliograph.receive import Pose
 from heliograph.receive.build import PLAIN_REGULARITY, search_parameters
 from heliograph.receive.detect.alternation import alternation_means, alternation_of, busy_blocks, coarse_search
-from heliograph.receive.detect.candidate import HIDING_BLUR, UPRIGHT_SPREAD, cell_weights, fit_near, of_size, plausible
+from heliograph.receive.detect.candidate import (
+    HIDING_BLUR,
+    UPRIGHT_SPREAD,
+    cell_weights,
+    fit_near,
+    is_in_size_range,
+    plausible,
+)
 from heliograph.receive.detect.header_bank import ALL_ON, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.pose import UPRIGHT
@@ -124,7 +131,7 @@ class VariantDetector:
         fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, UPRIGHT_SPREAD)
         if fit is None or fit.score < 0 or not plausible(fit, self._parameters, full_scale):
             return None
-        if not of_size(fit, self._parameters, self._side):
+        if not is_in_size_range(fit, self._parameters, self._side):
             return None
         return HeaderCandidate(fit.score, fit.pose, number)
 

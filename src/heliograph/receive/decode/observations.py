@@ -6,15 +6,15 @@ from typing import TypeVar
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.observe.cutout import Cutout
-from heliograph.receive.sync.pairing import LoneFrame
-from heliograph.receive.track.track import Track, hidden_since
+from heliograph.receive.sync.pairing import UnpairedFrame
+from heliograph.receive.track.track import Track, mask_occluded_retroactively
 from heliograph.receive.track.unpaired_frames import SeenPair, lone_cutout
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class KeptPairs:
+class PacketBuffer:
     """What was kept of a packet's data, by number of the pair."""
 
     # Cut-outs of pairs, in the single mode by number of the pattern
@@ -22,36 +22,36 @@ class KeptPairs:
     # Pairs in step of which both frames are there
     seen: Mapping[int, SeenPair] = field(default_factory=dict)
     # What is left of the others
-    lone: Mapping[int, LoneFrame] = field(default_factory=dict)
+    lone: Mapping[int, UnpairedFrame] = field(default_factory=dict)
 
-    def with_pair(self, place: int, cutout: Cutout, track: Track, in_step: bool) -> "KeptPairs":
+    def with_pair(self, place: int, cutout: Cutout, track: Track, in_step: bool) -> "PacketBuffer":
         """A further pair, and of the pairs before it the cut-outs without LEDs that were hidden already."""
         cutouts = {**self.cutouts, place: cutout}
         if not track.whole:
-            cutouts |= hidden_since(cutouts, place, track.in_sight)
+            cutouts |= mask_occluded_retroactively(cutouts, place, track.in_sight)
         seen = {**self.seen, place: SeenPair(track.state, cutout)} if in_step else self.seen
-        return KeptPairs(cutouts, seen, self.lone)
+        return PacketBuffer(cutouts, seen, self.lone)
 
-    def with_patterns(self, place: int, cutouts: Sequence[Cutout]) -> "KeptPairs":
+    def with_patterns(self, place: int, cutouts: Sequence[Cutout]) -> "PacketBuffer":
         """A further pair in the single mode, where both frames are patterns and neither is an inverse."""
         patterns = dict(enumerate(cutouts, len(cutouts) * place))
         return replace(self, cutouts={**self.cutouts, **patterns})
 
-    def with_lone(self, place: int, lone: LoneFrame) -> "KeptPairs":
+    def with_lone(self, place: int, lone: UnpairedFrame) -> "PacketBuffer":
         """A further pair, of which a frame is lost."""
         return replace(self, lone={**self.lone, place: lone})
 
-    def renumbered(self, place: int, pairs: int) -> "KeptPairs":
+    def renumbered(self, place: int, pairs: int) -> "PacketBuffer":
         """The same with the pairs from one on moved to the next number."""
         cutouts, seen = renumbered(self.cutouts, place, pairs), renumbered(self.seen, place, pairs)
-        return KeptPairs(cutouts, seen, renumbered(self.lone, place, pairs))
+        return PacketBuffer(cutouts, seen, renumbered(self.lone, place, pairs))
 
-    def rather(self, cutouts: Sequence[Cutout | None]) -> "KeptPairs":
+    def rather(self, cutouts: Sequence[Cutout | None]) -> "PacketBuffer":
         """The same with other cut-outs."""
         return replace(self, cutouts={k: one for k, one in enumerate(cutouts) if one is not None})
 
     @property
-    def to_decode(self) -> "KeptPairs":
+    def to_decode(self) -> "PacketBuffer":
         """What decoding asks for: where the array was, only where a frame's other half is lost."""
         return self if self.lone else replace(self, seen={})
 

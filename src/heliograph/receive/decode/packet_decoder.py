@@ -11,13 +11,13 @@ from typing import NamedTuple
 from heliograph.base.threads import one_thread
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.combining import SharedBuffer, SoftBuffer
-from heliograph.receive.decode.observations import KeptPairs
+from heliograph.receive.decode.observations import PacketBuffer
 from heliograph.receive.decode.per_led import read_led_by_led
 from heliograph.receive.decode.per_quad import read_square_by_square
 from heliograph.receive.decode.turbo_equaliser import DecodedPacket, GainAndNoise, decode_iteratively
 from heliograph.receive.decode.worker import Decoded
 from heliograph.receive.equalise.led_gains import LedGains
-from heliograph.receive.equalise.pose_refinement import ObservedPacket, realigned
+from heliograph.receive.equalise.pose_refinement import ObservedPacket, align_by_power
 from heliograph.receive.events import DecodeEvent, Observer, ignore
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.observe.noise import Noise, measure_noise, noise_beside
@@ -76,7 +76,7 @@ class ReadPacket:
         pairs = (pair for name, by in self.words.items() for pair in zip(by, others[name], strict=True))
         return any(one.status == "crc_fail" and other.status != "crc_fail" for one, other in pairs)
 
-    def or_rather(self, later: "ReadPacket") -> "ReadPacket":
+    def with_cutouts(self, later: "ReadPacket") -> "ReadPacket":
         """The later reading if it leaves fewer codewords open, else this one; with the codewords of both."""
         best = later if later.open < self.open else self
         words = {name: tuple(map(_decoded_one, by, later.words[name])) for name, by in self.words.items()}
@@ -94,11 +94,11 @@ def read_packet(first: Assumption, decode: Callable[[Assumption], DecodedPacket[
     for otherwise in (all_leds_sound, poses_by_power):
         assumed = otherwise(reading) if reading.open else None
         if assumed is not None:
-            reading = reading.or_rather(ReadPacket.of(assumed, decode(assumed)))
+            reading = reading.with_cutouts(ReadPacket.of(assumed, decode(assumed)))
     return reading
 
 
-def read_new(
+def verify_first_packet(
     first: Assumption, shown: Words | None, read: Callable[[Words | None], ReadPacket]
 ) -> tuple[ReadPacket, bool]:
     """Read a packet of an array just found, of which the equaliser must show by itself that the pose is right."""
@@ -129,7 +129,7 @@ def poses_by_power(reading: ReadPacket) -> Assumption | None:
     assumed = reading.assumed
     if reading.decoded.observed.form.single:
         return None
-    cutouts, largest_px = realigned(assumed.cutouts, assumed.led_gains.values)
+    cutouts, largest_px = align_by_power(assumed.cutouts, assumed.led_gains.values)
     return replace(assumed, cutouts=cutouts) if largest_px > PULLED_PX else None
 
 
@@ -185,8 +185,8 @@ class Light:
 
 
 @dataclass(frozen=True, slots=True)
-class TakenPairs:
-    """All that was taken of a packet; see `TakenPacket`."""
+class PacketObservations:
+    """All that was taken of a packet; see `UndecodedPacket`."""
 
     # Number of the array, 0 to 29
     identity: int
@@ -197,7 +197,7 @@ class TakenPairs:
     # Number of the format that its header signals
     mode: int
     # What was kept of its pairs
-    data: KeptPairs
+    data: PacketBuffer
     # Light of the array
     light: Light
     # Gains of its LEDs; None where nothing is known of them
@@ -216,8 +216,8 @@ class TakenPairs:
         """The packet's format, as far as its header has shown it."""
         return self.form.format
 
-    def taught(self, lesson: Lesson | None) -> "TakenPairs":
-        """The same with the LEDs' brightness by earlier packets, and whether it is proven; see `TakenPacket`."""
+    def taught(self, lesson: Lesson | None) -> "PacketObservations":
+        """The same with the LEDs' brightness by earlier packets, and whether it is proven; see `UndecodedPacket`."""
         if lesson is None:
             return self
         # what is in sight, its own header shows
@@ -225,7 +225,7 @@ class TakenPairs:
 
     @one_thread()
     def glance(self) -> bool:
-        """Whether the LEDs' positions alone tell a codeword; see `TakenPacket`."""
+        """Whether the LEDs' positions alone tell a codeword; see `UndecodedPacket`."""
         try:
             check_mode(self.mode, self.form.settings.data_pairs)
         except UnreadableModeError:
@@ -233,14 +233,14 @@ class TakenPairs:
         shown = self._led_by_led(Assumption(self._gains(), self._cutouts()), glance=True)
         return shown is not None and any(word.status == "ok" for by in shown.values() for word in by)
 
-    def renumbered(self, place: int) -> "TakenPairs":
-        """The same with the pairs from one on moved to the next number; see `TakenPacket`."""
+    def renumbered(self, place: int) -> "PacketObservations":
+        """The same with the pairs from one on moved to the next number; see `UndecodedPacket`."""
         data = self.data.renumbered(place, self.form.settings.data_pairs)
         return replace(self, data=data, reading=replace(self.reading, buffer=None))
 
     @one_thread()
     def decode(self, observe: Observer, /) -> Decoded:
-        """Codewords by layer, of all pairs kept; see `TakenPacket`."""
+        """Codewords by layer, of all pairs kept; see `UndecodedPacket`."""
         check_mode(self.mode, self.form.settings.data_pairs)
         as_kept = Assumption(self._gains(), self._cutouts())
         shown = self._led_by_led(as_kept)
@@ -266,15 +266,17 @@ class TakenPairs:
         def read_with(known: Words | None) -> ReadPacket:
             return read_packet(first, lambda assumed: self._decode(assumed, earlier, known, observe))
 
-        reading, misled = read_new(first, shown, read_with) if self._new else (read_packet(first, read), False)
+        reading, misled = (
+            verify_first_packet(first, shown, read_with) if self._new else (read_packet(first, read), False)
+        )
         if misled:
-            reading = reading.or_rather(read_packet(first, read))
+            reading = reading.with_cutouts(read_packet(first, read))
         if buffer is not None and reading.decoded.buffer is not None:
             buffer.keep(reading.decoded.buffer)
         return reading, misled
 
     def shown(self, packet: Packet, decoded: Decoded) -> DecodeEvent:
-        """The packet with the cut-outs of its pairs; see `TakenPacket`."""
+        """The packet with the cut-outs of its pairs; see `UndecodedPacket`."""
         cutouts = tuple(self._cutouts()) if decoded.cutouts is None else decoded.cutouts
         return DecodeEvent(self.identity, packet, cutouts=cutouts)
 

@@ -20,7 +20,7 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.geometry.footprint import footprints, image_of, to_grid
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import PlacedPixels, cut_out, window_around
+from heliograph.receive.geometry.window import ImagePatch, cut_out, window_around
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Words
 from heliograph.receive.settings import Equaliser
@@ -39,7 +39,7 @@ INVERSE_MARGIN_PX = 2.5
 
 
 def unblurred(
-    frames: tuple[PlacedPixels, PlacedPixels],
+    frames: tuple[ImagePatch, ImagePatch],
     poses: tuple[Pose, Pose],
     gain: float,
     side: int,
@@ -71,7 +71,7 @@ def unblurred(
 
 
 def pair_luminances(
-    frames: tuple[PlacedPixels, PlacedPixels],
+    frames: tuple[ImagePatch, ImagePatch],
     poses: tuple[Pose, Pose],
     gain: float,
     side: int,
@@ -90,7 +90,7 @@ def normalised(change: NDArray[np.float64], gain: float) -> NDArray[np.float64]:
     return 2 * change / max(gain, TINY)
 
 
-def luminances(frame: PlacedPixels, pose: Pose, side: int) -> NDArray[np.float64]:
+def luminances(frame: ImagePatch, pose: Pose, side: int) -> NDArray[np.float64]:
     """Gray level at each LED's image position, by cubic interpolation. Returns (side, side) float64."""
     return at_leds(frame.pixels, frame.origin, pose, side)
 

@@ -22,7 +22,7 @@ from heliograph.receive.decode.per_led import at_leds, normalised
 from heliograph.receive.equalise.symbols import SymbolMapper
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.packet import Words
-from heliograph.receive.sync.combine import ObservedSymbols, OutOfStep
+from heliograph.receive.sync.combine import ObservedSymbols, UnsynchronisedPacket
 from heliograph.signal import haar
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
@@ -71,7 +71,12 @@ class _Scale:
 
     @classmethod
     def fitted(
-        cls, symbols: Floats, packet: OutOfStep, expected: ObservedSymbols, mean: Floats, asked: NDArray[np.intp]
+        cls,
+        symbols: Floats,
+        packet: UnsynchronisedPacket,
+        expected: ObservedSymbols,
+        mean: Floats,
+        asked: NDArray[np.intp],
     ) -> "_Scale":
         """Amplitude and noise by some pairs' observed symbols y, (pairs, symbols) as all others."""
         y, prior = symbols[asked], mean[asked]
@@ -109,7 +114,7 @@ def read_square_by_square(
     if form.single or form.settings.modulation != "haar":
         return None
     header = form.header_pattern(identity) > SLOTS // 2
-    packet = OutOfStep.of([None if cutout is None else cutout.combination for cutout in cutouts], header)
+    packet = UnsynchronisedPacket.of([None if cutout is None else cutout.combination for cutout in cutouts], header)
     seen = np.array([cutout is not None for cutout in cutouts])
     symbols, mapper = _observed_symbols(cutouts, gain, form), SymbolMapper(form)
     layers = {name: Layer.unknown(layer) for name, layer in form.layers.items()}

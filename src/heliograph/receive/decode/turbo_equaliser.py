@@ -35,7 +35,7 @@ from heliograph.receive.observe.noise import LEAST_NOISE
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packet import Words, with_raw
 from heliograph.receive.settings import Feedback
-from heliograph.receive.sync.combine import OutOfStep
+from heliograph.receive.sync.combine import UnsynchronisedPacket
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
 
@@ -83,7 +83,7 @@ class Observed(Protocol):
     def refined(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Self:
         """Return the packet with its poses refined by what is known of the symbols; itself where none moves."""
 
-    def relit(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Self:
+    def with_led_brightness(self, mean: Floats, variance: Floats, gain: float, noise: float) -> Self:
         """Return the packet with the LEDs' brightness learnt by what is decoded; itself where it hardly changes."""
 
 
@@ -126,7 +126,7 @@ class Lines:
     leak_variance: Floats
 
     @classmethod
-    def of(cls, packet: OutOfStep, mean: Floats, variance: Floats) -> "Lines | None":
+    def of(cls, packet: UnsynchronisedPacket, mean: Floats, variance: Floats) -> "Lines | None":
         """Lines of a packet's pairs; None where any square has more than one open symbol."""
         kinds = variance.reshape(len(variance), 4, -1)
         if ((kinds >= KNOWN_VARIANCE).sum(1) > 1).any():
@@ -262,7 +262,7 @@ class _Packet:
     # (codewords,) bit per coded bit in the LLRs of the last iteration
     information: Floats
     # How pairs combined of frames out of step show their symbols; None where all are in step
-    out_of_step: OutOfStep | None = None
+    out_of_step: UnsynchronisedPacket | None = None
     # Sites of the symbols; None where these are taken as Gaussian
     propagation: ExpectationPropagation | None = None
     # The same packet as seen before
@@ -288,7 +288,7 @@ class _Packet:
         packet = cls(form, identity, options, feedback, statistics, channel, layers, mapper, none)
         combinations = [None if one is None else one.combination for one in statistics]
         if any(one is not None for one in combinations):
-            packet.out_of_step = OutOfStep.of(combinations, form.header_pattern(identity) > SLOTS // 2)
+            packet.out_of_step = UnsynchronisedPacket.of(combinations, form.header_pattern(identity) > SLOTS // 2)
         elif feedback == "propagation":
             # an observed symbol of a combined pair holds products, and so has more than two values
             packet.propagation = ExpectationPropagation.begin((len(statistics), form.settings.side**2))
@@ -337,10 +337,12 @@ class _Packet:
                 moved = False
             elif not (decoded or guessed) and (hopeless or self.gained_little(left, before, noise)):
                 # as far as this goes, unless LEDs differ
-                relit = observed.relit(*self.expected(), self.channel.gain, self.channel.noise)
-                if relit is observed or not refinements:
+                with_led_brightness = observed.with_led_brightness(
+                    *self.expected(), self.channel.gain, self.channel.noise
+                )
+                if with_led_brightness is observed or not refinements:
                     break
-                observed, moved, refinements = relit, True, refinements - 1
+                observed, moved, refinements = with_led_brightness, True, refinements - 1
                 self.replace(observed.statistics)
                 self.forget_guesses()
         return observed

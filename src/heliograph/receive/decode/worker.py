@@ -84,14 +84,14 @@ class Decoded:
     luminances: Floats | None = None
 
 
-class TakenPacket(Protocol):
+class UndecodedPacket(Protocol):
     """All that was taken of a packet: a value, which another process may decode."""
 
     @property
     def format(self) -> Format:
         """The packet's format, as far as its header has shown it."""
 
-    def taught(self, lesson: Any) -> "TakenPacket":
+    def taught(self, lesson: Any) -> "UndecodedPacket":
         """Give the same packet with what is known of the array by the packets before.
 
         They are decoded by then, where the reader may have known only of those before the last.
@@ -105,7 +105,7 @@ class TakenPacket(Protocol):
     def glance(self) -> bool:
         """Whether a codeword is right by what can be read at once, in less time than an equaliser takes."""
 
-    def renumbered(self, place: int) -> "TakenPacket":
+    def renumbered(self, place: int) -> "UndecodedPacket":
         """Give the same packet as it is if a pair is lost that the numbers do not tell of.
 
         What it teaches is not kept for later packets.
@@ -145,9 +145,9 @@ wrong. A code of rate 1/3 corrects about 17 %.
 """
 
 
-def decode_renumbered(taken: TakenPacket, pairs: int, observe: Observer) -> tuple[TakenPacket, Decoded]:
+def decode_with_missing_pair(taken: UndecodedPacket, pairs: int, observe: Observer) -> tuple[UndecodedPacket, Decoded]:
     """Decode a packet that lacks a pair nobody knows of."""
-    best: tuple[TakenPacket, Decoded] | None = None
+    best: tuple[UndecodedPacket, Decoded] | None = None
     # each in the middle of a part of the packet
     for place in np.unique((np.arange(PLACES) + 0.5) * pairs / PLACES).astype(int).tolist():
         one = taken.renumbered(place)
@@ -215,7 +215,7 @@ class DecodedPacket:
     # Why nothing was read; None where it was decoded
     failure: Exception | None = None
     # The packet with its pairs renumbered, where that is how it was decoded; None else
-    renumbered: TakenPacket | None = None
+    renumbered: UndecodedPacket | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +223,7 @@ class Work:
     """A packet to be decoded; another process may do it."""
 
     # All that was taken of the packet
-    taken: TakenPacket
+    taken: UndecodedPacket
     # Number of the array, 0 to 29
     identity: int
     # Settings of the light's signal
@@ -239,7 +239,7 @@ class Work:
         taken = self.taken.taught(lesson)
         try:
             if self.lacks_pair:
-                renumbered, decoded = decode_renumbered(taken, self.signal.data_pairs, events.append)
+                renumbered, decoded = decode_with_missing_pair(taken, self.signal.data_pairs, events.append)
             else:
                 decoded = taken.decode(events.append)
         except (np.linalg.LinAlgError, UnreadableModeError) as error:
@@ -251,20 +251,20 @@ class Work:
 
 
 @dataclass(frozen=True, slots=True)
-class Glance:
+class QuickCheck:
     """A look at a packet before it is decoded."""
 
     # All that was taken of the packet
-    taken: TakenPacket
+    taken: UndecodedPacket
 
     def __call__(self) -> bool:
         """Whether a codeword of it is right."""
         return self.taken.glance()
 
 
-def glanced(decoders: "Decoders", taken: TakenPacket) -> bool:
+def glanced(decoders: "Decoders", taken: UndecodedPacket) -> bool:
     """Whether a look at a packet shows a right codeword; waits for it."""
-    return _result(decoders.submit(Glance(taken)))
+    return _result(decoders.submit(QuickCheck(taken)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +295,7 @@ class Decoders(Protocol):
         """Decode or study a packet, now or later, after all that was submitted before."""
 
 
-class AtOnce:
+class InlineExecutor:
     """Decodes a packet when it is handed in."""
 
     def submit(self, work: Callable[[], Result], /) -> Future[Result]:
@@ -305,7 +305,7 @@ class AtOnce:
         return done
 
 
-class Beside:
+class ProcessExecutor:
     """Decodes packets in another process, the same one for all receivers of this process.
 
     A thread would do no good: following and decoding are half Python, of which one thread runs at a time.
@@ -319,9 +319,9 @@ class Beside:
 def decoders(beside: bool) -> Decoders:
     """What decodes packets."""
     if not beside:
-        return AtOnce()
+        return InlineExecutor()
     _submitted(_loaded)
-    return Beside()
+    return ProcessExecutor()
 
 
 def _submitted(work: Callable[[], Result]) -> Future[Result]:
@@ -346,13 +346,13 @@ def _loaded() -> None:
     import_module("heliograph.receive.build")
 
 
-class ComingPacket:
+class PendingPacket:
     """A packet that was seen, and is decoded or being decoded."""
 
     def __init__(
         self,
         seen: Packet,
-        taken: TakenPacket,
+        taken: UndecodedPacket,
         work: Future[DecodedPacket],
         lesson: Future[Lesson | None],
         observe: Observer,
@@ -410,7 +410,7 @@ def _result(work: Future[Result]) -> Result:
     except BrokenProcessPool:
         raise HeliographError(
             "the process that decodes packets has ended: was there too little memory? "
-            "receive.decode.beside = false decodes them in this process"
+            "receive.decode.in_background = false decodes them in this process"
         ) from None
 
 

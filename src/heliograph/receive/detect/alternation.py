@@ -91,7 +91,7 @@ class SearchParameters:
     # Most candidates fitted per search
     candidates: int
     # Part of a core's time that searches may take on average, by the count of `budget`
-    busy_part: float = 1e6
+    cpu_share: float = 1e6
     # Whether tilted and partly hidden arrays are looked for too; more clutter is taken for one of them
     impaired: bool = False
     # Whether headers are squares that blink as a whole, without an identity
@@ -295,7 +295,7 @@ PART_BLOCKS = 3000
 """Blocks of 8 x 8 pixels that it takes as long to combine and to sum up as a part takes beside its pixels: 250 us."""
 
 
-class SearchedPart(NamedTuple):
+class SearchRegion(NamedTuple):
     """A part of frames that is searched."""
 
     # (rows, columns) gray levels of what alternates
@@ -306,12 +306,12 @@ class SearchedPart(NamedTuple):
     first: Frame
 
 
-def searched_parts(
+def search_regions(
     frames: Sequence[Frame],
     busy: NDArray[np.bool_],
     largest_px: float,
     change_of: Callable[[Sequence[Frame]], NDArray[np.float32]],
-) -> list[SearchedPart]:
+) -> list[SearchRegion]:
     """The parts of frames that candidates in busy blocks are seen in, from a block's first pixel on.
 
     Blocks that are far from each other have parts of their own, where these are smaller together than one for all.
@@ -328,7 +328,7 @@ def searched_parts(
         rows, columns = (slice(span.start * BLOCK_PX, span.stop * BLOCK_PX) for span in (down, across))
         place = frames[0].origin[0] + columns.start, frames[0].origin[1] + rows.start
         cut = [replace(frame, pixels=frame.pixels[rows, columns], origin=place) for frame in frames]
-        parts.append(SearchedPart(change_of(cut), group[down, across], cut[0]))
+        parts.append(SearchRegion(change_of(cut), group[down, across], cut[0]))
     return parts
 
 

@@ -24,8 +24,8 @@ from heliograph.receive.detect.alternation import (
     ANY_SIDED,
     MAX_ONE_SIDED,
     NOT_SEARCHED,
-    SearchedPart,
     SearchParameters,
+    SearchRegion,
     coarse_search,
 )
 from heliograph.receive.detect.header_bank import Headers
@@ -58,7 +58,7 @@ AROUND_BLOCKS = 5
 chance."""
 
 
-class Surge(NamedTuple):
+class Novelty(NamedTuple):
     """What alternates about each block, in parts of what is usual there."""
 
     # (blocks down, blocks across), of a search; very large where usually nothing alternates
@@ -71,7 +71,7 @@ class Surge(NamedTuple):
     waits: NDArray[np.float32]
 
 
-class Usual:
+class RunningBaseline:
     """How much alternates about each block, in the mean of the last searches."""
 
     def __init__(self, around: int, packet_searches: float = 50.0):
@@ -81,11 +81,11 @@ class Usual:
         self._searches = self._calm = 0
         self._packet_searches = packet_searches
 
-    def calm(self) -> None:
+    def record_quiet(self) -> None:
         """Take it that nothing alternates in the frames of a search: that takes no time, and is so nearly always."""
         self._calm += 1
 
-    def surge(self, change: NDArray[np.float32], origin: tuple[int, int]) -> Surge:
+    def novelty_of(self, change: NDArray[np.float32], origin: tuple[int, int]) -> Novelty:
         """Take what alternates in the frames of a search, and compare it with what usually does."""
         around = np.asarray(cv2.blur(change, (self._around, self._around)), np.float32)
         if (around.shape, origin) != (self._mean.shape, self._origin):
@@ -100,27 +100,27 @@ class Usual:
         now = np.asarray(around / np.maximum(self._mean, np.float32(TINY)), np.float32)
         kept = np.where(now > ANEW, np.float32(1), np.float32(USUAL_WEIGHT))
         self._mean = self._mean + kept * (around - self._mean)
-        surge, self._before = Surge(now, self._before, self._searches <= EARLY_SEARCHES, self._waits), now
-        return surge
+        novelty_of, self._before = Novelty(now, self._before, self._searches <= EARLY_SEARCHES, self._waits), now
+        return novelty_of
 
     def searched(self, blocks: NDArray[np.bool_]) -> None:
         """Take the blocks that are searched now; the next search may see the rest of a header in them."""
         self._waits[self._searched], self._searched = 0, blocks
 
 
-class UsualAlternation:
+class NoveltyFilter:
     """Where as much more alternates than usual as in a header, and that soon before."""
 
     def __init__(self, modulation: str, packet_searches: float = 50.0):
         self._least, self._most = (OOK_SURGE, OOK_SURGE) if modulation == "ook" else (LEAST_SURGE, SURGE)
-        self._usual = Usual(AROUND_BLOCKS, packet_searches)
+        self._usual = RunningBaseline(AROUND_BLOCKS, packet_searches)
         self.searched = self._usual.searched
 
-    def calm(self) -> None:
-        """Take it that nothing alternates; see `Usual`."""
-        self._usual.calm()
+    def record_quiet(self) -> None:
+        """Take it that nothing alternates; see `RunningBaseline`."""
+        self._usual.record_quiet()
 
-    def surges(
+    def novel_blocks(
         self, change: NDArray[np.float32], origin: tuple[int, int], scarcity: float
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float32]]:
         """Take what alternates in the frames of a search; tell where that is as much more than usual as a header's.
@@ -128,7 +128,7 @@ class UsualAlternation:
         A search that sees a header too late to fit it leaves it to the next one, in which it surges no more: so what
         surged by the most that is asked for, or strikes, does so for one more search.
         """
-        now, before, early, waits = self._usual.surge(change, origin)
+        now, before, early, waits = self._usual.novelty_of(change, origin)
         least = self._least + scarcity * (self._most - self._least)
         novelty = np.maximum(now, before)
         return (now > least) | (before > self._most) | early, novelty > SURGE, novelty, waits
@@ -245,12 +245,12 @@ class SearchLoad:
 class Budget:
     """Work that the searches of a stream of frames may do."""
 
-    def __init__(self, busy_part: float, period_s: float):
-        per_s = busy_part * 1e3 * WORK_PER_MS
-        self.bounded = busy_part < UNBOUNDED_PART
+    def __init__(self, cpu_share: float, period_s: float):
+        per_s = cpu_share * 1e3 * WORK_PER_MS
+        self.bounded = cpu_share < UNBOUNDED_PART
         self._rate, self._most, self._ample_part = per_s * period_s, SAVED_S * per_s, AMPLE_PART
         short = min(FIRST_SHORT_MS * WORK_PER_MS, 2 * (1 - AMPLE_PART) * self._most)
-        self._is_patient = busy_part >= PATIENT_PART
+        self._is_patient = cpu_share >= PATIENT_PART
         if self._is_patient:
             self._most, self._ample_part, short = max(PATIENT_WORK, PATIENT_S * per_s), PATIENT_AMPLE_PART, 0.0
         self._left = self._most - short
@@ -350,7 +350,7 @@ class Budget:
     def choose(
         self,
         busy: NDArray[np.bool_],
-        surges: NDArray[np.bool_],
+        novel_blocks: NDArray[np.bool_],
         novelty: NDArray[np.float32],
         waits: NDArray[np.float32],
         share: float = 1.0,
@@ -358,7 +358,7 @@ class Budget:
         """Choose the blocks that the next search looks at; those left out for want of time are counted."""
         if self.ample:
             return busy
-        eligible = busy & surges
+        eligible = busy & novel_blocks
         if self.short:
             eligible &= waits > RESEARCH_PACKETS
         chosen = _most_novel(eligible, novelty, self.blocks(share))
@@ -371,7 +371,7 @@ class Budget:
         self.load += SearchLoad(blocks=blocks)
 
 
-class BoundedSearch:
+class BudgetedSearch:
     """Coarse search for some headers within a budget; where it breaks off, the next one goes on."""
 
     def __init__(self, parameters: SearchParameters, headers: Headers, budget: Budget):
@@ -381,7 +381,7 @@ class BoundedSearch:
         # where on the sensor parts broke off, row and column of the block
         self._next = list[tuple[int, int]]()
 
-    def candidates(self, parts: Sequence[SearchedPart]) -> list[NDArray[np.float64]]:
+    def candidates(self, parts: Sequence[SearchRegion]) -> list[NDArray[np.float64]]:
         """Best candidates of each part, (candidates, 5) as `coarse.Searched` has them."""
         parameters, out, begun = self.parameters, list[NDArray[np.float64]](), self._next
         self.compared, self._next, most = False, [], self._budget.coarse

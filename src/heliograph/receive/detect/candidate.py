@@ -232,7 +232,7 @@ def plausible(fit: Fit, parameters: SearchParameters, full_scale: int) -> bool:
     return bool(bright and turned)
 
 
-def of_size(fit: Fit, parameters: SearchParameters, side: int) -> bool:
+def is_in_size_range(fit: Fit, parameters: SearchParameters, side: int) -> bool:
     """Whether the size of a fit is that of an array looked for."""
     smallest, largest = size_limits(parameters.min_side_px, parameters.max_side_px)
     return smallest <= side * fit.pose.pitch <= largest

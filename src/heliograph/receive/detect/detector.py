@@ -28,23 +28,23 @@ from numpy.typing import NDArray
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import (
     DIFFERENCE,
-    SearchedPart,
     SearchParameters,
+    SearchRegion,
     alternation_means,
     alternation_of,
     busy_blocks,
     combined,
     combined_means,
-    searched_parts,
+    search_regions,
 )
 from heliograph.receive.detect.budget import (
     FIT_WORK,
     LITTLE_SCORE,
-    BoundedSearch,
     Budget,
+    BudgetedSearch,
+    NoveltyFilter,
+    RunningBaseline,
     SearchLoad,
-    Usual,
-    UsualAlternation,
 )
 from heliograph.receive.detect.candidate import (
     CANDIDATE_MARGIN_PX,
@@ -62,11 +62,19 @@ from heliograph.receive.detect.candidate import (
     fit_moving,
     fit_near,
     followed,
-    of_size,
+    is_in_size_range,
     plausible,
 )
 from heliograph.receive.detect.detection import HIDDEN_REGULARITY, Detection, distinct
-from heliograph.receive.detect.frame_window import Due, DueFrames, Slots, alike, begin_of, filled, first_there
+from heliograph.receive.detect.frame_window import (
+    FrameWindow,
+    FrameWindowBuffer,
+    SearchJob,
+    alike,
+    filled,
+    find_header_start,
+    first_present,
+)
 from heliograph.receive.detect.header_bank import ALL_ON, Headers, Hypothesis, headers
 from heliograph.receive.detect.region import Candidate, candidates_of
 from heliograph.receive.geometry.fit import Fit, header_amplitudes
@@ -119,7 +127,7 @@ class Detector:
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None = None):
         self._parameters, self._side = parameters, signal.side
-        self.budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
+        self.budget, self._earns = budget or Budget(parameters.cpu_share, signal.pattern_period_s), budget is None
         # a lit square may be anything's; a tilted one all the more
         tilted = parameters.impaired and not parameters.all_on
         # corners by hand are off by some px, which is a tilt of a far array
@@ -131,12 +139,12 @@ class Detector:
         # turned headers are looked for where there is no upright one: an array that is hard to see might be either
         turned = headers(ORIENTATIONS[1:])
         sought = (ALL_ON,) if parameters.all_on else (headers((UPRIGHT,), ORIENTATIONS[1:]), turned)
-        self._coarse = tuple(BoundedSearch(parameters, one, self.budget) for one in sought)
+        self._coarse = tuple(BudgetedSearch(parameters, one, self.budget) for one in sought)
         self._rolled = self._at_rolls(sought)
         # data look otherwise to a search that begins with an inverse
-        self._usual = tuple(UsualAlternation(signal.modulation, signal.packet_patterns / 2) for _ in range(2))
+        self._usual = tuple(NoveltyFilter(signal.modulation, signal.packet_patterns / 2) for _ in range(2))
         self._span = min(self._header, 4)
-        self._frames = DueFrames(self._header, self._span, signal.packet_patterns)
+        self._frames = FrameWindowBuffer(self._header, self._span, signal.packet_patterns)
 
     def start(self, period_s: float) -> None:
         """Begin; the frames are taken to come one per pattern, whatever the period; see `HeaderSearch`."""
@@ -144,7 +152,7 @@ class Detector:
     def settle(self, orientation: Orientation) -> None:
         """Look for one orientation alone from now on; see `HeaderSearch`."""
         if not self._parameters.all_on:
-            self._coarse = (BoundedSearch(self._parameters, headers((orientation,)), self.budget),)
+            self._coarse = (BudgetedSearch(self._parameters, headers((orientation,)), self.budget),)
             self._rolled = self._at_rolls((headers((orientation,)),))
 
     @property
@@ -164,43 +172,43 @@ class Detector:
             change, known = self.change(due.slots), [*taken, *(one.fit.pose for one in found)]
             if change is None:
                 continue
-            busy, strikes = self.worth_searching(due.slots, change, self.busy(due.slots, change, known))
+            busy, strikes = self.select_blocks(due.slots, change, self.busy(due.slots, change, known))
             if self.budget.begins(busy, strikes):
                 found += self.search(due.slots, busy, known, due.turned)
         return found
 
-    def due(self, frame: Frame) -> list[Due]:
+    def due(self, frame: Frame) -> list[SearchJob]:
         """Take the next frame; give the last ones as often as they are to be searched now."""
         if self._earns:
             self.budget.earn()
         return self._frames.push(frame)
 
-    def change(self, slots: Slots) -> NDArray[np.float32] | None:
+    def change(self, slots: FrameWindow) -> NDArray[np.float32] | None:
         """How much alternates in frames to be searched."""
         header = self._frames.header_of(slots)
         if header is None or min(header[0].pixels.shape) < self._sides[0]:
             return None
         return alternation_means(header)
 
-    def busy(self, slots: Slots, change: NDArray[np.float32], taken: Sequence[Pose]) -> NDArray[np.bool_]:
+    def busy(self, slots: FrameWindow, change: NDArray[np.float32], taken: Sequence[Pose]) -> NDArray[np.bool_]:
         """Where something alternates beside the arrays followed, (blocks down, blocks across)."""
-        first = first_there(slots)
+        first = first_present(slots)
         parameters = self._parameters
         return busy_blocks(change, first, taken, self._side, parameters.min_contrast, parameters.everywhere)
 
-    def worth_searching(
-        self, slots: Slots, change: NDArray[np.float32], busy: NDArray[np.bool_]
+    def select_blocks(
+        self, slots: FrameWindow, change: NDArray[np.float32], busy: NDArray[np.bool_]
     ) -> tuple[NDArray[np.bool_], bool]:
         """Busy blocks but those that are left out to save time; to be asked once for frames."""
         if not self.budget.bounded:
             return busy, False
-        first = first_there(slots)
+        first = first_present(slots)
         usual = self._usual[first.index % 2]
         if not busy.any():
-            usual.calm()
+            usual.record_quiet()
             return busy, False
-        surges, strikes, novelty, waits = usual.surges(change, first.origin, self.budget.scarcity)
-        searched = self.budget.choose(busy, surges, novelty, waits)
+        novel_blocks, strikes, novelty, waits = usual.novel_blocks(change, first.origin, self.budget.scarcity)
+        searched = self.budget.choose(busy, novel_blocks, novelty, waits)
         usual.searched(searched)
         return searched, bool((searched & strikes).any())
 
@@ -208,17 +216,19 @@ class Detector:
         """Coarse searches of frames."""
         return len(self._coarse) if turned else 1
 
-    def alternating(self, slots: Slots, busy: NDArray[np.bool_], around_px: float) -> list[NDArray[np.float32]]:
+    def alternating(self, slots: FrameWindow, busy: NDArray[np.bool_], around_px: float) -> list[NDArray[np.float32]]:
         """What alternates in frames that are due, where it does."""
         header = self._frames.header_of(slots)
-        return [one.change for one in searched_parts(header, busy, around_px, alternation_of)] if header else []
+        return [one.change for one in search_regions(header, busy, around_px, alternation_of)] if header else []
 
-    def search(self, slots: Slots, busy: NDArray[np.bool_], taken: Sequence[Pose], turned: bool) -> list[Detection]:
+    def search(
+        self, slots: FrameWindow, busy: NDArray[np.bool_], taken: Sequence[Pose], turned: bool
+    ) -> list[Detection]:
         """Look for headers in frames."""
         header = self._frames.header_of(slots)
         if header is None or not busy.any():
             return []
-        parts = searched_parts(header, busy, self._sides[-1], alternation_of)
+        parts = search_regions(header, busy, self._sides[-1], alternation_of)
         found = list[Detection]()
         stages = [[(coarse, 0.0)] for coarse in self._coarse[: self.parts(turned)]]
         for k, searches in enumerate([*stages, *(self._rolled if turned else ())]):
@@ -243,15 +253,15 @@ class Detector:
             compared = any(coarse.compared for coarse, _ in searches)
             if (found and all(one.clear for one in found)) or not compared:
                 break
-        sized = [one for one in found if of_size(one.fit, self._parameters, self._side)]
+        sized = [one for one in found if is_in_size_range(one.fit, self._parameters, self._side)]
         if len(sized) < len(found):
             # one in clear sight that is none of these sizes is looked for on another level
             self.budget.expect()
         return sized
 
     def _candidates(
-        self, parts: Sequence[SearchedPart], searches: Sequence[tuple[BoundedSearch, float]]
-    ) -> list[tuple[Candidate, SearchedPart, Headers]]:
+        self, parts: Sequence[SearchRegion], searches: Sequence[tuple[BudgetedSearch, float]]
+    ) -> list[tuple[Candidate, SearchRegion, Headers]]:
         """The best candidates of several searches, each with its part and the headers that it may be."""
         found = [
             (one, part, coarse.headers)
@@ -264,7 +274,7 @@ class Detector:
         found = [one for one in found if abs(one[0].score) >= LITTLE_SCORE]
         return sorted(found, key=lambda one: -abs(one[0].score))[: self._parameters.candidates]
 
-    def _at_rolls(self, sought: Sequence[Headers]) -> list[list[tuple[BoundedSearch, float]]]:
+    def _at_rolls(self, sought: Sequence[Headers]) -> list[list[tuple[BudgetedSearch, float]]]:
         """Searches for rolled arrays, each with its roll in rad; none of a pose that was given or of squares."""
         parameters = self._parameters
         if parameters.all_on or parameters.start is not None:
@@ -272,7 +282,7 @@ class Detector:
         # a turned header that is rolled one way is another turned one, rolled the other way
         return [
             [
-                (BoundedSearch(parameters, one, self.budget), math.radians(roll))
+                (BudgetedSearch(parameters, one, self.budget), math.radians(roll))
                 for roll in parameters.rolls_deg
                 if roll > 0 or len(one.cells) == IDENTITIES
             ]
@@ -281,8 +291,8 @@ class Detector:
 
     def _refine(
         self,
-        slots: Slots,
-        part: SearchedPart,
+        slots: FrameWindow,
+        part: SearchRegion,
         candidate: Candidate,
         searched: Headers,
         taken: Sequence[Pose],
@@ -307,7 +317,7 @@ class Detector:
             pose = replace(rough.pose, blur=blur)
             if start.roll and self._parameters.start is None:
                 pose = self._rolled_pose(part, pose, math.copysign(1.0, score) * weights, tilt)
-            begun = begin_of(slots, pose, weights, self._header)
+            begun = find_header_start(slots, pose, weights, self._header)
             if begun is None:
                 # whatever its tilt
                 break
@@ -318,7 +328,7 @@ class Detector:
                 break
         return [] if best is None else [best]
 
-    def _rolled_pose(self, part: SearchedPart, pose: Pose, weights: NDArray[np.float64], tilt: float) -> Pose:
+    def _rolled_pose(self, part: SearchRegion, pose: Pose, weights: NDArray[np.float64], tilt: float) -> Pose:
         """Pose of a rolled candidate, by fits that each start from the last one."""
         for _ in range(ROLLED_FITS):
             self.budget.spend(FIT_WORK)
@@ -330,7 +340,7 @@ class Detector:
 
     def _fitted(
         self,
-        slots: Slots,
+        slots: FrameWindow,
         begun: tuple[int, float],
         pose: Pose,
         weights: NDArray[np.float64],
@@ -359,7 +369,7 @@ class Detector:
         start_s, middle = self._start_s(there), 0.5 * (header[0].time_s + header[-1].time_s)
         (number, seen_as), *others = hypotheses
         found = Detection(number, start_s, fit, middle, fit.score, regularity, led_gains, seen_as, tuple(others))
-        if not of_size(fit, self._parameters, self._side):
+        if not is_in_size_range(fit, self._parameters, self._side):
             return found
         if None not in there[:2] and self._parameters.impaired and self._span > 2:
             fit, header = fit_first_pair(header, fit, led_gains * weights, LEVEL_SPREAD if level else tilt)
@@ -372,13 +382,13 @@ class Detector:
         fit = fit_moving(header, fit, led_gains * weights, LEVEL_SPREAD if level else tilt, moved)
         return replace(found, fit=fit, time_s=middle, score=fit.score, drift=drift)
 
-    def _start_s(self, header: Slots) -> float:
+    def _start_s(self, header: FrameWindow) -> float:
         """Time of a header's first frame, by the first that is there."""
         first, frame = next((k, frame) for k, frame in enumerate(header) if frame is not None)
         return frame.time_s - first * self._period_s
 
     def _convincing(self, fit: Fit, least: float, full_scale: int) -> bool:
-        sized = fit.score >= CLEAR or of_size(fit, self._parameters, self._side)
+        sized = fit.score >= CLEAR or is_in_size_range(fit, self._parameters, self._side)
         return sized and plausible(fit, self._parameters, full_scale) and fit.score >= least
 
 
@@ -391,7 +401,7 @@ QUIET = 0.3
 """Most that changes within a header, as a fraction of what changes over it.
 
 A camera out of step by x T_b sees |1 - 2 x| of the header change within it. Of one header at each of 30, 50 and 90 m
-`StraddledDetector` found all where |1 - 2 x| was 0.2 or less, and `Detector` all, once each, where it was 0.12 or more.
+`HalfPeriodDetector` found all where |1 - 2 x| was 0.2 or less, and `Detector` all, once each, from 0.12 on.
 Frames of data change as much from one to the next as over N patterns. Of noise alone it would be 0.45 for N = 4.
 """
 
@@ -427,7 +437,7 @@ array with all LEDs on; and the number of extreme cells ignored at either end. E
 Lamps that change before and after are uneven within, and mostly dark."""
 
 
-class StraddledDetector:
+class HalfPeriodDetector:
     """Looks for headers whose frames straddle two patterns each, in a stream of one frame per pattern."""
 
     def __init__(self, parameters: SearchParameters, signal: SignalSettings, budget: Budget | None = None):
@@ -437,9 +447,9 @@ class StraddledDetector:
         self._sides = parameters.sides()
         # turned ones are looked for only once the camera is known to see them so
         upright = headers((UPRIGHT,), ORIENTATIONS[1:])
-        self._budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
-        self._coarse = BoundedSearch(parameters, ALL_ON if parameters.all_on else upright, self._budget)
-        self._usual = tuple(Usual(STRADDLED_BLOCKS, signal.packet_patterns / 2) for _ in range(2))
+        self._budget, self._earns = budget or Budget(parameters.cpu_share, signal.pattern_period_s), budget is None
+        self._coarse = BudgetedSearch(parameters, ALL_ON if parameters.all_on else upright, self._budget)
+        self._usual = tuple(RunningBaseline(STRADDLED_BLOCKS, signal.packet_patterns / 2) for _ in range(2))
         self._frames: deque[Frame] = deque(maxlen=self._header + 1)
 
     @property
@@ -450,7 +460,7 @@ class StraddledDetector:
     def settle(self, orientation: Orientation) -> None:
         """Look for one orientation alone from now on; see `HeaderSearch`."""
         if not self._parameters.all_on:
-            self._coarse = BoundedSearch(self._parameters, headers((orientation,)), self._budget)
+            self._coarse = BudgetedSearch(self._parameters, headers((orientation,)), self._budget)
 
     def push(self, frame: Frame, taken: Sequence[Pose] = ()) -> list[Detection]:
         """Take the next frame; see `HeaderSearch`."""
@@ -473,20 +483,20 @@ class StraddledDetector:
         )
         usual = self._usual[frames[0].index % 2]
         if not busy.any():
-            usual.calm()
+            usual.record_quiet()
             return []
         within = combined_means([*frames[1:3], *frames[1:3]], DIFFERENCE)
         # the latter are of twice what changes
         quiet = within < 0.5 * QUIET * means
         if self._budget.bounded:
-            now, _, early, waits = usual.surge(means, frames[0].origin)
+            now, _, early, waits = usual.novelty_of(means, frames[0].origin)
             busy = self._budget.choose(busy & quiet, (now > STRADDLED_SURGE) | early, now, waits, SHARE)
             usual.searched(busy)
         else:
             busy &= quiet
         if not self._budget.begins(busy, share=SHARE):
             return []
-        parts = searched_parts(ends, busy, self._sides[-1], lambda part: combined(part, weights))
+        parts = search_regions(ends, busy, self._sides[-1], lambda part: combined(part, weights))
         found = list[Detection | None]()
         for one, part in candidates_of(parts, self._coarse, self._side):
             if one.score > 0 and self._budget.fit():
@@ -496,7 +506,7 @@ class StraddledDetector:
     def _fit(
         self,
         frames: Sequence[Frame],
-        part: SearchedPart,
+        part: SearchRegion,
         candidate: Candidate,
         taken: Sequence[Pose],
     ) -> Detection | None:
@@ -509,7 +519,7 @@ class StraddledDetector:
         fit = fit_near(part.change, part.first.origin, start, weights, LEVEL_SPREAD)
         if fit is None or fit.score < DATA_SCORE * parameters.score:
             return None
-        if not (plausible(fit, parameters, frames[0].full_scale) and of_size(fit, parameters, self._side)):
+        if not (plausible(fit, parameters, frames[0].full_scale) and is_in_size_range(fit, parameters, self._side)):
             return None
         regularity = self._regularity(frames, fit, weights)
         if regularity < parameters.regularity or not self._lit_within(frames, fit):

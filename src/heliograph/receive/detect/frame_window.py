@@ -14,7 +14,7 @@ from heliograph.receive.geometry.fit import header_amplitudes
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import common
 
-Slots = Sequence[Frame | None]
+FrameWindow = Sequence[Frame | None]
 """Frames of successive patterns, None for those that are missing."""
 
 FAR_PAST_S = 1e9
@@ -36,17 +36,19 @@ Shown = TypeVar("Shown")
 
 
 @dataclass(frozen=True, slots=True)
-class Due:
+class SearchJob:
     """Frames that are to be searched now."""
 
     # Frames of successive patterns, of one size and place; None stands for those that are missing
-    slots: Slots
+    slots: FrameWindow
     # Whether turned headers are due too, in every other search: a header that one search alone sees is found by the
     # other ones a packet later
     turned: bool
 
 
-def begin_of(slots: Slots, pose: Pose, weights: NDArray[np.float64], header: int) -> tuple[int, float] | None:
+def find_header_start(
+    slots: FrameWindow, pose: Pose, weights: NDArray[np.float64], header: int
+) -> tuple[int, float] | None:
     """Where a header begins: the start at which its frames alternate most."""
     amplitudes = iter(header_amplitudes([frame for frame in slots if frame is not None], pose, weights).tolist())
     shown = [None if frame is None else next(amplitudes) for frame in slots]
@@ -73,7 +75,7 @@ def filled(header: Sequence[Shown | None]) -> list[Shown] | None:
     return None if None in out else [one for one in out if one is not None]
 
 
-def in_common(slots: Slots) -> list[Frame | None]:
+def crop_to_common(slots: FrameWindow) -> list[Frame | None]:
     """Cut the frames that are there to the part of the sensor that all of them show."""
     shown = iter(common([frame for frame in slots if frame is not None]))
     return [None if frame is None else next(shown) for frame in slots]
@@ -89,12 +91,12 @@ def alike(last: Frame, frame: Frame) -> bool:
     return last.pixels.dtype == frame.pixels.dtype and last.bits == frame.bits
 
 
-def first_there(slots: Slots) -> Frame:
+def first_present(slots: FrameWindow) -> Frame:
     """The first frame that is not missing."""
     return next(frame for frame in slots if frame is not None)
 
 
-class DueFrames:
+class FrameWindowBuffer:
     """The last frames of a stream of one frame per pattern, as many as hold a header wherever it begins."""
 
     def __init__(self, header: int, span: int, packet_patterns: int):
@@ -108,7 +110,7 @@ class DueFrames:
         """Those that are not missing, oldest first."""
         return [frame for frame in self._frames if frame is not None]
 
-    def push(self, frame: Frame) -> list[Due]:
+    def push(self, frame: Frame) -> list[SearchJob]:
         """Take the next frame; give the last ones as often as they are to be searched now."""
         lost = frame.index - self._next
         last = self._frames[-1] if self._frames else None
@@ -118,7 +120,7 @@ class DueFrames:
             lost = self._searches = 0
             # a header may begin with the first frame: let that frame stand for those before it
             self._frames.extend(before(frame, SLACK))
-        out = list[Due]()
+        out = list[SearchJob]()
         for one in [*([None] * lost), frame]:
             self._frames.append(one)
             self._next = frame.index + 1 if one is frame else self._next + 1
@@ -127,10 +129,10 @@ class DueFrames:
             # every second place is enough, but not where frames are missing
             due = (self._next - 1) % self.every == 0 or any(kept is None for kept in self._frames)
             if due and self.header_of(self._frames) is not None:
-                out.append(Due(in_common(self._frames), self._turned()))
+                out.append(SearchJob(crop_to_common(self._frames), self._turned()))
         return out
 
-    def header_of(self, slots: Slots) -> list[Frame] | None:
+    def header_of(self, slots: FrameWindow) -> list[Frame] | None:
         """The frames that are to show a header's beginning; None where too many are missing."""
         return filled([*slots][SLACK : SLACK + self._span])
 

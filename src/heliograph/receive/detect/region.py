@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import TINY
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
-from heliograph.receive.detect.alternation import RING, SearchedPart, coarse_search
-from heliograph.receive.detect.budget import BoundedSearch, SearchLoad
+from heliograph.receive.detect.alternation import RING, SearchRegion, coarse_search
+from heliograph.receive.detect.budget import BudgetedSearch, SearchLoad
 from heliograph.receive.detect.candidate import CANDIDATE_MARGIN_PX, cell_light
 from heliograph.receive.detect.detection import Detection, HeaderSearch
 from heliograph.receive.detect.kernels import BLOCK_PX
@@ -61,14 +61,14 @@ def pose_of(corners: Sequence[float], side: int, blur: float) -> Pose:
 
 
 def candidates_of(
-    parts: Sequence[SearchedPart], coarse: BoundedSearch, side: int, roll: float = 0.0
-) -> list[tuple[Candidate, SearchedPart]]:
+    parts: Sequence[SearchRegion], coarse: BudgetedSearch, side: int, roll: float = 0.0
+) -> list[tuple[Candidate, SearchRegion]]:
     """Candidates: the best of the coarse search or, around a given pose, arrays turned and tilted alike."""
     if coarse.parameters.start is not None:
         start = coarse.parameters.start
         return [(one, part) for part in parts for one in _given(part, coarse, start, side)]
     blur = coarse.parameters.blur_px
-    found = list[tuple[Candidate, SearchedPart]]()
+    found = list[tuple[Candidate, SearchRegion]]()
     turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
     drawn = [_upright(part, turn) if roll else _as_it_is(part) for part in parts]
     for part, (_, map_), rows in zip(parts, drawn, coarse.candidates([one for one, _ in drawn]), strict=True):
@@ -79,12 +79,12 @@ def candidates_of(
     return sorted(found, key=lambda one: -abs(one[0].score))[: coarse.parameters.candidates]
 
 
-def _as_it_is(part: SearchedPart) -> tuple[SearchedPart, NDArray[np.float64]]:
+def _as_it_is(part: SearchRegion) -> tuple[SearchRegion, NDArray[np.float64]]:
     """A part to be searched for upright arrays, and the map (2, 3) from its pixels to the sensor."""
     return part, np.column_stack([np.eye(2), part.first.origin])
 
 
-def _upright(part: SearchedPart, turn: NDArray[np.float64]) -> tuple[SearchedPart, NDArray[np.float64]]:
+def _upright(part: SearchRegion, turn: NDArray[np.float64]) -> tuple[SearchRegion, NDArray[np.float64]]:
     """A part as it would look if arrays of an image (2, 2) were upright, and the map (2, 3) from it to the sensor."""
     rows, columns = part.change.shape
     # about the middles of both
@@ -97,10 +97,10 @@ def _upright(part: SearchedPart, turn: NDArray[np.float64]) -> tuple[SearchedPar
     within = (x >= 0) & (y >= 0) & (x < part.busy.shape[1]) & (y < part.busy.shape[0])
     busy = within & part.busy[np.where(within, y, 0).astype(int), np.where(within, x, 0).astype(int)]
     on_sensor = map_ + np.column_stack([np.zeros((2, 2)), part.first.origin])
-    return SearchedPart(np.asarray(change, np.float32), busy, replace(part.first, origin=(0, 0))), on_sensor
+    return SearchRegion(np.asarray(change, np.float32), busy, replace(part.first, origin=(0, 0))), on_sensor
 
 
-def _given(part: SearchedPart, coarse: BoundedSearch, start: Pose, side: int) -> list[Candidate]:
+def _given(part: SearchRegion, coarse: BudgetedSearch, start: Pose, side: int) -> list[Candidate]:
     """Candidates turned and tilted as a pose, and that pose itself.
 
     The coarse search takes arrays for upright. So what alternates is drawn as it would look if the given array were
@@ -133,7 +133,7 @@ def _within(change: NDArray[np.float32], origin: tuple[int, int], pose: Pose, si
     return left >= 0 and top >= 0 and left + width <= columns and top + height <= rows
 
 
-class GivenSearch:
+class RegionSearch:
     """A search of a part of the frames: the region given, and what lies about the arrays followed last."""
 
     def __init__(self, search: HeaderSearch, region: Window, side: int):

@@ -22,8 +22,8 @@ from heliograph.base.frames import Frame, Pixels
 from heliograph.receive.detect.alternation import PART_LIT, RING, SIDE_STEP, SearchParameters
 from heliograph.receive.detect.budget import Budget, SearchLoad
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.detect.detector import Detector, StraddledDetector
-from heliograph.receive.detect.frame_window import Due, Slots, first_there, in_common
+from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
+from heliograph.receive.detect.frame_window import FrameWindow, SearchJob, crop_to_common, first_present
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.geometry.pose import Orientation, Pose
 from heliograph.receive.geometry.view import View, halved, reduced_blur
@@ -64,7 +64,7 @@ class PyramidSearch:
         levels = level_parameters(parameters, signal.side)
         self._least = ROUNDED * PART_LIT * parameters.min_contrast
         self._reduced: dict[tuple[object, ...], list[Frame]] = {}
-        self._budget, self._earns = budget or Budget(parameters.busy_part, signal.pattern_period_s), budget is None
+        self._budget, self._earns = budget or Budget(parameters.cpu_share, signal.pattern_period_s), budget is None
         self._levels = [(View(k), Detector(one, signal, self._budget)) for k, one in enumerate(levels)]
         self._smallest_px = [2**k * one.min_side_px for k, one in enumerate(levels)][1:]
 
@@ -95,7 +95,7 @@ class PyramidSearch:
             found += self._search(due, [*taken, *(one.fit.pose for one in found)])
         return found
 
-    def _search(self, due: Due, taken: Sequence[Pose]) -> list[Detection]:
+    def _search(self, due: SearchJob, taken: Sequence[Pose]) -> list[Detection]:
         """Search frames on all levels."""
         finest = self._levels[0][1]
         change = finest.change(due.slots)
@@ -103,7 +103,7 @@ class PyramidSearch:
             return []
         # what alternates on a level alternates in the frames themselves
         alternating = finest.busy(due.slots, change, taken)
-        busy, strikes = finest.worth_searching(due.slots, change, alternating)
+        busy, strikes = finest.select_blocks(due.slots, change, alternating)
         if not self._budget.begins(busy, strikes):
             return []
         left = alternating & ~busy
@@ -127,7 +127,7 @@ class PyramidSearch:
                 found.append(replace(one, fit=view.fit_out(one.fit), drift=view.motion_out(one.drift)))
         return found
 
-    def _shown(self, slots: Slots, busy: NDArray[np.bool_]) -> int:
+    def _shown(self, slots: FrameWindow, busy: NDArray[np.bool_]) -> int:
         """Coarsest level on which something may alternate that is as large as an array there.
 
         What alternates is reduced instead of the frames, and only where it is.
@@ -137,14 +137,14 @@ class PyramidSearch:
         changes = self._levels[0][1].alternating(slots, busy, AROUND_PX) if most else []
         if not changes:
             return 0
-        least = self._least * first_there(slots).full_scale
+        least = self._least * first_present(slots).full_scale
         for level in range(most):
             changes = [np.asarray(cv2.pyrDown(change), np.float32) for change in changes]
             if all(_block_means(change).max() <= least for change in changes):
                 return level
         return most
 
-    def _slots(self, slots: Slots, level: int) -> Slots:
+    def _slots(self, slots: FrameWindow, level: int) -> FrameWindow:
         """Frames that are due, as a level has them; none where they are too small for it."""
         if level == 0:
             return slots
@@ -152,7 +152,7 @@ class PyramidSearch:
         self._reduced = {_name(one): self._reduced.get(_name(one)) or self._seen(one) for one in there}
         if any(len(seen) <= level for seen in self._reduced.values()):
             return []
-        return in_common([None if one is None else self._reduced[_name(one)][level] for one in slots])
+        return crop_to_common([None if one is None else self._reduced[_name(one)][level] for one in slots])
 
     def _seen(self, frame: Frame) -> list[Frame]:
         """The frame on each level that it has pixels for; on reduced ones with a rim, as a near array may fill it."""
@@ -182,10 +182,10 @@ def level_parameters(parameters: SearchParameters, side: int) -> list[SearchPara
 
 
 def _but_left(
-    left: NDArray[np.bool_], searched: NDArray[np.bool_], slots: Slots, seen: Slots, level: int
+    left: NDArray[np.bool_], searched: NDArray[np.bool_], slots: FrameWindow, seen: FrameWindow, level: int
 ) -> NDArray[np.bool_]:
     """Blocks of a level but those that hold blocks left out and none that is searched, (blocks down, blocks across)."""
-    frame, reduced = first_there(slots), first_there(seen)
+    frame, reduced = first_present(slots), first_present(seen)
     out = np.ones([-(-size // BLOCK_PX) for size in reduced.pixels.shape], bool)
     for blocks, kept in ((left, False), (searched, True)):
         # the middles of the blocks, on the sensor and on the level
@@ -244,7 +244,7 @@ class PhasedSearch:
     def __init__(self, parameters: SearchParameters, signal: SignalSettings):
         self._parameters, self._signal = parameters, signal
         # shared by the two detectors of a camera of the light's rate
-        self._budget = Budget(parameters.busy_part, signal.pattern_period_s)
+        self._budget = Budget(parameters.cpu_share, signal.pattern_period_s)
         self._streams: list[_Stream] = []
         self._kept: deque[Frame] = deque()
 
@@ -280,7 +280,7 @@ class PhasedSearch:
             if self._signal.header_pairs > 1:
                 # of the finest level alone: larger arrays are not looked for half a pattern out of step
                 finest = level_parameters(self._parameters, self._signal.side)[0]
-                detectors.append(StraddledDetector(finest, self._signal, self._budget))
+                detectors.append(HalfPeriodDetector(finest, self._signal, self._budget))
             self._streams = [_EveryFrame(detectors, period_s)]
         else:
             phases = _phases(light_s / period_s)

@@ -43,7 +43,7 @@ MOST_PX = 4
 """Largest error looked for, in px: cut-outs have as much around the array."""
 
 
-def realigned(cutouts: Sequence[Cutout | None], led_gains: Floats) -> tuple[list[Cutout | None], float]:
+def align_by_power(cutouts: Sequence[Cutout | None], led_gains: Floats) -> tuple[list[Cutout | None], float]:
     """Move each pair to where the power of the differences about it is."""
     matches = [np.zeros((2 * MOST_PX + 1,) * 2) if cutout is None else _match(cutout, led_gains) for cutout in cutouts]
     sums = np.cumsum([np.zeros_like(matches[0]), *matches], axis=0)
@@ -162,14 +162,14 @@ class ObservedPacket:
         moved = any(after is not before for after, before in zip(pairs, self.pairs, strict=True))
         return replace(self, pairs=pairs, memo={}) if moved else self
 
-    def relit(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "ObservedPacket":
+    def with_led_brightness(self, mean: Floats, variance: Floats, gain: float, noise: float) -> "ObservedPacket":
         """Take the LEDs' brightness that decoded data show."""
         learnt = self.learnt(mean, variance, gain, noise)
         if not learnt.differs(self.led_gains.brightness):
             return self
-        relit = replace(self, led_gains=replace(self.led_gains, brightness=learnt), memo={})
-        pairs = [None if pair is None else relit._observe(pair.cutout, pair.error) for pair in self.pairs]
-        return replace(relit, pairs=pairs)
+        with_led_brightness = replace(self, led_gains=replace(self.led_gains, brightness=learnt), memo={})
+        pairs = [None if pair is None else with_led_brightness._observe(pair.cutout, pair.error) for pair in self.pairs]
+        return replace(with_led_brightness, pairs=pairs)
 
     def learnt(
         self, mean: Floats, variance: Floats, gain: float, noise: float, stride: int | None = None

@@ -25,7 +25,7 @@ from heliograph.receive.geometry.fit import Fit, correlation
 from heliograph.receive.geometry.footprint import image_of, to_grid
 from heliograph.receive.geometry.kernels import LONGEST, LONGEST_PX
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import RIM_PX, PlacedPixels, covered, cut_out, plane, window_around
+from heliograph.receive.geometry.window import RIM_PX, ImagePatch, covered, cut_out, plane, window_around
 from heliograph.receive.observe import kernels
 from heliograph.receive.observe.cutout import RING_PX, Cutout, take_cutout
 from heliograph.receive.observe.noise import BESIDE, Noise, measure_noise
@@ -67,7 +67,7 @@ class Background:
     variance: float
 
 
-def surroundings(frame: PlacedPixels, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:
+def surroundings(frame: ImagePatch, pose: Pose, side: int) -> tuple[tuple[int, int], Floats]:
     """Window about an array: its corner (x, y), and its pixels (rows, columns) in gray levels."""
     window = window_around(pose, side, RIM_PX + RING_PX)
     return (window[0], window[1]), cut_out(frame, window)

@@ -13,7 +13,7 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.geometry import kernels as gauss_newton
 from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.geometry.window import PlacedPixels, Window, cut_out, plane, window_around
+from heliograph.receive.geometry.window import ImagePatch, Window, cut_out, plane, window_around
 
 
 def robust_std(values: Floats) -> float:
@@ -86,7 +86,7 @@ class Prior:
     gain: float = 0.0
 
 
-class Drawn:
+class RenderCache:
     """Images of an array as they were last drawn, for fits of poses nearby."""
 
     def __init__(self) -> None:
@@ -136,7 +136,7 @@ def fit_array(
     resolved: bool = True,
     open_pixels: Floats | None = None,
     smear: tuple[float, float] = (0.0, 0.0),
-    drawn: Drawn | None = None,
+    drawn: RenderCache | None = None,
 ) -> Fit:
     """Most probable pose of LEDs of known luminances, by Gauss-Newton with robust weights."""
     # a sum is finite where all of it is; `sum` takes a microsecond more to come to this
@@ -147,7 +147,7 @@ def fit_array(
     if open_pixels is not None:
         # a pixel that is 0 in all images says nothing
         image, background = image * open_pixels, background * open_pixels
-    drawn = Drawn() if drawn is None else drawn
+    drawn = RenderCache() if drawn is None else drawn
     shapes = drawn.images(corner, smear, weights, (1 + len(margins), 1 + free, *image.shape))
     if open_pixels is not None:
         # of hidden pixels images are 0, and others are hidden in each pair
@@ -183,7 +183,7 @@ def _kernels_kind(values: Floats) -> Floats:
     return np.ascontiguousarray(values, np.float64)
 
 
-def header_amplitudes(frames: Sequence[PlacedPixels], pose: Pose, weights: Floats) -> Floats:
+def header_amplitudes(frames: Sequence[ImagePatch], pose: Pose, weights: Floats) -> Floats:
     """Amplitude with which each of some frames shows a pattern."""
     window = window_around(pose, weights.shape[0], AMPLITUDE_MARGIN_PX)
     model = image_of(weights, pose, window[:2], window[:1:-1]).ravel()
@@ -192,6 +192,6 @@ def header_amplitudes(frames: Sequence[PlacedPixels], pose: Pose, weights: Float
     return shown / max(float(shape @ shape), TINY)
 
 
-def header_amplitude(frame: PlacedPixels, pose: Pose, weights: Floats) -> float:
+def header_amplitude(frame: ImagePatch, pose: Pose, weights: Floats) -> float:
     """Amplitude with which one frame shows a pattern, as `header_amplitudes` has it."""
     return float(header_amplitudes([frame], pose, weights)[0])

@@ -23,7 +23,7 @@ HALF_LIT = 0.5
 """Light of a pixel within an array, at least, as a fraction of the brightest one's: a blurred edge has half of it."""
 
 
-class PlacedPixels(Protocol):
+class ImagePatch(Protocol):
     """Pixels with their place on the sensor: a `Frame`, or frames combined."""
 
     @property
@@ -43,7 +43,7 @@ def window_around(pose: Pose, side: int, margin: float) -> Window:
     return x0, y0, ceil(pose.x + across) - x0 + 1, ceil(pose.y + down) - y0 + 1
 
 
-def cut_out(frame: PlacedPixels, window: Window) -> Floats:
+def cut_out(frame: ImagePatch, window: Window) -> Floats:
     """Pixels of a window; what lies beyond the frame repeats its border."""
     x0, y0, width, height = window
     x, y = x0 - frame.origin[0], y0 - frame.origin[1]
@@ -56,7 +56,7 @@ def cut_out(frame: PlacedPixels, window: Window) -> Floats:
 
 
 def covered(
-    frames: Sequence[PlacedPixels], corner: tuple[int, int], shape: tuple[int, int]
+    frames: Sequence[ImagePatch], corner: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[Floats, Floats] | None:
     """Columns and rows of a window that all frames have."""
     (x, y), (rows, columns) = corner, shape
@@ -71,7 +71,7 @@ def covered(
     return sides[0], sides[1]
 
 
-def _holds(frame: PlacedPixels, left: int, top: int, right: int, low: int) -> bool:
+def _holds(frame: ImagePatch, left: int, top: int, right: int, low: int) -> bool:
     """Whether a frame has all pixels of a window."""
     (x, y), (rows, columns) = frame.origin, frame.pixels.shape
     return x <= left and y <= top and right <= x + columns and low <= y + rows

@@ -395,7 +395,7 @@ class ObservedSymbols:
 
 
 @dataclass(frozen=True, slots=True)
-class OutOfStep:
+class UnsynchronisedPacket:
     """How a packet's pairs show their symbols, and those of the pairs before and after."""
 
     # (pairs, 16, 4) observed symbols by the values of a pair's own; see `partial_exposure.response`
@@ -407,7 +407,7 @@ class OutOfStep:
     headers: Floats
 
     @classmethod
-    def of(cls, combinations: Sequence[Combination | None], header: NDArray[np.bool_]) -> "OutOfStep":
+    def of(cls, combinations: Sequence[Combination | None], header: NDArray[np.bool_]) -> "UnsynchronisedPacket":
         """A packet's pairs."""
         none, last = np.zeros_like(VALUES), len(combinations) - 1
         response, leaks, headers = [], list[tuple[Floats, Floats]](), np.zeros((last + 1, header.size))

@@ -70,7 +70,7 @@ class FramePair:
 
 
 @dataclass(frozen=True, slots=True)
-class LoneFrame:
+class UnpairedFrame:
     """The frame that is left of a pair of data in step whose other frame is lost."""
 
     # The camera's frame, whose time is the start of its exposure
@@ -140,7 +140,7 @@ class Pairing(Protocol):
     ) -> MeasuredHeader | None:
         """Correct the clock by the header before a pair."""
 
-    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | LoneFrame | None:
+    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:
         """Frames of a pair."""
 
 
@@ -158,7 +158,7 @@ def sum_late_s(signal: SignalSettings) -> float:
     return (mean - 0.5) * signal.pattern_period_s
 
 
-class SteppedPairing:
+class SynchronousPairing:
     """Pairs of a camera in step: frame 2 k shows a pattern, frame 2 k + 1 its inverse."""
 
     def __init__(self, start_s: float, time_s: float, signal: SignalSettings):
@@ -209,14 +209,14 @@ class SteppedPairing:
     ) -> None:
         """Return nothing, as there is no clock to correct; see `Pairing`."""
 
-    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | LoneFrame | None:  # noqa: ARG002 - the protocol's
+    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:  # noqa: ARG002 - the protocol's
         """Give the two frames of a pair, or the one that is there; see `Pairing`."""
         first, second = self._frames.get(2 * number), self._frames.get(2 * number + 1)
         data = is_data(number, self._signal)
         if first is not None and second is not None:
             return FramePair(first, second, self._late_s if data else 0.0)
         left = second if first is None else first
-        return LoneFrame(left, first is None, self._late_s) if left is not None and data and not single else None
+        return UnpairedFrame(left, first is None, self._late_s) if left is not None and data and not single else None
 
 
 PATTERNS_AFTER = 1.0
@@ -255,7 +255,7 @@ hard shake moves that far in five patterns (`START_RATES`). Half and twice of it
 """
 
 
-class ClockedPairing:
+class AsynchronousPairing:
     """Pairs of a camera of any timing, by the light's own clock."""
 
     def __init__(
@@ -344,7 +344,7 @@ class ClockedPairing:
         pair_seen = self._combined(clock, pattern, combination, inside, window)
         return MeasuredHeader(clock.gain, pair_seen, self._header_frames(clock, pattern, inside, window, middle))
 
-    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | LoneFrame | None:
+    def pair(self, number: int, pose_at: PoseAt, single: bool) -> FramePair | UnpairedFrame | None:
         """Give the frames of a pair, combined where they are not in step; see `Pairing`."""
         clock, place = self._started, 2 * number
         in_packet, data = number % (self._signal.packet_patterns // 2), is_data(number, self._signal)
@@ -368,7 +368,7 @@ class ClockedPairing:
         window = self._window(frames, pose_at(clock.time_s(place + 1)))
         return self._combined(clock, first, combination, frames, window) if window else None
 
-    def _lone(self, clock: LightClock, place: int) -> LoneFrame | None:
+    def _lone(self, clock: LightClock, place: int) -> UnpairedFrame | None:
         """The only frame of the pair that begins with a pattern, if it is in step; else None."""
         inside = self._frames_of(clock, place - NEAREST_PATTERNS, place + 1 + NEAREST_PATTERNS)
         if len(inside) != 1:
@@ -378,7 +378,7 @@ class ClockedPairing:
         # in step it would be with its other half in its place
         two = (start - 1, start) if inverted else (start, start + 1)
         combination = _pair_combination(two, _rounded(max(clock.exposure, TICK)), self._light)
-        return LoneFrame(inside[0], inverted, self._late_s) if _in_step(clock, combination) else None
+        return UnpairedFrame(inside[0], inverted, self._late_s) if _in_step(clock, combination) else None
 
     @property
     def _started(self) -> LightClock:

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.geometry.fit import Drawn, Fit
+from heliograph.receive.geometry.fit import Fit, RenderCache
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Cutout
 from heliograph.receive.track import kernels
@@ -239,7 +239,7 @@ class Track:
     # (n, n) 1 for LEDs before which nothing has come from a side, else 0; None if all are
     clear: Floats | None = None
     # The array with all LEDs on as it was last drawn, which saves fits of sums the drawing
-    drawn: Drawn = field(default_factory=Drawn, compare=False, repr=False)
+    drawn: RenderCache = field(default_factory=RenderCache, compare=False, repr=False)
 
     def looked_at(self, change: Floats, in_sight: Floats | None, lines: Floats, clear: Floats | None) -> "Track":
         """The track after one more pair was looked at."""
@@ -391,7 +391,7 @@ def beside_what_hides(cutout: Cutout, in_sight: Floats) -> Cutout:
     return replace(cutout, in_sight=in_sight, covered=(across, down))
 
 
-def hidden_since(cutouts: Mapping[int, Cutout], place: int, in_sight: Floats) -> dict[int, Cutout]:
+def mask_occluded_retroactively(cutouts: Mapping[int, Cutout], place: int, in_sight: Floats) -> dict[int, Cutout]:
     """Cut-outs of earlier pairs in which LEDs were hidden already that are noticed as hidden only now."""
     found = dict[int, Cutout]()
     for earlier in range(place - NOTICED_PAIRS, place):

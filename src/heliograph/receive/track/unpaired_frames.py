@@ -20,7 +20,7 @@ from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import HALF_LIT, RIM_PX, covered, cut_out, window_around
 from heliograph.receive.observe.cutout import RING_PX, Cutout
-from heliograph.receive.sync.pairing import LoneFrame
+from heliograph.receive.sync.pairing import UnpairedFrame
 from heliograph.receive.track.kalman import POSE_SIZE, RATE_STATES, PoseState
 
 SUMS, REACH = 6, 6
@@ -74,7 +74,7 @@ def state_between(time_s: float, states: Mapping[int, PoseState], place: int) ->
 
 
 def lone_cutout(
-    lone: LoneFrame, place: int, seen: Mapping[int, SeenPair], late_s: float, gain: float, led_gains: Floats
+    lone: UnpairedFrame, place: int, seen: Mapping[int, SeenPair], late_s: float, gain: float, led_gains: Floats
 ) -> Cutout | None:
     """What the frame left of a pair shows of it."""
     chosen = around(place, seen)

@@ -153,7 +153,7 @@ def _film(asked: Asked, shared: Shared, path: Path, name: str) -> Iterator[Sourc
             check_truth(film, known, signal)
         live = live_of(film)
         if live is not None:
-            settings = replace(settings, receive=settings.receive.in_time())
+            settings = replace(settings, receive=settings.receive.with_live_limits())
         yield Source(
             name=name, frames=film, width=film.width, height=film.height, bits=film.bits, rate_hz=film.rate_hz,
             frame_count=film.frame_count, signal=signal, settings=settings, truth=known, live=live,
