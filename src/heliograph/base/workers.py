@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
-from heliograph.base.registry import Part, register_again, registered
+from heliograph.base.registry import register_again, registered
 
 _LIBRARIES = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM", "NUMEXPR_NUM")
 """Not Numba: once its threads run, it fails where its variable of the environment has changed."""
@@ -54,13 +54,13 @@ def worker_environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def begin_worker(parts: tuple[Part, ...] = ()) -> None:
+def begin_worker(parts: tuple[str, ...] = ()) -> None:
     """Begin a worker process: leave Ctrl-C to the parent, end with it however it ends, and know its own parts.
 
     Parameters
     ----------
     parts
-        Parts that the parent registered, as of `heliograph.base.registry.registered`.
+        Files and modules that register parts, as of `heliograph.base.registry.registered`.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
