@@ -1,11 +1,11 @@
-"""Settings described: each key with its unit, what it may be, its default and its meaning, as the code itself says."""
+"""Describe settings: each key with unit, allowed values, default and meaning, from the JSON schema and docstrings."""
 
 import inspect
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, is_dataclass
+from typing import Any, get_args
 
 from docstring_parser import parse
 from pydantic import TypeAdapter
@@ -22,34 +22,36 @@ UNITS = {
     "hz": "Hz",
     "fps": "frames/s",
 }
-"""Units by the ending of a key."""
+"""Units by the ending of a key; a longer ending comes first."""
 
-BOUNDS = {
-    "ge": "minimum",
-    "gt": "exclusiveMinimum",
-    "le": "maximum",
-    "lt": "exclusiveMaximum",
-    "multiple_of": "multipleOf",
+_TYPES = {"integer": "whole number", "number": "number", "boolean": "true, false", "string": "text"}
+_BOUNDS = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below"}
+_KEYWORDS = {
+    "minimum": "ge",
+    "exclusiveMinimum": "gt",
+    "maximum": "le",
+    "exclusiveMaximum": "lt",
+    "multipleOf": "multiple_of",
 }
-"""Bounds of an annotated type, and what a JSON schema calls them."""
+"""Bounds of an annotated type by the keyword of a JSON schema."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeyDescription:
-    """A settings key.
+    """Description of a settings key.
 
     Attributes
     ----------
     key
         Dotted key; an item of a list of tables has the number 0.
     unit
-        Its unit, empty where it has none.
+        Unit; empty for none.
     allowed
-        What values it may have.
+        Allowed values in words.
     default
-        Its default as TOML; empty where it may be left out.
+        Default as TOML; empty if the key may be left out.
     meaning
-        What its docstring says.
+        Text of the docstring.
     """
 
     key: str
@@ -59,142 +61,91 @@ class KeyDescription:
     meaning: str
 
 
-def describe(cls: type) -> list[KeyDescription]:
-    """Describe all keys of a settings class, without those of whole tables, in the order of the class.
-
-    Parameters
-    ----------
-    cls
-        Settings class whose docstring has an Attributes section.
-    """
-    schema = TypeAdapter(cls).json_schema()
-    return list(_keys(cls, schema, schema.get("$defs", {}), ""))
-
-
-def commented(toml: str, cls: type) -> str:
-    """Add the meaning of each key to TOML text, as a comment behind its value; keys without a value as comments alone.
-
-    Parameters
-    ----------
-    toml
-        TOML of settings, a key per line.
-    cls
-        Class of these settings; its docstring says what each key means.
-    """
-    meanings = {re.sub(r"\.0\.", ".", one.key): one for one in describe(cls)}
-    lines: list[str] = []
-    for table, body in _tables(toml):
-        given = [line.partition(" = ")[0] for line in body]
-        for name, line in zip(given, body, strict=True):
-            known = meanings.get(table + name)
-            lines.append(f"{line}  # {_comment(known)}" if known else line)
-        lines += [
-            f"# {key.removeprefix(table)} =   # {_comment(known)}"
-            for key, known in meanings.items()
-            if key.rpartition(".")[0] + "." == table
-            and key.removeprefix(table) not in given
-            and not known.default
-            and known.allowed != "table"
-        ]
-        lines.append("")
-    return "\n".join(lines).rstrip()
+def describe(cls: type, prefix: str = "") -> Iterator[KeyDescription]:
+    """Describe all keys of a settings class whose docstring has an Attributes section, in the order of the class."""
+    parameters = parse(inspect.getdoc(cls) or "").params
+    meanings = {about.arg_name: " ".join((about.description or "").split()) for about in parameters}
+    types = inspect.get_annotations(cls, eval_str=True)
+    for name, schema in TypeAdapter(cls).json_schema()["properties"].items():
+        if is_dataclass(types[name]):
+            yield from describe(types[name], f"{prefix}{name}.")
+            continue
+        # a schema leaves out the bounds of a type whose values are converted first
+        schema = {**_bounds_of(types[name]), **schema}
+        unit = next((unit for ending, unit in UNITS.items() if f"_{name}".endswith(f"_{ending}")), "")
+        yield KeyDescription(prefix + name, unit, _allowed(schema), _default(schema), meanings.get(name, ""))
+        if schema.get("type") == "array":
+            for item in get_args(types[name]):
+                if isinstance(item, type) and is_dataclass(item):
+                    yield from describe(item, f"{prefix}{name}.0.")
 
 
-def _tables(toml: str) -> Iterator[tuple[str, list[str]]]:
-    """Yield the lines of each table of TOML text, with the table's dotted name and a dot; without empty lines."""
-    table, body = "", list[str]()
+def comment(toml: str, cls: type) -> str:
+    """Add the meaning of each key of a settings class to TOML text, and comments for keys that are left out."""
+    descriptions = {about.key.replace(".0.", "."): about for about in describe(cls)}
+    tables: dict[str, list[str]] = {}
+    table, lines = "", list[str]()
     for line in filter(None, toml.splitlines()):
         if header := re.fullmatch(r"\[+([\w.-]+)\]+", line):
-            if body:
-                yield table, body
-            table, body = header[1] + ".", []
-        body.append(line)
-    yield table, body
-
-
-def _keys(cls: type, schema: Mapping[str, Any], rooms: Mapping[str, Any], prefix: str) -> Iterator[KeyDescription]:
-    meanings = {one.arg_name: one.description or "" for one in parse(inspect.getdoc(cls) or "").params}
-    for name, about in schema["properties"].items():
-        # a schema leaves out the bounds of a type whose values are converted first
-        about = {**_bounds_of(inspect.get_annotations(cls, eval_str=True)[name]), **about}
-        kind = _kind_of(cls, name)
-        items = about.get("items", {}) if about.get("type") == "array" else {}
-        if table := _ref(about):
-            yield from _keys(kind, rooms[table], rooms, f"{prefix}{name}.")
+            lines += _left_out(table, tables, descriptions)
+            table = f"{header[1]}."
+            lines += ["", line]
+            tables[table] = []
             continue
-        meaning = " ".join(meanings.get(name, "").split())
-        yield KeyDescription(prefix + name, _unit(name), _allowed(about), _default(about), meaning)
-        if table := _ref(items):
-            yield from _keys(kind, rooms[table], rooms, f"{prefix}{name}.0.")
+        key = re.match(r"[\w-]+(?= = )", line)
+        about = descriptions.get(table + key[0]) if key else None
+        if key:
+            tables.setdefault(table, []).append(key[0])
+        lines.append(f"{line}  # {_summary(about)}" if about else line)
+    return "\n".join([*lines, *_left_out(table, tables, descriptions)]).strip()
 
 
-def _kind_of(cls: type, name: str) -> Any:
-    """Settings class of a field, or of the items of its list."""
-    kind = inspect.get_annotations(cls, eval_str=True)[name]
-    return next((part for part in getattr(kind, "__args__", ()) if inspect.isclass(part)), kind)
+def _left_out(table: str, given: Mapping[str, list[str]], descriptions: Mapping[str, KeyDescription]) -> Iterator[str]:
+    """Yield a comment for each key of a table that has no default and is not given."""
+    for key, about in descriptions.items():
+        path, _, name = key.rpartition(".")
+        if table == f"{path}." and name not in given[table] and not about.default and about.allowed != "table":
+            yield f"# {name} =   # {_summary(about)}"
 
 
-def _bounds_of(kind: Any) -> dict[str, Any]:
-    """Bounds of an annotated type, as a JSON schema has them."""
-    limits = [one for part in getattr(kind, "__metadata__", ()) for one in getattr(part, "metadata", ())]
-    return {key: getattr(one, name) for one in limits for name, key in BOUNDS.items() if hasattr(one, name)}
+def _summary(about: KeyDescription) -> str:
+    """Return the first sentence of the meaning of a key, with the unit unless the sentence has it."""
+    sentence = re.split(r"(?<=\.)\s", about.meaning, maxsplit=1)[0].rstrip(".;").replace("``", "")
+    return sentence if not about.unit or f"in {about.unit}" in sentence else f"{sentence} ({about.unit})"
 
 
-def _ref(about: Mapping[str, Any]) -> str:
-    """Name of the settings class that a schema refers to, or nothing."""
-    # older pydantic wraps a reference that has a default
-    (part,) = about.get("allOf", [about])
-    return str(part.get("$ref", "")).rpartition("/")[2]
+def _bounds_of(annotation: Any) -> dict[str, Any]:
+    limits = [limit for part in getattr(annotation, "__metadata__", ()) for limit in getattr(part, "metadata", ())]
+    return {key: getattr(limit, name) for limit in limits for key, name in _KEYWORDS.items() if hasattr(limit, name)}
 
 
-def _unit(name: str) -> str:
-    endings = [ending for ending in UNITS if name == ending or name.endswith("_" + ending)]
-    return UNITS[max(endings, key=len)] if endings else ""
-
-
-def _allowed(about: Mapping[str, Any]) -> str:
-    options = about.get("anyOf")
-    if options:
-        return " or ".join("left out" if one.get("type") == "null" else _allowed(one) for one in options)
-    if "enum" in about or "const" in about:
-        return ", ".join(json.dumps(value) for value in about.get("enum", [about.get("const")]))
-    if about.get("type") == "array":
-        return _list(about)
-    if about.get("type") == "object" or _ref(about):
+def _allowed(schema: Mapping[str, Any]) -> str:
+    """Return the allowed values of a schema in words."""
+    if options := schema.get("anyOf"):
+        return " or ".join("left out" if option.get("type") == "null" else _allowed(option) for option in options)
+    if "enum" in schema or "const" in schema:
+        return ", ".join(json.dumps(value) for value in schema.get("enum", [schema.get("const")]))
+    if schema.get("type") == "array":
+        return _allowed_items(schema)
+    if schema.get("type") == "object" or "$ref" in schema:
         return "table"
-    kinds = {"integer": "whole number", "number": "number", "boolean": "true, false", "string": "text"}
-    return f"{kinds.get(str(about.get('type')), 'any')}{_bounds(about)}"
+    bounds = [f"{word} {schema[key]:g}" for key, word in _BOUNDS.items() if schema.get(key) is not None]
+    steps = [f"in steps of {schema['multipleOf']:g}"] if "multipleOf" in schema else []
+    return " ".join([_TYPES.get(str(schema.get("type")), "any"), *bounds, *steps])
 
 
-def _list(about: Mapping[str, Any]) -> str:
-    if about.get("maxItems") == 0:
+def _allowed_items(schema: Mapping[str, Any]) -> str:
+    if schema.get("maxItems") == 0:
         return "empty list"
-    items = {_allowed(item) for item in about.get("prefixItems", [about.get("items", {})])}
+    items = {_allowed(item) for item in schema.get("prefixItems", [schema.get("items", {})])}
     if len(items) > 1:
         return "list"
-    count = f"{about['maxItems']} " if "maxItems" in about else ""
-    several = re.sub("^(whole number|number|list|table|text)", r"\1s", items.pop())
-    return f"list of {count}{several}"
+    count = f"{schema['maxItems']} " if "maxItems" in schema else ""
+    return f"list of {count}" + re.sub("^(whole number|number|list|table|text)", r"\1s", items.pop())
 
 
-def _bounds(about: Mapping[str, Any]) -> str:
-    low, high = about.get("minimum"), about.get("maximum")
-    above, below = about.get("exclusiveMinimum"), about.get("exclusiveMaximum")
-    parts = [f"{text} {value:g}" for text, value in (("from", low), ("above", above), ("to", high), ("below", below))
-             if value is not None]  # fmt: skip
-    if "multipleOf" in about:
-        parts.append(f"in steps of {about['multipleOf']:g}")
-    return " " + " ".join(parts) if parts else ""
-
-
-def _default(about: Mapping[str, Any]) -> str:
-    value = about.get("default")
+def _default(schema: Mapping[str, Any]) -> str:
+    value = schema.get("default")
     if isinstance(value, list) and any(isinstance(item, dict) for item in value):
         return "one table, as below"
     return "" if value is None else json.dumps(value)
-
-
-def _comment(about: KeyDescription) -> str:
-    """First sentence of a key's meaning, with its unit where the sentence leaves it out."""
-    sentence = re.split(r"(?<=\.)\s", about.meaning, maxsplit=1)[0].rstrip(".;").replace("``", "")
-    return sentence if not about.unit or f"in {about.unit}" in sentence else f"{sentence} ({about.unit})"
