@@ -12,7 +12,7 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 """Gray levels, shape (rows, columns)."""
 
 BITS = {np.dtype(np.uint8): (8, 8), np.dtype(np.uint16): (9, 16)}
-"""Fewest and most bits of a gray level by the type of the pixels."""
+"""Minimum and maximum bits of a gray level by the type of the pixels."""
 
 LATEST_S = 1e10
 """Largest magnitude of a time in s: 317 years. Times of day count from 1970 in some cameras, which is 1.8e9 s; larger
