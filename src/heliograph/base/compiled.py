@@ -74,7 +74,7 @@ class _Locator(InTreeCacheLocator):
 
 
 class _Files(CompileResultCacheImpl):
-    _locator_classes = (_Locator,)
+    _locator_classes: list[type[object]] = [_Locator]  # noqa: RUF012
 
 
 class _Cache(FunctionCache):
@@ -85,7 +85,10 @@ class _Cache(FunctionCache):
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         # Numba numbers the files of a function, so two processes could write machine code under the same name
-        self._cache_file._data_name = lambda _: f"{self._impl.filename_base}.{uuid.uuid4().hex}.nbc"
+        self._cache_file._data_name = self._name_file  # type: ignore[method-assign]
+
+    def _name_file(self, _: int) -> str:
+        return f"{self._impl.filename_base}.{uuid.uuid4().hex}.nbc"
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         try:

@@ -164,13 +164,11 @@ class TurboCode:
         result = decode_blocks(
             flat, self.positions, interleaver(self.k), options, check=check, coded_output=coded_output
         )
-        arrays: dict[str, Any] = vars(result)
-        return TurboResult(
-            **{
-                name: None if array is None else array.reshape((*leading, *array.shape[1:]))
-                for name, array in arrays.items()
-            }
-        )
+        arrays: dict[str, Any] = {
+            name: None if array is None else array.reshape((*leading, *array.shape[1:]))
+            for name, array in vars(result).items()
+        }
+        return TurboResult(**arrays)
 
     def _clip_llrs(self, llr: NDArray[Any]) -> NDArray[np.float32]:
         self._check_shape("llr", llr, self.length)
