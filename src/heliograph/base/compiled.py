@@ -31,7 +31,7 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that compiles a function at the first call and caches its machine code.
+    """Return a decorator that compiles a function at the first call and caches the machine code.
 
     Parameters
     ----------

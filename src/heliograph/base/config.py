@@ -29,17 +29,17 @@ PitchM = Annotated[float, Field(ge=1e-4, le=10)]
 """Distance between LEDs in m."""
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
-"""Fraction of a whole."""
+"""Fraction, 0 to 1."""
 
 _MIN_RATIO = 0.65
-"""Ratio of `difflib` of the last parts of two keys from which the known one is proposed for the unknown. 94.4 % of 4046
-misspelt keys lead to the right one, and 11 of 40 other words to any."""
+"""Ratio of `difflib` of the last parts of two keys from which the known key is proposed for the unknown. 94.4 % of 4046
+misspelt keys lead to the right key, and 11 of 40 other words to any."""
 
 _UNIT_RATIO = 0.95
 """Ratio of a key that lacks the unit only, as speed for speed_m_s."""
 
 _MAX_KEY = 100
-"""Characters of a key up to which a known one is proposed."""
+"""Characters of an unknown key up to which a known key is proposed."""
 
 T = TypeVar("T")
 
@@ -156,7 +156,7 @@ def _one_line(error: ValidationError, cls: type) -> str:
 
 
 def _nearest(key: str, cls: type) -> str:
-    """Return the advice for an unknown key: the nearest known one, or all of the table."""
+    """Return the advice for an unknown key: the nearest known key, or all keys of the table."""
     item = re.search(r"\.\d+\.", key)
     keys = [known.replace(".0.", item[0]) if item else known for known in keys_of(cls)]
     tables = {known[: dot.start()] for known in keys for dot in re.finditer(r"\.", known)}

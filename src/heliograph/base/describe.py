@@ -70,7 +70,7 @@ def describe(cls: type, prefix: str = "") -> Iterator[KeyDescription]:
         if is_dataclass(types[name]):
             yield from describe(types[name], f"{prefix}{name}.")
             continue
-        # a schema leaves out the bounds of a type whose values are converted first
+        # a schema lacks the bounds of a type with a converter
         schema = {**_bounds_of(types[name]), **schema}
         unit = next((unit for ending, unit in UNITS.items() if f"_{name}".endswith(f"_{ending}")), "")
         yield KeyDescription(prefix + name, unit, _allowed(schema), _default(schema), meanings.get(name, ""))

@@ -1,4 +1,4 @@
-"""Parts by name: built-in ones, registered ones, and those of other packages by entry points."""
+"""Parts by name: built in, registered by a program, or offered by other packages through entry points."""
 
 import hashlib
 import os
@@ -32,7 +32,7 @@ _failures: list[str] | None = None
 
 
 class Registry(Generic[T]):
-    """Parts of one kind by name.
+    """Parts of a kind by name.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Registry(Generic[T]):
         _REGISTRIES[group] = self
 
     def register(self, name: str, part: T, make: Any = None) -> None:
-        """Add a part, or replace an earlier registered one.
+        """Add a part, or replace an earlier registered part.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class Registry(Generic[T]):
         raise SettingsError(f"unknown {self._kind} '{name}'; " + (f"did you mean '{close[0]}'?" if close else known))
 
     def names(self) -> list[str]:
-        """Return the names of all parts, those of the package first."""
+        """Return the names of all parts, built-in parts first."""
         offered = [entry.name for entry in _entries(self._group)]
         return [*self._built_in, *sorted({*self._registered, *offered} - set(self._built_in))]
 
@@ -119,7 +119,7 @@ class Registry(Generic[T]):
 
 
 def load_parts(file: Path | str) -> None:
-    """Run a Python file that registers parts of one's own.
+    """Run a Python file that registers parts.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def load_parts(file: Path | str) -> None:
         raise SettingsError(f"cannot load {file}: {error.strerror or error}") from None
     if str(path.parent) not in sys.path:
         sys.path.insert(0, str(path.parent))
-    # files of one name in different folders are different modules
+    # files of the same name in different folders are different modules
     name = f"loaded_{path.stem}_{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}"
     module = sys.modules[name] = ModuleType(name)
     module.__file__ = str(path)
@@ -160,7 +160,7 @@ def registered() -> tuple[str, ...]:
     return (*_FILES, *([str(Path(main).resolve())] if main else []), *sorted(modules))
 
 
-@lru_cache  # a cluster's worker gets them with each task
+@lru_cache  # a worker of a cluster gets them with each task
 def register_again(sources: tuple[str, ...]) -> None:
     """Run files and import modules that register parts, in a worker process."""
     global _failures

@@ -1,4 +1,4 @@
-"""Values handed on from one task to the next, which stay in the process that does the tasks."""
+"""Values handed on from task to task, which stay in the process that does the tasks."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar, Generic, TypeVar

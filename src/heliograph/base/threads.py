@@ -1,6 +1,6 @@
 """Limit the algebra of receivers and panels to one thread.
 
-A BLAS that shares matrices of 256 rows among threads is many times slower, and rounds otherwise than in one.
+A BLAS that shares matrices of 256 rows among threads is many times slower, and rounds in another way.
 """
 
 import threading

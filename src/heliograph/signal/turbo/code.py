@@ -24,7 +24,7 @@ side, 20 to 199 data pairs, eight rates) need more and shorter codewords; a larg
 
 @dataclass(frozen=True, kw_only=True)
 class TurboCode:
-    """Turbo code of 3GPP TS 36.212 (sections 5.1.3.2 and 5.1.4.1) for one block size and rate.
+    """Turbo code of 3GPP TS 36.212 (sections 5.1.3.2 and 5.1.4.1) for a block size and rate.
 
     Attributes
     ----------
@@ -82,9 +82,9 @@ class TurboCode:
 
     @property
     def distinguishing(self) -> NDArray[np.bool_]:
-        """Coded bits of the second encoder, shape (E,), which sees the information bits interleaved.
+        """Coded bits of the second encoder, shape (E,), which encodes the interleaved information bits.
 
-        Blocks are much alike, as are texts and filling, and with them the bits of the first encoder.
+        Blocks resemble each other, as texts and filling do, and so do the bits of the first encoder.
         """
         return np.asarray(self.positions % STREAMS == STREAMS - 1)
 
@@ -129,7 +129,7 @@ class TurboCode:
         Parameters
         ----------
         llr : array_like of float, shape (..., E)
-            LLR = ln P(b=0)/P(b=1) of each received bit; magnitudes above 1e4, infinite ones too, count as 1e4.
+            LLR = ln P(b=0)/P(b=1) of each received bit; larger magnitudes than 1e4, also infinity, count as 1e4.
         algorithm : {"max-log", "log-map"}
             See `DecoderOptions`, as for the next three.
         iterations : int

@@ -1,4 +1,4 @@
-"""The turbo encoder: two recursive systematic convolutional codes and their termination.
+"""The turbo encoder: two recursive systematic convolutional codes and the termination.
 
 Source: 3GPP TS 36.212, section 5.1.3.2.
 """
@@ -59,13 +59,13 @@ def encode_mother(bits_nat: NDArray[np.uint8], order: NDArray[np.int64]) -> NDAr
     coded[..., 0 : 3 * k : 3] = bits_nat
     coded[..., 1 : 3 * k : 3] = parity_1
     coded[..., 2 : 3 * k : 3] = parity_2
-    # 5.1.3.2.2 spreads the tail over d0, d1, d2 so that, read across them, it is x z x z x z x' z' x' z' x' z'
+    # 5.1.3.2.2 spreads the tail over d0, d1, d2, so that the order is x z x z x z x' z' x' z' x' z'
     coded[..., 3 * k :] = np.concatenate([tail_1, tail_2], axis=-1)
     return coded
 
 
 def encode_constituent(bits: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Encode blocks with one constituent code, G(D) = [1, g1(D) / g0(D)].
+    """Encode blocks with a constituent code, G(D) = [1, g1(D) / g0(D)].
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Max-log and log-MAP decoding of the constituent codes in machine code, one block after the other.
+"""Max-log and log-MAP decoding of the constituent codes in machine code, block by block.
 
 The eight metrics of a step are a tuple, which stays in registers during the recursions. The LLRs of all steps follow
 afterwards: they do not depend on each other, so LLVM computes several of them in a vector.
@@ -149,7 +149,7 @@ def _fill_inputs(mother: Any, passed: Any, work: Any, order: Any, code: int) -> 
 
 @_compile
 def _forward(work: Any, size: int, exact: Any) -> Any:
-    """Write the metrics before each step; return the final ones."""
+    """Write the metrics before each step; return the final metrics."""
     rows, info, parity = _rows(work, _ALPHA), work[_INFO], work[_PARITY]
     no = IMPOSSIBLE
     alpha = (np.float32(0.0), no, no, no, no, no, no, no)
@@ -163,7 +163,7 @@ def _forward(work: Any, size: int, exact: Any) -> Any:
 
 @_compile
 def _backward(work: Any, size: int, end: Any, exact: Any) -> None:
-    """Write the metrics after each step, from the final ones on."""
+    """Write the metrics after each step, from the last step to the first."""
     rows, info, parity = _rows(work, _BETA), work[_INFO], work[_PARITY]
     beta = end
     for k in range(size - 1, -1, -1):
@@ -175,7 +175,7 @@ def _backward(work: Any, size: int, end: Any, exact: Any) -> None:
 
 @_compile
 def _end_metrics(tail: Any) -> Any:
-    """Compute the metrics of the final states: each has one path to state 0, so the LLRs of the tail bits add up."""
+    """Compute the metrics of the final states: each has a single path to state 0, so LLRs of tail bits add up."""
     beta = np.zeros(STATES, dtype=np.float32)
     for j in range(TAIL_BITS):
         for s in range(STATES):
@@ -204,7 +204,7 @@ def _store(work: Any, passed: Any, app: Any, order: Any, scale: Any) -> None:
 
 @_compile
 def _siso(mother: Any, passed: Any, work: Any, app: Any, order: Any, code: int, scale: Any, exact: Any) -> Any:
-    """Run one constituent decoder on one block; return the metrics of the final states, forward and backward."""
+    """Run a constituent decoder on a block; return the metrics of the final states, forward and backward."""
     size = order.size
     first_tail = 3 * size + code * TAIL_BITS
     end = _end_metrics(mother[first_tail : first_tail + TAIL_BITS])
@@ -278,7 +278,7 @@ def _fill_tail_posterior(final: Any, end: Any, out: Any, exact: Any) -> None:
 def mother_posterior(
     mother: Any, passed: Any, work: Any, app: Any, orders: Any, scale: Any, exact: Any, out: Any
 ) -> None:
-    """Compute a-posteriori LLRs of all mother codewords by one more pass of both constituent decoders.
+    """Compute a-posteriori LLRs of all mother codewords by another pass of both constituent decoders.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ def selection(stream_length: int, coded_bits: int) -> NDArray[np.int64]:
     stream_length : int
         D, the length of each of the streams d0, d1, d2: K + 4 for a turbo code block.
     coded_bits : int
-        E, the number of bits to send; above 3 D the buffer is read again from its start.
+        E, the number of bits to send; above 3 D the buffer is read again from the start.
 
     Returns
     -------
