@@ -186,8 +186,8 @@ def presets(
 ) -> None:
     """List the presets, or print one with all its settings."""
     from heliograph.base.config import to_mapping
-    from heliograph.base.describe import comment
     from heliograph.base.toml_text import to_toml
+    from heliograph.cli.describe import comment
     from heliograph.link.settings import PRESETS, LinkSettings, load_settings
 
     if name is None and as_json:
