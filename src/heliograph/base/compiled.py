@@ -31,13 +31,7 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that compiles a function at the first call and caches the machine code.
-
-    Parameters
-    ----------
-    options
-        Options of `numba.njit`. By default the function releases the GIL, and a division by 0 gives infinity.
-    """
+    """Compile a function as `numba.njit` does, and cache the machine code; a division by 0 gives infinity."""
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(nogil=True, **{"error_model": "numpy", "no_cfunc_wrapper": True, **options})(function)

@@ -73,7 +73,7 @@ class Registry(Generic[T]):
         if name in self._built_in:
             raise SettingsError(f"the {self._kind} '{name}' is one of the package; choose another name")
         self._registered[name] = part
-        self.origins[name] = str(getattr(make or part, "__module__", "__main__"))
+        self.origins[name] = str(getattr(make or part, "__module__", ""))
 
     def register_maker(self, name: str, make: Any, part: T) -> None:
         """Add a part as `register` does; raise a SettingsError unless `make` is a function or a class."""
@@ -155,9 +155,9 @@ def load_parts(file: Path | str) -> None:
 def registered() -> tuple[str, ...]:
     """Return the files and the names of the modules that register parts, for `register_again` in a worker process."""
     modules = {module for registry in _REGISTRIES.values() for module in registry.origins.values()}
-    main = getattr(sys.modules["__main__"], "__file__", None) if "__main__" in modules else None
-    modules -= {"__main__", "__mp_main__", *(module for module in modules if module.startswith("loaded_"))}
-    return (*_FILES, *([str(Path(main).resolve())] if main else []), *sorted(modules))
+    main = _find_file("__main__") if "__main__" in modules else None
+    named = sorted(module for module in modules if module not in ("", "__main__") and not module.startswith("loaded_"))
+    return (*_FILES, *([main] if main else []), *named)
 
 
 @lru_cache  # a worker of a cluster gets them with each task
@@ -170,7 +170,7 @@ def register_again(sources: tuple[str, ...]) -> None:
             if not source.endswith(".py"):
                 import_module(source)
             # multiprocessing has run the main script
-            elif source not in _FILES and source != getattr(sys.modules.get("__mp_main__"), "__file__", None):
+            elif source not in _FILES and source != _find_file("__mp_main__"):
                 load_parts(source)
         except Exception as error:  # code of another author may raise any error
             failures.append(str(error))
@@ -180,8 +180,9 @@ def register_again(sources: tuple[str, ...]) -> None:
 def digest() -> str:
     """Return a digest of all parts outside of the package, as results depend on them."""
     about = hashlib.sha256()
-    for text in (*_FILES.values(), *map(_read_source, registered())):
-        about.update(text)
+    for source in registered():
+        file = source if source.endswith(".py") else _find_file(source)
+        about.update(_FILES.get(source) or (Path(file).read_bytes() if file else b""))
     for group, registry in _REGISTRIES.items():
         about.update("".join(f"{group} {name}\n" for name in sorted(registry.origins)).encode())
         for entry in _entries(group):
@@ -189,10 +190,10 @@ def digest() -> str:
     return about.hexdigest()[:12]
 
 
-def _read_source(source: str) -> bytes:
-    """Return the text of a file or of an imported module; empty if it has none."""
-    file = source if source.endswith(".py") else getattr(sys.modules.get(source), "__file__", None)
-    return Path(file).read_bytes() if file and source not in _FILES and Path(file).is_file() else b""
+def _find_file(module: str) -> str | None:
+    """Return the file of an imported module; None if it has none."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    return str(Path(file).resolve()) if file and Path(file).is_file() else None
 
 
 @lru_cache  # finding the installed packages takes some milliseconds
