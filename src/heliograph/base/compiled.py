@@ -50,15 +50,17 @@ def cache_folder() -> Path | None:
         digest.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
     place = Path(vars(config)["CACHE_DIR"] or AppDirs(appname="heliograph", appauthor=False).user_cache_dir)
     folder = place / f"heliograph-{digest.hexdigest()[:16]}"
+    is_new = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
         os.utime(folder)
-        folders = sorted(place.glob("heliograph-*"), key=lambda path: path.stat().st_mtime)
     except OSError:
         return None
-    for old in folders[:-KEPT_FOLDERS]:
-        shutil.rmtree(old, ignore_errors=True)
+    if is_new:
+        with contextlib.suppress(OSError):  # another process may remove a folder
+            for old in sorted(place.glob("heliograph-*"), key=os.path.getmtime)[:-KEPT_FOLDERS]:
+                shutil.rmtree(old, ignore_errors=True)
     return folder
 
 

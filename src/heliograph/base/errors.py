@@ -15,12 +15,12 @@ JOINERS = "\u200c\u200d"
 
 
 class HeliographError(Exception):
-    """Misuse or broken input; the message is one line that states the rule and the value that breaks it.
+    """Misuse or broken input; the message states the rule and the wrong value on one line.
 
     Parameters
     ----------
     message
-        The text; what a terminal cannot print, such as a line break in a file name, is escaped.
+        Text; characters that a terminal cannot print, such as a line break in a file name, are escaped.
     """
 
     def __init__(self, message: object = ""):

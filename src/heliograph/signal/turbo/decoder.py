@@ -30,7 +30,7 @@ class DecoderOptions:
     Attributes
     ----------
     algorithm : {"max-log", "log-map"}
-        "log-map" gives the a-posteriori LLRs of each constituent code, where ln(1 + exp(-x)) is taken good to 0.032;
+        "log-map" gives the a-posteriori LLRs of each constituent code, with ln(1 + exp(-x)) exact to 0.032;
         "max-log" takes the maximum in place of each sum.
     iterations : int
         Maximum number of full iterations (of both constituent decoders), at least 1.
